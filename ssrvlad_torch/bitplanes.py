@@ -1,0 +1,112 @@
+"""Bit-planes: all eight layers of an image in one byte a pixel.
+
+``planes`` is a ``(B, H, W)`` uint8 tensor whose bit ``k`` is layer ``k``. Set operations on all
+layers at once are then bitwise operations, neighbours are slices, and a list of pixels or runs
+is read off the few bytes that are not zero.
+
+Lists are grouped: group ``k * B + b`` is layer ``k`` of image ``b``, and every list is sorted by
+group and then in raster order. `by_image` turns a value per group into a value per image.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+LAYERS = 8
+
+
+class Points(NamedTuple):
+    """Pixels of the layers, one entry each: ``group``, row ``y`` and column ``x``, all int64."""
+
+    group: Tensor
+    y: Tensor
+    x: Tensor
+
+
+class Runs(NamedTuple):
+    """Maximal horizontal runs of the layers, one entry each, all int64.
+
+    ``first`` and ``last`` are the columns of the first and the last pixel.
+    """
+
+    group: Tensor
+    y: Tensor
+    first: Tensor
+    last: Tensor
+
+
+def pack(layers: Tensor) -> Tensor:
+    """``(B, 8, H, W)`` bool layers -> ``(B, H, W)`` uint8 bit-planes."""
+    return (layers.to(torch.uint8) << _bits(layers).view(1, LAYERS, 1, 1)).sum(1, dtype=torch.uint8)
+
+
+def unpack(planes: Tensor) -> Tensor:
+    """``(B, H, W)`` uint8 bit-planes -> ``(B, 8, H, W)`` bool layers."""
+    return (planes[:, None] >> _bits(planes).view(1, LAYERS, 1, 1) & 1).bool()
+
+
+def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
+    """The eight neighbours of every pixel: N, NE, E, SE, S, SW, W, NW, each ``(B, H, W)``.
+
+    This is the order p2 ... p9 of the thinning papers. What is outside the image is background.
+    """
+    height, width = planes.shape[-2:]
+    padded = F.pad(planes, (1, 1, 1, 1))
+    offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
+    return tuple(padded[:, y : y + height, x : x + width] for y, x in offsets)
+
+
+def points(planes: Tensor) -> Points:
+    """The pixels of every layer."""
+    count, height, width = planes.shape
+    group, position = _scan(planes)
+    return Points(group, position // width % height, position % width)
+
+
+def runs(planes: Tensor) -> Runs:
+    """The runs of every layer: a run starts where the pixel to its left is off."""
+    count, height, width = planes.shape
+    padded = F.pad(planes, (1, 1))
+    group, first = _scan(planes & ~padded[..., :-2])
+    _, last = _scan(planes & ~padded[..., 2:])
+    return Runs(group, first // width % height, first % width, last % width)
+
+
+def paint(chosen: Runs, shape: torch.Size) -> Tensor:
+    """Bit-planes of the given shape that hold exactly the given runs."""
+    count, height, width = shape
+    planes = torch.zeros(count * height * width, dtype=torch.uint8, device=chosen.group.device)
+    lengths = chosen.last - chosen.first + 1
+    run = torch.repeat_interleave(lengths)
+    within = torch.arange(run.numel(), device=run.device) - (lengths.cumsum(0) - lengths)[run]
+    image = chosen.group % count
+    position = ((image * height + chosen.y) * width + chosen.first)[run] + within
+    bit = torch.ones_like(run, dtype=torch.uint8) << (chosen.group // count)[run].to(torch.uint8)
+    return planes.scatter_add_(0, position, bit).view(shape)
+
+
+def count_points(listed: Points, count: int) -> Tensor:
+    """``(B, 8)`` int64, how many of the points each layer of each image has."""
+    return by_image(torch.bincount(listed.group, minlength=LAYERS * count), count)
+
+
+def by_image(values: Tensor, count: int) -> Tensor:
+    """``(8 * B, ...)`` values by group -> ``(B, 8, ...)``."""
+    return values.unflatten(0, (LAYERS, count)).transpose(0, 1)
+
+
+def _bits(like: Tensor) -> Tensor:
+    return torch.arange(LAYERS, dtype=torch.uint8, device=like.device)
+
+
+def _scan(planes: Tensor) -> tuple[Tensor, Tensor]:
+    """Group and flat position of every set bit, sorted by group, then by position."""
+    flat = planes.reshape(-1)
+    position = flat.nonzero()[:, 0]
+    layer, entry = (flat[position] >> _bits(planes)[:, None] & 1).nonzero(as_tuple=True)
+    position = position[entry]
+    return layer * planes.shape[0] + position // planes[0].numel(), position

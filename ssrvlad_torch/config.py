@@ -1,0 +1,206 @@
+"""The settings of the method: frozen, validated, with presets and a fingerprint."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any
+
+METHOD_REVISION = 1
+"""Raised whenever the same settings would give other numbers; part of every fingerprint."""
+
+CATEGORY_COUNT = 8
+"""K of the paper: Table II has eight categories, and every descriptor has eight blocks."""
+
+THINNINGS = ("zhang-suen", "guo-hall")
+CONTEXTS = ("skeleton", "keypoints")
+
+PRESETS: dict[str, dict[str, Any]] = {
+    "paper": {"working_size": None},
+    "default": {"working_size": 120},
+}
+
+_AREA_UNIT = 10**6
+_RING_UNIT = 10**9
+
+
+@dataclass(frozen=True)
+class SSRVLADConfig:
+    """Every setting of the descriptor. Where the paper is silent, the field says so.
+
+    Lengths are fractions of the image and become pixels on the working grid by the integer
+    rules of the methods below, so that every backend computes the same pixels.
+
+    Attributes:
+        labels_as: name of a label space, or path of a YAML file that defines one. It says how
+            label ids are read and is *not* part of the fingerprint.
+        working_size: shorter side in pixels of the grid on which the geometry happens; a larger
+            label map is reduced to it by majority vote, a smaller one is used as it is. ``None``
+            is the native size (the paper).
+        opening: radius of the square that opens each layer, as a fraction of the shorter side.
+            Silent in the paper.
+        closing: radius of the square that then closes each layer, likewise. Silent in the paper.
+        hole_area: enclosed holes smaller than this fraction of the image are filled. Silent in
+            the paper.
+        region_area: regions smaller than this fraction of the image are dropped. Silent in the
+            paper.
+        thinning: ``"zhang-suen"`` or ``"guo-hall"``. Silent in the paper.
+        rings: N of the paper, log-spaced rings of the shape context.
+        sectors: M of the paper, equal sectors of the shape context.
+        radius: R of the paper as a fraction of the image diagonal. Silent in the paper.
+        inner_radius: outer radius of the first ring as a fraction of R; the rings between grow by
+            a constant factor (2 with five rings and 1/16, as in Belongie et al. 2002). Silent in
+            the paper.
+        context: the points that the histograms count: ``"skeleton"`` pixels or ``"keypoints"``.
+            The paper can be read either way.
+
+    Raises:
+        ValueError: a setting is outside its range; the message names it, what was got and what
+            was wanted.
+
+    Example:
+        >>> SSRVLADConfig.from_preset("paper", labels_as="camvid-11").preset
+        'paper'
+    """
+
+    labels_as: str = "cityscapes-trainids"
+    working_size: int | None = 120
+    opening: float = 0.0
+    closing: float = 0.01
+    hole_area: float = 0.002
+    region_area: float = 0.001
+    thinning: str = "zhang-suen"
+    rings: int = 5
+    sectors: int = 12
+    radius: float = 0.5
+    inner_radius: float = 1 / 16
+    context: str = "skeleton"
+
+    def __post_init__(self) -> None:
+        _check_type("labels_as", self.labels_as, str)
+        if self.working_size is not None:
+            _check_integer("working_size", self.working_size, 1, 1 << 14)
+        for name, highest in (("opening", 0.5), ("closing", 0.5), ("hole_area", 1.0)):
+            _check_fraction(name, getattr(self, name), highest)
+        _check_fraction("region_area", self.region_area, 1.0)
+        _check_integer("rings", self.rings, 1, 64)
+        _check_integer("sectors", self.sectors, 1, 360)
+        _check_fraction("radius", self.radius, 1.0, above_zero=True)
+        _check_fraction("inner_radius", self.inner_radius, 1.0, above_zero=True)
+        _check_choice("thinning", self.thinning, THINNINGS)
+        _check_choice("context", self.context, CONTEXTS)
+
+    @classmethod
+    def from_preset(cls, preset: str, **settings: Any) -> SSRVLADConfig:
+        """A preset, ``"paper"`` or ``"default"``, with the given settings put in place of its own.
+
+        Raises:
+            ValueError: no such preset or no such setting.
+        """
+        _check_choice("preset", preset, tuple(PRESETS))
+        return cls.from_dict({**PRESETS[preset], **settings})
+
+    @classmethod
+    def from_dict(cls, settings: dict[str, Any]) -> SSRVLADConfig:
+        """The config that `to_dict` wrote.
+
+        Raises:
+            ValueError: a key that is no setting of this version.
+        """
+        known = {field.name for field in dataclasses.fields(cls)}
+        unknown = sorted(set(settings) - known)
+        if unknown:
+            raise ValueError(
+                f"unknown setting {unknown[0]!r}; the settings are {', '.join(sorted(known))}"
+            )
+        return cls(**settings)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Every setting by name, ready for JSON."""
+        return dataclasses.asdict(self)
+
+    @property
+    def preset(self) -> str:
+        """Name of the preset that these settings are, or ``"custom"``."""
+        for name in PRESETS:
+            if self.from_preset(name, labels_as=self.labels_as) == self:
+                return name
+        return "custom"
+
+    @property
+    def fingerprint(self) -> str:
+        """16 hex digits over the method's revision and every setting but ``labels_as``.
+
+        Two descriptors compare only if their fingerprints are equal. A preset enters by the
+        settings that it stands for, so a database outlives a change of what a preset means.
+        """
+        settings = self.to_dict()
+        del settings["labels_as"]
+        text = json.dumps({"revision": METHOD_REVISION, **settings}, sort_keys=True)
+        return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+    @property
+    def length(self) -> int:
+        """Numbers in a descriptor: K x N x M."""
+        return CATEGORY_COUNT * self.rings * self.sectors
+
+    def grid(self, height: int, width: int) -> tuple[int, int]:
+        """Rows and columns of the working grid of an image: its aspect kept, never enlarged."""
+        shorter = min(height, width)
+        if self.working_size is None or self.working_size >= shorter:
+            return height, width
+        return (
+            _rounded(height * self.working_size, shorter),
+            _rounded(width * self.working_size, shorter),
+        )
+
+    def radius_pixels(self, fraction: float, height: int, width: int) -> int:
+        """A morphology radius in pixels of an ``height x width`` grid."""
+        return _rounded(_parts(fraction, _AREA_UNIT) * min(height, width), _AREA_UNIT)
+
+    def area_pixels(self, fraction: float, height: int, width: int) -> int:
+        """The least number of pixels that is *not* smaller than ``fraction`` of the grid."""
+        return -(-_parts(fraction, _AREA_UNIT) * height * width // _AREA_UNIT)
+
+    def ring_limits(self, height: int, width: int) -> tuple[int, ...]:
+        """Largest squared distance of each ring, in pixels of the grid, from the innermost out.
+
+        A point at squared distance ``d2`` lies in the first ring whose limit is not below it:
+        a boundary belongs to the ring inside it. Equal or zero limits leave a ring empty.
+        """
+        steps = [1 - ring / (self.rings - 1) if self.rings > 1 else 0.0 for ring in range(self.rings)]
+        squares = [(self.radius * self.inner_radius**step) ** 2 for step in steps]
+        diagonal = height * height + width * width
+        return tuple(_parts(square, _RING_UNIT) * diagonal // _RING_UNIT for square in squares)
+
+
+def _parts(fraction: float, unit: int) -> int:
+    return round(fraction * unit)
+
+
+def _rounded(numerator: int, denominator: int) -> int:
+    return (2 * numerator + denominator) // (2 * denominator)
+
+
+def _check_type(name: str, value: object, wanted: type) -> None:
+    if not isinstance(value, wanted):
+        raise ValueError(f"{name} must be {wanted.__name__}, got {value!r}")
+
+
+def _check_integer(name: str, value: object, lowest: int, highest: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
+        raise ValueError(f"{name} must be an integer from {lowest} to {highest}, got {value!r}")
+
+
+def _check_fraction(name: str, value: object, highest: float, above_zero: bool = False) -> None:
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not number or not 0 <= value <= highest or (above_zero and value == 0):  # type: ignore[operator]
+        lowest = "above 0" if above_zero else "from 0"
+        raise ValueError(f"{name} must be a fraction {lowest} to {highest}, got {value!r}")
+
+
+def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
+    if value not in choices:
+        raise ValueError(f"{name} must be one of {', '.join(choices)}, got {value!r}")

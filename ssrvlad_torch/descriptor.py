@@ -1,0 +1,175 @@
+"""The method: label map -> layers -> skeletons -> key-points -> histograms -> 480 numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, cast
+
+import torch
+from torch import Tensor, nn
+
+from .bitplanes import count_points, points, unpack
+from .config import SSRVLADConfig
+from .stages.aggregation import aggregate
+from .stages.centroid import centre_table, centroids
+from .stages.components import drop_regions, fill_holes
+from .stages.keypoints import end_points, intersections
+from .stages.layers import categorise, category_table, refuse_unknown, split
+from .stages.morphology import open_and_close
+from .stages.reduction import reduce_by_majority
+from .stages.shape_context import log_polar_bins, shape_contexts
+from .stages.skeleton import thin
+from .taxonomy import LabelSpace, label_space
+
+
+class SSRVLAD(nn.Module):
+    """Label maps or class scores -> place descriptors (Nie, Feng et al., arXiv 2202.03677).
+
+    The module has no weights and needs no training. It runs where it lies, on CPU or CUDA
+    (``head.to("cuda")``), and counts the same integers on both. ``head.compile()`` fuses its
+    element-wise work.
+
+    Args:
+        config: the settings; without, the preset ``default``.
+
+    Shape:
+        - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
+          scores (logits or probabilities; the largest wins, the first of equals), any ``H`` and
+          ``W`` from 1.
+        - output: ``(B, 480)`` float32 of length 1, or exact zeros for an empty image, in which
+          no category has a key-point.
+
+    Raises:
+        ValueError: wrong rank or dtype, an empty batch or image, an id outside the label space,
+            NaN scores, or a class count that does not fit the label space. The message names
+            the offender, what was got and what was wanted.
+
+    Example:
+        >>> head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
+        >>> head(torch.zeros(2, 240, 320, dtype=torch.uint8)).shape
+        torch.Size([2, 480])
+    """
+
+    def __init__(self, config: SSRVLADConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or SSRVLADConfig()
+        self.label_space = label_space(self.config.labels_as)
+        table, self._lowest_id = category_table(self.label_space)
+        self._table: Tensor
+        self.register_buffer("_table", table, persistent=False)
+
+    @classmethod
+    def from_preset(cls, preset: str, **settings: Any) -> SSRVLAD:
+        """The head of a preset, ``"paper"`` or ``"default"``; see `SSRVLADConfig.from_preset`."""
+        return cls(SSRVLADConfig.from_preset(preset, **settings))
+
+    def forward(self, labels: Tensor, explained: bool = False) -> Tensor | Explanation:
+        """The descriptors of a batch, or all that led to them if they are to be ``explained``."""
+        config, images = self.config, len(labels)
+        labels = _label_map(labels, self.label_space)
+        categories = categorise(labels, self._table, self._lowest_id)  # Table II
+        refuse_unknown(labels, categories, self.label_space)
+
+        grid = config.grid(*categories.shape[1:])
+        layers = split(reduce_by_majority(categories, grid))
+        clean = open_and_close(
+            layers,
+            config.radius_pixels(config.opening, *grid),
+            config.radius_pixels(config.closing, *grid),
+        )
+        clean = fill_holes(clean, config.area_pixels(config.hole_area, *grid))
+        clean = drop_regions(clean, config.area_pixels(config.region_area, *grid))
+
+        skeleton = thin(clean, config.thinning)
+        ends, crossings = end_points(skeleton), intersections(skeleton)
+        keypoints, centres = points(ends | crossings), centroids(clean)  # Eq. 1
+        context = points(skeleton) if config.context == "skeleton" else keypoints
+
+        bins = log_polar_bins(*grid, config.ring_limits(*grid), config.sectors, clean.device)
+        point_sums = shape_contexts(keypoints, context, bins, images)
+        centre_counts = shape_contexts(centres, context, bins, images)
+        descriptor = aggregate(point_sums, centre_counts, count_points(keypoints, images))  # Eq. 2
+        if not explained:
+            return descriptor
+        return Explanation(
+            layers=unpack(layers),
+            clean_layers=unpack(clean),
+            skeleton=unpack(skeleton),
+            end_points=unpack(ends),
+            intersections=unpack(crossings),
+            centres=centre_table(centres, images),
+            point_histograms=point_sums.unflatten(-1, (config.rings, config.sectors)),
+            centre_histograms=centre_counts.unflatten(-1, (config.rings, config.sectors)),
+            descriptor=descriptor,
+        )
+
+    def explain(self, labels: Tensor) -> Explanation:
+        """Every step from the label map to the descriptor; input and errors as for a call."""
+        return cast(Explanation, self(labels, explained=True))
+
+    def extra_repr(self) -> str:
+        config = self.config
+        return f"preset={config.preset}, labels_as={config.labels_as}, fingerprint={config.fingerprint}"
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What the method saw, for B images on a working grid of ``h x w`` pixels.
+
+    Attributes:
+        layers: ``(B, 8, h, w)`` bool, the categories after the reduction to the grid.
+        clean_layers: likewise, after morphology, hole filling and small-region removal.
+        skeleton: likewise.
+        end_points: likewise.
+        intersections: likewise.
+        centres: ``(B, 8, 2)`` int64, row and column of each layer's centre (Eq. 1), -1 without.
+        point_histograms: ``(B, 8, N, M)`` int64, the sum of all d_i of Eq. 2.
+        centre_histograms: ``(B, 8, N, M)`` int64, d_c of Eq. 2.
+        descriptor: ``(B, 480)`` float32.
+    """
+
+    layers: Tensor
+    clean_layers: Tensor
+    skeleton: Tensor
+    end_points: Tensor
+    intersections: Tensor
+    centres: Tensor
+    point_histograms: Tensor
+    centre_histograms: Tensor
+    descriptor: Tensor
+
+    @property
+    def keypoints(self) -> Tensor:
+        """``(B, 8, h, w)`` bool, end points and intersections."""
+        return self.end_points | self.intersections
+
+    @property
+    def empty(self) -> Tensor:
+        """``(B,)`` bool, images whose descriptor is zero: they match nothing."""
+        return ~self.descriptor.any(dim=1)
+
+
+def _label_map(labels: Tensor, space: LabelSpace) -> Tensor:
+    """Checks the input and takes the class of the highest score where it is class scores."""
+    got = f"got {tuple(labels.shape)} {str(labels.dtype).removeprefix('torch.')}"
+    if labels.ndim == 3 and (labels.is_floating_point() or labels.dtype == torch.bool):
+        raise ValueError(f"a (B, H, W) label map must hold integer ids, {got}")
+    if labels.ndim == 4 and not labels.is_floating_point():
+        raise ValueError(f"(B, C, H, W) class scores must be floating point, {got}")
+    if labels.ndim not in (3, 4) or labels.is_complex():
+        raise ValueError(f"wanted (B, H, W) label ids or (B, C, H, W) class scores, {got}")
+    if labels.numel() == 0:
+        raise ValueError(f"wanted at least one image of at least one pixel, {got}")
+    return _best_class(labels, space) if labels.ndim == 4 else labels
+
+
+def _best_class(scores: Tensor, space: LabelSpace) -> Tensor:
+    wanted = space.channel_counts
+    if scores.shape[1] not in wanted:
+        counts = " or ".join(str(count) for count in wanted) or "no class scores, its ids have gaps"
+        raise ValueError(
+            f"class scores have {scores.shape[1]} classes; label space {space.name} wants {counts}"
+        )
+    if bool(scores.isnan().any()):
+        raise ValueError(f"class scores hold {int(scores.isnan().sum())} NaN values; wanted none")
+    return scores.argmax(1)

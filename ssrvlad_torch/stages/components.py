@@ -1,0 +1,105 @@
+"""Connected regions: exact hole filling and small-region removal by area, all layers at once.
+
+A layer is a few thousand horizontal runs rather than a million pixels. Runs that touch from row
+to row are edges of a graph; the components of that graph are the regions, found by passing the
+smallest run number along the edges with pointer jumping, in a few rounds however long or
+winding a region is.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..bitplanes import Runs, paint, runs
+
+
+def fill_holes(planes: Tensor, area: int) -> Tensor:
+    """Fills every enclosed hole of fewer than ``area`` pixels.
+
+    A hole is a 4-connected background region that does not touch the border of the image.
+
+    Args:
+        planes: ``(B, H, W)`` uint8 bit-planes.
+        area: pixels; holes of this size and above stay.
+
+    Returns:
+        ``(B, H, W)`` uint8 bit-planes.
+    """
+    if area <= 1:
+        return planes
+    _, height, width = planes.shape
+    gaps = runs(~planes)
+    region = _regions(gaps, planes.shape, diagonal=False)
+    outside = (gaps.y == 0) | (gaps.y == height - 1) | (gaps.first == 0) | (gaps.last == width - 1)
+    enclosed = _total(region, outside) == 0
+    return planes | _painted(gaps, enclosed & (_areas(gaps, region) < area), planes)
+
+
+def drop_regions(planes: Tensor, area: int) -> Tensor:
+    """Drops every 8-connected region of fewer than ``area`` pixels.
+
+    Args:
+        planes: ``(B, H, W)`` uint8 bit-planes.
+        area: pixels; regions of this size and above stay.
+
+    Returns:
+        ``(B, H, W)`` uint8 bit-planes.
+    """
+    if area <= 1:
+        return planes
+    segments = runs(planes)
+    region = _regions(segments, planes.shape, diagonal=True)
+    return planes & ~_painted(segments, _areas(segments, region) < area, planes)
+
+
+def _painted(segments: Runs, chosen: Tensor, planes: Tensor) -> Tensor:
+    return paint(Runs(*(column[chosen] for column in segments)), planes.shape)
+
+
+def _areas(segments: Runs, region: Tensor) -> Tensor:
+    """Pixels of the region that each run belongs to."""
+    return _total(region, segments.last - segments.first + 1)
+
+
+def _total(region: Tensor, amounts: Tensor) -> Tensor:
+    """Sum of the runs' amounts over the region that each run belongs to."""
+    sums = torch.zeros_like(region).index_add_(0, region, amounts.to(region.dtype))
+    return sums[region]
+
+
+def _regions(segments: Runs, shape: torch.Size, diagonal: bool) -> Tensor:
+    """For each run the number of the first run of its region."""
+    upper, lower = _touching(segments, shape, diagonal)
+    region = torch.arange(segments.group.numel(), device=upper.device)
+    while True:
+        above, below = region[upper], region[lower]
+        lowest = torch.minimum(above, below)
+        hooked = region.scatter_reduce(0, above, lowest, "amin")
+        hooked = hooked.scatter_reduce(0, below, lowest, "amin")
+        jumped = hooked[hooked]
+        if torch.equal(jumped, region):
+            return region
+        region = jumped
+
+
+def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor, Tensor]:
+    """Pairs of runs that touch, as run numbers: one in some row, one in the row below it.
+
+    All rows of all layers lie on one line, two columns apart, so the runs above a run are the
+    stretch of that line between its ends, moved up one row. ``diagonal`` widens it by a column
+    each side.
+    """
+    count, height, width = shape
+    pitch = width + 2
+    row = (segments.group * (height + 1) + segments.y + 1) * pitch + 1
+    first, last = row + segments.first, row + segments.last
+    reach = pitch + int(diagonal)
+    begin = torch.searchsorted(last, first - reach)
+    end = torch.searchsorted(first, last - pitch + int(diagonal), right=True)
+    touched = (end - begin).clamp_min(0)
+    lower = torch.repeat_interleave(touched)
+    within = torch.arange(lower.numel(), device=lower.device) - (touched.cumsum(0) - touched)[lower]
+    return begin[lower] + within, lower
+
+

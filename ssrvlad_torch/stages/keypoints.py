@@ -1,0 +1,49 @@
+"""Key-points: the end points and intersections of the skeletons."""
+
+from __future__ import annotations
+
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..bitplanes import neighbours
+
+
+def end_points(skeleton: Tensor) -> Tensor:
+    """Skeleton pixels with one 8-neighbour, or none.
+
+    Args:
+        skeleton: ``(B, H, W)`` uint8 bit-planes.
+
+    Returns:
+        ``(B, H, W)`` uint8 bit-planes.
+    """
+    ring = neighbours(skeleton)
+    seen, again = ring[0], ring[0] ^ ring[0]
+    for plane in ring[1:]:
+        seen, again = seen | plane, again | (seen & plane)
+    return skeleton & ~again
+
+
+def intersections(skeleton: Tensor) -> Tensor:
+    """Skeleton pixels whose crossing number is 3 or more, one of each touching group.
+
+    The crossing number counts the 0 -> 1 steps around the pixel (Rutovitz 1966). A pixel is
+    dropped if another intersection pixel stands W, NW, N or NE of it.
+
+    Args:
+        skeleton: ``(B, H, W)`` uint8 bit-planes.
+
+    Returns:
+        ``(B, H, W)`` uint8 bit-planes.
+    """
+    ring = neighbours(skeleton)
+    one = two = three = skeleton ^ skeleton
+    for here, there in zip(ring, ring[1:] + ring[:1], strict=True):
+        step = there & ~here
+        one, two, three = one | step, two | (one & step), three | (two & step)
+    crossing = skeleton & three
+    height, width = skeleton.shape[-2:]
+    padded = F.pad(crossing, (1, 1, 1, 0))
+    west, above = padded[:, 1:, :width], padded[:, :height]
+    earlier = west | above[..., :width] | above[..., 1 : width + 1] | above[..., 2:]
+    return crossing & ~earlier

@@ -1,0 +1,103 @@
+"""Shape context: where the points of a layer lie around a reference point, in exact integers."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..bitplanes import LAYERS, Points, by_image
+
+PAIRS_AT_ONCE = 1 << 18
+"""Pairs of points in memory at a time: some megabytes, however many points there are."""
+
+
+class Bins(NamedTuple):
+    """The target-shaped template of the shape context, as a table over offsets.
+
+    ``table`` is ``(2H - 1, 2W - 1)`` int32: entry ``(dy + H - 1, dx + W - 1)`` is
+    ``ring * M + sector``, or ``count`` = N * M for the reference point itself and for what is
+    farther than the last ring.
+    """
+
+    table: Tensor
+    count: int
+
+
+def shape_contexts(references: Points, context: Points, bins: Bins, images: int) -> Tensor:
+    """Sum of the shape contexts around each layer's reference points.
+
+    Around every reference point the context points of the same layer are counted by ring and
+    sector; the reference point itself is not counted. Pairs are listed chunk by chunk.
+
+    Args:
+        references: the points around which is counted.
+        context: the points that are counted.
+        bins: from `log_polar_bins`, for the size of the image.
+        images: B.
+
+    Returns:
+        ``(B, 8, N * M)`` int64.
+    """
+    pitch = bins.table.shape[1]
+    context_place = context.y * pitch + context.x
+    reference_place = references.y * pitch + references.x - bins.table.numel() // 2
+    groups = LAYERS * images
+    population = torch.bincount(context.group, minlength=groups)
+    group_start = population.cumsum(0) - population
+    pairs_until = population[references.group].cumsum(0)
+    pairs_before = pairs_until - population[references.group]
+    start = group_start[references.group] - pairs_before
+    pair_count = int(pairs_until[-1]) if len(pairs_until) else 0
+    lookup, stride = bins.table.flatten(), bins.count + 1
+    counts = torch.zeros(groups * stride, dtype=torch.int64, device=lookup.device)
+    for first in range(0, pair_count, PAIRS_AT_ONCE):
+        pair = torch.arange(first, min(first + PAIRS_AT_ONCE, pair_count), device=lookup.device)
+        reference = torch.searchsorted(pairs_until, pair, right=True)
+        offset = context_place[start[reference] + pair] - reference_place[reference]
+        place = references.group[reference] * stride + lookup[offset]
+        counts += torch.bincount(place, minlength=groups * stride)
+    return by_image(counts.view(groups, stride)[:, : bins.count], images)
+
+
+@lru_cache(maxsize=8)
+def log_polar_bins(
+    height: int, width: int, limits: tuple[int, ...], sectors: int, device: torch.device
+) -> Bins:
+    """The template for images of one size.
+
+    Args:
+        height, width: size of the image.
+        limits: largest squared distance of each ring, innermost first; a boundary belongs to the
+            ring inside it.
+        sectors: M. Sector ``m`` covers the angles from ``2 pi m / M``, included, to
+            ``2 pi (m + 1) / M``, excluded, counted from +x (right) towards +y (down).
+        device: where the table lies.
+    """
+    dy = torch.arange(1 - height, height, device=device)[:, None]
+    dx = torch.arange(1 - width, width, device=device)[None, :]
+    squared = dy * dy + dx * dx
+    ring = sum((squared > limit).to(torch.int64) for limit in limits)
+    sector = _twelve_sectors(dy, dx) if sectors == 12 else _sectors(dy, dx, sectors)
+    count = len(limits) * sectors
+    inside = (squared > 0) & (squared <= limits[-1])
+    return Bins(torch.where(inside, ring * sectors + sector, count).to(torch.int32), count)
+
+
+def _twelve_sectors(dy: Tensor, dx: Tensor) -> Tensor:
+    """Sectors of 30 degrees by integer comparisons: the tangents of 30 and 60 degrees are the
+    square roots of 1/3 and 3. In two of the quarters the slope falls as the angle grows."""
+    y, x = dy * dy, dx * dx
+    rise = (3 * y > x).to(torch.int64) + (y > 3 * x)
+    quarter = torch.where(dy > 0, (dx <= 0).to(torch.int64), 2 + (dx >= 0).to(torch.int64))
+    quarter = torch.where(dy == 0, torch.where(dx < 0, 2, 0), quarter)
+    return 3 * quarter + torch.where(quarter % 2 == 0, rise, 2 - rise)
+
+
+def _sectors(dy: Tensor, dx: Tensor, sectors: int) -> Tensor:
+    """Sectors of any number. Integer offsets meet a boundary only at multiples of 45 degrees;
+    every other offset is farther from one than the nudge, which is above the rounding error."""
+    turn = torch.atan2(dy.double(), dx.double()) / (2 * torch.pi)
+    return torch.floor(turn * sectors + 1e-12).to(torch.int64) % sectors
