@@ -1,7 +1,9 @@
 """Place recognition from semantic segmentation: SSR-VLAD (arXiv 2202.03677) in PyTorch."""
 
 from .config import SSRVLADConfig
+from .database import Database
 from .descriptor import SSRVLAD
+from .matching import match
 
-__all__ = ["SSRVLAD", "SSRVLADConfig"]
+__all__ = ["SSRVLAD", "Database", "SSRVLADConfig", "match"]
 __version__ = "0.1.0"

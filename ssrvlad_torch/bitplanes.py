@@ -62,14 +62,14 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
 
 def points(planes: Tensor) -> Points:
     """The pixels of every layer."""
-    count, height, width = planes.shape
+    height, width = planes.shape[1:]
     group, position = _scan(planes)
     return Points(group, position // width % height, position % width)
 
 
 def runs(planes: Tensor) -> Runs:
     """The runs of every layer: a run starts where the pixel to its left is off."""
-    count, height, width = planes.shape
+    height, width = planes.shape[1:]
     padded = F.pad(planes, (1, 1))
     group, first = _scan(planes & ~padded[..., :-2])
     _, last = _scan(planes & ~padded[..., 2:])
@@ -96,7 +96,7 @@ def count_points(listed: Points, count: int) -> Tensor:
 
 def by_image(values: Tensor, count: int) -> Tensor:
     """``(8 * B, ...)`` values by group -> ``(B, 8, ...)``."""
-    return values.unflatten(0, (LAYERS, count)).transpose(0, 1)
+    return values.view(LAYERS, count, *values.shape[1:]).transpose(0, 1)
 
 
 def _bits(like: Tensor) -> Tensor:

@@ -70,7 +70,7 @@ class SSRVLADConfig:
     opening: float = 0.0
     closing: float = 0.01
     hole_area: float = 0.002
-    region_area: float = 0.001
+    region_area: float = 0.0005
     thinning: str = "zhang-suen"
     rings: int = 5
     sectors: int = 12
@@ -170,7 +170,9 @@ class SSRVLADConfig:
         A point at squared distance ``d2`` lies in the first ring whose limit is not below it:
         a boundary belongs to the ring inside it. Equal or zero limits leave a ring empty.
         """
-        steps = [1 - ring / (self.rings - 1) if self.rings > 1 else 0.0 for ring in range(self.rings)]
+        steps = [
+            1 - ring / (self.rings - 1) if self.rings > 1 else 0.0 for ring in range(self.rings)
+        ]
         squares = [(self.radius * self.inner_radius**step) ** 2 for step in steps]
         diagonal = height * height + width * width
         return tuple(_parts(square, _RING_UNIT) * diagonal // _RING_UNIT for square in squares)

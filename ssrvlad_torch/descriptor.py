@@ -108,8 +108,8 @@ class SSRVLAD(nn.Module):
         return cast(Explanation, self(labels, explained=True))
 
     def extra_repr(self) -> str:
-        config = self.config
-        return f"preset={config.preset}, labels_as={config.labels_as}, fingerprint={config.fingerprint}"
+        """What ``print(head)`` shows: the preset, the label space and the fingerprint."""
+        return ", ".join((self.config.preset, self.config.labels_as, self.config.fingerprint))
 
 
 @dataclass(frozen=True)

@@ -194,7 +194,8 @@ def zhang_suen(layer: Mask) -> Mask:
     while True:
         before = layer
         for first in (True, False):
-            p2, p3, p4, p5, p6, p7, p8, p9 = ring = neighbours(layer)
+            ring = neighbours(layer)
+            p2, _, p4, _, p6, _, p8, _ = ring
             on = np.sum(ring, axis=0)  # B(P1)
             steps = crossing_number(ring)  # A(P1)
             if first:
@@ -209,12 +210,12 @@ def zhang_suen(layer: Mask) -> Mask:
 def crossing_number(ring: list[Mask]) -> Integers:
     """How often the neighbours change from off to on, once around the pixel (Rutovitz)."""
     steps = [~here & there for here, there in zip(ring, ring[1:] + ring[:1], strict=True)]
-    return np.sum(steps, axis=0, dtype=np.int64)
+    return np.asarray(np.sum(steps, axis=0))
 
 
 def end_points(skeleton: Mask) -> Mask:
     """Skeleton pixels with at most one 8-neighbour."""
-    return skeleton & (np.sum(neighbours(skeleton), axis=0) <= 1)
+    return np.asarray(skeleton & (np.sum(neighbours(skeleton), axis=0) <= 1))
 
 
 def intersections(skeleton: Mask) -> Mask:

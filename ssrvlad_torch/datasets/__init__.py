@@ -1,0 +1,1 @@
+"""Data sets: label maps on disk, poses, and the synthetic city."""

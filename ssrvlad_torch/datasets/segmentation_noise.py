@@ -28,7 +28,7 @@ class SegmentationNoise:
 
     Args:
         strength: scales every part; 0 changes nothing, 1 is a mild network, about 5 a bad one.
-        wobble: displace boundaries smoothly, by about 0.6 % of the image diagonal at strength 1.
+        wobble: displace boundaries smoothly, by about 0.4 % of the image diagonal at strength 1.
         lost_poles: replace poles, lights and signs by what is left of them in a fifth of the image.
         confusion: rename building, wall, fence, road, sidewalk, ... in a tenth of the image.
         blobs: paint wrong classes over 1 % of the image.
@@ -61,7 +61,7 @@ class SegmentationNoise:
         if self.blobs:
             noisy = _add_blobs(noisy, 0.01 * self.strength, blobs)
         if self.wobble:
-            noisy = _wobble(noisy, 0.006 * self.strength, wobble)
+            noisy = _wobble(noisy, 0.004 * self.strength, wobble)
         return noisy
 
 
@@ -84,7 +84,9 @@ def _confuse(labels: LabelMap, share: float, rng: np.random.Generator) -> LabelM
 def _add_blobs(labels: LabelMap, share: float, rng: np.random.Generator) -> LabelMap:
     """Paint blobs of random classes over a `share` of the image."""
     classes = rng.choice(np.array(BLOB_IDS, np.uint8), size=(4, 4))
-    painted = np.asarray(Image.fromarray(classes).resize(labels.shape[::-1], Image.Resampling.NEAREST))
+    painted = np.asarray(
+        Image.fromarray(classes).resize(labels.shape[::-1], Image.Resampling.NEAREST)
+    )
     return np.where(_regions(rng, labels.shape, share, cells=10), painted, labels)
 
 
@@ -93,12 +95,15 @@ def _wobble(labels: LabelMap, amplitude: float, rng: np.random.Generator) -> Lab
     height, width = labels.shape
     pixels = amplitude * math.hypot(height, width)
     offsets = [
-        np.rint(pixels * (_smooth_field(rng, labels.shape, 10) + _smooth_field(rng, labels.shape, 24)))
+        np.rint(
+            pixels * (_smooth_field(rng, labels.shape, 10) + _smooth_field(rng, labels.shape, 24))
+        )
         for _ in range(2)
     ]
     rows = np.clip(np.arange(height)[:, None] + offsets[0], 0, height - 1).astype(np.intp)
     columns = np.clip(np.arange(width) + offsets[1], 0, width - 1).astype(np.intp)
-    return labels[rows, columns]
+    displaced: LabelMap = labels[rows, columns]
+    return displaced
 
 
 def _regions(

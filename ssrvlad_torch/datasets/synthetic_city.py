@@ -15,21 +15,23 @@ Streets, kerbs and walls are described in (s, d): metres along an axis, and to i
 
 from __future__ import annotations
 
-import csv
 import functools
+import io
 import itertools
 import json
 import math
 import os
+import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from ssrvlad_torch.datasets.poses import Pose
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.taxonomy import palette
 
@@ -59,15 +61,18 @@ SMALLEST_PIXELS = 0.35  # thinner things are not painted
 MINIMUM_SIZE = 16
 
 
+def _generator(seed: int, thing: str, *key: int) -> np.random.Generator:
+    """Random generator of one thing, independent of all others; the key may be negative."""
+    name = zlib.crc32(thing.encode())
+    return np.random.default_rng([seed, name, *(number % 2**32 for number in key)])
+
+
+def _require(holds: bool, name: str, got: object, wanted: str) -> None:
+    if not holds:
+        raise ValueError(f"{name}: got {got!r}, wanted {wanted}")
+
+
 # ---------------------------------------------------------------------------- public
-
-
-class Pose(NamedTuple):
-    """Where the camera stands: metres, metres, radians in (-pi, pi] counter-clockwise from +x."""
-
-    x: float
-    y: float
-    heading: float
 
 
 class Frame(NamedTuple):
@@ -125,7 +130,7 @@ QUERY = Conditions(
 
 @dataclass(frozen=True)
 class SyntheticCity:
-    """A city and a route through it; equal seeds (>= 0) give equal cities on any machine.
+    """A city and a route through it; equal seeds (>= 0) give equal frames.
 
     Example:
         >>> frame = next(SyntheticCity(seed=0).traverse(frames=1))
@@ -164,13 +169,11 @@ class SyntheticCity:
     def _drive(
         self, conditions: Conditions, size: tuple[int, int], labels_as: str
     ) -> Iterator[Frame]:
-        block = functools.lru_cache(maxsize=64)(
-            functools.partial(_block, self.seed, conditions)
-        )
+        block = functools.lru_cache(maxsize=64)(functools.partial(_block, self.seed, conditions))
         for index, pose in enumerate(_poses(self.seed, conditions)):
             seconds = index * FRAME_SECONDS
             bodies = [block(*corner) for corner in _nearby(pose)]
-            bodies.append(_pack(_vehicles_near(self.seed, conditions, pose, seconds)))
+            bodies.append(_pack(_traffic(self.seed, conditions, pose, seconds)))
             labels = _paint(_background(self.seed, pose, size), bodies, pose)
             if conditions.noise:
                 rng = _generator(conditions.seed, "noise", self.seed, index)
@@ -205,6 +208,8 @@ def write_city(
     within `radius` metres whose headings differ by less than 45 degrees. Each file appears whole
     or not at all.
 
+    A query traverse whose `spacing` is at most the reference's stays on the mapped stretch.
+
     Args:
         out: folder, made if missing; files of the same name in it are replaced.
         frames: frames of each traverse.
@@ -214,22 +219,25 @@ def write_city(
         progress: called with (frames written, frames in all) after each frame.
     """
     _require(radius >= 0, "radius", radius, "metres >= 0")
-    files = CityFiles(*(Path(out) / n for n in ("reference", "query", "poses.csv", "ground_truth.json")))
-    city = SyntheticCity(seed)
-    colours = palette(labels_as).tobytes()
-    poses: dict[str, Pose] = {}
-    for folder, conditions in ((files.reference, REFERENCE), (files.query, query)):
+    out, city = Path(out), SyntheticCity(seed)
+    files = CityFiles(
+        out / "reference", out / "query", out / "poses.csv", out / "ground_truth.json"
+    )
+    poses: dict[str, dict[str, Pose]] = {}
+    for done, (folder, conditions) in enumerate(
+        ((files.reference, REFERENCE), (files.query, query))
+    ):
         traverse = city.traverse(frames, conditions, size, labels_as)
+        poses[folder.name] = {}
         folder.mkdir(parents=True, exist_ok=True)
         for frame in traverse:
-            image = Image.fromarray(frame.labels)
-            image.putpalette(colours)
-            _write(folder / f"{frame.name}.png", functools.partial(image.save, format="PNG"))
-            poses[f"{folder.name}/{frame.name}"] = frame.pose
+            _write(folder / f"{frame.name}.png", _palette_png(frame.labels, palette(labels_as)))
+            poses[folder.name][f"{folder.name}/{frame.name}"] = frame.pose
             if progress:
-                progress(len(poses), 2 * frames)
-    _write(files.poses, functools.partial(_save_poses, poses))
-    _write(files.ground_truth, functools.partial(_save_json, _same_places(poses, radius)))
+                progress(done * frames + len(poses[folder.name]), 2 * frames)
+    places = _same_places(poses["query"], poses["reference"], radius)
+    _write(files.poses, _poses_csv(poses["reference"] | poses["query"]))
+    _write(files.ground_truth, json.dumps(places, indent=1).encode())
     return files
 
 
@@ -275,7 +283,7 @@ def _route(seed: int) -> Iterator[_Piece]:
 
 def _poses(seed: int, conditions: Conditions) -> Iterator[Pose]:
     """Camera poses, `conditions.spacing` metres apart along the route, without end."""
-    phases = _generator(conditions.seed, "sway", seed).uniform(0, math.tau, 2)
+    phases = _generator(conditions.seed, "sway", seed).uniform(0, math.tau, 2).tolist()
     left = conditions.lateral_offset - LANE
     travelled, begin = 0.0, 0.0
     for piece in _route(seed):
@@ -318,7 +326,7 @@ Body = tuple[int, Corners]  # label id and eight corners
 
 
 class _Bodies(NamedTuple):
-    """Bodies side by side: label ids (S,) and corners (S, 8, 3), in order of painting where flat."""
+    """Label ids (S,) and corners (S, 8, 3) of bodies; what lies flat is in order of painting."""
 
     labels: NDArray[np.uint8]
     corners: NDArray[np.float64]
@@ -330,9 +338,7 @@ def _pack(bodies: Iterable[Body]) -> _Bodies:
     return _Bodies(np.array([label for label, _ in listed], np.uint8), corners)
 
 
-def _box(
-    axis: _Axis, label: int, s: Span, d: Span, z: Span = (0, 0), inset: Span = (0, 0)
-) -> Body:
+def _box(axis: _Axis, label: int, s: Span, d: Span, z: Span = (0, 0), inset: Span = (0, 0)) -> Body:
     """A box over the rectangle `s` x `d`, whose top is smaller by `inset` on each side."""
     corners = []
     for height, ds, dd in ((z[0], 0.0, 0.0), (z[1], *inset)):
@@ -364,13 +370,14 @@ def _traffic_light(axis: _Axis) -> Iterator[Body]:
     yield _box(axis, TRAFFIC_LIGHT, (-0.2, 0.2), (-0.2, 0.2), (2.5, 3.5))
 
 
-def _person(axis: _Axis, height: float = 1.75, label: int = PERSON, feet: float = 0.0) -> Body:
-    return _box(axis, label, (-0.2, 0.2), (-0.28, 0.28), (feet, feet + height), (0.05, 0.15))
+def _person(axis: _Axis, label: int = PERSON, feet: float = 0.0) -> Iterator[Body]:
+    yield _box(axis, label, (-0.2, 0.2), (-0.24, 0.24), (feet, feet + 1.45), (0.03, 0.03))
+    yield _box(axis, label, (-0.1, 0.1), (-0.1, 0.1), (feet + 1.45, feet + 1.75))
 
 
 def _rider(axis: _Axis) -> Iterator[Body]:
     yield _box(axis, BICYCLE, (-0.85, 0.85), (-0.1, 0.1), (0, 1.0), (0.3, 0.0))
-    yield _person(axis, 1.2, RIDER, feet=0.55)
+    yield from _person(axis, RIDER, feet=0.25)
 
 
 def _car(axis: _Axis, length: float = 4.3) -> Iterator[Body]:
@@ -379,34 +386,40 @@ def _car(axis: _Axis, length: float = 4.3) -> Iterator[Body]:
     yield _box(axis, CAR, (-half + 0.4, half - 1.0), (-0.85, 0.85), (0.8, 1.48), (0.55, 0.15))
 
 
-def _tree(axis: _Axis, shape: NDArray[np.float64], season: str) -> Iterator[Body]:
-    """A tree, all vegetation as in Cityscapes: trunk and crown, or boughs when bare.
-
-    `shape` holds 64 numbers in 0..1: height, crown radius, evergreen or not, and its form.
-    """
-    height, radius = 5 + 6 * shape[0], 1.4 + 1.6 * shape[1]
+def _tree(axis: _Axis, rng: np.random.Generator, season: str) -> Iterator[Body]:
+    """A tree, all vegetation as in Cityscapes: a trunk, and a crown or bare boughs."""
+    size, girth, evergreen = rng.random(3)
+    height, radius = 5 + 6 * size, 1.4 + 1.6 * girth
     fork = 0.35 * height
-    offsets = (shape[4:64] - 0.5).reshape(5, 4, 3)
+    form = rng.uniform(-0.5, 0.5, (5, 5)).tolist()
     yield _pole(axis, fork + 0.5, 0.35, VEGETATION)
-    if season == "winter" and shape[2] < 0.85:
-        for (s, d, z), *_ in offsets:
-            tip = (*axis.point(2 * radius * s, 2 * radius * d), height * (0.9 + 0.2 * z))
-            foot = [(*axis.point(a, b), fork) for a, b in ((-0.1, 0), (0.1, 0), (0, -0.1), (0, 0.1))]
-            yield VEGETATION, [*foot, tip, tip, tip, tip]
-        return
-    middle = (fork + height) / 2
-    for leaves in offsets:
-        s, d, z = radius * leaves[0]
-        ball = axis.at(s, d)
-        size = radius * (0.75 + 0.3 * leaves[1, 0])
-        tall = (height - fork) * (0.4 + 0.15 * leaves[1, 1])
-        yield VEGETATION, [
-            (*ball.point(size * a, size * b), middle + z + tall * c) for a, b, c in _BALL
-        ]
+    if season == "summer" or evergreen > 0.85:
+        yield from (_foliage(axis, radius, (fork, height), *ball) for ball in form)
+    else:
+        yield from (_bough(axis, 2 * radius, (fork, height), *bough[:3]) for bough in form)
 
 
-_BALL = [(1, 0, 0.3), (0.3, 0.9, -0.5), (-0.9, 0.4, 0.4), (-0.6, -0.7, -0.6),
-         (0.5, -0.8, 0.4), (0, 0, 1), (0, 0, -1), (0.2, 0.3, -0.9)]  # fmt: skip
+def _foliage(
+    axis: _Axis, radius: float, z: Span, s: float, d: float, up: float, wide: float, tall: float
+) -> Body:
+    """One of the irregular balls that make a crown; the five last numbers are in -0.5..0.5."""
+    middle = axis.at(radius * s, radius * d)
+    across, along = radius * (0.75 + 0.3 * wide), (z[1] - z[0]) * (0.4 + 0.15 * tall)
+    height = sum(z) / 2 + radius * up
+    return VEGETATION, [
+        (*middle.point(across * a, across * b), height + along * c) for a, b, c in _BALL
+    ]
+
+
+def _bough(axis: _Axis, reach: float, z: Span, s: float, d: float, up: float) -> Body:
+    """A thin pyramid from the fork of a tree outwards."""
+    tip = (*axis.point(reach * s, reach * d), z[1] * (0.9 + 0.2 * up))
+    foot = [(*axis.point(a, b), z[0]) for a, b in ((-0.1, 0), (0.1, 0), (0, -0.1), (0, 0.1))]
+    return VEGETATION, foot + [tip] * 4
+
+
+_BALL = ((1, 0, 0.3), (0.3, 0.9, -0.5), (-0.9, 0.4, 0.4), (-0.6, -0.7, -0.6),
+         (0.5, -0.8, 0.4), (0, 0, 1), (0, 0, -1), (0.2, 0.3, -0.9))  # fmt: skip
 
 
 # ---------------------------------------------------------------------------- city
@@ -453,7 +466,7 @@ class _Side(NamedTuple):
 
 
 def _street(seed: int, axis: int, index: int) -> _Street:
-    shift, width = _generator(seed, "street", axis, index).random(2)
+    shift, width = _generator(seed, "street", axis, index).random(2).tolist()
     return _Street(index * PITCH + PITCH_JITTER * (2 * shift - 1), 8.0 + 5.0 * width)
 
 
@@ -500,12 +513,8 @@ def _paving(sides: list[_Side]) -> Iterator[Body]:
     yield SIDEWALK, cut
     south, east, north, west = sides
     inside = TERRAIN if south.style.yard == TERRAIN else GROUND
-    yield _box(
-        south.axis,
-        inside,
-        (west.walk, south.length - east.walk),
-        (south.walk, east.length - north.walk),
-    )
+    across = (west.walk, south.length - east.walk)
+    yield _box(south.axis, inside, across, (south.walk, east.length - north.walk))
 
 
 def _kerb_strip(seed: int, side: _Side) -> Iterator[Body]:
@@ -548,13 +557,11 @@ def _open_lot(
     yield _box(lot, style.yard, (0, width), (0, LOT_DEPTH))
     label = VEGETATION if rng.random() < 0.3 else style.barrier
     yield from _fence(lot, label, (0, width), 0.1, (0, rng.uniform(0.9, 2.0)))
-    for s, d, *shape in rng.random((3, 66)):
-        yield from _tree(lot.at(s * width, 3 + d * (LOT_DEPTH - 3)), np.array(shape), season)
+    for s, d in rng.uniform((0, 3), (width, LOT_DEPTH), (3, 2)).tolist():
+        yield from _tree(lot.at(s, d), rng, season)
 
 
-def _built_lot(
-    lot: _Axis, width: float, style: _Style, rng: np.random.Generator
-) -> Iterator[Body]:
+def _built_lot(lot: _Axis, width: float, style: _Style, rng: np.random.Generator) -> Iterator[Body]:
     """A yard and a building: a box with a pitched roof, a smaller top floor, or neither."""
     setback, height = rng.uniform(*style.setbacks), rng.uniform(*style.heights)
     depth = min(12.0, LOT_DEPTH - setback)
@@ -591,12 +598,13 @@ def _furniture(seed: int, side: _Side) -> Iterator[Body]:
 
 
 def _street_trees(seed: int, side: _Side, season: str) -> Iterator[Body]:
+    """An avenue on most kerb strips of grass, with trees missing here and there."""
     rng = _generator(seed, "trees", *side.key)
     step, avenue = rng.uniform(6, 12), rng.random() < 0.75
-    for s in np.arange(8, side.length - 7, step).tolist():
-        present, *shape = rng.random(65)
-        if avenue and side.kerb == TERRAIN and present < 0.8:
-            yield from _tree(side.axis.at(s, 1.3), np.array(shape), season)
+    if side.kerb == TERRAIN and avenue:
+        for s in np.arange(8, side.length - 7, step).tolist():
+            if rng.random() < 0.8:
+                yield from _tree(side.axis.at(s, 1.3), rng, season)
 
 
 # ---------------------------------------------------------------------------- traffic
@@ -604,19 +612,211 @@ def _street_trees(seed: int, side: _Side, season: str) -> Iterator[Body]:
 
 def _passers_by(seed: int, side: _Side, conditions: Conditions) -> Iterator[Body]:
     """Parked cars, people on the sidewalk, riders at the kerb: other ones on every drive."""
-    key = (conditions.seed, seed, *side.key)
+
+    def scatter(kind: str, step: float, chance: float) -> Iterator[tuple[_Axis, float]]:
+        """Places on the kerb line, each taken with a chance, and a number in 0..1 for each."""
+        rng = _generator(conditions.seed, kind, seed, *side.key)
+        for s in np.arange(8, side.length - 8, step).tolist():
+            taken, shift, number = rng.random(3)
+            if taken < min(0.95, chance * conditions.traffic):
+                yield side.axis.at(s + 0.7 * shift, 0), number
+
     if side.kerb == PARKING:
-        for s, chance in zip(*_scatter("bay", key, side.length, step=5.8), strict=True):
-            if chance < min(0.9, 0.55 * conditions.traffic):
-                yield from _car(side.axis.at(s, 1.15), length=4.0 + chance)
+        for place, number in scatter("bays", step=5.8, chance=0.55):
+            yield from _car(place.at(0, 1.15), length=3.9 + number)
     if side.style.yard == PARKING:
-        for s, chance in zip(*_scatter("yard", key, side.length, step=3.0), strict=True):
-            if chance < min(0.9, 0.5 * conditions.traffic):
-                yield from _car(side.axis.at(s, side.walk + 2.6).left())
-    for s, chance in zip(*_scatter("people", key, side.length, step=3.0), strict=True):
-        if chance < 0.15 * conditions.traffic:
-            across = KERB_STRIP + (side.walk - KERB_STRIP) * (chance * 1000 % 1)
-            yield _person(side.axis.at(s, across), height=1.5 + 0.35 * (chance * 100 % 1))
-    for s, chance in zip(*_scatter("riders", key, side.length, step=8.0), strict=True):
-        if chance < 0.08 * conditions.traffic:
-            yield from _rider(side.axis.at(s, -0.7))
+        for place, number in scatter("yards", step=3.0, chance=0.5):
+            yield from _car(place.at(0, side.walk + 2.6).left(), length=3.9 + number)
+    for place, number in scatter("people", step=3.0, chance=0.15):
+        yield from _person(place.at(0, KERB_STRIP + number * (side.walk - KERB_STRIP)))
+    for place, number in scatter("riders", step=8.0, chance=0.08):
+        yield from _rider(place.at(0, -0.5 - 0.4 * number))
+
+
+def _traffic(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> Iterator[Body]:
+    """Vehicles driving on the streets around, on the right, none of them over the camera."""
+    nearest = round(pose.x / PITCH), round(pose.y / PITCH)
+    for axis, offset, forward in itertools.product((0, 1), (-1, 0, 1), (1, -1)):
+        index = nearest[axis] + offset
+        street = _street(seed, axis, index)
+        aside = forward * street.width / 4
+        if axis == 0:
+            lane = _Axis(street.position + aside, 0, 0, forward)
+        else:
+            lane = _Axis(0, street.position - aside, forward, 0)
+        rng = _generator(conditions.seed, "lane", seed, axis, index, forward)
+        for vehicle, length in _lane(lane, conditions.traffic, pose, seconds, rng):
+            if math.dist((vehicle.x, vehicle.y), (pose.x, pose.y)) > 4 + length / 2:
+                yield from _vehicle(vehicle, length)
+
+
+def _lane(
+    lane: _Axis, traffic: float, pose: Pose, seconds: float, rng: np.random.Generator
+) -> Iterator[tuple[_Axis, float]]:
+    """Places and lengths of the vehicles on a lane: a column of 16 slots that recurs for ever."""
+    slot, slots = 22.0, 16
+    moved = rng.uniform(6, 12) * seconds
+    here = (pose.x - lane.x) * lane.tx + (pose.y - lane.y) * lane.ty
+    column = rng.random((slots, 3))
+    first = math.ceil((here - FAR - moved) / slot)
+    for number in range(first, first + int(2 * FAR / slot)):
+        taken, shift, kind = column[number % slots].tolist()
+        if taken < 0.25 * traffic:
+            length = 7.5 if kind < 0.1 else 11.0 if kind < 0.18 else 4 + 0.6 * kind
+            yield lane.at((number + 0.4 * shift) * slot + moved, 0), length
+
+
+def _vehicle(axis: _Axis, length: float) -> Iterator[Body]:
+    """A car, a truck (7.5 m) or a bus (11 m)."""
+    if length < 5:
+        yield from _car(axis, length)
+    else:
+        label, height = (BUS, 3.1) if length > 10 else (TRUCK, 3.4)
+        half = length / 2
+        yield _box(axis, label, (-half, half), (-1.25, 1.25), (0.3, height), (0.1, 0.05))
+
+
+# ---------------------------------------------------------------------------- picture
+
+
+def _background(seed: int, pose: Pose, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Sky, road, and between them the roofs and trees of the horizon, too far to have parallax."""
+    height, width = size
+    across = (np.arange(width) + 0.5 - width / 2) / _focal(width)
+    bearing = (pose.heading - np.arctan(across)) % math.tau
+    heights, classes = _generator(seed, "horizon").random((2, 120))
+    sector = (bearing / math.tau * 120).astype(int) % 120
+    top = height / 2 - _focal(width) * np.tan(np.radians(0.3 + 3.5 * heights[sector]))
+    rows = np.arange(height)[:, None] + 0.5
+    far = np.where(classes[sector] < 0.6, BUILDING, VEGETATION)
+    return np.where(rows < top, SKY, np.where(rows < height / 2, far, ROAD)).astype(np.uint8)
+
+
+def _paint(canvas: NDArray[np.uint8], groups: list[_Bodies], pose: Pose) -> NDArray[np.uint8]:
+    """Paint bodies over a background: what lies flat in its order, then what stands, far to near.
+
+    Shape:
+        canvas: (H, W) label ids. Output: the same.
+    """
+    seen = [_in_view(group, pose) for group in groups]
+    labels = np.concatenate([labels for labels, _ in seen])
+    corners = np.concatenate([corners for _, corners in seen])
+    middle = corners.mean(axis=1)
+    stands = np.ptp(corners[..., 2], axis=1) > 0
+    distance = np.where(stands, np.hypot(middle[:, 0], middle[:, 1]), np.inf)
+    order = np.argsort(-distance, kind="stable")
+    image = Image.fromarray(canvas)
+    draw = ImageDraw.Draw(image)
+    for index, outline in _outlines(corners, order, canvas.shape):
+        draw.polygon(outline, fill=int(labels[index]))
+    return np.asarray(image)
+
+
+def _in_view(bodies: _Bodies, pose: Pose) -> _Bodies:
+    """The bodies in the field of view, their corners in metres (ahead, to the right, up)."""
+    east, north, up = np.moveaxis(bodies.corners - (pose.x, pose.y, CAMERA_HEIGHT), -1, 0)
+    cos, sin = math.cos(pose.heading), math.sin(pose.heading)
+    ahead, right = east * cos + north * sin, east * sin - north * cos
+    reach = math.tan(FIELD_OF_VIEW / 2) * ahead
+    visible = (ahead > NEAR).any(axis=1) & (ahead < FAR).any(axis=1)
+    visible &= (right < reach).any(axis=1) & (right > -reach).any(axis=1)
+    corners = np.stack((ahead[visible], right[visible], up[visible]), axis=-1)
+    return _Bodies(bodies.labels[visible], corners)
+
+
+def _outlines(
+    corners: NDArray[np.float64], order: NDArray[np.intp], shape: tuple[int, ...]
+) -> Iterator[tuple[int, list[tuple[float, float]]]]:
+    """Index and outline in pixels of each body of the `order` that is large enough to see."""
+    whole = corners[..., 0].min(axis=1) > NEAR
+    pixels = _project(corners, shape)
+    large = np.ptp(pixels, axis=1).min(axis=1) > SMALLEST_PIXELS
+    for index in order[(large | ~whole)[order]].tolist():
+        points = pixels[index] if whole[index] else _project(_cut_near(corners[index]), shape)
+        yield index, _hull(np.floor(points).tolist())
+
+
+def _project(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Pixel coordinates (column, row) of points in metres (ahead, right, up)."""
+    height, width = shape
+    scale = _focal(width) / np.maximum(points[..., :1], NEAR)
+    return points[..., 1:] * (1, -1) * scale + (width / 2, height / 2)
+
+
+def _cut_near(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of the part of a convex body that is at least `NEAR` metres ahead.
+
+    Every line from a corner behind to a corner ahead lies in the body, so adding the points where
+    these lines pass the near plane gives the cut body, without knowing its edges.
+    """
+    ahead = corners[corners[:, 0] >= NEAR]
+    behind = corners[corners[:, 0] < NEAR]
+    start, step = behind[:, None], ahead[None] - behind[:, None]
+    passing = start + step * (NEAR - start[..., :1]) / step[..., :1]
+    return np.concatenate((ahead, passing.reshape(-1, 3)))
+
+
+def _hull(points: list[list[float]]) -> list[tuple[float, float]]:
+    """Convex hull by Andrew's monotone chain."""
+    ordered = sorted(set(map(tuple, points)))
+    outline: list[tuple[float, float]] = []
+    for chain in (ordered, ordered[::-1]):
+        begin = len(outline)
+        for x, y in chain:
+            while len(outline) - begin > 1:
+                (ax, ay), (bx, by) = outline[-2:]
+                if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
+                    break
+                outline.pop()
+            outline.append((x, y))
+    return outline
+
+
+def _focal(width: int) -> float:
+    """Focal length in pixels."""
+    return width / 2 / math.tan(FIELD_OF_VIEW / 2)
+
+
+# ---------------------------------------------------------------------------- files
+
+
+def _convert(labels: NDArray[np.uint8], labels_as: str) -> NDArray[np.uint8]:
+    if labels_as == "cityscapes-ids":
+        return labels
+    train_ids = np.full(256, 255, np.uint8)
+    train_ids[list(TRAIN_IDS)] = list(TRAIN_IDS.values())
+    return train_ids[labels]
+
+
+def _same_places(
+    query: dict[str, Pose], reference: dict[str, Pose], radius: float
+) -> dict[str, list[str]]:
+    """For each query frame the reference frames that show the same place."""
+    names, poses = list(reference), np.array(list(reference.values()))
+    places = {}
+    for name, pose in query.items():
+        x, y, heading = (poses - pose).T
+        same = (np.hypot(x, y) <= radius) & (np.cos(heading) > math.cos(math.pi / 4))
+        places[name] = [names[index] for index in np.flatnonzero(same)]
+    return places
+
+
+def _poses_csv(poses: dict[str, Pose]) -> bytes:
+    lines = [",".join(("frame", *Pose._fields))]
+    lines += [f"{name},{pose.x!r},{pose.y!r},{pose.heading!r}" for name, pose in poses.items()]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _palette_png(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
+    image = Image.fromarray(labels)
+    image.putpalette(colours.tobytes())
+    buffer = io.BytesIO()
+    image.save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+def _write(path: Path, content: bytes) -> None:
+    """Write a file so that it is either whole or not there."""
+    unfinished = path.with_name(f".{path.name}.part")
+    unfinished.write_bytes(content)
+    os.replace(unfinished, path)

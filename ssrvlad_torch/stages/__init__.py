@@ -1,1 +1,1 @@
-"""The stages of the method in the order of DESIGN: each a file with one job, none imports another."""
+"""The stages of the method: one file and one job each, and none imports another."""

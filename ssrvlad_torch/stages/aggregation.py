@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 
@@ -19,11 +19,5 @@ def aggregate(point_sums: Tensor, centres: Tensor, point_counts: Tensor) -> Tens
         after another and normalised; exact zeros for an image in which every layer is zero.
     """
     residuals = point_sums - point_counts[..., None] * centres  # Eq. 2, numerator
-    layers = normalise(residuals.double())  # Eq. 2
-    return normalise(layers.flatten(1)).float()
-
-
-def normalise(vectors: Tensor) -> Tensor:
-    """Vectors of the last dimension divided by their L2 norm; zeros stay zeros."""
-    norm = torch.linalg.vector_norm(vectors, dim=-1, keepdim=True)
-    return vectors / torch.where(norm > 0, norm, torch.ones_like(norm))
+    layers = F.normalize(residuals.double(), dim=-1)  # Eq. 2; zeros stay zeros
+    return F.normalize(layers.flatten(1), dim=-1).float()

@@ -90,7 +90,7 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
     stretch of that line between its ends, moved up one row. ``diagonal`` widens it by a column
     each side.
     """
-    count, height, width = shape
+    height, width = shape[1:]
     pitch = width + 2
     row = (segments.group * (height + 1) + segments.y + 1) * pitch + 1
     first, last = row + segments.first, row + segments.last
@@ -101,5 +101,3 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
     lower = torch.repeat_interleave(touched)
     within = torch.arange(lower.numel(), device=lower.device) - (touched.cumsum(0) - touched)[lower]
     return begin[lower] + within, lower
-
-

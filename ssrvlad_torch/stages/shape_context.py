@@ -17,13 +17,15 @@ PAIRS_AT_ONCE = 1 << 18
 class Bins(NamedTuple):
     """The target-shaped template of the shape context, as a table over offsets.
 
-    ``table`` is ``(2H - 1, 2W - 1)`` int32: entry ``(dy + H - 1, dx + W - 1)`` is
-    ``ring * M + sector``, or ``count`` = N * M for the reference point itself and for what is
-    farther than the last ring.
+    Attributes:
+        table: ``(2H - 1, 2W - 1)`` int32, for the offset ``(dy, dx)`` at ``(dy + H - 1, dx + W - 1)``
+            the bin ``ring * M + sector``, or ``total`` for the reference point itself and for
+            what is farther than the last ring.
+        total: N * M, the number of bins.
     """
 
     table: Tensor
-    count: int
+    total: int
 
 
 def shape_contexts(references: Points, context: Points, bins: Bins, images: int) -> Tensor:
@@ -51,7 +53,7 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     pairs_before = pairs_until - population[references.group]
     start = group_start[references.group] - pairs_before
     pair_count = int(pairs_until[-1]) if len(pairs_until) else 0
-    lookup, stride = bins.table.flatten(), bins.count + 1
+    lookup, stride = bins.table.flatten(), bins.total + 1
     counts = torch.zeros(groups * stride, dtype=torch.int64, device=lookup.device)
     for first in range(0, pair_count, PAIRS_AT_ONCE):
         pair = torch.arange(first, min(first + PAIRS_AT_ONCE, pair_count), device=lookup.device)
@@ -59,7 +61,7 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         offset = context_place[start[reference] + pair] - reference_place[reference]
         place = references.group[reference] * stride + lookup[offset]
         counts += torch.bincount(place, minlength=groups * stride)
-    return by_image(counts.view(groups, stride)[:, : bins.count], images)
+    return by_image(counts.view(groups, stride)[:, : bins.total], images)
 
 
 @lru_cache(maxsize=8)
@@ -81,9 +83,9 @@ def log_polar_bins(
     squared = dy * dy + dx * dx
     ring = sum((squared > limit).to(torch.int64) for limit in limits)
     sector = _twelve_sectors(dy, dx) if sectors == 12 else _sectors(dy, dx, sectors)
-    count = len(limits) * sectors
+    total = len(limits) * sectors
     inside = (squared > 0) & (squared <= limits[-1])
-    return Bins(torch.where(inside, ring * sectors + sector, count).to(torch.int32), count)
+    return Bins(torch.where(inside, ring * sectors + sector, total).to(torch.int32), total)
 
 
 def _twelve_sectors(dy: Tensor, dx: Tensor) -> Tensor:

@@ -1,0 +1,5 @@
+"""``python -m ssrvlad_torch`` is ``ssrvlad``."""
+
+from .cli import main
+
+main()

@@ -1,0 +1,409 @@
+"""The command line: ``ssrvlad COMMAND``. Results go to stdout, errors are one line on stderr.
+
+Exit codes: 0 success, 2 wrong use or an input that nothing can be done with, 3 finished with some
+inputs refused.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from .database import FrameSet
+    from .encoding import Refusal
+
+WRONG_USE = 2
+SOME_REFUSED = 3
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="ssrvlad",
+    help="Place recognition from semantic segmentation (SSR-VLAD).",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+database_app = typer.Typer(help="Look into a database.", rich_markup_mode=None)
+app.add_typer(database_app, name="db")
+
+Source = Annotated[
+    list[str], typer.Argument(help="Folders, globs or files of label maps; a folder is a sequence.")
+]
+DatabaseFolder = Annotated[Path, typer.Argument(help="Folder of the database.")]
+LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
+MaybeLabelsAs = Annotated[
+    str | None,
+    typer.Option("--labels-as", help="Label space of the ids; the database's if not given."),
+]
+Temporal = Annotated[
+    int, typer.Option(min=0, help="t of Eq. 3: reference frames summed on each side.")
+]
+SequenceName = Annotated[
+    str | None, typer.Option("--sequence", help="Name of the sequence; the folder's if not given.")
+]
+Every = Annotated[int, typer.Option(min=1, help="Take every so many-th frame of a sequence.")]
+Start = Annotated[int, typer.Option(min=0, help="First frame that is taken of a sequence.")]
+Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Frames = Annotated[int, typer.Option(min=2, help="Frames of each traverse.")]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed is another city.")]
+
+
+def main() -> None:
+    """Entry point: runs the command line; an error becomes one line and an exit code."""
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        code = _complain(error.format_message())
+    except (ValueError, OSError, ImportError) as error:
+        code = _complain(str(error))
+    except (typer.Abort, KeyboardInterrupt):
+        _complain("interrupted")
+        code = INTERRUPTED
+    sys.exit(code)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for all that it writes.")] = Path(
+        "ssrvlad-demo"
+    ),
+    frames: Frames = 100,
+    seed: Seed = 0,
+) -> None:
+    """The main job on generated data: drive twice through a synthetic city, encode, match,
+    evaluate, picture.
+
+    Example: ssrvlad demo --out /tmp/ssrvlad-demo
+    """
+    from .demo import STEPS, run_demo
+
+    with _progress("demo", STEPS * frames) as advance:
+        result = run_demo(out, frames, seed, advance)
+    _print_metrics(result.metrics)
+    print(f"picture: {result.picture}")
+
+
+@app.command()
+def city(
+    out: Annotated[Path, typer.Argument(help="Folder to write.")],
+    frames: Frames = 100,
+    seed: Seed = 0,
+) -> None:
+    """Write the synthetic city: reference/ and query/ label PNGs (cityscapes-trainids), poses.csv
+    and ground_truth.json.
+
+    Example: ssrvlad city /tmp/city --frames 200 --seed 7
+    """
+    from .datasets.synthetic_city import write_city
+
+    with _progress("rendering", 2 * frames) as advance:
+        write_city(out, frames=frames, seed=seed, progress=advance)
+    print(f"{out}: {frames} reference and {frames} query frames")
+
+
+@app.command()
+def encode(
+    source: Source,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Database: new, or added to.")],
+    labels_as: LabelsAs,
+    preset: Annotated[
+        str | None,
+        typer.Option(help="paper or default; if not given the database's, or default."),
+    ] = None,
+    sequence: SequenceName = None,
+    every: Every = 1,
+    start: Start = 0,
+    workers: Workers = 2,
+    as_json: Json = False,
+) -> None:
+    """Encode label maps into a database. Run again, it adds only what is missing.
+
+    Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
+    """
+    from .config import SSRVLADConfig
+    from .database import Database
+    from .datasets.label_files import find_label_files
+    from .descriptor import SSRVLAD
+    from .encoding import encode_to_database
+
+    if preset is None and Database.exists(output):
+        config = dataclasses.replace(Database.open(output).config, labels_as=labels_as)
+    else:
+        config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
+    head = SSRVLAD(config)
+    files = find_label_files(source, sequence, every, start)
+    database = Database.open_or_create(output, config)
+    with _progress("encoding", len(files)) as advance:
+        summary = encode_to_database(head, files, database, workers, advance)
+    if as_json:
+        counts = dataclasses.asdict(summary)
+        refused = [refusal._asdict() for refusal in summary.refused]
+        _print_json({"database": str(output), **counts, "refused": refused, **_info(output)})
+    else:
+        print(
+            f"{output}: {summary.encoded} frames encoded ({summary.empty} of them empty), "
+            f"{summary.already_there} already there, {len(summary.refused)} refused"
+        )
+    _finish(summary.refused)
+
+
+@app.command()
+def query(
+    database: DatabaseFolder,
+    source: Source,
+    labels_as: MaybeLabelsAs = None,
+    top: Annotated[int, typer.Option(min=1, help="Candidates of each query.")] = 5,
+    threshold: Annotated[
+        float | None, typer.Option(help="Leave out candidates whose score is not above it.")
+    ] = None,
+    temporal: Temporal = 3,
+    sequence: SequenceName = None,
+    every: Every = 1,
+    start: Start = 0,
+    workers: Workers = 2,
+    as_json: Json = False,
+) -> None:
+    """Recognise places: ranked candidate frames with scores for every label map.
+
+    Example: ssrvlad query town.ssrdb maps/today --top 3
+    """
+    from .matching import match
+
+    selection = (sequence, every, start)
+    references, queries, refused = _load(database, source, labels_as, temporal, selection, workers)
+    found = match(queries.descriptors, references.descriptors, top, threshold)
+    for frame, scores, rows in zip(queries.frames, *found, strict=True):
+        candidates = [
+            {"frame": references.frames[row], "score": score}
+            for row, score in zip(rows.tolist(), scores.tolist(), strict=True)
+            if row >= 0
+        ]
+        if as_json:
+            _print_json({"query": frame, "candidates": candidates})
+        else:
+            ranked = ", ".join(f"{c['frame']} {c['score']:.4f}" for c in candidates)
+            print(f"{frame}: {ranked or 'no candidate'}")
+    _finish(refused)
+
+
+@app.command()
+def evaluate(
+    database: DatabaseFolder,
+    source: Source,
+    labels_as: MaybeLabelsAs = None,
+    ground_truth: Annotated[
+        Path | None, typer.Option(help='JSON {"<query id>": ["<reference id>", ...], ...}.')
+    ] = None,
+    tolerance_metres: Annotated[
+        float | None, typer.Option(help="Or: true matches are this near, by poses.csv.")
+    ] = None,
+    tolerance_frames: Annotated[
+        int | None, typer.Option(help="Or: true matches are at most so many frames away.")
+    ] = None,
+    temporal: Temporal = 3,
+    sequence: SequenceName = None,
+    every: Every = 1,
+    start: Start = 0,
+    workers: Workers = 2,
+    as_json: Json = False,
+) -> None:
+    """Measure the recognition: RecallRate@N, AUC-PR and Recall@100%Precision.
+
+    Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
+    """
+    from .database import Database
+    from .evaluation import ground_truth as truths
+    from .evaluation.metrics import evaluate as measure
+    from .matching import match
+
+    given = [value is not None for value in (ground_truth, tolerance_metres, tolerance_frames)]
+    if sum(given) != 1:
+        raise ValueError(
+            "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, "
+            f"got {sum(given)} of them"
+        )
+    selection = (sequence, every, start)
+    references, queries, refused = _load(database, source, labels_as, temporal, selection, workers)
+    if ground_truth is not None:
+        truth = truths.from_json(ground_truth, queries.frames, references.frames)
+    elif tolerance_metres is not None:
+        truth = truths.from_poses(queries.poses, references.poses, tolerance_metres)
+    else:
+        assert tolerance_frames is not None
+        truth = truths.from_frame_numbers(queries.frames, references.frames, tolerance_frames)
+    themselves = len(set(queries.frames) & set(references.frames))
+    if themselves:
+        _note(f"{themselves} of {len(queries.frames)} queries are in the database themselves")
+    scores, rows = match(queries.descriptors, references.descriptors, top=10)
+    metrics = measure(scores.numpy(), rows.numpy(), truth)
+    metrics["references"] = len(references.frames)
+    metrics["fingerprint"] = Database.open(database).fingerprint
+    if as_json:
+        _print_json(metrics)
+    else:
+        _print_metrics(metrics)
+    _finish(refused)
+
+
+@app.command()
+def show(
+    labels: Annotated[Path, typer.Argument(help="A label map.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write.")],
+    labels_as: LabelsAs,
+    preset: Annotated[str, typer.Option(help="paper or default.")] = "default",
+) -> None:
+    """Picture what the method sees in one frame: layers, skeletons, key-points, centres,
+    histograms.
+
+    Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11
+    """
+    from .datasets.label_files import find_label_files, read_label_map
+    from .descriptor import SSRVLAD
+    from .show import draw
+
+    head = SSRVLAD.from_preset(preset, labels_as=labels_as)
+    file = find_label_files([str(labels)])[0]
+    draw(read_label_map(file, head.label_space), head, output, title=file.frame)
+    print(output)
+
+
+@database_app.callback(invoke_without_command=False)
+def _database_commands() -> None:
+    """Look into a database."""
+
+
+@database_app.command()
+def info(database: DatabaseFolder, as_json: Json = False) -> None:
+    """What is in a database.
+
+    Example: ssrvlad db info town.ssrdb
+    """
+    report = _info(database)
+    if as_json:
+        _print_json(report)
+        return
+    for name, value in report.items():
+        entries = value.items() if isinstance(value, dict) else ()
+        text = ", ".join(f"{key} {entry}" for key, entry in entries) if entries else value
+        print(f"{name.replace('_', ' ')}: {text}")
+
+
+def _load(
+    database: Path,
+    sources: Sequence[str],
+    labels_as: str | None,
+    temporal: int,
+    selection: tuple[str | None, int, int],
+    workers: int,
+) -> tuple[FrameSet, FrameSet, list[Refusal]]:
+    """The frames of a database after Eq. 3, the queries encoded alike, and the refused ones."""
+    from .database import Database
+    from .datasets.label_files import find_label_files
+    from .descriptor import SSRVLAD
+    from .encoding import encode_to_memory
+
+    opened = Database.open(database)
+    references = opened.load(temporal)
+    if not references.frames:
+        raise ValueError(f"{database} holds no frames yet")
+    config = dataclasses.replace(opened.config, labels_as=labels_as or opened.config.labels_as)
+    files = find_label_files(sources, *selection)
+    with _progress("encoding", len(files)) as advance:
+        queries, refused = encode_to_memory(SSRVLAD(config), files, workers, advance)
+    return references, queries, refused
+
+
+def _info(path: Path) -> dict[str, Any]:
+    from .database import Database
+
+    database = Database.open(path)
+    frames = database.load()
+    spaces = database.table(["labels_as"])["labels_as"].to_pylist()
+    return {
+        "frames": len(frames.frames),
+        "sequences": dict(Counter(frames.sequences)),
+        "empty": int(frames.empty.sum()),
+        "with_pose": sum(not math.isnan(x) for x in frames.poses[:, 0]),
+        "label_spaces": dict(Counter(spaces)),
+        "preset": database.config.preset,
+        "fingerprint": database.fingerprint,
+        "config": database.config.to_dict(),
+    }
+
+
+def _print_metrics(metrics: Mapping[str, Any]) -> None:
+    table = Table("metric", "value")
+    for n, rate in metrics["recall_at"].items():
+        table.add_row(f"RecallRate@{n}", f"{rate:.3f}")
+    table.add_row("AUC-PR", f"{metrics['auc_pr']:.3f}")
+    table.add_row("Recall@100%Precision", f"{metrics['recall_at_100_precision']:.3f}")
+    Console().print(table)
+    print(
+        f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
+        f"{metrics['references']} references, fingerprint {metrics['fingerprint']}"
+    )
+
+
+def _print_json(value: Mapping[str, Any]) -> None:
+    print(json.dumps(_without_nan(value)), flush=True)
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON has no NaN: a figure without a meaning is null."""
+    if isinstance(value, Mapping):
+        return {key: _without_nan(entry) for key, entry in value.items()}
+    return None if isinstance(value, float) and math.isnan(value) else value
+
+
+def _finish(refused: Sequence[Refusal]) -> None:
+    for refusal in refused:
+        _note(f"refused {refusal.frame}: {refusal.reason}")
+    if refused:
+        raise typer.Exit(SOME_REFUSED)
+
+
+@contextmanager
+def _progress(what: str, total: int) -> Iterator[Callable[[int], None]]:
+    """A progress bar on stderr; only on a terminal, so that logs stay clean."""
+    columns = (
+        TextColumn(what),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done: bar.advance(task, done)
+
+
+def _note(message: str) -> None:
+    print(f"ssrvlad: {' '.join(message.split())}", file=sys.stderr)
+
+
+def _complain(message: str) -> int:
+    _note(message)
+    return WRONG_USE

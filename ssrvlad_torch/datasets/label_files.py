@@ -1,0 +1,217 @@
+"""Label maps on disk: finding them in folders, globs and stacks, and reading each format."""
+
+from __future__ import annotations
+
+import glob
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from ..database import natural_key
+from ..taxonomy import LabelSpace
+from .poses import UNKNOWN, Pose, find_poses
+
+SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
+_SIXTEEN_BIT_LOW_BYTE = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L", "LA;16B": "RGBA"}
+
+LabelMap = npt.NDArray[np.integer[Any]]
+
+
+@dataclass(frozen=True)
+class LabelFile:
+    """One label map on disk.
+
+    Attributes:
+        sequence, name: the frame's id is ``<sequence>/<name>``.
+        path: the file.
+        row: which label map of a ``.npy`` stack, ``None`` for a file that holds one.
+        pose: from ``poses.csv``, NaN where there is none.
+    """
+
+    sequence: str
+    name: str
+    path: Path
+    row: int | None = None
+    pose: Pose = UNKNOWN
+
+    @property
+    def frame(self) -> str:
+        """The frame's id."""
+        return f"{self.sequence}/{self.name}"
+
+
+def find_label_files(
+    sources: Sequence[str], sequence: str | None = None, every: int = 1, start: int = 0
+) -> list[LabelFile]:
+    """The frames of some sources, sorted by sequence and name as a person would.
+
+    Args:
+        sources: folders, globs or files. The files of a folder are one sequence with the
+            folder's name; a ``.npy`` file of rank 3 is a stack of label maps, and given by
+            itself is a sequence with the file's name.
+        sequence: the name of the sequence in place of the folder's.
+        every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
+
+    Raises:
+        ValueError: a source holds no label maps, two folders give the same frame, or ``every``
+            or ``start`` is out of range.
+    """
+    if every < 1 or start < 0:
+        raise ValueError(f"wanted every >= 1 and start >= 0, got {every} and {start}")
+    found: dict[str, LabelFile] = {}
+    for source in sources:
+        for file in _with_poses(_expand(source, sequence)):
+            earlier = found.setdefault(file.frame, file)
+            if (earlier.path.absolute(), earlier.row) != (file.path.absolute(), file.row):
+                raise ValueError(
+                    f"frame {file.frame!r} is both {earlier.path} and {file.path}; "
+                    "give one of them another --sequence"
+                )
+    by_sequence: dict[str, list[LabelFile]] = {}
+    for file in sorted(
+        found.values(), key=lambda f: (natural_key(f.sequence), natural_key(f.name))
+    ):
+        by_sequence.setdefault(file.sequence, []).append(file)
+    return [file for files in by_sequence.values() for file in files[start::every]]
+
+
+def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
+    """The ids of a label map.
+
+    Reads 8- and 16-bit single-channel images, palette images (the index is the id), two-channel
+    images (SYNTHIA: the class is in the first channel, the instance in the next), colour images
+    whose colours are those of the label space, and ``.npy``.
+
+    Returns:
+        ``(H, W)`` uint8, uint16 or another integer dtype.
+
+    Raises:
+        ValueError: the file is missing, damaged, of another kind, or holds a colour that the
+            label space does not have; the message says which.
+    """
+    try:
+        if file.path.suffix == ".npy":
+            labels = _read_npy(file)
+        else:
+            labels = _read_image(file.path, space)
+    except (OSError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
+        raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
+    if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
+        raise ValueError(f"wanted an (H, W) integer label map, got {labels.shape} {labels.dtype}")
+    return labels
+
+
+def digest(labels: LabelMap) -> str:
+    """BLAKE2b-128 of a label map: its ids and its shape, whatever file format held them."""
+    smallest = labels.astype(np.int64 if labels.min() < 0 or labels.max() > 255 else np.uint8)
+    content = hashlib.blake2b(str(labels.shape).encode(), digest_size=16)
+    content.update(np.ascontiguousarray(smallest).tobytes())
+    return content.hexdigest()
+
+
+def _expand(source: str, sequence: str | None) -> list[LabelFile]:
+    path = Path(source)
+    if path.is_dir():
+        files = [entry for entry in path.iterdir() if entry.is_file()]
+        return _require(source, [f for file in files for f in _frames(file, sequence)])
+    if path.is_file():
+        if path.suffix == ".npy" and sequence is None and _stack_length(path) is not None:
+            sequence = path.stem
+        return _require(source, list(_frames(path, sequence)))
+    files = [Path(match) for match in glob.glob(source, recursive=True)]
+    if not files:
+        raise ValueError(f"{source} does not exist and matches no file")
+    return _require(
+        source, [f for file in files if file.is_file() for f in _frames(file, sequence)]
+    )
+
+
+def _require(source: str, files: list[LabelFile]) -> list[LabelFile]:
+    if not files:
+        raise ValueError(f"{source} holds no label maps; wanted {', '.join(SUFFIXES)} files")
+    return files
+
+
+def _frames(path: Path, sequence: str | None) -> Iterator[LabelFile]:
+    if path.suffix.lower() not in SUFFIXES:
+        return
+    sequence = sequence or path.absolute().parent.name
+    length = _stack_length(path) if path.suffix == ".npy" else None
+    if length is None:
+        yield LabelFile(sequence, path.stem, path)
+    else:
+        for row in range(length):
+            yield LabelFile(sequence, f"{path.stem}-{row:06d}", path, row)
+
+
+def _stack_length(path: Path) -> int | None:
+    """Label maps in a ``.npy`` stack; ``None`` for a single one or a file that cannot be read,
+    which is refused by name when its turn comes."""
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        return None
+    return len(array) if array.ndim == 3 else None
+
+
+def _with_poses(files: list[LabelFile]) -> Iterator[LabelFile]:
+    poses = {folder: find_poses(folder) for folder in {file.path.parent for file in files}}
+    for file in files:
+        known = poses[file.path.parent]
+        pose = known.get(file.frame, known.get(file.name, UNKNOWN))
+        yield LabelFile(file.sequence, file.name, file.path, file.row, pose)
+
+
+def _read_npy(file: LabelFile) -> npt.NDArray[Any]:
+    array = np.load(file.path, mmap_mode="r", allow_pickle=False)
+    return np.asarray(array if file.row is None else array[file.row]).copy()
+
+
+def _read_image(path: Path, space: LabelSpace) -> npt.NDArray[Any]:
+    with Image.open(path) as image:
+        raw_mode = image.tile[0].args if image.tile else ""
+        if isinstance(raw_mode, str) and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
+            return _first_of_sixteen_bit_channels(path, raw_mode)
+        pixels = np.asarray(image)
+        if image.mode in ("L", "P", "I", "I;16", "I;16B", "I;16L"):
+            return pixels
+        if image.mode in ("LA", "PA"):
+            return pixels[..., 0]
+        if image.mode in ("RGB", "RGBA"):
+            return _ids_of_colours(pixels[..., :3], space)
+        raise ValueError(f"wanted a label image, got an image of mode {image.mode}")
+
+
+def _first_of_sixteen_bit_channels(path: Path, raw_mode: str) -> npt.NDArray[Any]:
+    """Pillow reads 16-bit channels as their high bytes; read again as if the bytes were swapped
+    it gives the low ones. Of gray with alpha, read as four bytes, the second is the low one."""
+    with Image.open(path) as image:
+        high = np.asarray(image)[..., 0].astype(np.uint16)
+    with Image.open(path) as image:
+        image.tile = [tile._replace(args=_SIXTEEN_BIT_LOW_BYTE[raw_mode]) for tile in image.tile]
+        low = np.asarray(image)[..., 1 if raw_mode == "LA;16B" else 0]
+    return np.asarray(high << 8 | low)
+
+
+def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
+    """Ids of a colour-coded label image. Classes of one category may share a colour."""
+    packed = pixels.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
+    ids = np.full(packed.shape, np.iinfo(np.int32).min, np.int32)
+    for label in reversed(space.classes):
+        red, green, blue = label.colour
+        ids[packed == (red << 16 | green << 8 | blue)] = label.id
+    unknown = packed[ids == np.iinfo(np.int32).min]
+    if len(unknown):
+        colour = tuple(int(unknown[0]) >> shift & 255 for shift in (16, 8, 0))
+        count = int((unknown == unknown[0]).sum())
+        raise ValueError(
+            f"colour {colour} ({count} pixels) is not in label space {space.name}; "
+            "is this a photo, or labels of another space?"
+        )
+    return ids

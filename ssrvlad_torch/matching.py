@@ -1,0 +1,137 @@
+"""Matching: cosine scores (Eq. 4), the best candidates, and the temporal sum of Eq. 3."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+Vectors = Tensor | npt.NDArray[np.float32]
+
+_QUERY_BLOCK = 256
+_REFERENCE_BLOCK = 1 << 15
+
+
+class Matches(NamedTuple):
+    """Candidates of each query, best first.
+
+    Attributes:
+        scores: ``(Q, top)`` float32 cosines; ``-inf`` where there is no candidate.
+        indices: ``(Q, top)`` int64 rows of the references; -1 where there is no candidate.
+    """
+
+    scores: Tensor
+    indices: Tensor
+
+
+@torch.no_grad()
+def match(
+    queries: Vectors, references: Vectors, top: int = 5, threshold: float | None = None
+) -> Matches:
+    """The references with the highest cosine (Eq. 4) to each query.
+
+    The search is exact and goes block by block: Q x R scores are never in memory at once.
+    A zero vector, the descriptor of an empty image, matches nothing. Of references with equal
+    scores the earlier comes first.
+
+    Args:
+        queries: ``(Q, D)`` float.
+        references: ``(R, D)`` float.
+        top: number of candidates, at least 1.
+        threshold: candidates whose score is not above it are left out.
+
+    Raises:
+        ValueError: the vectors are not two matrices of equal width, hold values that are not
+            finite, or ``top`` is below 1.
+
+    Example:
+        >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
+        tensor([[0]])
+    """
+    queries, references = torch.as_tensor(queries), torch.as_tensor(references)
+    _check(queries, references, top)
+    scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
+    indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
+    for first in range(0, len(references), _REFERENCE_BLOCK):
+        block = references[first : first + _REFERENCE_BLOCK].float()
+        norms = torch.linalg.vector_norm(block, dim=1)
+        for start in range(0, len(queries), _QUERY_BLOCK):
+            part = slice(start, start + _QUERY_BLOCK)
+            found = _cosines(F.normalize(queries[part].float(), dim=1), block, norms)
+            best = found.topk(min(top, len(block)), dim=1)
+            scores[part], indices[part] = _merge(
+                (scores[part], indices[part]), (best.values, best.indices + first)
+            )
+    no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
+    return Matches(
+        scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
+    )
+
+
+def temporal_sum(descriptors: Vectors, sequences: Sequence[str], reach: int) -> Tensor:
+    """Descriptors of reference frames summed over their neighbours and normalised (Eq. 3).
+
+    Frame i becomes the sum of frames i - t to i + t of its own sequence, clipped at the ends.
+    An empty frame, whose own descriptor is zero, stays zero and so matches nothing.
+
+    Args:
+        descriptors: ``(R, D)`` float, frames of a sequence one after another in order.
+        sequences: the sequence of each frame.
+        reach: t of the paper, 0 for none.
+
+    Returns:
+        ``(R, D)`` float32 of length 1, or zero.
+
+    Raises:
+        ValueError: the number of sequences is not R, or ``reach`` is negative.
+    """
+    single = torch.as_tensor(descriptors).float()
+    if len(sequences) != len(single):
+        raise ValueError(
+            f"wanted a sequence for each of {len(single)} frames, got {len(sequences)}"
+        )
+    if reach < 0:
+        raise ValueError(f"the temporal reach must be 0 or more frames, got {reach}")
+    number = torch.from_numpy(np.unique(np.asarray(sequences, str), return_inverse=True)[1])
+    total = torch.zeros_like(single)
+    for offset in range(-reach, reach + 1):
+        here = slice(max(0, -offset), len(single) - max(0, offset))
+        there = slice(max(0, offset), len(single) - max(0, -offset))
+        together = (number[here] == number[there]).to(single.device)
+        total[here] += single[there] * together[:, None]
+    return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
+
+
+def _cosines(queries: Tensor, references: Tensor, norms: Tensor) -> Tensor:
+    """Cosines, -inf where either vector is zero."""
+    nonzero = (norms > 0) & queries.any(dim=1, keepdim=True)
+    return torch.where(nonzero, queries @ references.T / norms, -torch.inf)
+
+
+def _merge(kept: tuple[Tensor, Tensor], found: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """The best of two lists of candidates, as many as were kept; equal scores by index."""
+    top = kept[0].shape[1]
+    scores, indices = torch.cat((kept[0], found[0]), 1), torch.cat((kept[1], found[1]), 1)
+    by_index = indices.argsort(dim=1)
+    order = by_index.gather(
+        1, scores.gather(1, by_index).argsort(dim=1, descending=True, stable=True)
+    )
+    return scores.gather(1, order)[:, :top], indices.gather(1, order)[:, :top]
+
+
+def _check(queries: Tensor, references: Tensor, top: int) -> None:
+    if queries.ndim != 2 or references.ndim != 2 or queries.shape[1] != references.shape[1]:
+        raise ValueError(
+            "wanted queries (Q, D) and references (R, D) of one width D, "
+            f"got {tuple(queries.shape)} and {tuple(references.shape)}"
+        )
+    if top < 1:
+        raise ValueError(f"top must be at least 1, got {top}")
+    for name, vectors in (("queries", queries), ("references", references)):
+        if not bool(torch.isfinite(vectors).all()):
+            raise ValueError(f"{name} hold values that are not finite")

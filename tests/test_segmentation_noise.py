@@ -1,0 +1,84 @@
+"""Mistakes of a segmentation network."""
+
+import numpy as np
+import pytest
+
+from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
+
+PARTS = ("wobble", "lost_poles", "confusion", "blobs")
+ROAD, BUILDING, WALL, POLE, SKY = 7, 11, 12, 17, 23
+
+
+@pytest.fixture
+def street():
+    """Sky over a building over a road, and a pole every ten pixels."""
+    labels = np.full((60, 90), SKY, np.uint8)
+    labels[20:40], labels[40:] = BUILDING, ROAD
+    labels[10:45, 5::10] = POLE
+    return labels
+
+
+def only(part, strength=1.0):
+    return SegmentationNoise(strength, **{name: name == part for name in PARTS})
+
+
+def noisy(noise, labels, seed=0):
+    return noise.apply(labels, np.random.default_rng(seed))
+
+
+def test_equal_generators_make_equal_mistakes(street):
+    assert np.array_equal(noisy(SegmentationNoise(), street), noisy(SegmentationNoise(), street))
+    assert (noisy(SegmentationNoise(), street) != noisy(SegmentationNoise(), street, 1)).any()
+
+
+def test_input_is_left_alone(street):
+    before = street.copy()
+    noisy(SegmentationNoise(5.0), street)
+    assert np.array_equal(street, before)
+
+
+def test_strength_zero_changes_nothing(street):
+    assert np.array_equal(noisy(SegmentationNoise(0.0), street), street)
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_each_part_does_more_harm_when_stronger(street, part):
+    harm = [
+        np.mean([(noisy(only(part, strength), street, seed) != street).mean() for seed in range(8)])
+        for strength in (0.5, 1.0, 2.0, 4.0)
+    ]
+    assert 0 < harm[0] < harm[1] < harm[2] < harm[3]
+
+
+def test_all_parts_off_changes_nothing(street):
+    assert np.array_equal(noisy(only(None), street), street)
+
+
+def test_lost_poles_are_filled_from_the_left(street):
+    lost = noisy(only("lost_poles", strength=5.0), street)
+    behind = street[:, :1]
+    assert np.array_equal(lost, np.broadcast_to(behind, street.shape))
+
+
+def test_confusion_renames_to_similar_classes_only(street):
+    confused = noisy(only("confusion", strength=5.0), street)
+    assert set(confused[street == BUILDING]) == {BUILDING, WALL}
+    assert set(confused[street == SKY]) == {SKY}
+
+
+def test_wobble_invents_no_class(street):
+    assert set(np.unique(noisy(only("wobble", 3.0), street))) <= set(np.unique(street))
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (16, 200), (33, 17)])
+def test_any_shape(shape):
+    labels = np.full(shape, SKY, np.uint8)
+    result = noisy(SegmentationNoise(), labels)
+    assert result.shape == shape
+    assert result.dtype == np.uint8
+
+
+@pytest.mark.parametrize("strength", [-1.0, float("nan"), float("inf")])
+def test_bad_strength(strength):
+    with pytest.raises(ValueError, match=r"noise strength: got .*, wanted a finite number >= 0"):
+        SegmentationNoise(strength)

@@ -1,0 +1,251 @@
+"""The synthetic city: what its frames show, how they depend on the settings, what is written."""
+
+import csv
+import dataclasses
+import hashlib
+import itertools
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
+from ssrvlad_torch.datasets.synthetic_city import (
+    QUERY,
+    REFERENCE,
+    Conditions,
+    SyntheticCity,
+    write_city,
+)
+from ssrvlad_torch.taxonomy import CATEGORIES, label_space, palette
+
+SIZE = (48, 64)
+DYNAMIC = {24, 25, 26, 27, 28, 33}
+VEGETATION = 21
+
+
+def drive(frames=10, seed=0, labels_as="cityscapes-ids", size=SIZE, **conditions):
+    city = SyntheticCity(seed)
+    return list(city.traverse(frames, Conditions(**conditions), size, labels_as))
+
+
+def stack(frames):
+    return np.stack([frame.labels for frame in frames])
+
+
+@pytest.fixture(scope="module")
+def long_drive():
+    return drive(120, size=(120, 160))
+
+
+def test_equal_seeds_give_equal_frames():
+    once, again = (list(SyntheticCity(3).traverse(5, QUERY, SIZE)) for _ in range(2))
+    assert np.array_equal(stack(once), stack(again))
+    assert [f.pose for f in once] == [f.pose for f in again]
+
+
+def test_frames_are_the_same_in_another_process():
+    code = (
+        "import hashlib, numpy as np; from ssrvlad_torch.datasets.synthetic_city import *;"
+        "labels = [f.labels for f in SyntheticCity(3).traverse(5, QUERY, (48, 64))];"
+        "print(hashlib.sha256(np.stack(labels).tobytes()).hexdigest())"
+    )
+    there = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    here = stack(SyntheticCity(3).traverse(5, QUERY, SIZE)).tobytes()
+    assert there.stdout.strip() == hashlib.sha256(here).hexdigest()
+
+
+def test_other_seeds_give_other_frames():
+    assert not np.array_equal(stack(drive(seed=0)), stack(drive(seed=1)))
+
+
+def test_drive_seed_changes_only_what_moves():
+    """Without traffic, sway and noise, two drives of a city see the same."""
+
+    def labels(**conditions):
+        return stack(SyntheticCity(0).traverse(5, Conditions(**conditions), SIZE))
+
+    assert np.array_equal(labels(seed=0, traffic=0), labels(seed=1, traffic=0))
+    assert not np.array_equal(labels(seed=0), labels(seed=1))
+
+
+def test_a_longer_drive_begins_like_a_shorter_one():
+    short, long = drive(6), drive(12)
+    assert np.array_equal(stack(short), stack(long[:6]))
+    assert [f.pose for f in short] == [f.pose for f in long[:6]]
+
+
+@pytest.mark.parametrize("labels_as", ["cityscapes-ids", "cityscapes-trainids"])
+def test_ids_belong_to_the_label_space(labels_as):
+    frames = drive(20, labels_as=labels_as, noise=SegmentationNoise(3.0))
+    assert set(np.unique(stack(frames))) <= {c.id for c in label_space(labels_as).classes}
+
+
+def test_train_ids_are_the_ids_renamed():
+    ids, train_ids = stack(drive()), stack(drive(labels_as="cityscapes-trainids"))
+    names = {c.id: c.name for c in label_space("cityscapes-ids").classes}
+    train_names = {c.id: c.name for c in label_space("cityscapes-trainids").classes}
+    for label, train in np.unique(np.stack((ids.ravel(), train_ids.ravel())), axis=1).T:
+        assert train_names[train] in (names[label], "ignored")
+
+
+def test_every_category_and_every_dynamic_class_occurs(long_drive):
+    ids = set(np.unique(stack(long_drive)))
+    categories = {c.category for c in label_space("cityscapes-ids").classes if c.id in ids}
+    assert categories >= set(CATEGORIES)
+    assert ids >= DYNAMIC
+
+
+def test_without_traffic_nothing_dynamic_occurs():
+    assert not DYNAMIC & set(np.unique(stack(drive(40, traffic=0))))
+
+
+def test_more_traffic_shows_more_of_it():
+    shares = [np.isin(stack(drive(30, traffic=t)), list(DYNAMIC)).mean() for t in (0, 1, 3)]
+    assert shares[0] < shares[1] < shares[2]
+
+
+def test_winter_bares_the_trees_and_nothing_else():
+    """Where summer and winter differ, one of them shows a tree."""
+    summer, winter = (stack(drive(40, season=s, traffic=0)) for s in ("summer", "winter"))
+    assert (winter == VEGETATION).sum() < 0.8 * (summer == VEGETATION).sum()
+    differing = summer != winter
+    assert ((summer == VEGETATION) | (winter == VEGETATION))[differing].all()
+
+
+def test_stronger_noise_makes_more_wrong_pixels():
+    clean = stack(drive(10))
+    wrong = [
+        (stack(drive(10, noise=SegmentationNoise(s))) != clean).mean() for s in (0, 0.5, 1, 2, 4)
+    ]
+    assert wrong[0] == 0
+    assert all(low < high for low, high in itertools.pairwise(wrong))
+
+
+def test_view_has_sky_above_and_road_below(long_drive):
+    labels = stack(long_drive)
+    assert (labels[:, :10] == 23).mean() > 0.4
+    assert (labels[:, -10:] == 7).mean() > 0.6
+    assert not np.isin(labels[:, 70:], 23).any()
+    assert not np.isin(labels[:, :50], (6, 7, 8, 9)).any()
+
+
+def test_places_differ(long_drive):
+    """No two frames of a drive are nearly equal."""
+    labels = stack(long_drive)[::4, ::4, ::4]
+    alike = (labels[:, None] == labels[None]).mean(axis=(2, 3))
+    assert np.triu(alike, 1).max() < 0.97
+
+
+def test_frames_are_spaced_in_metres_and_the_route_turns(long_drive):
+    poses = np.array([frame.pose for frame in long_drive])
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    assert np.median(steps) == pytest.approx(3.0)
+    assert steps.min() > 2.0
+    assert steps.max() < 4.0
+    assert np.ptp(poses[:, 2]) == pytest.approx(math.pi / 2)
+
+
+def test_offsets_move_and_turn_the_camera():
+    (usual,), (moved,) = drive(1), drive(1, lateral_offset=0.7, heading_offset=10)
+    assert usual.pose.heading == 0
+    assert moved.pose.y - usual.pose.y == pytest.approx(0.7)
+    assert math.degrees(moved.pose.heading) == pytest.approx(10)
+
+
+def test_sway_has_the_deviation_asked_for():
+    poses = np.array([frame.pose for frame in drive(60, size=(16, 16), heading_jitter=3.0)])
+    sway = np.degrees(poses[:, 2])
+    assert 1.5 < sway.std() < 4.5
+    assert np.abs(np.diff(sway)).max() < 5
+
+
+@pytest.mark.parametrize("size", [(16, 16), (32, 32), (37, 90), (90, 37)])
+def test_any_size(size):
+    (frame,) = drive(1, size=size)
+    assert frame.labels.shape == size
+    assert frame.labels.dtype == np.uint8
+    assert frame.name == "000000"
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    calls = []
+    files = write_city(
+        tmp_path_factory.mktemp("city"),
+        frames=12,
+        seed=2,
+        size=SIZE,
+        progress=lambda *done: calls.append(done),
+    )
+    return files, calls
+
+
+def test_written_pictures_are_palette_pngs_of_the_frames(written):
+    files, calls = written
+    for folder, conditions in ((files.reference, REFERENCE), (files.query, QUERY)):
+        paths = sorted(folder.iterdir())
+        frames = list(SyntheticCity(2).traverse(12, conditions, SIZE))
+        assert [path.name for path in paths] == [f"{frame.name}.png" for frame in frames]
+        for path, frame in zip(paths, frames, strict=True):
+            with Image.open(path) as image:
+                assert image.mode == "P"
+                assert np.array_equal(np.asarray(image), frame.labels)
+                colours = np.asarray(image.convert("RGB"))
+            assert np.array_equal(colours, palette("cityscapes-trainids")[frame.labels])
+    assert calls == [(done, 24) for done in range(1, 25)]
+
+
+def test_written_ground_truth_agrees_with_written_poses(written):
+    files, _ = written
+    with files.poses.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["frame", "x", "y", "heading"]
+    poses = {r["frame"]: (float(r["x"]), float(r["y"]), float(r["heading"])) for r in rows}
+    truth = json.loads(files.ground_truth.read_text())
+    assert list(truth) == [name for name in poses if name.startswith("query/")]
+    for query, matches in truth.items():
+        assert matches == [
+            name
+            for name, pose in poses.items()
+            if name.startswith("reference/")
+            and math.dist(pose[:2], poses[query][:2]) <= 5
+            and abs(math.remainder(pose[2] - poses[query][2], math.tau)) < math.pi / 4
+        ]
+        assert matches
+
+
+def test_query_without_a_match_has_an_empty_list(tmp_path):
+    far = dataclasses.replace(QUERY, spacing=50.0)
+    files = write_city(tmp_path, frames=2, size=(16, 16), query=far, labels_as="cityscapes-ids")
+    truth = json.loads(files.ground_truth.read_text())
+    assert truth["query/000000"]
+    assert truth["query/000001"] == []
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: SyntheticCity(-1), "seed: got -1"),
+        (lambda: SyntheticCity().traverse(0), "frames: got 0, wanted at least 1"),
+        (lambda: SyntheticCity().traverse(1, size=(8, 64)), r"size: got \(8, 64\)"),
+        (lambda: SyntheticCity().traverse(1, labels_as="camvid-11"), "labels_as: got 'camvid-11'"),
+        (lambda: Conditions(season="spring"), "season: got 'spring', wanted one of"),
+        (lambda: Conditions(spacing=0), "spacing: got 0, wanted metres > 0"),
+        (lambda: Conditions(traffic=-1), "traffic: got -1"),
+        (lambda: Conditions(heading_jitter=-1), "heading_jitter: got -1"),
+        (lambda: Conditions(lateral_offset=math.nan), "lateral_offset: got nan"),
+        (lambda: Conditions(seed=-1), "seed: got -1"),
+        (lambda: write_city("unused", frames=0), "frames: got 0"),
+        (lambda: write_city("unused", frames=1, radius=-1), "radius: got -1"),
+    ],
+)
+def test_errors_name_what_was_wrong(call, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError, match=message):
+        call()
+    assert not list(tmp_path.iterdir())
