@@ -20,7 +20,6 @@ import io
 import itertools
 import json
 import math
-import os
 import zlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -709,7 +708,7 @@ def _paint(canvas: NDArray[np.uint8], groups: list[_Bodies], pose: Pose) -> NDAr
     draw = ImageDraw.Draw(image)
     for index, outline in _outlines(corners, order, canvas.shape):
         draw.polygon(outline, fill=int(labels[index]))
-    return np.asarray(image)
+    return np.array(image)
 
 
 def _in_view(bodies: _Bodies, pose: Pose) -> _Bodies:
@@ -819,4 +818,4 @@ def _write(path: Path, content: bytes) -> None:
     """Write a file so that it is either whole or not there."""
     unfinished = path.with_name(f".{path.name}.part")
     unfinished.write_bytes(content)
-    os.replace(unfinished, path)
+    unfinished.replace(path)

@@ -1,0 +1,68 @@
+"""Label maps and settings on which every path must give what the reference gives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from drawings import CAR, MASKS, ROAD, SPACE, TREE, VOID, mask
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
+
+CAMVID = Path(__file__).parents[2] / "shared" / "data" / "camvid"
+
+needs_camvid = pytest.mark.skipif(
+    not CAMVID.is_dir(), reason="the CamVid labels of ../shared/data are not on this machine"
+)
+
+
+def degenerate() -> dict[str, npt.NDArray[np.uint8]]:
+    """Label maps at the edge of what there is."""
+    checkerboard = np.indices((17, 23)).sum(0) % 2
+    return {
+        "one pixel": np.full((1, 1), ROAD, np.uint8),
+        "one row": np.repeat(np.array([[ROAD, TREE, VOID]], np.uint8), 5, axis=1),
+        "one column": np.repeat(np.array([[ROAD], [TREE]], np.uint8), 9, axis=0),
+        "all void": np.full((12, 9), VOID, np.uint8),
+        "all dynamic": np.full((9, 12), CAR, np.uint8),
+        "all one class": np.full((31, 44), ROAD, np.uint8),
+        "checkerboard": np.where(checkerboard, ROAD, TREE).astype(np.uint8),
+        "checkerboard and void": np.where(checkerboard, ROAD, VOID).astype(np.uint8),
+    }
+
+
+def hand_drawn() -> dict[str, npt.NDArray[np.uint8]]:
+    """Each drawing as the road layer, on a ground of trees."""
+    return {
+        name: np.where(mask(drawing), ROAD, TREE).astype(np.uint8)
+        for name, drawing in MASKS.items()
+    }
+
+
+def camvid_labels(every: int) -> list[npt.NDArray[np.uint8]]:
+    """Hand-made labels of both CamVid sequences, every so many-th frame."""
+    files = sorted(CAMVID.glob("*/labels/*.png"))
+    return [np.asarray(Image.open(file)) for file in files[::every]]
+
+
+def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConfig) -> None:
+    """The module and the reference agree on one label map at every step."""
+    view = SSRVLAD(config).explain(torch.from_numpy(labels)[None])
+    for k, trace in enumerate(reference.trace_layers(labels, config)):
+        for name, expected, got in (
+            ("layer", trace.layer, view.layers),
+            ("clean layer", trace.clean, view.clean_layers),
+            ("skeleton", trace.skeleton, view.skeleton),
+            ("end points", trace.end_points, view.end_points),
+            ("intersections", trace.intersections, view.intersections),
+            ("sum of histograms", trace.point_histogram, view.point_histograms),
+            ("histogram of the centre", trace.centre_histogram, view.centre_histograms),
+        ):
+            np.testing.assert_array_equal(got[0, k].numpy(), expected, f"{name} of layer {k}")
+        assert tuple(view.centres[0, k].tolist()) == (trace.centre or (-1, -1)), f"centre {k}"
+    expected = reference.describe(labels, config)
+    np.testing.assert_allclose(view.descriptor[0].numpy(), expected, rtol=0, atol=1e-6)

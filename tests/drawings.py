@@ -1,0 +1,155 @@
+"""Tiny hand-drawn masks, label maps and how to read them; shared by the tests."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from ssrvlad_torch.bitplanes import pack
+
+SPACE = "camvid-11"
+SKY, BUILDING, POLE, ROAD, PAVEMENT, TREE = 0, 1, 2, 3, 4, 5
+SIGN, FENCE, CAR, VOID = 6, 7, 8, 11
+
+EMPTY = """
+.....
+.....
+"""
+
+DOT = """
+.....
+..#..
+.....
+"""
+
+LINE = """
+.......
+.#####.
+.......
+"""
+
+DIAGONAL = """
+#....
+.#...
+..#..
+...#.
+....#
+"""
+
+CROSS = """
+...#...
+...#...
+...#...
+#######
+...#...
+...#...
+...#...
+"""
+
+TEE = """
+.........
+.#######.
+....#....
+....#....
+....#....
+"""
+
+CROWDED_CROSSING = """
+#.....#
+.#...#.
+..#.#..
+...##..
+..#.#..
+.#...#.
+#.....#
+"""
+
+RING = """
+.......
+.#####.
+.#...#.
+.#...#.
+.#####.
+.......
+"""
+
+BLOCK = """
+........
+.######.
+.######.
+.######.
+.######.
+........
+"""
+
+FULL = """
+######
+######
+######
+######
+"""
+
+HOLES = """
+##########
+#..######.
+#..##.###.
+######.###
+##########
+##########
+#.########
+"""
+
+SPECKS = """
+#........#
+..........
+..##......
+..##...#..
+......#...
+...#......
+##.....###
+##.....###
+"""
+
+SPIRAL = """
+###########
+..........#
+#########.#
+#.......#.#
+#.#####.#.#
+#.#...#.#.#
+#.#.###.#.#
+#.#.....#.#
+#.#######.#
+#.........#
+###########
+"""
+
+MASKS = {
+    name: drawing
+    for name, drawing in globals().items()
+    if name.isupper() and isinstance(drawing, str) and "\n" in drawing
+}
+
+
+def mask(drawing: str) -> npt.NDArray[np.bool_]:
+    """``(H, W)`` bool, true at ``#``."""
+    return np.array([[cell == "#" for cell in row] for row in drawing.split()])
+
+
+def planes(*masks: npt.NDArray[np.bool_]) -> Tensor:
+    """``(1, H, W)`` bit-planes with the given masks of one size as layers 0, 1, ..."""
+    layers = np.zeros((1, 8, *masks[0].shape), bool)
+    layers[0, : len(masks)] = masks
+    return pack(torch.from_numpy(layers))
+
+
+def blobs(seed: int, height: int, width: int, grain: float) -> npt.NDArray[np.uint8]:
+    """A random label map in ``SPACE``: coarse random ids, enlarged to grains of that many pixels."""
+    rng = np.random.default_rng(seed)
+    ids = rng.integers(0, 12, (int(height / grain) + 2, int(width / grain) + 2), dtype=np.uint8)
+    wobble_y, wobble_x = rng.uniform(0, 1, (2, height, width))
+    y = (np.arange(height)[:, None] + wobble_y) / grain
+    x = (np.arange(width)[None, :] + wobble_x) / grain
+    return ids[y.astype(int), x.astype(int)]

@@ -1,0 +1,43 @@
+import numpy as np
+import torch
+
+from ssrvlad_torch.stages.aggregation import aggregate
+
+
+def random_histograms(seed: int = 0):
+    rng = np.random.default_rng(seed)
+    sums = rng.integers(0, 2000, (3, 8, 60))
+    centres = rng.integers(0, 50, (3, 8, 60))
+    counts = rng.integers(0, 40, (3, 8))
+    return sums, centres, counts
+
+
+def test_equation_2_by_numpy():
+    sums, centres, counts = random_histograms()
+    descriptor = aggregate(*map(torch.from_numpy, (sums, centres, counts)))
+    for b in range(3):
+        blocks = [sums[b, k] - counts[b, k] * centres[b, k] for k in range(8)]
+        vectors = np.concatenate([block / np.linalg.norm(block) for block in blocks])
+        expected = vectors / np.linalg.norm(vectors)
+        np.testing.assert_allclose(descriptor[b], expected, rtol=0, atol=1e-7)
+    assert descriptor.dtype == torch.float32
+
+
+def test_every_layer_weighs_the_same():
+    sums, centres, counts = random_histograms(1)
+    sums[:, 3] *= 100
+    centres[:, 3] *= 100
+    blocks = aggregate(*map(torch.from_numpy, (sums, centres, counts))).unflatten(1, (8, 60))
+    torch.testing.assert_close(blocks.norm(dim=2), torch.full((3, 8), 8**-0.5))
+
+
+def test_zero_layers_stay_exactly_zero():
+    sums, centres, counts = map(torch.from_numpy, random_histograms(2))
+    sums[0, 2], counts[0, 2] = 0, 0
+    sums[1], counts[1] = 0, 0
+    sums[2, 5] = counts[2, 5] * centres[2, 5]
+    descriptor = aggregate(sums, centres, counts).unflatten(1, (8, 60))
+    assert not descriptor[0, 2].any()
+    assert not descriptor[1].any()
+    assert not descriptor[2, 5].any()
+    assert descriptor.isfinite().all()

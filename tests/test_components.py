@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+import torch
+from drawings import HOLES, MASKS, SPECKS, SPIRAL, blobs, mask, planes
+from hypothesis import given
+from hypothesis import strategies as st
+from test_bitplanes import random_planes
+
+from ssrvlad_torch import reference
+from ssrvlad_torch.bitplanes import pack, unpack
+from ssrvlad_torch.stages.components import drop_regions, fill_holes
+
+
+def assert_like_reference(some: torch.Tensor, area: int) -> None:
+    for b, layers in enumerate(unpack(some).numpy()):
+        for k, layer in enumerate(layers):
+            filled = layer | reference.small_holes(layer, area)
+            np.testing.assert_array_equal(unpack(fill_holes(some, area))[b, k], filled)
+            kept = layer & ~reference.small_regions(layer, area)
+            np.testing.assert_array_equal(unpack(drop_regions(some, area))[b, k], kept)
+
+
+@pytest.mark.parametrize("area", [0, 1, 2, 3, 5, 1000])
+@pytest.mark.parametrize("name", MASKS)
+def test_drawings(name, area):
+    assert_like_reference(planes(mask(MASKS[name]), ~mask(MASKS[name])), area)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 15),
+    width=st.integers(1, 15),
+    area=st.integers(2, 30),
+    density=st.sampled_from([0.3, 0.5, 0.65]),
+)
+def test_noise(seed, height, width, area, density):
+    """Near the percolation threshold regions are as winding as they get."""
+    layers = np.random.default_rng(seed).random((1, 8, height, width)) < density
+    assert_like_reference(pack(torch.from_numpy(layers)), area)
+
+
+def test_blobs_in_a_batch():
+    layers = np.stack([[blobs(8 * b + k, 45, 61, 6) < 6 for k in range(8)] for b in range(2)])
+    assert_like_reference(pack(torch.from_numpy(layers)), 40)
+
+
+def test_a_spiral_is_one_region():
+    spiral = mask(SPIRAL)
+    assert torch.equal(drop_regions(planes(spiral), int(spiral.sum())), planes(spiral))
+    assert not drop_regions(planes(spiral), int(spiral.sum()) + 1).any()
+
+
+def test_by_hand():
+    filled = unpack(fill_holes(planes(mask(HOLES)), 4))[0, 0].numpy()
+    assert np.argwhere(filled & ~mask(HOLES)).tolist() == [[2, 5], [3, 6]]
+    assert unpack(drop_regions(planes(mask(SPECKS)), 4))[0, 0].sum() == mask(SPECKS).sum() - 5
+
+
+def test_images_and_layers_do_not_touch():
+    """A pixel at the bottom of one image and one at the top of the next are two regions."""
+    some = torch.zeros(2, 3, 1, dtype=torch.uint8)
+    some[0, 2], some[1, 0] = 0b11, 0b11
+    assert not drop_regions(some, 2).any()
+    some[0, 1] = 0b01
+    assert drop_regions(some, 2).tolist() == [[[0], [1], [1]], [[0], [0], [0]]]
+
+
+def test_rows_do_not_touch_around_the_edge():
+    some = torch.zeros(1, 2, 3, dtype=torch.uint8)
+    some[0, 0, 2], some[0, 1, 0] = 1, 1
+    assert not drop_regions(some, 2).any()
+
+
+def test_planes_of_no_interest_are_returned_as_they_are():
+    some = random_planes()
+    assert fill_holes(some, 1) is some
+    assert drop_regions(some, 1) is some

@@ -1,0 +1,60 @@
+import numpy as np
+import pytest
+import torch
+from drawings import CROSS, CROWDED_CROSSING, DIAGONAL, DOT, EMPTY, LINE, MASKS, TEE, mask, planes
+from hypothesis import given
+from hypothesis import strategies as st
+from test_bitplanes import random_planes
+
+from ssrvlad_torch import reference
+from ssrvlad_torch.bitplanes import unpack
+from ssrvlad_torch.stages.keypoints import end_points, intersections
+
+
+def positions(some: torch.Tensor) -> list[list[int]]:
+    return unpack(some)[0, 0].nonzero().tolist()
+
+
+@pytest.mark.parametrize(
+    ("drawing", "ends", "crossings"),
+    [
+        (EMPTY, [], []),
+        (DOT, [[1, 2]], []),
+        (LINE, [[1, 1], [1, 5]], []),
+        (DIAGONAL, [[0, 0], [4, 4]], []),
+        (CROSS, [[0, 3], [3, 0], [3, 6], [6, 3]], [[3, 3]]),
+        (TEE, [[1, 1], [1, 7], [4, 4]], [[1, 4]]),
+    ],
+    ids=["empty", "dot", "line", "diagonal", "cross", "tee"],
+)
+def test_by_hand(drawing, ends, crossings):
+    assert positions(end_points(planes(mask(drawing)))) == ends
+    assert positions(intersections(planes(mask(drawing)))) == crossings
+
+
+def test_one_point_an_intersection():
+    crossings = positions(intersections(planes(mask(CROWDED_CROSSING))))
+    assert len(crossings) == 1
+
+
+@pytest.mark.parametrize("name", MASKS)
+def test_drawings(name):
+    layer = mask(MASKS[name])
+    np.testing.assert_array_equal(
+        unpack(end_points(planes(layer)))[0, 0], reference.end_points(layer)
+    )
+    np.testing.assert_array_equal(
+        unpack(intersections(planes(layer)))[0, 0], reference.intersections(layer)
+    )
+
+
+@given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))
+def test_any_mask(seed, height, width):
+    """Key-points are defined on any mask, thin or not."""
+    some = random_planes(seed, (2, height, width)) & random_planes(seed + 7, (2, height, width))
+    for fast, plain in (
+        (end_points, reference.end_points),
+        (intersections, reference.intersections),
+    ):
+        expected = [[plain(layer) for layer in layers] for layers in unpack(some).numpy()]
+        np.testing.assert_array_equal(unpack(fast(some)), np.array(expected))

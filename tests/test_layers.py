@@ -1,0 +1,58 @@
+import pytest
+import torch
+
+from ssrvlad_torch.stages.layers import categorise, category_table, refuse_unknown, split
+from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
+
+INTEGER_DTYPES = [
+    torch.uint8,
+    torch.int8,
+    torch.int16,
+    torch.int32,
+    torch.int64,
+    torch.uint16,
+    torch.uint32,
+    torch.uint64,
+]
+
+
+@pytest.mark.parametrize("name", label_space_names())
+def test_every_id_goes_to_its_category(name):
+    space = label_space(name)
+    labels = torch.tensor([[[label.id for label in space.classes]]])
+    categories = categorise(labels, *category_table(space))
+    assert categories.tolist() == [[[label.category_index for label in space.classes]]]
+
+
+@pytest.mark.parametrize("dtype", INTEGER_DTYPES)
+def test_any_integer_dtype(dtype):
+    space = label_space("camvid-11")
+    labels = torch.tensor([[[3, 11, 7]]]).to(dtype)
+    categories = categorise(labels, *category_table(space))
+    assert categories.dtype == torch.uint8
+    assert categories.tolist() == [[[0, NO_LAYER, 2]]]
+
+
+@pytest.mark.parametrize("unknown", [-1, 12, 255, -(2**40), 2**62])
+def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown):
+    space = label_space("camvid-11")
+    labels = torch.tensor([[[3, unknown], [unknown, 5]]])
+    categories = categorise(labels, *category_table(space))
+    with pytest.raises(
+        ValueError,
+        match=rf"label id {unknown} \(2 pixels\) is not in label space camvid-11; wanted 0 to 11",
+    ):
+        refuse_unknown(labels, categories, space)
+
+
+def test_several_unknown_ids():
+    space = label_space("camvid-11")
+    labels = torch.tensor([[[20, 21, 20, 40]]])
+    categories = categorise(labels, *category_table(space))
+    with pytest.raises(ValueError, match=r"label id 20 \(2 pixels\) and 2 other ids"):
+        refuse_unknown(labels, categories, space)
+
+
+def test_split_sets_one_bit_a_pixel():
+    categories = torch.tensor([[[0, 1, 2, 3, 4, 5, 6, 7, NO_LAYER]]], dtype=torch.uint8)
+    assert split(categories).tolist() == [[[1, 2, 4, 8, 16, 32, 64, 128, 0]]]

@@ -1,0 +1,45 @@
+import numpy as np
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssrvlad_torch import reference
+from ssrvlad_torch.stages.reduction import reduce_by_majority
+
+
+@given(
+    height=st.integers(1, 40),
+    width=st.integers(1, 40),
+    rows=st.floats(0, 1),
+    columns=st.floats(0, 1),
+    kinds=st.integers(1, 9),
+    seed=st.integers(0, 1000),
+)
+def test_equals_the_reference(height, width, rows, columns, kinds, seed):
+    grid = (1 + int(rows * (height - 1)), 1 + int(columns * (width - 1)))
+    maps = np.random.default_rng(seed).integers(0, kinds, (2, height, width))
+    reduced = reduce_by_majority(torch.from_numpy(maps).to(torch.uint8), grid)
+    assert reduced.dtype == torch.uint8
+    for got, categories in zip(reduced, maps, strict=True):
+        np.testing.assert_array_equal(got, reference.reduce_by_majority(categories, grid))
+
+
+def test_cells_of_many_pixels():
+    """Counts above 127 need more bits a category than nine of them have in one word."""
+    categories = torch.full((1, 300, 300), 8, dtype=torch.uint8)
+    categories[0, :151] = 7
+    assert reduce_by_majority(categories, (1, 1)).item() == 7
+    categories[0, :150] = 7
+    categories[0, 150:] = 0
+    assert reduce_by_majority(categories, (1, 1)).item() == 0
+
+
+def test_a_pole_of_half_a_cell_stays():
+    categories = torch.full((1, 30, 40), 5, dtype=torch.uint8)
+    categories[:, :, 21:23] = 3
+    assert (reduce_by_majority(categories, (10, 10))[0, :, 5] == 3).all()
+
+
+def test_native_size_is_untouched():
+    categories = torch.zeros(1, 5, 6, dtype=torch.uint8)
+    assert reduce_by_majority(categories, (5, 6)) is categories

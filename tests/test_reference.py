@@ -1,0 +1,184 @@
+"""The reference against hand-worked answers: everything else is held to it."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from drawings import (
+    BLOCK,
+    CROSS,
+    DOT,
+    HOLES,
+    LINE,
+    MASKS,
+    ROAD,
+    SPACE,
+    SPECKS,
+    TEE,
+    VOID,
+    blobs,
+    mask,
+)
+from skimage.morphology import skeletonize, thin
+
+from ssrvlad_torch import SSRVLADConfig, reference
+
+PLAIN = SSRVLADConfig(
+    labels_as=SPACE, working_size=None, closing=0.0, hole_area=0.0, region_area=0.0
+)
+
+
+def opencv_thinning(layer: np.ndarray, variant: int) -> np.ndarray:
+    padded = np.pad(layer, 2).astype(np.uint8) * 255
+    return cv2.ximgproc.thinning(padded, thinningType=variant)[2:-2, 2:-2] > 0
+
+
+def shapes() -> list[np.ndarray]:
+    drawn = [mask(drawing) for drawing in MASKS.values()]
+    return drawn + [blobs(seed, 41, 57, grain=9) < 5 for seed in range(12)]
+
+
+@pytest.mark.parametrize("layer", shapes())
+def test_zhang_suen_is_opencv_on_a_padded_mask(layer):
+    expected = opencv_thinning(layer, cv2.ximgproc.THINNING_ZHANGSUEN)
+    np.testing.assert_array_equal(reference.thin(layer, "zhang-suen"), expected)
+
+
+def test_zhang_suen_is_not_scikit_images():
+    layers = shapes()
+    assert any((reference.zhang_suen(x) != skeletonize(x, method="zhang")).any() for x in layers)
+
+
+@pytest.mark.parametrize("layer", shapes())
+def test_guo_hall_is_the_published_conditions(layer):
+    """Conditions of Guo & Hall 1989, algorithm A1, written out per pixel."""
+    expected = guo_hall_by_the_paper(layer)
+    np.testing.assert_array_equal(reference.thin(layer, "guo-hall"), expected)
+    np.testing.assert_array_equal(thin(layer), expected)
+
+
+def guo_hall_by_the_paper(layer: np.ndarray) -> np.ndarray:
+    while True:
+        before = layer
+        for first in (True, False):
+            doomed = np.zeros_like(layer)
+            padded = np.pad(layer, 1).astype(int)
+            for y, x in np.argwhere(layer):
+                p2, p3, p4 = padded[y, x + 1], padded[y, x + 2], padded[y + 1, x + 2]
+                p5, p6, p7 = padded[y + 2, x + 2], padded[y + 2, x + 1], padded[y + 2, x]
+                p8, p9 = padded[y + 1, x], padded[y, x]
+                c = (
+                    ((1 - p2) & (p3 | p4))
+                    + ((1 - p4) & (p5 | p6))
+                    + ((1 - p6) & (p7 | p8))
+                    + ((1 - p8) & (p9 | p2))
+                )
+                n1 = (p9 | p2) + (p3 | p4) + (p5 | p6) + (p7 | p8)
+                n2 = (p2 | p3) + (p4 | p5) + (p6 | p7) + (p8 | p9)
+                kept = (p2 | p3 | (1 - p5)) & p4 if first else (p6 | p7 | (1 - p9)) & p8
+                doomed[y, x] = c == 1 and 2 <= min(n1, n2) <= 3 and kept == 0
+            layer = layer & ~doomed
+        if (layer == before).all():
+            return layer
+
+
+def test_a_line_has_two_end_points():
+    ends = reference.end_points(mask(LINE))
+    assert np.argwhere(ends).tolist() == [[1, 1], [1, 5]]
+
+
+def test_a_dot_is_an_end_point():
+    assert np.argwhere(reference.end_points(mask(DOT))).tolist() == [[1, 2]]
+
+
+def test_a_cross_has_one_intersection():
+    assert np.argwhere(reference.intersections(mask(CROSS))).tolist() == [[3, 3]]
+
+
+def test_a_tee_has_one_intersection():
+    """Crossing number 3 at the junction; the pixels beside it have 2."""
+    assert np.argwhere(reference.intersections(mask(TEE))).tolist() == [[1, 4]]
+
+
+def test_touching_intersections_keep_the_first_in_raster_order():
+    crossing = mask(
+        """
+        .#...#.
+        .#...#.
+        #######
+        .#...#.
+        .##.##.
+        """.replace(" ", "")
+    )
+    kept = reference.intersections(crossing)
+    for y, x in np.argwhere(kept):
+        around = kept[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
+        assert around.sum() == 1
+
+
+@pytest.mark.parametrize(
+    ("drawing", "centre"),
+    [(DOT, (1, 2)), (LINE, (1, 3)), (BLOCK, (3, 4))],
+    ids=["dot", "line", "block: halves go up"],
+)
+def test_centre_is_the_rounded_centroid(drawing, centre):
+    assert reference.centroid(mask(drawing)) == centre
+
+
+def test_a_layer_without_pixels_has_no_centre():
+    assert reference.centroid(np.zeros((3, 4), bool)) is None
+
+
+def test_holes_are_enclosed_and_small():
+    holes = reference.small_holes(mask(HOLES), 4)
+    assert np.argwhere(holes).tolist() == [[2, 5], [3, 6]]  # not joined: holes are 4-connected
+    assert reference.small_holes(mask(HOLES), 5).sum() == 6
+    assert not reference.small_holes(mask(HOLES), 1).any()
+
+
+def test_regions_are_8_connected():
+    specks = reference.small_regions(mask(SPECKS), 3)
+    assert specks.sum() == 5
+    assert reference.small_regions(mask(SPECKS), 5).sum() == 13
+
+
+def test_shape_context_by_hand():
+    """Limits 1, 4, 9: one point in each of three places, one on the point itself, one too far."""
+    context = np.array([[5, 5], [5, 6], [7, 5], [5, 2], [5, 9]])
+    histogram = reference.shape_context((5, 5), context, (1, 4, 9), sectors=4)
+    expected = np.zeros((3, 4), int)
+    expected[0, 0] = 1  # right, distance 1
+    expected[1, 1] = 1  # down, distance 2
+    expected[2, 2] = 1  # left, distance 3
+    np.testing.assert_array_equal(histogram, expected)
+
+
+def test_majority_of_a_cell_and_its_ties():
+    categories = np.array([[3, 3, 1, 2], [3, 0, 2, 1]])
+    assert reference.reduce_by_majority(categories, (1, 2)).tolist() == [[3, 1]]
+
+
+def test_a_cross_describes_itself_by_hand():
+    """A cross of 13 pixels: five key-points, of which the centre's histogram is subtracted."""
+    labels = np.where(mask(CROSS), ROAD, VOID)
+    trace = reference.trace_layers(labels, PLAIN)[0]
+    assert trace.centre == (3, 3)
+    assert len(np.argwhere(trace.end_points | trace.intersections)) == 5
+    limits = PLAIN.ring_limits(7, 7)
+    assert limits == (0, 0, 1, 6, 24)
+    assert trace.centre_histogram.sum(axis=1).tolist() == [0, 0, 4, 4, 4]
+    ends_see = 4 + 6  # along their own arm up to R, and of the other arm
+    assert trace.point_histogram.sum() == 12 + 4 * ends_see
+    assert np.linalg.norm(trace.vector) == pytest.approx(1)
+
+
+def test_unknown_ids_are_refused():
+    with pytest.raises(ValueError, match="label id 99 is not in label space camvid-11"):
+        reference.describe(np.full((3, 3), 99), PLAIN)
+
+
+def test_an_image_without_category_is_zero():
+    descriptor = reference.describe(np.full((8, 8), VOID), PLAIN)
+    assert descriptor.shape == (480,)
+    assert not descriptor.any()

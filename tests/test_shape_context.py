@@ -1,0 +1,95 @@
+import numpy as np
+import pytest
+import torch
+from drawings import CROSS, mask, planes
+from hypothesis import given
+from hypothesis import strategies as st
+from test_bitplanes import random_planes
+
+from ssrvlad_torch import SSRVLADConfig, reference
+from ssrvlad_torch.bitplanes import points, unpack
+from ssrvlad_torch.stages import shape_context
+from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
+
+CPU = torch.device("cpu")
+
+
+def plain_sum(references: np.ndarray, context: np.ndarray, limits, sectors) -> np.ndarray:
+    total = np.zeros((len(limits), sectors), np.int64)
+    for point in np.argwhere(references):
+        total += reference.shape_context(point, np.argwhere(context), limits, sectors)
+    return total.ravel()
+
+
+@pytest.mark.parametrize("sectors", [1, 2, 3, 4, 5, 7, 8, 12, 16, 24, 360])
+def test_every_offset_falls_where_the_reference_puts_it(sectors):
+    height, width = 31, 40
+    limits = SSRVLADConfig(sectors=sectors, radius=0.6).ring_limits(height, width)
+    bins = log_polar_bins(height, width, limits, sectors, CPU)
+    y, x = np.indices((2 * height - 1, 2 * width - 1)).reshape(2, -1)
+    for entry, offset in zip(
+        bins.table.flatten().tolist(), np.stack((y - height + 1, x - width + 1), 1), strict=True
+    ):
+        histogram = reference.shape_context((0, 0), offset[None], limits, sectors).ravel()
+        assert histogram.sum() == (entry < bins.total)
+        assert entry == bins.total or histogram[entry] == 1
+
+
+def test_axes_begin_their_sector():
+    bins = log_polar_bins(2, 2, (1,), 12, CPU)
+    right, down, left, up = bins.table[1, 2], bins.table[2, 1], bins.table[1, 0], bins.table[0, 1]
+    assert [right.item(), down.item(), left.item(), up.item()] == [0, 3, 6, 9]
+
+
+def test_diagonals_begin_their_sector():
+    bins = log_polar_bins(4, 4, (18,), 8, CPU)
+    for step in (1, 2, 3):
+        corners = [(step, step), (step, -step), (-step, -step), (-step, step)]
+        assert [bins.table[3 + y, 3 + x].item() for y, x in corners] == [1, 3, 5, 7]
+
+
+def test_a_ring_ends_on_its_limit():
+    bins = log_polar_bins(6, 6, (9, 25), 1, CPU)
+    assert bins.table[5, 5 + 3].item() == 0
+    assert bins.table[5 + 3, 5 + 1].item() == 1
+    assert bins.table[5 + 3, 5 + 4].item() == 1
+    assert bins.table[5 + 5, 5 + 1].item() == bins.total
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 16),
+    width=st.integers(1, 16),
+    sectors=st.sampled_from([12, 5, 8]),
+)
+def test_sums_equal_the_reference(seed, height, width, sectors):
+    context = random_planes(seed, (2, height, width)) & random_planes(seed + 1, (2, height, width))
+    references = context & random_planes(seed + 2, (2, height, width))
+    limits = SSRVLADConfig(radius=0.7).ring_limits(height, width)
+    bins = log_polar_bins(height, width, limits, sectors, CPU)
+    sums = shape_contexts(points(references), points(context), bins, 2)
+    assert sums.shape == (2, 8, 5 * sectors)
+    for b in range(2):
+        for k in range(8):
+            expected = plain_sum(
+                unpack(references)[b, k].numpy(), unpack(context)[b, k].numpy(), limits, sectors
+            )
+            np.testing.assert_array_equal(sums[b, k], expected)
+
+
+def test_chunks_add_up(monkeypatch):
+    some = random_planes(11, (2, 20, 20))
+    bins = log_polar_bins(20, 20, (4, 40, 400), 12, CPU)
+    whole = shape_contexts(points(some), points(some), bins, 2)
+    for chunk in (1000, 997, 4096):
+        monkeypatch.setattr(shape_context, "PAIRS_AT_ONCE", chunk)
+        assert torch.equal(shape_contexts(points(some), points(some), bins, 2), whole)
+
+
+def test_nothing_to_count():
+    none = points(torch.zeros(1, 5, 5, dtype=torch.uint8))
+    cross = points(planes(mask(CROSS)[1:6, 1:6]))
+    bins = log_polar_bins(5, 5, (50,), 12, CPU)
+    assert not shape_contexts(none, cross, bins, 1).any()
+    assert not shape_contexts(cross, none, bins, 1).any()
+    assert not shape_contexts(none, none, bins, 1).any()
