@@ -57,8 +57,7 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
     Raises:
         ValueError: an id outside the label space.
     """
-    vectors = [trace.vector for trace in trace_layers(label_map, config)]
-    return normalise(np.concatenate(vectors)).astype(np.float32)
+    return concatenate(trace_layers(label_map, config))
 
 
 def trace_layers(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[LayerTrace]:
@@ -96,6 +95,11 @@ def trace_layer(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
         around_centre,
         normalise(residual.ravel().astype(np.float64)),
     )
+
+
+def concatenate(traces: list[LayerTrace]) -> npt.NDArray[np.float32]:
+    """The layers' vectors one after another, normalised."""
+    return normalise(np.concatenate([trace.vector for trace in traces])).astype(np.float32)
 
 
 def categorise(label_map: npt.NDArray[Any], labels_as: str) -> Integers:

@@ -55,16 +55,15 @@ def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
         raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
     view = head.explain(torch.from_numpy(labels.astype(np.int64))[None])
     figure = Figure(figsize=(17, 9), layout="constrained")
-    left, right = figure.subfigures(1, 2, width_ratios=(1, 1.7))
-    grids = left.add_gridspec(2, 1, height_ratios=(3, 1))
-    _draw_labels(left.add_subplot(grids[0]), labels, head, title)
-    _draw_key(left.add_subplot(grids[1]))
-    rows = len(CATEGORIES) // _COLUMNS
-    grid = right.add_gridspec(2 * rows, _COLUMNS)
+    halves = figure.add_gridspec(1, 2, width_ratios=(1, 1.7))
+    left = halves[0].subgridspec(2, 1, height_ratios=(3, 1))
+    _draw_labels(figure.add_subplot(left[0]), labels, head, title)
+    _draw_key(figure.add_subplot(left[1]))
+    grid = halves[1].subgridspec(2 * len(CATEGORIES) // _COLUMNS, _COLUMNS)
     for k, category in enumerate(CATEGORIES):
         row, column = divmod(k, _COLUMNS)
-        _draw_layer(right.add_subplot(grid[2 * row, column]), view, k, category)
-        _draw_vector(right.add_subplot(grid[2 * row + 1, column], polar=True), view, k)
+        _draw_layer(figure.add_subplot(grid[2 * row, column]), view, k, category)
+        _draw_vector(figure.add_subplot(grid[2 * row + 1, column], polar=True), view, k)
     form = path.suffix.removeprefix(".") or "png"
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110, format=form)

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 import torch
-from drawings import CAR, MASKS, ROAD, SPACE, TREE, VOID, mask
+from drawings import CAR, MASKS, ROAD, TREE, VOID, mask
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
@@ -52,7 +52,8 @@ def camvid_labels(every: int) -> list[npt.NDArray[np.uint8]]:
 def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConfig) -> None:
     """The module and the reference agree on one label map at every step."""
     view = SSRVLAD(config).explain(torch.from_numpy(labels)[None])
-    for k, trace in enumerate(reference.trace_layers(labels, config)):
+    traces = reference.trace_layers(labels, config)
+    for k, trace in enumerate(traces):
         for name, expected, got in (
             ("layer", trace.layer, view.layers),
             ("clean layer", trace.clean, view.clean_layers),
@@ -64,5 +65,5 @@ def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConf
         ):
             np.testing.assert_array_equal(got[0, k].numpy(), expected, f"{name} of layer {k}")
         assert tuple(view.centres[0, k].tolist()) == (trace.centre or (-1, -1)), f"centre {k}"
-    expected = reference.describe(labels, config)
+    expected = reference.concatenate(traces)
     np.testing.assert_allclose(view.descriptor[0].numpy(), expected, rtol=0, atol=1e-6)

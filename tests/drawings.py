@@ -146,7 +146,7 @@ def planes(*masks: npt.NDArray[np.bool_]) -> Tensor:
 
 
 def blobs(seed: int, height: int, width: int, grain: float) -> npt.NDArray[np.uint8]:
-    """A random label map in ``SPACE``: coarse random ids, enlarged to grains of that many pixels."""
+    """A random label map in ``SPACE``: random ids, enlarged to grains of that many pixels."""
     rng = np.random.default_rng(seed)
     ids = rng.integers(0, 12, (int(height / grain) + 2, int(width / grain) + 2), dtype=np.uint8)
     wobble_y, wobble_x = rng.uniform(0, 1, (2, height, width))

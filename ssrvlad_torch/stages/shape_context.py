@@ -18,9 +18,9 @@ class Bins(NamedTuple):
     """The target-shaped template of the shape context, as a table over offsets.
 
     Attributes:
-        table: ``(2H - 1, 2W - 1)`` int32, for the offset ``(dy, dx)`` at ``(dy + H - 1, dx + W - 1)``
-            the bin ``ring * M + sector``, or ``total`` for the reference point itself and for
-            what is farther than the last ring.
+        table: ``(2H - 1, 2W - 1)`` int32. The entry at ``(dy + H - 1, dx + W - 1)`` is the bin of
+            the offset ``(dy, dx)``, ``ring * M + sector``, or ``total`` for the reference point
+            itself and for what is farther than the last ring.
         total: N * M, the number of bins.
     """
 

@@ -1,0 +1,1 @@
+"""The parts of the synthetic city: conditions, streets, blocks, traffic, and the picture."""

@@ -1,0 +1,190 @@
+"""Blocks of the city: paving, kerbs, lots, buildings, barriers, furniture and trees."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from .bodies import (
+    BUILDING,
+    FENCE,
+    GROUND,
+    GUARD_RAIL,
+    PARKING,
+    POLE_GROUP,
+    SIDEWALK,
+    TERRAIN,
+    VEGETATION,
+    WALL,
+    Axis,
+    Body,
+    Span,
+    box,
+    fence,
+    lamp,
+    sign,
+    traffic_light,
+    tree,
+)
+from .randomness import generator
+from .streets import street
+
+KERB_STRIP = 2.2  # parking bays, grass or paving between kerb and sidewalk
+LOT_DEPTH = 18.0  # from the sidewalk to the back of the buildings
+
+
+class _Style(NamedTuple):
+    """How a side of a block is built up; spans are metres, the rest are chances or label ids."""
+
+    widths: Span
+    heights: Span
+    setbacks: Span
+    margin: float  # left free on either side of a building
+    open: float  # chance that a lot is not built up
+    pitched: float  # chance of a pitched roof
+    barrier: int  # between the sidewalk and what lies open
+    yard: int
+
+
+_STYLES = (
+    _Style((9, 17), (9, 19), (0, 0), 0.0, 0.1, 0.3, WALL, SIDEWALK),  # terrace
+    _Style((10, 16), (4, 7), (2, 7), 1.5, 0.25, 0.9, FENCE, TERRAIN),  # villas
+    _Style((16, 16), (11, 11), (5, 5), 2.0, 0.0, 0.0, FENCE, TERRAIN),  # estate: all alike
+    _Style((16, 26), (5, 10), (5.5, 7), 1.0, 0.3, 0.1, WALL, PARKING),  # works
+    _Style((12, 24), (4, 6), (6, 7), 4.0, 0.8, 0.5, FENCE, TERRAIN),  # park
+)
+
+
+class Side(NamedTuple):
+    """A side of a block: its axis runs along the kerb, the block to the left."""
+
+    axis: Axis
+    length: float
+    style: _Style
+    kerb: int  # label of the kerb strip
+    walk: float  # from the kerb to the inner edge of the sidewalk, metres
+    key: tuple[int, int, int]  # block and side number, for random generators
+
+
+def standing(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
+    """Everything that stands in a block, whoever drives by."""
+    yield from _paving(sides)
+    for side, following in zip(sides, sides[1:] + sides[:1], strict=True):
+        yield from _kerb_strip(seed, side)
+        yield from _lots(seed, side, following.walk + LOT_DEPTH, season)
+        yield from _furniture(seed, side)
+        yield from _street_trees(seed, side, season)
+
+
+def block_sides(seed: int, column: int, row: int) -> list[Side]:
+    """South, east, north and west side, counter-clockwise."""
+    west, east = (street(seed, 0, k) for k in (column, column + 1))
+    south, north = (street(seed, 1, k) for k in (row, row + 1))
+    x0, x1 = west.position + west.width / 2, east.position - east.width / 2
+    y0, y1 = south.position + south.width / 2, north.position - north.width / 2
+    axes = (Axis(x0, y0, 1, 0), Axis(x1, y0, 0, 1), Axis(x1, y1, -1, 0), Axis(x0, y1, 0, -1))
+    sides = []
+    for number, axis in enumerate(axes):
+        rng = generator(seed, "side", column, row, number)
+        style = _STYLES[rng.choice(len(_STYLES), p=(0.3, 0.25, 0.2, 0.15, 0.1))]
+        kerb = int(rng.choice((PARKING, TERRAIN, SIDEWALK), p=(0.4, 0.3, 0.3)))
+        length = (x1 - x0, y1 - y0)[number % 2]
+        walk = KERB_STRIP + rng.uniform(1.5, 3.5)
+        sides.append(Side(axis, length, style, kerb, walk, (column, row, number)))
+    return sides
+
+
+def _paving(sides: list[Side]) -> Iterator[Body]:
+    """The block as one sidewalk with cut corners, and the ground inside its four sidewalks."""
+    cut = [(*side.axis.point(s, 0), 0.0) for side in sides for s in (3.0, side.length - 3.0)]
+    yield SIDEWALK, cut
+    south, east, north, west = sides
+    inside = TERRAIN if south.style.yard == TERRAIN else GROUND
+    across = (west.walk, south.length - east.walk)
+    yield box(south.axis, inside, across, (south.walk, east.length - north.walk))
+
+
+def _kerb_strip(seed: int, side: Side) -> Iterator[Body]:
+    """Parking bays or grass along the kerb; on some stretches a guard rail."""
+    yield box(side.axis, side.kerb, (7, side.length - 7), (0, KERB_STRIP))
+    chance, begin, end = generator(seed, "rail", *side.key).random(3)
+    if chance < 0.4 and side.kerb != PARKING:
+        rail = (6 + 8 * begin, side.length - 6 - 8 * end)
+        yield from fence(side.axis, GUARD_RAIL, rail, 0.3, (0.35, 0.85))
+
+
+def _lots(seed: int, side: Side, corner: float, season: str) -> Iterator[Body]:
+    """Built-up and open lots, one after the other; the last `corner` metres are the next side's."""
+    style = side.style
+    s = side.walk
+    for number in itertools.count():
+        rng = generator(seed, "lot", *side.key, number)
+        width = rng.uniform(*style.widths)
+        if s + width > side.length - corner:
+            return
+        lot = side.axis.at(s, side.walk)
+        if rng.random() < style.open:
+            yield from _open_lot(lot, width, style, rng, season)
+        else:
+            yield from _built_lot(lot, width, style, rng)
+        s += width
+
+
+def _open_lot(
+    lot: Axis, width: float, style: _Style, rng: np.random.Generator, season: str
+) -> Iterator[Body]:
+    """A barrier, here and there a hedge, and trees behind it."""
+    yield box(lot, style.yard, (0, width), (0, LOT_DEPTH))
+    label = VEGETATION if rng.random() < 0.3 else style.barrier
+    yield from fence(lot, label, (0, width), 0.1, (0, rng.uniform(0.9, 2.0)))
+    for s, d in rng.uniform((0, 3), (width, LOT_DEPTH), (3, 2)).tolist():
+        yield from tree(lot.at(s, d), rng, season)
+
+
+def _built_lot(lot: Axis, width: float, style: _Style, rng: np.random.Generator) -> Iterator[Body]:
+    """A yard and a building: a box with a pitched roof, a smaller top floor, or neither."""
+    setback, height = rng.uniform(*style.setbacks), rng.uniform(*style.heights)
+    depth = min(12.0, LOT_DEPTH - setback)
+    s, d = (style.margin, width - style.margin), (setback, setback + depth)
+    yield box(lot, style.yard, (0, width), (0, setback + 0.5))
+    if style.barrier == FENCE:
+        yield from fence(lot, FENCE, (0, width), 0.1, (0, 1.0))
+    yield box(lot, BUILDING, s, d, (0, height))
+    roof, along, rise = rng.random(3)
+    if roof < style.pitched:
+        ridge = (0, depth / 2) if along < 0.6 else ((s[1] - s[0]) / 2, 0)
+        yield box(lot, BUILDING, s, d, (height, height + 2.5 + 2 * rise), ridge)
+    elif style.heights[0] < style.heights[1] and along < 0.5:
+        left, right = np.sort(rng.uniform(*s, 2)).tolist()
+        yield box(lot, BUILDING, (left, right), d, (height, height + 2.5 + 3 * rise))
+
+
+def _furniture(seed: int, side: Side) -> Iterator[Body]:
+    """Lamps, signs, and the traffic light or pole group at the side's beginning."""
+    rng = generator(seed, "lamps", *side.key)
+    step, height, start = rng.uniform((20, 5, 4), (34, 9, 16)).tolist()
+    for s in np.arange(start, side.length - 3, step).tolist():
+        yield from lamp(side.axis.at(s, 0.6), height)
+    rng = generator(seed, "signs", *side.key)
+    for s, width in rng.uniform((5, 0.5), (side.length - 4, 1.2), (4, 2)).tolist():
+        if rng.random() < 0.5:
+            yield from sign(side.axis.at(s, 0.8), width)
+    column, row, number = side.key
+    junction = column + (number in (1, 2)), row + (number in (2, 3))
+    if generator(seed, "junction", *junction).random() < 0.6:
+        yield from traffic_light(side.axis.at(3.6, 0.5))
+    elif rng.random() < 0.5:
+        yield box(side.axis, POLE_GROUP, (3.4, 3.9), (0.5, 0.7), (0, 3.5))
+
+
+def _street_trees(seed: int, side: Side, season: str) -> Iterator[Body]:
+    """An avenue on most kerb strips of grass, with trees missing here and there."""
+    rng = generator(seed, "trees", *side.key)
+    step, avenue = rng.uniform(6, 12), rng.random() < 0.75
+    if side.kerb == TERRAIN and avenue:
+        for s in np.arange(8, side.length - 7, step).tolist():
+            if rng.random() < 0.8:
+                yield from tree(side.axis.at(s, 1.3), rng, season)

@@ -1,0 +1,117 @@
+"""The picture of the city: bodies painted far to near, each as the hull of its corners."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from ..poses import Pose
+from .bodies import BUILDING, ROAD, SKY, VEGETATION, Bodies
+from .randomness import generator
+
+CAMERA_HEIGHT = 1.5
+FIELD_OF_VIEW = math.radians(85)
+NEAR, FAR = 0.3, 120.0
+SMALLEST_PIXELS = 0.35  # thinner things are not painted
+
+
+def background(seed: int, pose: Pose, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Sky, road, and between them the roofs and trees of the horizon, too far to have parallax."""
+    height, width = size
+    across = (np.arange(width) + 0.5 - width / 2) / _focal(width)
+    bearing = (pose.heading - np.arctan(across)) % math.tau
+    heights, classes = generator(seed, "horizon").random((2, 120))
+    sector = (bearing / math.tau * 120).astype(int) % 120
+    top = height / 2 - _focal(width) * np.tan(np.radians(0.3 + 3.5 * heights[sector]))
+    rows = np.arange(height)[:, None] + 0.5
+    far = np.where(classes[sector] < 0.6, BUILDING, VEGETATION)
+    return np.where(rows < top, SKY, np.where(rows < height / 2, far, ROAD)).astype(np.uint8)
+
+
+def paint(canvas: NDArray[np.uint8], groups: list[Bodies], pose: Pose) -> NDArray[np.uint8]:
+    """Paint bodies over a background: what lies flat in its order, then what stands, far to near.
+
+    Shape:
+        canvas: (H, W) label ids. Output: the same.
+    """
+    seen = [_in_view(group, pose) for group in groups]
+    labels = np.concatenate([labels for labels, _ in seen])
+    corners = np.concatenate([corners for _, corners in seen])
+    middle = corners.mean(axis=1)
+    stands = np.ptp(corners[..., 2], axis=1) > 0
+    distance = np.where(stands, np.hypot(middle[:, 0], middle[:, 1]), np.inf)
+    order = np.argsort(-distance, kind="stable")
+    image = Image.fromarray(canvas)
+    draw = ImageDraw.Draw(image)
+    for index, outline in _outlines(corners, order, canvas.shape):
+        draw.polygon(outline, fill=int(labels[index]))
+    return np.array(image)
+
+
+def _in_view(bodies: Bodies, pose: Pose) -> Bodies:
+    """The bodies in the field of view, their corners in metres (ahead, to the right, up)."""
+    east, north, up = np.moveaxis(bodies.corners - (pose.x, pose.y, CAMERA_HEIGHT), -1, 0)
+    cos, sin = math.cos(pose.heading), math.sin(pose.heading)
+    ahead, right = east * cos + north * sin, east * sin - north * cos
+    reach = math.tan(FIELD_OF_VIEW / 2) * ahead
+    visible = (ahead > NEAR).any(axis=1) & (ahead < FAR).any(axis=1)
+    visible &= (right < reach).any(axis=1) & (right > -reach).any(axis=1)
+    corners = np.stack((ahead[visible], right[visible], up[visible]), axis=-1)
+    return Bodies(bodies.labels[visible], corners)
+
+
+def _outlines(
+    corners: NDArray[np.float64], order: NDArray[np.intp], shape: tuple[int, ...]
+) -> Iterator[tuple[int, list[tuple[float, float]]]]:
+    """Index and outline in pixels of each body of the `order` that is large enough to see."""
+    whole = corners[..., 0].min(axis=1) > NEAR
+    pixels = _project(corners, shape)
+    large = np.ptp(pixels, axis=1).min(axis=1) > SMALLEST_PIXELS
+    for index in order[(large | ~whole)[order]].tolist():
+        points = pixels[index] if whole[index] else _project(_cut_near(corners[index]), shape)
+        yield index, _hull(np.floor(points).tolist())
+
+
+def _project(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """Pixel coordinates (column, row) of points in metres (ahead, right, up)."""
+    height, width = shape
+    scale = _focal(width) / np.maximum(points[..., :1], NEAR)
+    return points[..., 1:] * (1, -1) * scale + (width / 2, height / 2)
+
+
+def _cut_near(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Corners of the part of a convex body that is at least `NEAR` metres ahead.
+
+    Every line from a corner behind to a corner ahead lies in the body, so adding the points where
+    these lines pass the near plane gives the cut body, without knowing its edges.
+    """
+    ahead = corners[corners[:, 0] >= NEAR]
+    behind = corners[corners[:, 0] < NEAR]
+    start, step = behind[:, None], ahead[None] - behind[:, None]
+    passing = start + step * (NEAR - start[..., :1]) / step[..., :1]
+    return np.concatenate((ahead, passing.reshape(-1, 3)))
+
+
+def _hull(points: list[list[float]]) -> list[tuple[float, float]]:
+    """Convex hull by Andrew's monotone chain."""
+    ordered = sorted(set(map(tuple, points)))
+    outline: list[tuple[float, float]] = []
+    for chain in (ordered, ordered[::-1]):
+        begin = len(outline)
+        for x, y in chain:
+            while len(outline) - begin > 1:
+                (ax, ay), (bx, by) = outline[-2:]
+                if (bx - ax) * (y - ay) > (by - ay) * (x - ax):
+                    break
+                outline.pop()
+            outline.append((x, y))
+    return outline
+
+
+def _focal(width: int) -> float:
+    """Focal length in pixels."""
+    return width / 2 / math.tan(FIELD_OF_VIEW / 2)

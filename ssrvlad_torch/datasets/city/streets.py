@@ -1,0 +1,89 @@
+"""The endless grid of streets, the route through it, and the camera on the way."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from ..poses import Pose
+from .conditions import Conditions
+from .randomness import generator
+
+PITCH = 80.0  # mean distance of neighbouring streets
+PITCH_JITTER = 16.0
+TURN_RADIUS = 8.0
+LANE = 2.0  # the camera drives this far right of the street's centre line
+
+
+class Street(NamedTuple):
+    """An endless street: x (axis 0, runs north) or y (axis 1, runs east) of its centre, width."""
+
+    position: float
+    width: float
+
+
+def street(seed: int, axis: int, index: int) -> Street:
+    """A street by its number."""
+    shift, width = generator(seed, "street", axis, index).random(2).tolist()
+    return Street(index * PITCH + PITCH_JITTER * (2 * shift - 1), 8.0 + 5.0 * width)
+
+
+def nearby(pose: Pose) -> Iterator[tuple[int, int]]:
+    """Blocks that come within `FAR` of the pose, and a few more."""
+    column, row = math.floor(pose.x / PITCH), math.floor(pose.y / PITCH)
+    return itertools.product(range(column - 2, column + 3), range(row - 2, row + 3))
+
+
+class _Piece(NamedTuple):
+    """A stretch of the route: where it begins, metres, and curvature in 1/m (left is positive)."""
+
+    x: float
+    y: float
+    heading: float
+    length: float
+    curvature: float
+
+    def at(self, metres: float) -> Pose:
+        end = self.heading + self.curvature * metres
+        if self.curvature == 0:
+            x, y = metres * math.cos(end), metres * math.sin(end)
+        else:
+            x = (math.sin(end) - math.sin(self.heading)) / self.curvature
+            y = (math.cos(self.heading) - math.cos(end)) / self.curvature
+        return Pose(self.x + x, self.y + y, end)
+
+
+def _route(seed: int) -> Iterator[_Piece]:
+    """The centre line of the streets driven: from junction to junction, with rounded turns."""
+    rng = generator(seed, "route")
+    node, heading = (0, 0), 0  # heading: quarter turns, -1 south, 0 east, 1 north
+    x, y = street(seed, 0, 0).position + TURN_RADIUS, street(seed, 1, 0).position
+    while True:
+        node = (node[0] + (heading == 0), node[1] + heading)
+        junction = (street(seed, 0, node[0]).position, street(seed, 1, node[1]).position)
+        straight = math.dist((x, y), junction) - TURN_RADIUS
+        turn = int(rng.choice((-1, 0, 0, 1) if heading == 0 else (0, -heading)))
+        arc = TURN_RADIUS * (math.pi / 2 if turn else 2)
+        approach = _Piece(x, y, heading * math.pi / 2, straight, 0.0)
+        crossing = _Piece(*approach.at(straight), arc, turn / TURN_RADIUS)
+        yield from (approach, crossing)
+        x, y, _ = crossing.at(arc)
+        heading += turn
+
+
+def camera_poses(seed: int, conditions: Conditions) -> Iterator[Pose]:
+    """Camera poses, `conditions.spacing` metres apart along the route, without end."""
+    phases = generator(conditions.seed, "sway", seed).uniform(0, math.tau, 2).tolist()
+    left = conditions.lateral_offset - LANE
+    travelled, begin = 0.0, 0.0
+    for piece in _route(seed):
+        while travelled < begin + piece.length:
+            x, y, course = piece.at(travelled - begin)
+            sway = math.sin(travelled / 17 + phases[0]) + math.sin(travelled / 5 + phases[1])
+            turned = conditions.heading_offset + conditions.heading_jitter * sway
+            heading = math.remainder(course + math.radians(turned), math.tau)
+            yield Pose(x - left * math.sin(course), y + left * math.cos(course), heading)
+            travelled += conditions.spacing
+        begin += piece.length

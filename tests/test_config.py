@@ -1,0 +1,119 @@
+import dataclasses
+
+import pytest
+
+from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.config import PRESETS
+
+
+def test_presets_know_their_names():
+    for name in PRESETS:
+        assert SSRVLADConfig.from_preset(name, labels_as="synthia").preset == name
+    assert SSRVLADConfig(rings=4).preset == "custom"
+
+
+def test_the_paper_has_its_numbers():
+    paper = SSRVLADConfig.from_preset("paper")
+    assert (paper.rings, paper.sectors, paper.length, paper.working_size) == (5, 12, 480, None)
+
+
+def test_it_is_frozen():
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        SSRVLADConfig().rings = 6  # type: ignore[misc]
+
+
+OTHER = {
+    "working_size": 121,
+    "opening": 0.02,
+    "closing": 0.02,
+    "hole_area": 0.1,
+    "region_area": 0.1,
+    "thinning": "guo-hall",
+    "rings": 4,
+    "sectors": 8,
+    "radius": 0.4,
+    "inner_radius": 0.1,
+    "context": "keypoints",
+}
+
+
+def test_every_setting_but_the_label_space_is_in_the_fingerprint():
+    base = SSRVLADConfig(labels_as="camvid-11")
+    settings = set(base.to_dict()) - {"labels_as"}
+    assert settings == set(OTHER)
+    changed = {dataclasses.replace(base, **{name: OTHER[name]}).fingerprint for name in settings}
+    assert len(changed | {base.fingerprint}) == len(settings) + 1
+    assert dataclasses.replace(base, labels_as="synthia").fingerprint == base.fingerprint
+
+
+def test_fingerprints_do_not_drift():
+    """Databases carry these. Change them only together with METHOD_REVISION or a setting."""
+    assert SSRVLADConfig.from_preset("paper").fingerprint == "fae2c61db07afbf9"
+    assert SSRVLADConfig.from_preset("default").fingerprint == "e2088fce33284fe5"
+
+
+def test_dict_round_trip():
+    config = SSRVLADConfig(labels_as="synthia", **OTHER)
+    assert SSRVLADConfig.from_dict(config.to_dict()) == config
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"rings": 0}, "rings must be an integer from 1 to 64, got 0"),
+        ({"sectors": 12.0}, r"sectors must be an integer from 1 to 360, got 12\.0"),
+        ({"working_size": True}, "working_size must be an integer"),
+        ({"closing": -0.1}, r"closing must be a fraction from 0 to 0\.5, got -0\.1"),
+        ({"hole_area": float("nan")}, "hole_area must be a fraction"),
+        ({"radius": 0}, "radius must be a fraction above 0"),
+        ({"thinning": "lee"}, "thinning must be one of zhang-suen, guo-hall, got 'lee'"),
+        ({"context": "area"}, "context must be one of skeleton, keypoints, got 'area'"),
+        ({"labels_as": 3}, "labels_as must be str, got 3"),
+    ],
+)
+def test_bad_settings_are_named(settings, message):
+    with pytest.raises(ValueError, match=message):
+        SSRVLADConfig(**settings)
+
+
+def test_unknown_names():
+    with pytest.raises(ValueError, match="preset must be one of paper, default, got 'fast'"):
+        SSRVLADConfig.from_preset("fast")
+    with pytest.raises(ValueError, match="unknown setting 'ring'; the settings are closing"):
+        SSRVLADConfig.from_preset("paper", ring=3)
+
+
+@pytest.mark.parametrize(
+    ("image", "working_size", "grid"),
+    [
+        ((360, 480), 120, (120, 160)),
+        ((1024, 1024), 120, (120, 120)),
+        ((1024, 2048), 120, (120, 240)),
+        ((480, 360), 120, (160, 120)),
+        ((100, 300), 120, (100, 300)),
+        ((721, 1283), 120, (120, 214)),
+        ((360, 480), None, (360, 480)),
+        ((1, 1), 1, (1, 1)),
+    ],
+)
+def test_grid_keeps_the_aspect_and_never_enlarges(image, working_size, grid):
+    assert SSRVLADConfig(working_size=working_size).grid(*image) == grid
+
+
+def test_pixels_of_fractions():
+    config = SSRVLADConfig()
+    assert config.radius_pixels(0.01, 360, 480) == 4
+    assert config.radius_pixels(0.01, 120, 160) == 1
+    assert config.radius_pixels(0.0, 360, 480) == 0
+    assert config.area_pixels(0.001, 100, 100) == 10
+    assert config.area_pixels(0.001, 100, 101) == 11  # 10 pixels are fewer than 10.1
+    assert config.area_pixels(0.0, 100, 100) == 0
+
+
+def test_rings_double_and_end_at_the_radius():
+    limits = SSRVLADConfig(radius=0.5).ring_limits(300, 400)
+    assert limits[-1] == 250**2
+    assert [
+        round((outer / inner) ** 0.5, 2) for inner, outer in zip(limits, limits[1:], strict=False)
+    ] == [2] * 4
+    assert SSRVLADConfig(rings=1).ring_limits(300, 400) == (250**2,)

@@ -1,0 +1,237 @@
+"""The whole method against the reference, and what the module accepts and refuses."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from cases import assert_equals_reference, camvid_labels, degenerate, hand_drawn, needs_camvid
+from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.config import CONTEXTS, PRESETS, THINNINGS
+from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
+
+DEFAULT = SSRVLADConfig.from_preset("default", labels_as=SPACE)
+PAPER = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
+BARE = dataclasses.replace(PAPER, closing=0.0, hole_area=0.0, region_area=0.0)
+
+presets = pytest.mark.parametrize("preset", PRESETS)
+
+
+def batch_of_blobs(count: int = 3, height: int = 61, width: int = 83) -> torch.Tensor:
+    return torch.from_numpy(np.stack([blobs(seed, height, width, 13) for seed in range(count)]))
+
+
+@pytest.mark.parametrize("config", [DEFAULT, PAPER, BARE], ids=["default", "paper", "bare"])
+@pytest.mark.parametrize("name", [*degenerate(), *hand_drawn()])
+def test_equals_the_reference_on_degenerate_and_drawn_maps(name, config):
+    assert_equals_reference({**degenerate(), **hand_drawn()}[name], config)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 70),
+    width=st.integers(1, 70),
+    grain=st.floats(1.5, 20),
+    config=st.builds(
+        SSRVLADConfig,
+        labels_as=st.just(SPACE),
+        working_size=st.sampled_from([None, 5, 17, 32]),
+        opening=st.sampled_from([0.0, 0.02, 0.05]),
+        closing=st.sampled_from([0.0, 0.05, 0.1]),
+        hole_area=st.floats(0, 0.1),
+        region_area=st.floats(0, 0.05),
+        thinning=st.sampled_from(THINNINGS),
+        rings=st.integers(1, 6),
+        sectors=st.sampled_from([1, 4, 7, 12]),
+        radius=st.floats(0.05, 1.0),
+        inner_radius=st.floats(0.02, 1.0),
+        context=st.sampled_from(CONTEXTS),
+    ),
+)
+def test_equals_the_reference_on_blobs_with_any_settings(seed, height, width, grain, config):
+    assert_equals_reference(blobs(seed, height, width, grain), config)
+
+
+@presets
+def test_equals_the_reference_in_the_synthetic_city(preset):
+    config = SSRVLADConfig.from_preset(preset, labels_as="cityscapes-ids")
+    city = SyntheticCity(seed=3)
+    for frame in city.traverse(3, QUERY, (180, 240), "cityscapes-ids"):
+        assert_equals_reference(frame.labels, config)
+
+
+@needs_camvid
+@presets
+def test_equals_the_reference_on_camvid(preset):
+    for labels in camvid_labels(every=150):
+        assert_equals_reference(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE))
+
+
+@pytest.mark.slow
+@needs_camvid
+@presets
+def test_equals_the_reference_on_all_of_camvid(preset):
+    for labels in camvid_labels(every=1):
+        assert_equals_reference(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE))
+
+
+@presets
+def test_a_batch_equals_its_images(preset):
+    head, batch = SSRVLAD.from_preset(preset, labels_as=SPACE), batch_of_blobs()
+    singly = torch.cat([head(image[None]) for image in batch])
+    assert torch.equal(head(batch), singly)
+
+
+def test_shape_dtype_and_length():
+    descriptors = SSRVLAD(DEFAULT)(batch_of_blobs())
+    assert descriptors.shape == (3, 480)
+    assert descriptors.dtype == torch.float32
+    torch.testing.assert_close(descriptors.norm(dim=1), torch.ones(3))
+
+
+@pytest.mark.parametrize(
+    "dtype",
+    [
+        torch.int8,
+        torch.int16,
+        torch.uint16,
+        torch.int32,
+        torch.uint32,
+        torch.int64,
+        torch.uint64,
+    ],
+)
+def test_any_integer_dtype(dtype):
+    head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
+    assert torch.equal(head(batch.to(dtype)), head(batch))
+
+
+def test_views_that_are_not_contiguous():
+    head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
+    turned = batch.transpose(1, 2)
+    assert not turned.is_contiguous()
+    assert torch.equal(head(turned), head(turned.contiguous()))
+    assert torch.equal(head(batch[:, ::2, ::3]), head(batch[:, ::2, ::3].contiguous()))
+    assert torch.equal(head(batch[:1].expand(2, -1, -1)), head(batch[:1].repeat(2, 1, 1)))
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("classes", [11, 12])
+def test_class_scores_take_the_best_class(dtype, classes):
+    head = SSRVLAD(DEFAULT)
+    labels = batch_of_blobs().clamp(max=classes - 1).long()
+    scores = torch.nn.functional.one_hot(labels, classes).movedim(-1, 1).to(dtype)
+    assert torch.equal(head(scores), head(labels))
+
+
+def test_of_equal_scores_the_first_class_wins():
+    head = SSRVLAD(DEFAULT)
+    scores = torch.zeros(1, 11, 20, 20)
+    scores[:, ROAD] = scores[:, TREE] = float("inf")
+    assert torch.equal(head(scores), head(torch.full((1, 20, 20), ROAD)))
+
+
+def test_an_empty_image_is_zero_and_flagged():
+    labels = torch.full((3, 40, 50), VOID)
+    labels[1] = CAR
+    labels[2] = TREE
+    labels[2, :20] = ROAD
+    view = SSRVLAD(DEFAULT).explain(labels)
+    assert view.empty.tolist() == [True, True, False]
+    assert not view.descriptor[:2].any()
+
+
+def test_explain_shows_every_step():
+    head, batch = SSRVLAD(DEFAULT), batch_of_blobs(2)
+    view = head.explain(batch)
+    for masks in (view.layers, view.clean_layers, view.skeleton, view.keypoints):
+        assert masks.shape == (2, 8, 61, 83)
+        assert masks.dtype == torch.bool
+    assert view.centres.shape == (2, 8, 2)
+    assert view.point_histograms.shape == view.centre_histograms.shape == (2, 8, 5, 12)
+    assert torch.equal(view.descriptor, head(batch))
+    assert torch.equal(view.keypoints, view.end_points | view.intersections)
+    assert (view.skeleton <= view.clean_layers).all()
+    assert (view.keypoints <= view.skeleton).all()
+
+
+def test_the_working_size_reduces_and_never_enlarges():
+    large = torch.zeros(1, 240, 480, dtype=torch.uint8)
+    assert SSRVLAD(DEFAULT).explain(large).layers.shape == (1, 8, 120, 240)
+    assert SSRVLAD(DEFAULT).explain(large[:, :50]).layers.shape == (1, 8, 50, 480)
+    assert SSRVLAD(PAPER).explain(large).layers.shape == (1, 8, 240, 480)
+
+
+def test_it_has_no_weights_and_no_state():
+    head = SSRVLAD(DEFAULT)
+    assert not list(head.parameters())
+    assert not head.state_dict()
+    assert "default" in repr(head)
+    assert head.config.fingerprint in repr(head)
+
+
+def test_the_input_is_left_alone():
+    batch = batch_of_blobs()
+    before = batch.clone()
+    SSRVLAD(DEFAULT)(batch)
+    assert torch.equal(batch, before)
+
+
+def test_inference_mode():
+    head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
+    with torch.inference_mode():
+        descriptors = head(batch)
+    assert torch.equal(descriptors, head(batch))
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        (torch.zeros(1, 4, 4), r"must hold integer ids, got \(1, 4, 4\) float32"),
+        (torch.zeros(1, 4, 4, dtype=torch.bool), "must hold integer ids"),
+        (torch.zeros(1, 11, 4, 4, dtype=torch.int64), "class scores must be floating point"),
+        (torch.zeros(4, 4, dtype=torch.uint8), r"wanted \(B, H, W\) label ids or .* got \(4, 4\)"),
+        (torch.tensor(3), "wanted .*label ids"),
+        (torch.zeros(1, 4, 4, dtype=torch.complex64), "wanted .*label ids"),
+        (torch.zeros(0, 4, 4, dtype=torch.uint8), "at least one image of at least one pixel"),
+        (torch.zeros(2, 0, 4, dtype=torch.uint8), r"at least one pixel, got \(2, 0, 4\)"),
+        (torch.zeros(1, 19, 4, 4), "have 19 classes; label space camvid-11 wants 11 or 12"),
+        (torch.full((1, 11, 2, 2), torch.nan), "hold 44 NaN values"),
+        (torch.full((1, 2, 2), 12), r"label id 12 \(4 pixels\) is not in label space camvid-11"),
+    ],
+)
+def test_bad_input_is_named(labels, message):
+    with pytest.raises(ValueError, match=message) as error:
+        SSRVLAD(DEFAULT)(labels)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("thinning", THINNINGS)
+def test_compiled_equals_eager(thinning):
+    config = dataclasses.replace(DEFAULT, thinning=thinning)
+    head, compiled = SSRVLAD(config), SSRVLAD(config)
+    compiled.compile()
+    for shape in ((3, 61, 83), (2, 37, 150), (1, 240, 320)):
+        batch = batch_of_blobs(*shape)
+        assert torch.equal(compiled(batch), head(batch))
+    assert torch.equal(compiled.explain(batch).skeleton, head.explain(batch).skeleton)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
+@presets
+def test_cuda_equals_cpu(preset):
+    head, batch = SSRVLAD.from_preset(preset, labels_as=SPACE), batch_of_blobs()
+    expected = head.explain(batch)
+    view = head.to("cuda").explain(batch.to("cuda"))
+    for field in dataclasses.fields(view):
+        got, wanted = getattr(view, field.name).cpu(), getattr(expected, field.name)
+        torch.testing.assert_close(
+            got, wanted, rtol=0, atol=1e-7 if field.name == "descriptor" else 0
+        )

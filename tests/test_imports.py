@@ -1,0 +1,91 @@
+"""Data flows one way, and what is heavy is imported only where it is used."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import ssrvlad_torch
+
+PACKAGE = Path(ssrvlad_torch.__file__).parent
+
+ALLOWED = {
+    "config": set(),
+    "files": set(),
+    "bitplanes": set(),
+    "taxonomy": set(),
+    "matching": set(),
+    "stages": {"bitplanes", "taxonomy"},
+    "descriptor": {"bitplanes", "config", "stages", "taxonomy"},
+    "reference": {"config", "taxonomy"},
+    "database": {"config", "files", "matching"},
+    "evaluation": {"database"},
+    "datasets": {"database", "files", "taxonomy"},
+    "encoding": {"database", "datasets", "descriptor"},
+    "show": {"datasets", "descriptor", "files", "taxonomy"},
+}
+"""Rooms that each room may import from. Those not listed, at the top, may import anything."""
+
+
+def imported_rooms(file: Path) -> set[str]:
+    """Rooms of this package that a file imports from."""
+    inside = file.relative_to(PACKAGE).parts
+    rooms = set()
+    for node in ast.walk(ast.parse(file.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            base = inside[: len(inside) - node.level]
+            path = [*base, *(node.module or "").split(".")] if node.module else [*base]
+            rooms |= {path[0]} if path else {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert not (node.module or "").startswith("ssrvlad_torch"), f"{file}: import relatively"
+    return rooms
+
+
+@pytest.mark.parametrize("room", ALLOWED)
+def test_rooms_import_only_what_lies_below(room):
+    files = [PACKAGE / f"{room}.py"] if (PACKAGE / f"{room}.py").exists() else []
+    files += (PACKAGE / room).rglob("*.py")
+    assert files
+    for file in files:
+        assert imported_rooms(file) - {room} <= ALLOWED[room], file
+
+
+def test_stages_import_no_other_stage():
+    for file in (PACKAGE / "stages").glob("*.py"):
+        assert "stages" not in imported_rooms(file), file
+
+
+def test_the_package_loads_without_the_extras():
+    """Core stays light: neither scikit-image, scipy, matplotlib nor kornia comes with an import."""
+    heavy = ("skimage", "scipy", "matplotlib", "kornia", "onnxruntime", "sklearn")
+    code = (
+        "import sys, ssrvlad_torch, ssrvlad_torch.cli, ssrvlad_torch.demo, ssrvlad_torch.show;"
+        f"print([m for m in {heavy!r} if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_help_does_not_load_torch():
+    code = "import sys, ssrvlad_torch.cli; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("module", ["reference", "show"])
+def test_a_missing_extra_is_named(module, tmp_path):
+    code = {
+        "reference": "import ssrvlad_torch.reference",
+        "show": "import numpy as np, pathlib; from ssrvlad_torch import SSRVLAD, show;"
+        "show.draw(np.zeros((9, 9), int), SSRVLAD(), pathlib.Path('x.png'), '')",
+    }[module]
+    blocked = "import sys; sys.modules['skimage'] = sys.modules['matplotlib'] = None;"
+    done = subprocess.run(
+        [sys.executable, "-c", blocked + code], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert "pip install ssrvlad-torch[eval]" in done.stderr
+    assert not (tmp_path / "x.png").exists()
