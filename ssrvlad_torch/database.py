@@ -32,6 +32,7 @@ from .matching import temporal_sum
 FORMAT = "ssrvlad-database"
 FORMAT_VERSION = 1
 _MANIFEST = "manifest.json"
+_LOCK = "lock"
 _PART_NAME = re.compile(r"part-\d{6,}\.parquet")
 
 
@@ -111,15 +112,20 @@ class Database:
         """A new, empty database.
 
         Raises:
-            ValueError: something is there: a file or a folder that is not empty.
+            ValueError: something is there: a file, or a folder that is not empty.
             OSError: it cannot be written.
         """
         path = Path(path)
-        if path.is_file() or (path.is_dir() and any(path.iterdir())):
+        if cls.exists(path):
+            raise ValueError(f"{path} is a database already")
+        if path.is_file() or (path.is_dir() and not _is_vacant(path)):
             raise ValueError(f"{path} is there and is no database; wanted a new or an empty folder")
         path.mkdir(parents=True, exist_ok=True)
         database = cls(path, config, ())
-        database._write_manifest()
+        with database._locked():
+            if cls.exists(path):
+                raise ValueError(f"{path} is a database already")
+            database._write_manifest(())
         return database
 
     @classmethod
@@ -127,11 +133,21 @@ class Database:
         """An existing database.
 
         Raises:
-            ValueError: the folder is no database, or its manifest is damaged or of another format.
+            ValueError: the folder is no database, its manifest is damaged or of another format, or
+                its settings give other descriptors in this version of the method.
         """
         path = Path(path)
         manifest = _read_manifest(path)
-        return cls(path, SSRVLADConfig.from_dict(manifest["config"]), tuple(manifest["parts"]))
+        try:
+            config = SSRVLADConfig.from_dict(manifest["config"])
+        except ValueError as error:
+            raise ValueError(f"{path} has settings of another version: {error}") from error
+        if config.fingerprint != manifest["fingerprint"]:
+            raise ValueError(
+                f"{path} has fingerprint {manifest['fingerprint']}, made by another version of the "
+                f"method; the same settings have {config.fingerprint} here: encode it anew"
+            )
+        return cls(path, config, tuple(manifest["parts"]))
 
     @classmethod
     def open_or_create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
@@ -182,7 +198,8 @@ class Database:
             descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
 
         Raises:
-            ValueError: the numbers do not fit, or an id is there already.
+            ValueError: the numbers do not fit or are not finite, an id is there already, or another
+                process is writing.
             OSError: the disk refused; the database is as it was.
         """
         if descriptors.shape != (len(records), self.config.length):
@@ -190,17 +207,22 @@ class Database:
                 f"wanted ({len(records)}, {self.config.length}) descriptors for "
                 f"{len(records)} frames, got {tuple(descriptors.shape)}"
             )
+        if not bool(torch.isfinite(descriptors).all()):
+            raise ValueError("descriptors hold values that are not finite")
         if not records:
             return
         with self._locked():
-            self._parts = tuple(_read_manifest(self.path)["parts"])
+            current = Database.open(self.path)
+            current.require(self.config)
+            self._parts = current._parts
             _refuse_repeated(records, self.digests(), self.path)
             name = f"part-{len(self._parts):06d}.parquet"
             table = _to_table(records, descriptors)
             with replacing(self.path / name) as temporary:
                 pq.write_table(table, temporary, write_page_checksum=True)
-            self._parts = (*self._parts, {"file": name, "rows": len(records)})
-            self._write_manifest()
+            parts = (*self._parts, {"file": name, "rows": len(records)})
+            self._write_manifest(parts)
+            self._parts = parts
 
     def digests(self) -> dict[str, str]:
         """Digest of the label map of every frame, by the frame's id."""
@@ -218,7 +240,7 @@ class Database:
             ValueError: a part is missing or damaged; the message names it.
         """
         tables = [self._read_part(part, columns) for part in self._parts]
-        return pa.concat_tables(tables) if tables else _schema(self.config.length).empty_table()
+        return pa.concat_tables([_schema(self.config.length, columns).empty_table(), *tables])
 
     def load(self, temporal: int = 0) -> FrameSet:
         """All frames in memory.
@@ -250,19 +272,22 @@ class Database:
         path = self.path / part["file"]
         try:
             table = pq.read_table(path, columns=columns, page_checksum_verification=True)
+            table.validate(full=True)
         except (OSError, pa.ArrowException) as error:
             raise ValueError(f"{path} is missing or damaged: {_one_line(error)}") from error
+        if not table.schema.equals(_schema(self.config.length, columns)):
+            raise ValueError(f"{path} is damaged: its columns are not those of a database")
         if table.num_rows != part["rows"]:
             raise ValueError(f"{path} has {table.num_rows} rows; the manifest wants {part['rows']}")
         return table
 
-    def _write_manifest(self) -> None:
+    def _write_manifest(self, parts: tuple[dict[str, Any], ...]) -> None:
         manifest = {
             "format": FORMAT,
             "format_version": FORMAT_VERSION,
             "fingerprint": self.fingerprint,
             "config": self.config.to_dict(),
-            "parts": list(self._parts),
+            "parts": list(parts),
         }
         manifest["checksum"] = _checksum(manifest)
         with replacing(self.path / _MANIFEST) as temporary:
@@ -270,7 +295,7 @@ class Database:
 
     @contextmanager
     def _locked(self) -> Iterator[None]:
-        with (self.path / "lock").open("w") as file:
+        with (self.path / _LOCK).open("w") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
@@ -279,9 +304,17 @@ class Database:
 
 
 def natural_key(name: str) -> list[tuple[int, int, str]]:
-    """Sort key that puts ``frame10`` after ``frame9``, as a person would."""
+    """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
     pieces = re.split(r"(\d+)", name)
-    return [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in pieces if p]
+    key = [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in pieces if p]
+    return [*key, (-1, 0, name)]
+
+
+def _is_vacant(folder: Path) -> bool:
+    """Whether a folder is empty but for what a `Database.create` that was killed leaves behind."""
+    return all(
+        entry.name == _LOCK or entry.name.startswith(f".{_MANIFEST}.") for entry in folder.iterdir()
+    )
 
 
 def _refuse_repeated(records: Sequence[FrameRecord], known: Container[str], path: Path) -> None:
@@ -292,9 +325,9 @@ def _refuse_repeated(records: Sequence[FrameRecord], known: Container[str], path
         seen.add(record.frame)
 
 
-def _schema(length: int) -> pa.Schema:
+def _schema(length: int, columns: list[str] | None = None) -> pa.Schema:
     text = pa.dictionary(pa.int32(), pa.string())
-    return pa.schema(
+    schema = pa.schema(
         [
             ("sequence", text),
             ("name", pa.string()),
@@ -308,6 +341,7 @@ def _schema(length: int) -> pa.Schema:
             ("descriptor", pa.list_(pa.float32(), length)),
         ]
     )
+    return schema if columns is None else pa.schema([schema.field(name) for name in columns])
 
 
 def _to_table(records: Sequence[FrameRecord], descriptors: Tensor) -> pa.Table:

@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and the names of folders."""
 
 from __future__ import annotations
 
@@ -25,6 +25,15 @@ def replacing(path: Path) -> Iterator[Path]:
         _flush(path.parent)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def absolute_folder(folder: Path) -> Path:
+    """A folder's absolute path, so that ``.`` and ``..`` too have a name and a parent.
+
+    A symbolic link keeps the name that it was given.
+    """
+    path = folder.absolute()
+    return path.resolve() if path.name == ".." else path
 
 
 def _flush(path: Path) -> None:

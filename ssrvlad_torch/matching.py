@@ -63,9 +63,9 @@ def match(
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
             found = _cosines(F.normalize(queries[part].float(), dim=1), block, norms)
-            best = found.topk(min(top, len(block)), dim=1)
+            best, rows = _best(found, min(top, len(block)))
             scores[part], indices[part] = _merge(
-                (scores[part], indices[part]), (best.values, best.indices + first)
+                (scores[part], indices[part]), (best, rows + first)
             )
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
@@ -99,6 +99,7 @@ def temporal_sum(descriptors: Vectors, sequences: Sequence[str], reach: int) -> 
         raise ValueError(f"the temporal reach must be 0 or more frames, got {reach}")
     number = torch.from_numpy(np.unique(np.asarray(sequences, str), return_inverse=True)[1])
     total = torch.zeros_like(single)
+    reach = min(reach, max(0, len(single) - 1))
     for offset in range(-reach, reach + 1):
         here = slice(max(0, -offset), len(single) - max(0, offset))
         there = slice(max(0, offset), len(single) - max(0, -offset))
@@ -111,6 +112,21 @@ def _cosines(queries: Tensor, references: Tensor, norms: Tensor) -> Tensor:
     """Cosines, -inf where either vector is zero."""
     nonzero = (norms > 0) & queries.any(dim=1, keepdim=True)
     return torch.where(nonzero, queries @ references.T / norms, -torch.inf)
+
+
+def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
+    """The highest scores of each row and their columns, the first of equals.
+
+    ``topk`` takes any of several equal scores. Where more columns than ``top`` reach the last
+    score that it took, a stable sort decides.
+    """
+    best, columns = scores.topk(top, dim=1)
+    last = best[:, -1:]
+    unclear = ((scores >= last).sum(dim=1) > top) & last[:, 0].isfinite()
+    if bool(unclear.any()):
+        ranked = scores[unclear].sort(dim=1, descending=True, stable=True)
+        best[unclear], columns[unclear] = ranked.values[:, :top], ranked.indices[:, :top]
+    return best, columns
 
 
 def _merge(kept: tuple[Tensor, Tensor], found: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:

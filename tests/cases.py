@@ -51,7 +51,7 @@ def camvid_labels(every: int) -> list[npt.NDArray[np.uint8]]:
 
 def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConfig) -> None:
     """The module and the reference agree on one label map at every step."""
-    view = SSRVLAD(config).explain(torch.from_numpy(labels)[None])
+    view = SSRVLAD(config).explain(torch.tensor(labels)[None])
     traces = reference.trace_layers(labels, config)
     for k, trace in enumerate(traces):
         for name, expected, got in (

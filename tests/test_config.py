@@ -1,4 +1,5 @@
 import dataclasses
+from itertools import pairwise
 
 import pytest
 
@@ -113,7 +114,5 @@ def test_pixels_of_fractions():
 def test_rings_double_and_end_at_the_radius():
     limits = SSRVLADConfig(radius=0.5).ring_limits(300, 400)
     assert limits[-1] == 250**2
-    assert [
-        round((outer / inner) ** 0.5, 2) for inner, outer in zip(limits, limits[1:], strict=False)
-    ] == [2] * 4
+    assert [round((outer / inner) ** 0.5, 2) for inner, outer in pairwise(limits)] == [2] * 4
     assert SSRVLADConfig(rings=1).ring_limits(300, 400) == (250**2,)

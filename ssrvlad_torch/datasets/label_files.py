@@ -5,19 +5,23 @@ from __future__ import annotations
 import glob
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from numpy.lib.format import open_memmap
 from PIL import Image
+from PIL.ImageFile import ImageFile
 
 from ..database import natural_key
+from ..files import absolute_folder
 from ..taxonomy import LabelSpace
 from .poses import UNKNOWN, Pose, find_poses
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
+_FORMATS = ("PNG", "TIFF", "BMP")
 _SIXTEEN_BIT_LOW_BYTE = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L", "LA;16B": "RGBA"}
 
 LabelMap = npt.NDArray[np.integer[Any]]
@@ -52,9 +56,9 @@ def find_label_files(
     """The frames of some sources, sorted by sequence and name as a person would.
 
     Args:
-        sources: folders, globs or files. The files of a folder are one sequence with the
-            folder's name; a ``.npy`` file of rank 3 is a stack of label maps, and given by
-            itself is a sequence with the file's name.
+        sources: folders, files, or globs of files or folders. The files of a folder are one
+            sequence with the folder's name; hidden ones are passed over. A ``.npy`` file of rank
+            3 is a stack of label maps, and given by itself is a sequence with the file's name.
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
 
@@ -68,7 +72,7 @@ def find_label_files(
     for source in sources:
         for file in _with_poses(_expand(source, sequence)):
             earlier = found.setdefault(file.frame, file)
-            if (earlier.path.absolute(), earlier.row) != (file.path.absolute(), file.row):
+            if (earlier.path.resolve(), earlier.row) != (file.path.resolve(), file.row):
                 raise ValueError(
                     f"frame {file.frame!r} is both {earlier.path} and {file.path}; "
                     "give one of them another --sequence"
@@ -89,22 +93,21 @@ def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
     whose colours are those of the label space, and ``.npy``.
 
     Returns:
-        ``(H, W)`` uint8, uint16 or another integer dtype.
+        ``(H, W)``, an integer dtype of torch in the machine's byte order: uint8, uint16, signed.
 
     Raises:
-        ValueError: the file is missing, damaged, of another kind, or holds a colour that the
-            label space does not have; the message says which.
+        ValueError: the file is missing, damaged, of another kind, has a name that is no text, or
+            holds a colour that the label space does not have; the message says which.
     """
     try:
-        if file.path.suffix == ".npy":
-            labels = _read_npy(file)
-        else:
-            labels = _read_image(file.path, space)
-    except (OSError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
-        raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
+        file.frame.encode()
+        labels = _read_npy(file) if _is_npy(file.path) else _read_image(file.path, space)
+    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+        reason = getattr(error, "strerror", None) or str(error)
+        raise ValueError(" ".join(reason.split()) or type(error).__name__) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
         raise ValueError(f"wanted an (H, W) integer label map, got {labels.shape} {labels.dtype}")
-    return labels
+    return _with_dtype_of_torch(labels)
 
 
 def digest(labels: LabelMap) -> str:
@@ -116,33 +119,35 @@ def digest(labels: LabelMap) -> str:
 
 
 def _expand(source: str, sequence: str | None) -> list[LabelFile]:
-    path = Path(source)
-    if path.is_dir():
-        files = [entry for entry in path.iterdir() if entry.is_file()]
-        return _require(source, [f for file in files for f in _frames(file, sequence)])
-    if path.is_file():
-        if path.suffix == ".npy" and sequence is None and _stack_length(path) is not None:
-            sequence = path.stem
-        return _require(source, list(_frames(path, sequence)))
-    files = [Path(match) for match in glob.glob(source, recursive=True)]
-    if not files:
+    if Path(source).exists():
+        places = [Path(source)]
+    else:
+        matches = [Path(match) for match in glob.glob(source, recursive=True)]
+        places = [match for match in matches if not match.is_dir()] or matches
+    if not places:
         raise ValueError(f"{source} does not exist and matches no file")
-    return _require(
-        source, [f for file in files if file.is_file() for f in _frames(file, sequence)]
-    )
-
-
-def _require(source: str, files: list[LabelFile]) -> list[LabelFile]:
+    files = [file for place in places for file in _frames_at(place, sequence)]
     if not files:
         raise ValueError(f"{source} holds no label maps; wanted {', '.join(SUFFIXES)} files")
     return files
 
 
+def _frames_at(place: Path, sequence: str | None) -> Iterator[LabelFile]:
+    """The frames of a folder or a file. A link to nothing is a frame, refused when it is read."""
+    if place.is_dir():
+        for entry in place.iterdir():
+            if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
+                yield from _frames(entry, sequence)
+    else:
+        stack = _is_npy(place) and _stack_length(place) is not None
+        yield from _frames(place, sequence or (place.stem if stack else None))
+
+
 def _frames(path: Path, sequence: str | None) -> Iterator[LabelFile]:
     if path.suffix.lower() not in SUFFIXES:
         return
-    sequence = sequence or path.absolute().parent.name
-    length = _stack_length(path) if path.suffix == ".npy" else None
+    sequence = sequence or absolute_folder(path.parent).name
+    length = _stack_length(path) if _is_npy(path) else None
     if length is None:
         yield LabelFile(sequence, path.stem, path)
     else:
@@ -150,34 +155,54 @@ def _frames(path: Path, sequence: str | None) -> Iterator[LabelFile]:
             yield LabelFile(sequence, f"{path.stem}-{row:06d}", path, row)
 
 
+def _is_npy(path: Path) -> bool:
+    return path.suffix.lower() == ".npy"
+
+
 def _stack_length(path: Path) -> int | None:
     """Label maps in a ``.npy`` stack; ``None`` for a single one or a file that cannot be read,
     which is refused by name when its turn comes."""
     try:
-        array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (OSError, ValueError, EOFError):
+        array = open_memmap(path, mode="r")
+    except Exception:  # as in read_label_map
         return None
     return len(array) if array.ndim == 3 else None
 
 
 def _with_poses(files: list[LabelFile]) -> Iterator[LabelFile]:
+    """The files with the poses of their ids, of ``<folder>/<name>``, or of their bare names."""
     poses = {folder: find_poses(folder) for folder in {file.path.parent for file in files}}
     for file in files:
-        known = poses[file.path.parent]
-        pose = known.get(file.frame, known.get(file.name, UNKNOWN))
-        yield LabelFile(file.sequence, file.name, file.path, file.row, pose)
+        known, folder = poses[file.path.parent], absolute_folder(file.path.parent).name
+        ids = (file.frame, f"{folder}/{file.name}", file.name)
+        pose = next((known[frame] for frame in ids if frame in known), UNKNOWN)
+        yield replace(file, pose=pose)
+
+
+def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
+    """In the machine's byte order; wide unsigned ids signed, lest torch narrow one to a known id."""
+    if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
+        return np.minimum(labels, np.iinfo(np.int64).max).astype(np.int64)
+    return labels.astype(labels.dtype.newbyteorder("="), copy=False)
 
 
 def _read_npy(file: LabelFile) -> npt.NDArray[Any]:
-    array = np.load(file.path, mmap_mode="r", allow_pickle=False)
-    return np.asarray(array if file.row is None else array[file.row]).copy()
+    array = open_memmap(file.path, mode="r")
+    return np.array(array if file.row is None else array[file.row])
 
 
 def _read_image(path: Path, space: LabelSpace) -> npt.NDArray[Any]:
-    with Image.open(path) as image:
-        raw_mode = image.tile[0].args if image.tile else ""
-        if isinstance(raw_mode, str) and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
+    with Image.open(path, formats=_FORMATS) as image:
+        image.verify()  # the checksums of PNG, which decoding passes over
+    with Image.open(path, formats=_FORMATS) as image:
+        raw_mode = _raw_mode(image)
+        if image.format == "PNG" and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
             return _first_of_sixteen_bit_channels(path, raw_mode)
+        if image.mode in ("L", "LA", "RGB", "RGBA") and ";" in raw_mode:
+            raise ValueError(
+                f"pixels stored as {raw_mode} would be read scaled; wanted gray of 8 or 16 bits, "
+                "or colours of 8, or 16 in a PNG"
+            )
         pixels = np.asarray(image)
         if image.mode in ("L", "P", "I", "I;16", "I;16B", "I;16L"):
             return pixels
@@ -186,6 +211,12 @@ def _read_image(path: Path, space: LabelSpace) -> npt.NDArray[Any]:
         if image.mode in ("RGB", "RGBA"):
             return _ids_of_colours(pixels[..., :3], space)
         raise ValueError(f"wanted a label image, got an image of mode {image.mode}")
+
+
+def _raw_mode(image: ImageFile) -> str:
+    """How the file stores a pixel, in Pillow's words: the decoder's argument, or its first."""
+    arguments = image.tile[0].args if image.tile else ""
+    return str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
 
 
 def _first_of_sixteen_bit_channels(path: Path, raw_mode: str) -> npt.NDArray[Any]:

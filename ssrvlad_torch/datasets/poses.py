@@ -6,6 +6,8 @@ import csv
 from pathlib import Path
 from typing import NamedTuple
 
+from ..files import absolute_folder
+
 FILE_NAME = "poses.csv"
 
 
@@ -26,7 +28,7 @@ def find_poses(folder: Path) -> dict[str, Pose]:
     Raises:
         ValueError: the file is damaged; see `read_poses`.
     """
-    for place in (folder, folder.parent):
+    for place in (folder, absolute_folder(folder).parent):
         if (place / FILE_NAME).is_file():
             return read_poses(place / FILE_NAME)
     return {}
@@ -38,18 +40,19 @@ def read_poses(path: Path) -> dict[str, Pose]:
     The columns ``frame``, ``x`` and ``y`` are wanted, ``heading`` may be left out.
 
     Raises:
-        ValueError: a column is missing or a value is no number; the message names the line.
+        ValueError: the file is no such table, a column is missing or a value is no number; the
+            message names the file, and the line.
     """
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = csv.DictReader(file)
-        missing = {"frame", "x", "y"} - set(rows.fieldnames or ())
-        if missing:
-            raise ValueError(f"{path} has no column {min(missing)!r}; wanted frame,x,y,heading")
-        poses = {}
-        for row in rows:
-            try:
-                heading = float(row.get("heading") or "nan")
-                poses[row["frame"]] = Pose(float(row["x"]), float(row["y"]), heading)
-            except (TypeError, ValueError) as error:
-                raise ValueError(f"{path} line {rows.line_num}: {error}") from error
-    return poses
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        rows = csv.DictReader(file, restval="", skipinitialspace=True)
+        try:
+            missing = {"frame", "x", "y"} - set(rows.fieldnames or ())
+            if missing:
+                raise ValueError(f"no column {min(missing)!r}; wanted frame,x,y,heading")
+            return {row["frame"]: _pose(row) for row in rows}
+        except (csv.Error, ValueError) as error:
+            raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+
+
+def _pose(row: dict[str, str]) -> Pose:
+    return Pose(float(row["x"]), float(row["y"]), float(row.get("heading") or "nan"))

@@ -27,7 +27,7 @@ def from_json(path: str | Path, queries: Sequence[str], references: Sequence[str
         pairs = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise ValueError(f"cannot read the ground truth {path}: {error}") from error
-    if not isinstance(pairs, dict) or not all(isinstance(ids, list) for ids in pairs.values()):
+    if not isinstance(pairs, dict) or not all(_is_list_of_ids(ids) for ids in pairs.values()):
         raise ValueError(f'{path} must hold {{"<query id>": ["<reference id>", ...], ...}}')
     row = {frame: number for number, frame in enumerate(references)}
     truth = []
@@ -39,6 +39,10 @@ def from_json(path: str | Path, queries: Sequence[str], references: Sequence[str
             raise ValueError(f"{path} names reference {strange[0]!r}, which is not in the database")
         truth.append(np.array(sorted(row[frame] for frame in pairs[query]), np.int64))
     return truth
+
+
+def _is_list_of_ids(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(frame, str) for frame in value)
 
 
 def from_poses(
@@ -54,7 +58,7 @@ def from_poses(
     Raises:
         ValueError: a pose is missing (NaN), or the distance is negative.
     """
-    if metres < 0:
+    if not metres >= 0:
         raise ValueError(f"the tolerance must be 0 metres or more, got {metres}")
     for name, poses in (("queries", queries), ("references", references)):
         missing = int(np.isnan(poses[:, :2]).any(axis=1).sum())

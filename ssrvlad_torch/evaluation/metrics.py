@@ -43,7 +43,7 @@ class PrecisionRecall:
             return 0.0 if len(self.precision) == 0 else float("nan")
         recall = np.concatenate(([0.0], self.recall))
         precision = np.concatenate((self.precision[:1], self.precision))
-        return float(np.trapezoid(precision, recall))
+        return float(np.diff(recall) @ (precision[1:] + precision[:-1]) / 2)
 
     @property
     def recall_at_full_precision(self) -> float:
@@ -64,9 +64,12 @@ def recall_rate(indices: npt.NDArray[np.int64], truth: Truth, n: int) -> float:
         0 to 1; NaN if no query has a true match.
 
     Raises:
-        ValueError: fewer candidates than ``n`` were kept, or the numbers of queries differ.
+        ValueError: ``n`` is below 1, fewer candidates than ``n`` were kept, or the numbers of
+            queries differ.
     """
     _check_queries(indices, truth)
+    if n < 1:
+        raise ValueError(f"the N of RecallRate@N must be at least 1, got {n}")
     if n > indices.shape[1]:
         raise ValueError(f"RecallRate@{n} needs {n} candidates a query, got {indices.shape[1]}")
     hits = [

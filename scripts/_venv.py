@@ -1,0 +1,45 @@
+"""Makes or reuses ``.venv``, installs this package into it, and runs commands there.
+
+Needs only Python 3.10 with the standard library. It installs with pip from the package index:
+the core packages and the given extra of pyproject.toml, at the versions of constraints.txt.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+VENV = ROOT / ".venv"
+BIN = VENV / "bin"
+
+
+def install(extra: str) -> None:
+    """Installs the package with an extra, unless that is done already for these very files."""
+    if sys.version_info < (3, 10):  # noqa: UP036 - the very thing to find out
+        sys.exit(f"{Path(sys.argv[0]).name}: wanted Python 3.10 or newer, got {sys.version}")
+    wanted = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
+    content = b"".join(file.read_bytes() for file in wanted)
+    stamp = VENV / f"installed-{extra}-{hashlib.sha256(content).hexdigest()[:16]}"
+    if stamp.exists():
+        return
+    if not (BIN / "python").exists():
+        venv.create(VENV, with_pip=True)
+    print(f"installing ssrvlad-torch[{extra}] into {VENV.name}, a few minutes", flush=True)
+    pip = [BIN / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    constraints = ["--constraint", ROOT / "constraints.txt"]
+    # torch first: a dependency on it is then satisfied by the pinned build
+    for what in (["torch"], ["--editable", f"{ROOT}[{extra}]"]):
+        if subprocess.run([*pip, *constraints, *what], check=False).returncode:
+            sys.exit(f"{Path(sys.argv[0]).name}: pip could not install {' '.join(what)}, see above")
+    stamp.touch()
+
+
+def run(*command: str | Path) -> None:
+    """Runs a command of the environment; ends this script if it fails."""
+    done = subprocess.run([BIN / command[0], *command[1:]], cwd=ROOT, check=False)
+    if done.returncode:
+        sys.exit(done.returncode)

@@ -1,0 +1,77 @@
+"""Label maps on disk, and records of frames that were never seen; shared by the tests."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from drawings import blobs
+from PIL import Image
+from torch import Tensor
+
+from ssrvlad_torch.database import FrameRecord
+
+GRAY, COLOUR, GRAY_ALPHA, COLOUR_ALPHA = 0, 2, 4, 6
+"""Colour types of PNG."""
+
+
+def street(seed: int, height: int = 24, width: int = 32) -> npt.NDArray[np.uint8]:
+    """A small random label map in ``drawings.SPACE``."""
+    return blobs(seed, height, width, 6)
+
+
+def write_street(path: Path, seed: int, height: int = 24, width: int = 32) -> Path:
+    """A small random label map as an image; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(street(seed, height, width)).save(path)
+    return path
+
+
+def write_png(path: Path, pixels: npt.NDArray[np.integer], colour_type: int, bits: int) -> Path:
+    """A PNG of any colour type, ``pixels`` ``(H, W)`` or ``(H, W, C)``; Pillow cannot write all."""
+    height, width = pixels.shape[:2]
+    flat = pixels.reshape(height, -1)
+    if bits == 16:
+        rows = [row.astype(">u2").tobytes() for row in flat]
+    elif bits == 8:
+        rows = [row.astype(np.uint8).tobytes() for row in flat]
+    else:
+        unpacked = flat.astype(np.uint8)[..., None] >> np.arange(bits - 1, -1, -1) & 1
+        rows = [np.packbits(row.ravel()).tobytes() for row in unpacked]
+    header = struct.pack(">IIBBBBB", width, height, bits, colour_type, 0, 0, 0)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + _chunk(b"IHDR", header)
+        + _chunk(b"IDAT", zlib.compress(b"".join(b"\0" + row for row in rows)))
+        + _chunk(b"IEND", b"")
+    )
+    return path
+
+
+def flip_byte(path: Path, position: int) -> None:
+    """Damages one byte of a file."""
+    content = bytearray(path.read_bytes())
+    content[position] ^= 0x55
+    path.write_bytes(content)
+
+
+def record(frame: str, **fields: object) -> FrameRecord:
+    """The record of a frame by its id."""
+    sequence, _, name = frame.rpartition("/")
+    plain = {"labels_as": "camvid-11", "height": 24, "width": 32, "digest": f"digest of {frame}"}
+    return FrameRecord(sequence, name, **{**plain, **fields})  # type: ignore[arg-type]
+
+
+def descriptors(seed: int, count: int, length: int = 480) -> Tensor:
+    """``(count, length)`` float32 of length 1."""
+    numbers = torch.randn(count, length, generator=torch.Generator().manual_seed(seed))
+    return torch.nn.functional.normalize(numbers, dim=1)
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    checksum = struct.pack(">I", zlib.crc32(kind + content))
+    return struct.pack(">I", len(content)) + kind + content + checksum

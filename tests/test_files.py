@@ -1,0 +1,84 @@
+"""Files that are written whole or not at all."""
+
+import errno
+import os
+from pathlib import Path
+
+import pytest
+
+from ssrvlad_torch.files import absolute_folder, replacing
+
+
+def names(folder):
+    return sorted(entry.name for entry in folder.iterdir())
+
+
+@pytest.fixture
+def old(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("old")
+    return path
+
+
+def test_the_new_file_takes_the_place_of_the_old_one(old):
+    with replacing(old) as temporary:
+        temporary.write_text("new")
+        assert old.read_text() == "old"
+        assert temporary.parent == old.parent, "a rename works only inside one file system"
+    assert old.read_text() == "new"
+    assert names(old.parent) == ["file"]
+
+
+def test_an_exception_leaves_the_old_file_and_nothing_else(old):
+    with pytest.raises(KeyboardInterrupt), replacing(old) as temporary:
+        temporary.write_text("half")
+        raise KeyboardInterrupt
+    assert old.read_text() == "old"
+    assert names(old.parent) == ["file"]
+
+
+def test_a_full_disk_leaves_the_old_file_and_nothing_else(old, monkeypatch):
+    def full(descriptor):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"), replacing(old) as temporary:
+        temporary.write_text("new")
+    assert old.read_text() == "old"
+    assert names(old.parent) == ["file"]
+
+
+def test_the_content_is_flushed_before_the_rename_and_the_folder_after_it(old, monkeypatch):
+    flushed = []
+
+    def watch(descriptor):
+        flushed.append((Path(f"/proc/self/fd/{descriptor}").resolve(), old.read_text()))
+
+    monkeypatch.setattr(os, "fsync", watch)
+    with replacing(old) as temporary:
+        temporary.write_text("new")
+    assert flushed == [(temporary.resolve(), "old"), (old.parent.resolve(), "new")]
+
+
+@pytest.mark.parametrize("folder", ["missing", "file"])
+def test_a_place_that_cannot_hold_a_file_is_an_error(old, folder):
+    target = old.parent / folder / "x"
+    with pytest.raises(OSError, match=folder), replacing(target) as temporary:
+        temporary.write_text("new")
+    assert names(old.parent) == ["file"]
+
+
+def test_dots_have_a_name_and_a_parent(tmp_path, monkeypatch):
+    (tmp_path / "maps" / "monday").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path / "maps" / "monday")
+    maps = tmp_path / "maps"
+    assert absolute_folder(Path()) == maps / "monday"
+    assert absolute_folder(Path("..")) == maps
+    assert absolute_folder(Path("../../maps/monday")).name == "monday"
+    assert absolute_folder(Path("../monday/..")).name == "maps"
+
+
+def test_a_link_keeps_its_own_name(tmp_path):
+    (tmp_path / "target").mkdir()
+    (tmp_path / "link").symlink_to(tmp_path / "target")
+    assert absolute_folder(tmp_path / "link").name == "link"

@@ -1,0 +1,159 @@
+"""Ground truth: from a file, from poses, from frame numbers."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_json, from_poses
+
+REFERENCES = ("day/1", "day/2", "day/10")
+
+
+def as_lists(truth):
+    assert all(rows.dtype == np.int64 for rows in truth)
+    return [rows.tolist() for rows in truth]
+
+
+@pytest.fixture
+def written(tmp_path):
+    path = tmp_path / "truth.json"
+
+    def write(content):
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+        return path
+
+    return write
+
+
+def test_pairs_become_rows(written):
+    path = written({"b": [], "a": ["day/10", "day/1"], "unasked": ["nowhere"]})
+    assert as_lists(from_json(path, ["a", "b", "a"], REFERENCES)) == [[0, 2], [], [0, 2]]
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "cannot read the ground truth .*truth.json"),
+        ("", "cannot read the ground truth .*truth.json"),
+        ([["a", "day/1"]], "truth.json must hold"),
+        ({"a": "day/1"}, "truth.json must hold"),
+        ({"a": {"day/1": 1}}, "truth.json must hold"),
+        ({"a": [["day/1"]]}, "truth.json must hold"),
+        ({"a": [1]}, "truth.json must hold"),
+        ({"b": []}, "truth.json has no entry for query a"),
+        ({"a": ["day/1", "day/3"]}, "names reference 'day/3', which is not in the database"),
+    ],
+)
+def test_other_files_are_refused(written, content, message):
+    with pytest.raises(ValueError, match=message):
+        from_json(written(content), ["a"], REFERENCES)
+
+
+def test_a_missing_file_and_a_binary_one_are_refused(tmp_path):
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    for name in ("missing", "binary"):
+        with pytest.raises(ValueError, match=f"cannot read the ground truth .*{name}"):
+            from_json(tmp_path / name, ["a"], REFERENCES)
+
+
+def test_the_distance_includes_its_limit_and_ignores_the_heading():
+    references = np.array([[0, 0, 0], [3, 4, 1], [3, 4.01, 0], [-5, 0, 2]], float)
+    queries = np.array([[0, 0, 9], [100, 0, math.nan]], float)
+    assert as_lists(from_poses(queries, references, 5)) == [[0, 1, 3], []]
+    assert as_lists(from_poses(queries, references, 0)) == [[0], []]
+    assert as_lists(from_poses(queries[:0], references, 5)) == []
+    assert as_lists(from_poses(queries, references[:0], 5)) == [[], []]
+
+
+@pytest.mark.parametrize("hole", [(0, 0), (0, 1)])
+def test_missing_poses_are_counted(hole):
+    known, holed = np.zeros((3, 3)), np.zeros((2, 3))
+    holed[hole] = math.nan
+    with pytest.raises(ValueError, match="1 of 2 queries have no pose"):
+        from_poses(holed, known, 5)
+    with pytest.raises(ValueError, match=r"1 of 2 references have no pose.*poses\.csv"):
+        from_poses(known, holed, 5)
+
+
+@pytest.mark.parametrize("metres", [-1, math.nan])
+def test_a_distance_below_zero_is_refused(metres):
+    with pytest.raises(ValueError, match="0 metres or more"):
+        from_poses(np.zeros((1, 3)), np.zeros((1, 3)), metres)
+
+
+def test_frames_of_one_drive_are_counted_together():
+    """Even frames against odd ones: the neighbours are one frame away. 10 comes after 9."""
+    references = [f"drive/{n}" for n in (2, 4, 6, 8, 10)]
+    queries = [f"drive/{n}" for n in (9, 3, 11)]
+    assert as_lists(from_frame_numbers(queries, references, 1)) == [[3, 4], [0, 1], [4]]
+    assert as_lists(from_frame_numbers(queries, references, 0)) == [[], [], []]
+
+
+def test_what_counts_is_the_place_in_the_drive_and_not_the_number_in_the_name():
+    references = ["drive/100", "drive/200", "drive/300"]
+    assert as_lists(from_frame_numbers(["drive/200"], references, 1)) == [[0, 1, 2]]
+
+
+def test_a_query_that_is_a_reference_matches_itself():
+    assert as_lists(from_frame_numbers(["a/1"], ["a/1", "a/2"], 0)) == [[0]]
+
+
+def test_frames_of_other_sequences_never_match():
+    references = ["a/1", "a/2", "b/1", "b/2"]
+    assert as_lists(from_frame_numbers(["b/1"], references, 0)) == [[2]]
+    assert as_lists(from_frame_numbers(["b/1", "a/2"], references, 9)) == [[2, 3], [0, 1]]
+
+
+def test_two_aligned_traverses_are_counted_apart():
+    """In the order of names, whatever the order of the lists."""
+    queries = ["night/10", "night/9", "night/11"]
+    references = ["day/x3", "day/x1", "day/x2"]
+    assert as_lists(from_frame_numbers(queries, references, 0)) == [[2], [1], [0]]
+    assert as_lists(from_frame_numbers(queries, references, 1)) == [[0, 1, 2], [1, 2], [0, 2]]
+
+
+def test_a_sequence_may_have_slashes():
+    assert as_lists(from_frame_numbers(["a/b/1"], ["a/b/1", "a/c/1"], 0)) == [[0]]
+
+
+@pytest.mark.parametrize(
+    ("queries", "references"),
+    [
+        (["night/1"], ["a/1", "b/1"]),
+        (["a/1", "night/1"], ["a/1"]),
+        (["a/1", "night/1"], ["a/1", "b/1"]),
+    ],
+)
+def test_sequences_that_cannot_belong_together_are_refused(queries, references):
+    with pytest.raises(ValueError, match=r"query sequence 'night'.*\(a(, b)?\)"):
+        from_frame_numbers(queries, references, 1)
+
+
+def test_a_reach_below_zero_is_refused():
+    with pytest.raises(ValueError, match="0 frames or more, got -1"):
+        from_frame_numbers(["a/1"], ["a/1"], -1)
+
+
+FRAMES = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 120)), min_size=1, unique=True)
+
+
+@settings(max_examples=60, deadline=None)
+@given(FRAMES, FRAMES, st.integers(0, 4))
+def test_frame_numbers_equal_a_loop(queries, references, reach):
+    references += [("a", 1000), ("b", 1000)]
+    drives = {name: sorted({n for s, n in queries + references if s == name}) for name in "ab"}
+    wanted = [
+        [
+            row
+            for row, (there, number) in enumerate(references)
+            if there == here
+            and abs(drives[here].index(number) - drives[here].index(asked)) <= reach
+        ]
+        for here, asked in queries
+    ]
+    ids = [[f"{sequence}/{number}" for sequence, number in f] for f in (queries, references)]
+    assert as_lists(from_frame_numbers(*ids, reach)) == wanted

@@ -1,0 +1,186 @@
+"""Matching against plain NumPy, and Eq. 3 against a loop."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch import matching
+from ssrvlad_torch.matching import match, temporal_sum
+
+
+def coarse_vectors(seed, count):
+    """Vectors of four numbers +-1 among zeros, so that every cosine is exact and ties abound; some
+    are zero."""
+    rng = np.random.default_rng(seed)
+    vectors = np.zeros((count, 8), np.float32)
+    for vector in vectors:
+        if rng.random() > 0.1:
+            vector[rng.choice(8, 4, replace=False)] = rng.choice([-1, 1], 4)
+    return vectors
+
+
+def cosines(queries, references):
+    queries, references = queries.astype(np.float64), references.astype(np.float64)
+    lengths = np.linalg.norm(queries, axis=1)[:, None] * np.linalg.norm(references, axis=1)
+    return queries @ references.T / lengths
+
+
+def brute_force(queries, references, top, threshold):
+    """Cosines by NumPy, sorted by falling score, then by index."""
+    wanted_scores = np.full((len(queries), top), -np.inf, np.float32)
+    wanted_indices = np.full((len(queries), top), -1)
+    for row, query in enumerate(queries):
+        candidates = []
+        for index, reference in enumerate(references):
+            if query.any() and reference.any():
+                cosine = query @ reference / np.linalg.norm(query) / np.linalg.norm(reference)
+                if threshold is None or cosine > threshold:
+                    candidates.append((-cosine, index))
+        for place, (score, index) in enumerate(sorted(candidates)[:top]):
+            wanted_scores[row, place], wanted_indices[row, place] = -score, index
+    return wanted_scores, wanted_indices
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 9),
+    st.integers(0, 60),
+    st.integers(1, 12),
+    st.sampled_from([None, -0.5, 0.0, 0.25, 1.0]),
+    st.integers(0, 2**32 - 1),
+)
+def test_match_equals_brute_force(query_count, reference_count, top, threshold, seed):
+    queries, references = coarse_vectors(seed, query_count), coarse_vectors(seed + 1, reference_count)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(matching, "_QUERY_BLOCK", 4)
+        patch.setattr(matching, "_REFERENCE_BLOCK", 7)
+        found = match(queries, references, top, threshold)
+    scores, indices = brute_force(queries, references, top, threshold)
+    np.testing.assert_array_equal(found.indices.numpy(), indices)
+    np.testing.assert_array_equal(found.scores.numpy(), scores)
+
+
+@pytest.mark.parametrize("references", [100, 5000])
+def test_the_first_of_many_equal_references_wins_inside_one_block(references):
+    found = match(torch.ones(2, 4), torch.ones(references, 4), top=5)
+    assert found.indices.tolist() == [[0, 1, 2, 3, 4]] * 2
+
+
+def test_blocks_do_not_show_on_real_numbers(monkeypatch):
+    generator = torch.Generator().manual_seed(0)
+    queries = torch.randn(30, 48, generator=generator)
+    references = torch.randn(200, 48, generator=generator)
+    scores, indices = match(queries, references, top=7)
+    monkeypatch.setattr(matching, "_QUERY_BLOCK", 11)
+    monkeypatch.setattr(matching, "_REFERENCE_BLOCK", 13)
+    blockwise = match(queries, references, top=7)
+    assert torch.equal(blockwise.indices, indices)
+    torch.testing.assert_close(blockwise.scores, scores, rtol=0, atol=1e-6)
+    exact = np.take_along_axis(cosines(queries.numpy(), references.numpy()), indices.numpy(), 1)
+    np.testing.assert_allclose(scores.numpy(), exact, rtol=0, atol=1e-6)
+    assert abs(exact[0, 1] - float(scores[0, 0])) < 0.2
+
+
+def test_length_does_not_matter_and_a_frame_is_its_own_best_match():
+    vectors = torch.randn(20, 48, generator=torch.Generator().manual_seed(1))
+    found = match(vectors * 7, vectors / 3, top=1)
+    assert found.indices[:, 0].tolist() == list(range(20))
+    torch.testing.assert_close(found.scores, torch.ones(20, 1))
+
+
+def test_an_empty_image_matches_nothing_and_is_matched_by_nothing():
+    vectors = torch.tensor([[0.0, 0.0], [1.0, 0.0]])
+    found = match(vectors, vectors, top=2)
+    assert found.indices.tolist() == [[-1, -1], [1, -1]]
+    assert found.scores.tolist() == [[-torch.inf, -torch.inf], [1.0, -torch.inf]]
+
+
+def test_an_opposite_vector_is_a_candidate_without_a_threshold():
+    found = match(torch.tensor([[1.0, 0.0]]), torch.tensor([[-1.0, 0.0]]), top=1)
+    assert found.indices.tolist() == [[0]]
+    assert found.scores.tolist() == [[-1.0]]
+
+
+def test_a_score_equal_to_the_threshold_is_left_out():
+    assert match(torch.eye(2)[:1], torch.eye(2), top=2, threshold=0.0).indices.tolist() == [[0, -1]]
+    assert match(torch.eye(2)[:1], torch.eye(2), top=1, threshold=1.0).indices.tolist() == [[-1]]
+
+
+def test_without_references_there_is_no_candidate():
+    found = match(torch.eye(3), torch.zeros(0, 3), top=2)
+    assert found.indices.tolist() == [[-1, -1]] * 3
+    assert match(torch.zeros(0, 3), torch.eye(3), top=2).scores.shape == (0, 2)
+
+
+def test_arrays_and_doubles_are_taken():
+    found = match(np.eye(3), np.eye(3), top=1)  # type: ignore[arg-type]
+    assert found.indices[:, 0].tolist() == [0, 1, 2]
+    assert found.scores.dtype == torch.float32
+
+
+@pytest.mark.parametrize(
+    ("queries", "references", "top", "message"),
+    [
+        (torch.zeros(2, 3), torch.zeros(2, 4), 1, r"width D, got \(2, 3\) and \(2, 4\)"),
+        (torch.zeros(3), torch.zeros(2, 3), 1, r"got \(3,\)"),
+        (torch.eye(3), torch.eye(3), 0, "top must be at least 1, got 0"),
+        (torch.eye(3) * torch.nan, torch.eye(3), 1, "queries hold values that are not finite"),
+        (torch.eye(3), torch.full((2, 3), torch.inf), 1, "references hold values"),
+    ],
+)
+def test_wrong_vectors_are_refused(queries, references, top, message):
+    with pytest.raises(ValueError, match=message):
+        match(queries, references, top)
+
+
+def plain_temporal_sum(descriptors, sequences, reach):
+    """Eq. 3 frame by frame."""
+    summed = np.zeros_like(descriptors)
+    for i in range(len(descriptors)):
+        if not descriptors[i].any():
+            continue
+        for j in range(max(0, i - reach), min(len(descriptors), i + reach + 1)):
+            if sequences[j] == sequences[i]:
+                summed[i] += descriptors[j]
+        length = np.linalg.norm(summed[i])
+        summed[i] = summed[i] / length if length else 0
+    return summed
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 6), max_size=4), st.integers(0, 9), st.integers(0, 2**32 - 1))
+def test_temporal_sum_equals_a_loop(lengths, reach, seed):
+    rng = np.random.default_rng(seed)
+    sequences = [f"sequence {9 - s}" for s, length in enumerate(lengths) for _ in range(length)]
+    descriptors = rng.uniform(0.1, 1, (len(sequences), 5)).astype(np.float32)
+    descriptors[rng.random(len(sequences)) < 0.2] = 0
+    summed = temporal_sum(descriptors, sequences, reach)
+    wanted = plain_temporal_sum(descriptors.astype(np.float64), sequences, reach)
+    np.testing.assert_allclose(summed.numpy(), wanted, rtol=0, atol=1e-6)
+    assert summed.dtype == torch.float32
+
+
+def test_a_reach_beyond_the_sequence_sums_all_of_it():
+    """Three frames and the default reach of 3; once an error of shapes."""
+    summed = temporal_sum(torch.eye(3), ["a"] * 3, 100)
+    torch.testing.assert_close(summed, torch.full((3, 3), 3**-0.5))
+
+
+def test_an_empty_frame_stays_empty_and_gives_nothing_to_its_neighbours():
+    descriptors = torch.tensor([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
+    assert temporal_sum(descriptors, ["a"] * 3, 1).tolist() == descriptors.tolist()
+
+
+def test_temporal_sum_leaves_its_input_alone():
+    descriptors = torch.eye(3)
+    temporal_sum(descriptors, ["a"] * 3, 2)
+    assert torch.equal(descriptors, torch.eye(3))
+
+
+def test_temporal_sum_refuses_wrong_arguments():
+    with pytest.raises(ValueError, match="a sequence for each of 3 frames, got 2"):
+        temporal_sum(torch.eye(3), ["a", "a"], 1)
+    with pytest.raises(ValueError, match="0 or more frames, got -1"):
+        temporal_sum(torch.eye(3), ["a"] * 3, -1)

@@ -1,0 +1,83 @@
+"""Poses from ``poses.csv``."""
+
+import math
+from pathlib import Path
+
+import pytest
+
+from ssrvlad_torch.datasets.poses import Pose, find_poses, read_poses
+
+
+def write(folder, text, encoding="utf-8"):
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "poses.csv"
+    path.write_text(text, encoding=encoding)
+    return path
+
+
+def test_columns_are_read_by_name(tmp_path):
+    path = write(tmp_path, "heading,time,y,frame,x\n0.5,7,-2,monday/001,1.25\n1,8,3e2,002,0\n")
+    assert read_poses(path) == {"monday/001": Pose(1.25, -2, 0.5), "002": Pose(0, 300, 1)}
+
+
+@pytest.mark.parametrize("text", ["frame,x,y\n1,2,3\n", "frame,x,y,heading\n1,2,3,\n"])
+def test_the_heading_may_be_left_out(tmp_path, text):
+    pose = read_poses(write(tmp_path, text))["1"]
+    assert pose[:2] == (2, 3)
+    assert math.isnan(pose.heading)
+
+
+def test_what_spreadsheets_write_is_read(tmp_path):
+    """A byte order mark, a space after the comma, CRLF, a quoted id."""
+    path = write(tmp_path, '\ufeffframe, x, y\r\n"a,b", 2, 3\r\n')
+    assert read_poses(path)["a,b"][:2] == (2, 3)
+
+
+def test_a_table_without_rows_has_no_poses(tmp_path):
+    assert read_poses(write(tmp_path, "frame,x,y,heading\n")) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no column 'frame'"),
+        ("frame,x\n1,2\n", "no column 'y'"),
+        ("1,2,3,0\n", "no column 'frame'"),
+        ("frame,x,y\n1,2,3\n2,east,4\n", "line 3: .*'east'"),
+        ("frame,x,y\n1,2\n", "line 2: could not convert string to float: ''"),
+        ("frame,x,y,heading\n1,2,3,north\n", "line 2: .*'north'"),
+        ("frame,x,y\n" + "1" * 200_000 + ",2,3\n", "field larger"),
+    ],
+)
+def test_damaged_files_are_refused_by_name_and_line(tmp_path, text, message):
+    path = write(tmp_path, text)
+    with pytest.raises(ValueError, match=message) as refusal:
+        read_poses(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_another_encoding_is_refused_by_name(tmp_path):
+    path = write(tmp_path, "frame,x,y\nstraße,2,3\n", "latin-1")
+    with pytest.raises(ValueError, match=r"poses\.csv.*utf-8"):
+        read_poses(path)
+
+
+def test_poses_lie_in_the_folder_or_beside_it(tmp_path):
+    folder = tmp_path / "maps" / "monday"
+    folder.mkdir(parents=True)
+    assert find_poses(folder) == {}
+    write(tmp_path, "frame,x,y\n1,1,0\n")
+    assert find_poses(folder) == {}, "two folders up is too far"
+    write(folder.parent, "frame,x,y\n1,2,0\n")
+    assert find_poses(folder)["1"].x == 2
+    write(folder, "frame,x,y\n1,3,0\n")
+    assert find_poses(folder)["1"].x == 3
+
+
+@pytest.mark.parametrize("folder", [".", "../monday", "tuesday/.."])
+def test_poses_beside_a_relative_folder(tmp_path, monkeypatch, folder):
+    (tmp_path / "monday" / "tuesday").mkdir(parents=True)
+    write(tmp_path, "frame,x,y\n1,2,0\n")
+    monkeypatch.chdir(tmp_path / "monday")
+    assert find_poses(Path(folder))["1"].x == 2
