@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -28,9 +28,17 @@ from rich.progress import (
 )
 from rich.table import Table
 
-if TYPE_CHECKING:
-    from .database import FrameSet
-    from .encoding import Refusal
+from .config import SSRVLADConfig
+from .database import Database, FrameSet
+from .datasets.label_files import find_label_files, read_label_map
+from .datasets.synthetic_city import write_city
+from .demo import STEPS, run_demo
+from .descriptor import SSRVLAD
+from .encoding import Refusal, encode_to_database, encode_to_memory
+from .evaluation import ground_truth as truths
+from .evaluation.metrics import evaluate as measure
+from .matching import match
+from .show import draw
 
 WRONG_USE = 2
 SOME_REFUSED = 3
@@ -97,7 +105,6 @@ def demo(
 
     Example: ssrvlad demo --out /tmp/ssrvlad-demo
     """
-    from .demo import STEPS, run_demo
 
     with _progress("demo", STEPS * frames) as advance:
         result = run_demo(out, frames, seed, advance)
@@ -116,7 +123,6 @@ def city(
 
     Example: ssrvlad city /tmp/city --frames 200 --seed 7
     """
-    from .datasets.synthetic_city import write_city
 
     with _progress("rendering", 2 * frames) as advance:
         write_city(out, frames=frames, seed=seed, progress=advance)
@@ -142,11 +148,6 @@ def encode(
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
     """
-    from .config import SSRVLADConfig
-    from .database import Database
-    from .datasets.label_files import find_label_files
-    from .descriptor import SSRVLAD
-    from .encoding import encode_to_database
 
     if preset is None and Database.exists(output):
         config = dataclasses.replace(Database.open(output).config, labels_as=labels_as)
@@ -189,7 +190,6 @@ def query(
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
-    from .matching import match
 
     selection = (sequence, every, start)
     references, queries, refused = _load(database, source, labels_as, temporal, selection, workers)
@@ -233,10 +233,6 @@ def evaluate(
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
     """
-    from .database import Database
-    from .evaluation import ground_truth as truths
-    from .evaluation.metrics import evaluate as measure
-    from .matching import match
 
     given = [value is not None for value in (ground_truth, tolerance_metres, tolerance_frames)]
     if sum(given) != 1:
@@ -279,9 +275,6 @@ def show(
 
     Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11
     """
-    from .datasets.label_files import find_label_files, read_label_map
-    from .descriptor import SSRVLAD
-    from .show import draw
 
     head = SSRVLAD.from_preset(preset, labels_as=labels_as)
     file = find_label_files([str(labels)])[0]
@@ -319,10 +312,6 @@ def _load(
     workers: int,
 ) -> tuple[FrameSet, FrameSet, list[Refusal]]:
     """The frames of a database after Eq. 3, the queries encoded alike, and the refused ones."""
-    from .database import Database
-    from .datasets.label_files import find_label_files
-    from .descriptor import SSRVLAD
-    from .encoding import encode_to_memory
 
     opened = Database.open(database)
     references = opened.load(temporal)
@@ -336,7 +325,6 @@ def _load(
 
 
 def _info(path: Path) -> dict[str, Any]:
-    from .database import Database
 
     database = Database.open(path)
     frames = database.load()

@@ -104,12 +104,12 @@ def _draw_layer(axes: Axes, view: Explanation, k: int, category: str) -> None:
     clean, skeleton = view.clean_layers[0, k], view.skeleton[0, k]
     picture = clean.int() + skeleton
     colours = ListedColormap(["white", _LAYER_COLOURS[k], "black"])
-    axes.imshow(picture, cmap=colours, vmin=0, vmax=2, interpolation="nearest")
+    axes.imshow(picture.numpy(), cmap=colours, vmin=0, vmax=2, interpolation="nearest")
     for mask, shape, colour in (
         (view.end_points, "o", "tab:red"),
         (view.intersections, "s", "tab:blue"),
     ):
-        y, x = mask[0, k].nonzero(as_tuple=True)
+        y, x = mask[0, k].numpy().nonzero()
         axes.plot(x, y, shape, mfc=colour, mec="black", mew=0.4, ms=4)
     y, x = view.centres[0, k].tolist()
     if y >= 0:

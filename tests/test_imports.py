@@ -70,12 +70,6 @@ def test_the_package_loads_without_the_extras():
     assert done.stdout.strip() == "[]"
 
 
-def test_help_does_not_load_torch():
-    code = "import sys, ssrvlad_torch.cli; print('torch' in sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
-
-
 @pytest.mark.parametrize("module", ["reference", "show"])
 def test_a_missing_extra_is_named(module, tmp_path):
     code = {

@@ -180,9 +180,10 @@ def _with_poses(files: list[LabelFile]) -> Iterator[LabelFile]:
 
 
 def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
-    """In the machine's byte order; wide unsigned ids signed, lest torch narrow one to a known id."""
+    """In the machine's byte order. Wide unsigned ids become signed: torch would narrow them, and
+    an unknown id could become a known one."""
     if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
-        return np.minimum(labels, np.iinfo(np.int64).max).astype(np.int64)
+        return labels.astype(np.uint64).clip(max=np.iinfo(np.int64).max).astype(np.int64)
     return labels.astype(labels.dtype.newbyteorder("="), copy=False)
 
 
