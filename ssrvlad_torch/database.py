@@ -33,6 +33,7 @@ FORMAT = "ssrvlad-database"
 FORMAT_VERSION = 1
 _MANIFEST = "manifest.json"
 _LOCK = "lock"
+_REPETITIVE = ["sequence", "labels_as"]
 _PART_NAME = re.compile(r"part-\d{6,}\.parquet")
 
 
@@ -219,7 +220,9 @@ class Database:
             name = f"part-{len(self._parts):06d}.parquet"
             table = _to_table(records, descriptors)
             with replacing(self.path / name) as temporary:
-                pq.write_table(table, temporary, write_page_checksum=True)
+                pq.write_table(
+                    table, temporary, write_page_checksum=True, use_dictionary=_REPETITIVE
+                )
             parts = (*self._parts, {"file": name, "rows": len(records)})
             self._write_manifest(parts)
             self._parts = parts

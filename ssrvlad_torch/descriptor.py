@@ -21,6 +21,9 @@ from .stages.shape_context import log_polar_bins, shape_contexts
 from .stages.skeleton import SUB_ITERATIONS, thin
 from .taxonomy import LabelSpace, label_space
 
+PIXELS_AT_ONCE = 1 << 20
+"""Label map pixels in memory at a time on their way to the working grid."""
+
 
 class SSRVLAD(nn.Module):
     """Label maps or class scores -> place descriptors (Nie, Feng et al., arXiv 2202.03677).
@@ -54,7 +57,7 @@ class SSRVLAD(nn.Module):
         super().__init__()
         self.config = config or SSRVLADConfig()
         self.label_space = label_space(self.config.labels_as)
-        table, self._lowest_id = category_table(self.label_space)
+        table, self._origin = category_table(self.label_space)
         self._table: Tensor
         self.register_buffer("_table", table, persistent=False)
         self._thinning = SUB_ITERATIONS[self.config.thinning]
@@ -68,11 +71,9 @@ class SSRVLAD(nn.Module):
         """The descriptors of a batch, or all that led to them if they are to be ``explained``."""
         labels = _label_map(labels, self.label_space)
         config, images = self.config, len(labels)
-        categories = categorise(labels, self._table, self._lowest_id)  # Table II
-        refuse_unknown(labels, categories, self.label_space)
+        grid = config.grid(*labels.shape[1:])
 
-        grid = config.grid(*categories.shape[1:])
-        layers = split(reduce_by_majority(categories, grid))
+        layers = split(self._categories(labels, grid))  # Table II
         clean = open_and_close(
             layers,
             config.radius_pixels(config.opening, *grid),
@@ -107,6 +108,16 @@ class SSRVLAD(nn.Module):
     def explain(self, labels: Tensor) -> Explanation:
         """Every step from the label map to the descriptor; input and errors as for a call."""
         return cast(Explanation, self(labels, explained=True))
+
+    def _categories(self, labels: Tensor, grid: tuple[int, int]) -> Tensor:
+        """Categories on the working grid, a few images at a time so that memory stays bounded."""
+        images_at_once = max(1, PIXELS_AT_ONCE // labels[0].numel())
+        reduced = []
+        for part in labels.split(images_at_once):
+            categories = categorise(part, self._table, self._origin)
+            refuse_unknown(labels, categories, self.label_space)
+            reduced.append(reduce_by_majority(categories, grid))
+        return torch.cat(reduced)
 
     def compile(self, *args: Any, **kwargs: Any) -> None:
         """Compiles what gains from it: the sub-iterations of the thinning, for every size at once.

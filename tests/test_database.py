@@ -276,7 +276,7 @@ def test_a_flipped_byte_of_the_descriptors_is_found_by_the_checksum_of_its_page(
     """The numbers lie in the file as they are, so without the checksum this would be a number."""
     part = path / PART
     pages = pq.ParquetFile(part).metadata.row_group(0).column(9)
-    flip_byte(part, pages.dictionary_page_offset + pages.total_compressed_size // 2)
+    flip_byte(part, pages.data_page_offset + pages.total_compressed_size // 2)
     with pytest.raises(ValueError, match=f"{PART} is missing or damaged: .*(CRC|checksum)"):
         Database.open(path).load()
 

@@ -378,6 +378,7 @@ def test_globs(tmp_path):
 
 def test_a_glob_of_folders_is_these_folders(tmp_path):
     touch(tmp_path / "a" / "1.png", tmp_path / "b" / "1.png", tmp_path / "b" / "c" / "1.png")
+    touch(tmp_path / "ground_truth.json")
     assert ids(find_label_files([str(tmp_path / "*")])) == ["a/1", "b/1"]
 
 

@@ -56,9 +56,10 @@ def find_label_files(
     """The frames of some sources, sorted by sequence and name as a person would.
 
     Args:
-        sources: folders, files, or globs of files or folders. The files of a folder are one
-            sequence with the folder's name; hidden ones are passed over. A ``.npy`` file of rank
-            3 is a stack of label maps, and given by itself is a sequence with the file's name.
+        sources: folders, files or globs. The files of a folder are one sequence with the folder's
+            name; hidden ones are passed over. A glob that matches no label map stands for the
+            folders that it matches. A ``.npy`` file of rank 3 is a stack of label maps, and given
+            by itself is a sequence with the file's name.
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
 
@@ -72,7 +73,7 @@ def find_label_files(
     for source in sources:
         for file in _with_poses(_expand(source, sequence)):
             earlier = found.setdefault(file.frame, file)
-            if (earlier.path.resolve(), earlier.row) != (file.path.resolve(), file.row):
+            if earlier is not file and not _is_same(earlier, file):
                 raise ValueError(
                     f"frame {file.frame!r} is both {earlier.path} and {file.path}; "
                     "give one of them another --sequence"
@@ -119,17 +120,20 @@ def digest(labels: LabelMap) -> str:
 
 
 def _expand(source: str, sequence: str | None) -> list[LabelFile]:
-    if Path(source).exists():
-        places = [Path(source)]
-    else:
-        matches = [Path(match) for match in glob.glob(source, recursive=True)]
-        places = [match for match in matches if not match.is_dir()] or matches
-    if not places:
+    path = Path(source)
+    matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
+    if not matches:
         raise ValueError(f"{source} does not exist and matches no file")
-    files = [file for place in places for file in _frames_at(place, sequence)]
-    if not files:
-        raise ValueError(f"{source} holds no label maps; wanted {', '.join(SUFFIXES)} files")
-    return files
+    for folders in (False, True):
+        places = [match for match in matches if match.is_dir() == folders]
+        files = [file for place in places for file in _frames_at(place, sequence)]
+        if files:
+            return files
+    raise ValueError(f"{source} holds no label maps; wanted {', '.join(SUFFIXES)} files")
+
+
+def _is_same(one: LabelFile, other: LabelFile) -> bool:
+    return (one.path.resolve(), one.row) == (other.path.resolve(), other.row)
 
 
 def _frames_at(place: Path, sequence: str | None) -> Iterator[LabelFile]:

@@ -2,61 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
 from torch import Tensor
 
-from ..taxonomy import NO_LAYER, LabelSpace
+from ..taxonomy import LabelSpace
 
 UNKNOWN = 255
 
 
 def category_table(space: LabelSpace) -> tuple[Tensor, int]:
-    """Look-up table of a label space and the id of its first entry.
+    """Look-up table of a label space, and the entry of id 0.
 
     Returns:
-        ``(T,)`` uint8: the category 0 to 7 of id ``lowest + entry``, `NO_LAYER` for a dynamic or
-        void id, `UNKNOWN` for an id that the space does not define. Both ends of the table are
-        unknown, so that an id clamped into it is unknown as well.
+        ``(T,)`` uint8: at ``origin + id`` the category 0 to 7 of the id, `NO_LAYER` for a
+        dynamic or void id, `UNKNOWN` for an id that the space does not define. The table covers
+        all bytes; both its ends are unknown, so that an id clamped into it is unknown as well.
     """
     ids = [label.id for label in space.classes]
-    lowest = min(ids) - 1
-    table = torch.full((max(ids) - lowest + 2,), UNKNOWN, dtype=torch.uint8)
+    origin = 1 - min(0, *ids)
+    table = torch.full((origin + max(255, *ids) + 2,), UNKNOWN, dtype=torch.uint8)
     for label in space.classes:
-        table[label.id - lowest] = label.category_index
-    return table, lowest
+        table[origin + label.id] = label.category_index
+    return table, origin
 
 
-def categorise(labels: Tensor, table: Tensor, lowest: int) -> Tensor:
+def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
     """Category of every pixel.
 
     Args:
         labels: ``(B, H, W)`` label map of any integer dtype.
-        table, lowest: from `category_table`.
+        table, origin: from `category_table`.
 
     Returns:
         ``(B, H, W)`` uint8: 0 to 7, `NO_LAYER` or `UNKNOWN`.
     """
-    wide = labels if labels.dtype == torch.int64 else labels.to(torch.int32)
-    entry = (wide.clamp(lowest, lowest + len(table) - 1) - lowest).to(torch.int32)
-    return table.index_select(0, entry.flatten()).view(labels.shape)
+    if labels.dtype == torch.uint8:
+        entries, table = labels.to(torch.int32), table[origin : origin + 256]
+    else:
+        wide = labels if labels.dtype == torch.int64 else labels.to(torch.int32)
+        entries = wide.clamp(-origin, len(table) - 1 - origin) + origin
+    return table.index_select(0, entries.flatten()).view(labels.shape)
 
 
 def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> None:
-    """Checks that every id of the label map is one of the label space.
+    """Checks that every id is one of the label space.
+
+    Args:
+        labels: the whole label maps, for the message.
+        categories: of some of them, from `categorise`.
+        space: the label space.
 
     Raises:
-        ValueError: names the first unknown id, its pixel count and the label space.
+        ValueError: names the lowest unknown id, its pixel count and the label space.
     """
-    unknown = categories == UNKNOWN
-    if not bool(unknown.any()):
+    if int(categories.max()) < UNKNOWN:
         return
-    ids, counts = labels[unknown].to(torch.int64).unique(return_counts=True)
-    more = f" and {len(ids) - 1} other ids" if len(ids) > 1 else ""
+    ids, counts = labels.to(torch.int64).unique(return_counts=True)
+    known = torch.tensor([label.id for label in space.classes], device=ids.device)
+    unknown = ~torch.isin(ids, known)
+    more = f" and {int(unknown.sum()) - 1} other ids" if int(unknown.sum()) > 1 else ""
     raise ValueError(
-        f"label id {int(ids[0])} ({int(counts[0])} pixels){more} is not in label space "
-        f"{space.name}; wanted {space.describe_ids()}"
+        f"label id {int(ids[unknown][0])} ({int(counts[unknown][0])} pixels){more} is not in "
+        f"label space {space.name}; wanted {space.describe_ids()}"
     )
 
 
@@ -69,6 +76,4 @@ def split(categories: Tensor) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes, bit ``k`` set where the category is ``k``.
     """
-    bits: Sequence[int] = [1 << category for category in range(NO_LAYER)] + [0]
-    table = torch.tensor(bits, dtype=torch.uint8, device=categories.device)
-    return table.index_select(0, categories.flatten().to(torch.int32)).view(categories.shape)
+    return torch.ones_like(categories) << categories  # 1 << 8 has no bit in a byte

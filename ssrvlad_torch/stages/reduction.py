@@ -22,20 +22,24 @@ def reduce_by_majority(categories: Tensor, grid: tuple[int, int]) -> Tensor:
     Returns:
         ``(B, h, w)`` uint8.
     """
-    count, height, width = categories.shape
-    if (height, width) == grid:
+    if categories.shape[1:] == grid:
         return categories
+    count, height, width = categories.shape
     bits = (-(-height // grid[0]) * -(-width // grid[1])).bit_length()
     kinds, fields = NO_LAYER + 1, 63 // bits
-    cell_rows = torch.arange(height, device=categories.device) * grid[0] // height
-    cell_columns = torch.arange(width, device=categories.device) * grid[1] // width
-    counts = []
+    rows = torch.arange(height, device=categories.device) * grid[0] // height
+    columns = torch.arange(width, device=categories.device) * grid[1] // width
+    entries = categories.flatten().to(torch.int32)
+    best = torch.zeros((count, *grid), dtype=torch.int64, device=categories.device)
     for first in range(0, kinds, fields):
-        shifts = torch.arange(min(fields, kinds - first), device=categories.device) * bits
+        kept = range(first, min(first + fields, kinds))
         words = torch.zeros(kinds, dtype=torch.int64, device=categories.device)
-        words[first : first + fields] = 1 << shifts
-        votes = words.index_select(0, categories.flatten().to(torch.int32)).view(categories.shape)
-        by_row = votes.new_zeros((count, grid[0], width)).index_add_(1, cell_rows, votes)
-        by_cell = votes.new_zeros((count, *grid)).index_add_(2, cell_columns, by_row)
-        counts.append(by_cell[..., None] >> shifts & ((1 << bits) - 1))
-    return torch.cat(counts, -1).argmax(-1).to(torch.uint8)
+        for kind in kept:
+            words[kind] = 1 << bits * (kind - first)
+        votes = words.index_select(0, entries).view(categories.shape)
+        by_row = votes.new_zeros((count, grid[0], width)).index_add_(1, rows, votes)
+        by_cell = torch.zeros_like(best).index_add_(2, columns, by_row)
+        for kind in kept:
+            counted = by_cell >> bits * (kind - first) & (1 << bits) - 1
+            best = torch.maximum(best, counted * kinds + (NO_LAYER - kind))
+    return (NO_LAYER - best % kinds).to(torch.uint8)
