@@ -161,6 +161,8 @@ def methods() -> dict[str, Describe]:
         for preset in ("paper", "default")
         for space in set(SPACES.values())
     }
+    for head in heads.values():
+        head.compile()
 
     def ssrvlad(preset: str) -> Describe:
         return lambda labels, space: heads[preset, space](torch.from_numpy(labels)[None])[0]

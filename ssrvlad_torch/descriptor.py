@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 import torch
@@ -18,7 +20,7 @@ from .stages.layers import categorise, category_table, refuse_unknown, split
 from .stages.morphology import open_and_close
 from .stages.reduction import reduce_by_majority
 from .stages.shape_context import log_polar_bins, shape_contexts
-from .stages.skeleton import SUB_ITERATIONS, thin
+from .stages.skeleton import RULES, sweep_into, thin, thin_by_sweeps
 from .taxonomy import LabelSpace, label_space
 
 PIXELS_AT_ONCE = 1 << 20
@@ -60,7 +62,7 @@ class SSRVLAD(nn.Module):
         table, self._origin = category_table(self.label_space)
         self._table: Tensor
         self.register_buffer("_table", table, persistent=False)
-        self._thinning = SUB_ITERATIONS[self.config.thinning]
+        self._thin: Callable[[Tensor], Tensor] = partial(thin, rule=RULES[self.config.thinning])
 
     @classmethod
     def from_preset(cls, preset: str, **settings: Any) -> SSRVLAD:
@@ -82,7 +84,7 @@ class SSRVLAD(nn.Module):
         clean = fill_holes(clean, config.area_pixels(config.hole_area, *grid))
         clean = drop_regions(clean, config.area_pixels(config.region_area, *grid))
 
-        skeleton = thin(clean, self._thinning)
+        skeleton = self._thin(clean)
         ends, crossings = end_points(skeleton), intersections(skeleton)
         keypoints, centres = points(ends | crossings), centroids(clean)  # Eq. 1
         context = points(skeleton) if config.context == "skeleton" else keypoints
@@ -120,7 +122,7 @@ class SSRVLAD(nn.Module):
         return torch.cat(reduced)
 
     def compile(self, *args: Any, **kwargs: Any) -> None:
-        """Compiles what gains from it: the sub-iterations of the thinning, for every size at once.
+        """Compiles what gains from it: a sweep of the thinning over the batch, for every size.
 
         The numbers stay the same. The first call after it takes some seconds. The rest of the
         method follows the data, how many runs and points there are, and stays eager.
@@ -128,7 +130,9 @@ class SSRVLAD(nn.Module):
         Args:
             args, kwargs: for `torch.compile`.
         """
-        self._thinning = torch.compile(self._thinning, *args, **{"dynamic": True, **kwargs})
+        sweep = partial(sweep_into, RULES[self.config.thinning])
+        fused = torch.compile(sweep, *args, **{"dynamic": True, **kwargs})
+        self._thin = partial(thin_by_sweeps, sweep=fused)
 
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""

@@ -1,3 +1,5 @@
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
@@ -10,11 +12,15 @@ from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.config import THINNINGS
 from ssrvlad_torch.stages import skeleton
-from ssrvlad_torch.stages.skeleton import SUB_ITERATIONS, zhang_suen
+from ssrvlad_torch.stages.skeleton import RULES, sweep_into, thin_by_sweeps, zhang_suen
 
 
 def thin(planes, variant):
-    return skeleton.thin(planes, SUB_ITERATIONS[variant])
+    """The skeleton, by frontier and by sweeps, which must agree."""
+    rule = RULES[variant]
+    by_frontier = skeleton.thin(planes, rule)
+    assert torch.equal(thin_by_sweeps(planes, partial(sweep_into, rule)), by_frontier)
+    return by_frontier
 
 
 variants = pytest.mark.parametrize("variant", THINNINGS)
@@ -68,15 +74,43 @@ def test_the_input_is_left_alone(variant):
     assert torch.equal(some, before)
 
 
+def counted_work(layer: np.ndarray) -> list[int]:
+    """Words that each sub-iteration of `thin` looks at."""
+    work = []
+
+    def counting(pixels, ring, first):
+        work.append(pixels.numel())
+        return zhang_suen(pixels, ring, first)
+
+    skeleton.thin(planes(layer), counting)
+    return work
+
+
 def test_a_settled_image_causes_no_further_sub_iterations():
-    calls = []
+    assert len(counted_work(mask(CROSS))) == 2
+    assert 4 <= len(counted_work(mask(BLOCK))) <= 6
 
-    def counted(*arguments):
-        calls.append(1)
-        return zhang_suen(*arguments)
 
-    skeleton.thin(planes(mask(CROSS)), counted)
-    assert len(calls) == 2
-    calls.clear()
-    skeleton.thin(planes(mask(BLOCK)), counted)
-    assert 2 < len(calls) <= 6
+def test_work_shrinks_as_the_image_settles():
+    """A small block beside a large one settles first; then nobody looks at it any more."""
+    layer = np.zeros((64, 512), bool)
+    layer[2:62, 2:62] = layer[20:26, 500:506] = True
+    work = counted_work(layer)
+    assert len(work) > 40
+    assert max(work[2:]) < work[0] / 4
+    assert work[-3] < work[4]
+
+
+def test_a_batch_settles_image_by_image():
+    large = np.zeros((64, 64), bool)
+    large[2:62, 2:62] = True
+    batch = torch.cat([planes(large), planes(large & False), planes(large)])
+    assert torch.equal(skeleton.thin(batch, zhang_suen)[0], skeleton.thin(batch[:1], zhang_suen)[0])
+
+
+@variants
+@pytest.mark.parametrize("width", [7, 8, 9, 63, 64, 65])
+def test_widths_around_a_word(variant, width):
+    some = random_planes(width, (2, 33, width)) | random_planes(width + 1, (2, 33, width))
+    expected = [[reference.thin(x, variant) for x in layers] for layers in unpack(some).numpy()]
+    np.testing.assert_array_equal(unpack(thin(some, variant)), np.array(expected))

@@ -4,9 +4,15 @@ Both variants delete, in two alternating sub-iterations, the pixels whose eight 
 p2 ... p9 (N, NE, E, SE, S, SW, W, NW) satisfy the published conditions, until neither
 sub-iteration deletes anything. What is outside the image is background.
 
-The batch is laid out as one line of bytes, each row followed by a background pixel and each
-image by a background row. A neighbour is then the same line a few bytes further on, so that a
-sub-iteration is one pass over contiguous memory, and one fused loop when it is compiled.
+The batch lies in one line of 64-bit words: a word is eight pixels of a row times eight layers, the
+leftmost pixel in the lowest byte. Each row ends with at least one background pixel and each image
+with a background row, so the neighbours of a word are the words one pitch before and after it,
+and the pixels beside a pixel are a byte's shift away.
+
+Soon most of an image is settled. A word can change only if a word around it changed in one of the
+last two sub-iterations, so `thin` looks, after the first two, at those words only. Where a pass
+over the whole line is one fused loop, looking at all costs less than finding out which:
+`thin_by_sweeps` is for compiled sweeps.
 """
 
 from __future__ import annotations
@@ -14,39 +20,76 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
-SubIteration = Callable[[Tensor, int, bool], Tensor]
-"""``(line, pitch, first) ->`` what is left of the line after a sub-iteration; see `zhang_suen`."""
+PIXELS = 8
+"""Pixels in a word."""
+
+Ring = tuple[Tensor, ...]
+Rule = Callable[[Tensor, Ring, bool], Tensor]
+"""``(pixels, neighbours, first) ->`` the pixels that a sub-iteration leaves."""
+
+Sweep = Callable[[Tensor, Tensor, int, bool], None]
+"""``(target, line, pitch, first)``: puts what a sub-iteration leaves of the line into target."""
+
+_ALL_BUT_TOP_BYTE = (1 << 56) - 1
 
 
-def thin(planes: Tensor, sub_iteration: SubIteration) -> Tensor:
+def thin(planes: Tensor, rule: Rule) -> Tensor:
     """The skeleton of every layer.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
-        sub_iteration: `zhang_suen`, `guo_hall`, or one of them compiled.
+        rule: `zhang_suen` or `guo_hall`.
 
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    count, height, width = planes.shape
-    pitch = width + 1
-    margin = pitch + 1
-    line = F.pad(F.pad(planes, (0, 1, 0, 1)).flatten(), (margin, margin))
-    pixels = line[margin:-margin]
+    line, pitch = _to_line(planes)
+    pixels = _within_margins(line, pitch)
+    changed = []
+    for first in (True, False):
+        left = rule(*_neighbourhood(line, pitch), first)
+        changed.append((left != pixels).nonzero()[:, 0] + pitch + 1)
+        pixels.copy_(left)
+    while len(changed[0]) + len(changed[1]):
+        for first in (True, False):
+            frontier = _around(torch.cat(changed), line, pitch)
+            centre, ring = _neighbourhood_of(frontier, line, pitch)
+            left = rule(centre, ring, first)
+            line[frontier] = left
+            changed = [changed[1], frontier[left != centre]]
+    return _to_planes(line, pitch, planes.shape)
+
+
+def thin_by_sweeps(planes: Tensor, sweep: Sweep) -> Tensor:
+    """The skeleton of every layer, every sub-iteration a pass over the whole batch.
+
+    Args:
+        planes: ``(B, H, W)`` uint8 bit-planes.
+        sweep: `sweep_into` for a rule, compiled.
+
+    Returns:
+        ``(B, H, W)`` uint8 bit-planes.
+    """
+    line, pitch = _to_line(planes)
+    other = line.clone()
+    pixels, other_pixels = _within_margins(line, pitch), _within_margins(other, pitch)
     settled = False
     while not settled:
-        settled = True
-        for first in (True, False):
-            left = sub_iteration(line, pitch, first)
-            settled &= torch.equal(left, pixels)
-            pixels.copy_(left)
-    return pixels.view(count, height + 1, pitch)[:, :height, :width].contiguous()
+        sweep(other_pixels, line, pitch, True)
+        settled = torch.equal(other_pixels, pixels)
+        sweep(pixels, other, pitch, False)
+        settled = settled and torch.equal(other_pixels, pixels)
+    return _to_planes(line, pitch, planes.shape)
 
 
-def zhang_suen(line: Tensor, pitch: int, first: bool) -> Tensor:
+def sweep_into(rule: Rule, target: Tensor, line: Tensor, pitch: int, first: bool) -> None:
+    """Puts what a sub-iteration leaves of the whole line, without its margins, into ``target``."""
+    target.copy_(rule(*_neighbourhood(line, pitch), first))
+
+
+def zhang_suen(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
     """One sub-iteration of Zhang & Suen, CACM 27(3), 1984.
 
     `thin` with it equals ``cv2.ximgproc.thinning(THINNING_ZHANGSUEN)`` on an image padded with
@@ -58,28 +101,27 @@ def zhang_suen(line: Tensor, pitch: int, first: bool) -> Tensor:
     arc, so B >= 2 says that two in a row are on, and B <= 6 that two in a row are off.
 
     Args:
-        line: ``(L + 2 * (pitch + 1),)`` uint8 bit-planes in one line, with a margin at each end.
-        pitch: pixels from one row to the next.
+        pixels: integers of any shape and width, each bit a pixel of some layer.
+        ring: p2 ... p9, likewise.
         first: which of the two sub-iterations.
 
     Returns:
-        ``(L,)`` uint8, the pixels within the margins that are left.
+        the pixels that are left.
     """
-    pixels, ring = _neighbourhood(line, pitch)
-    following = ring[1:] + ring[:1]
-    around = list(zip(ring, following, strict=True))
-    two_on = _any([here & there for here, there in around])
+    around = list(zip(ring, ring[1:] + ring[:1], strict=True))
+    pairs = [here & there for here, there in around]
+    steps = [there ^ pair for (_, there), pair in zip(around, pairs, strict=True)]
+    two_on = _any(pairs)
     two_off = ~_all([here | there for here, there in around])
-    steps = [there & ~here for here, there in around]
     north, _, east, _, south, _, west, _ = ring
     if first:
         kept = east & south & (north | west)  # p2 p4 p6 = 0 and p4 p6 p8 = 0
     else:
         kept = north & west & (east | south)  # p2 p4 p8 = 0 and p2 p6 p8 = 0
-    return pixels & ~(_exactly_one(steps) & two_on & two_off & ~kept)
+    return pixels & ~(_any(steps) & ~_two_or_more(steps) & two_on & two_off & ~kept)
 
 
-def guo_hall(line: Tensor, pitch: int, first: bool) -> Tensor:
+def guo_hall(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
     """One sub-iteration of algorithm A1 of Guo & Hall, CACM 32(3), 1989.
 
     `thin` with it equals ``skimage.morphology.thin``. OpenCV's ``THINNING_GUOHALL`` differs: it
@@ -89,26 +131,77 @@ def guo_hall(line: Tensor, pitch: int, first: bool) -> Tensor:
     N = min(N1, N2), the pairs of adjacent neighbours that are on, counted both ways, and a
     product that is zero. Arguments and result as for `zhang_suen`.
     """
-    pixels, (n, ne, e, se, s, sw, w, nw) = _neighbourhood(line, pitch)
+    n, ne, e, se, s, sw, w, nw = ring
     groups = [~n & (ne | e), ~e & (se | s), ~s & (sw | w), ~w & (nw | n)]
     one = [nw | n, ne | e, se | s, sw | w]
     other = [n | ne, e | se, s | sw, w | nw]
     two_or_more = _two_or_more(one) & _two_or_more(other)
     three_or_fewer = ~(_all(one) & _all(other))
     kept = (n | ne | ~se) & e if first else (s | sw | ~nw) & w
-    return pixels & ~(_exactly_one(groups) & two_or_more & three_or_fewer & ~kept)
+    one_group = _any(groups) & ~_two_or_more(groups)
+    return pixels & ~(one_group & two_or_more & three_or_fewer & ~kept)
 
 
-SUB_ITERATIONS: dict[str, SubIteration] = {"zhang-suen": zhang_suen, "guo-hall": guo_hall}
+RULES: dict[str, Rule] = {"zhang-suen": zhang_suen, "guo-hall": guo_hall}
 
 
-def _neighbourhood(line: Tensor, pitch: int) -> tuple[Tensor, tuple[Tensor, ...]]:
-    """The pixels within the margins, and their neighbours N, NE, E, SE, S, SW, W, NW."""
-    margin = pitch + 1
-    length = line.shape[0] - 2 * margin
-    offsets = (-pitch, 1 - pitch, 1, pitch + 1, pitch, pitch - 1, -1, -pitch - 1)
-    starts = [margin + offset for offset in offsets]
-    return line[margin : margin + length], tuple(line[start : start + length] for start in starts)
+def _to_line(planes: Tensor) -> tuple[Tensor, int]:
+    """``(L + 2 * (pitch + 1),)`` int64 words with margins of background, and words in a row."""
+    count, height, width = planes.shape
+    pitch = width // PIXELS + 1
+    length = count * (height + 1) * pitch
+    line = torch.zeros(length + 2 * (pitch + 1), dtype=torch.int64, device=planes.device)
+    rows = _within_margins(line, pitch).view(torch.uint8).view(count, height + 1, -1)
+    rows[:, :height, :width] = planes
+    return line, pitch
+
+
+def _to_planes(line: Tensor, pitch: int, shape: torch.Size) -> Tensor:
+    count, height, width = shape
+    rows = _within_margins(line, pitch).view(torch.uint8).view(count, height + 1, -1)
+    return rows[:, :height, :width].contiguous()
+
+
+def _within_margins(line: Tensor, pitch: int) -> Tensor:
+    return line[pitch + 1 : line.shape[0] - pitch - 1]
+
+
+def _neighbourhood(line: Tensor, pitch: int) -> tuple[Tensor, Ring]:
+    """All words within the margins and the neighbours of their pixels."""
+    inner = line[1:-1]
+    west, east = _shifted(line[:-2], inner, line[2:])
+    length = line.shape[0] - 2 * (pitch + 1)
+    above, here, below = (slice(start, start + length) for start in (0, pitch, 2 * pitch))
+    ring = (
+        *(inner[above], east[above], east[here], east[below]),
+        *(inner[below], west[below], west[here], west[above]),
+    )
+    return inner[here], ring
+
+
+def _neighbourhood_of(index: Tensor, line: Tensor, pitch: int) -> tuple[Tensor, Ring]:
+    """The words at an index and the neighbours of their pixels."""
+    rows = torch.tensor((-pitch, 0, pitch), device=line.device)[:, None] + index
+    words = [line.index_select(0, rows.flatten() + step).view(3, -1) for step in (-1, 0, 1)]
+    west, east = _shifted(*words)
+    here = words[1]
+    return here[1], (here[0], east[0], east[1], east[2], here[2], west[2], west[1], west[0])
+
+
+def _shifted(before: Tensor, here: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
+    """Words whose pixels are the west, and the east, neighbours of the pixels of the words."""
+    west = here << 8 | (before >> 56 & 255)
+    east = (here >> 8 & _ALL_BUT_TOP_BYTE) | after << 56
+    return west, east
+
+
+def _around(changed: Tensor, line: Tensor, pitch: int) -> Tensor:
+    """Index of the words at and around those that changed, each once, in order."""
+    near = torch.zeros_like(line, dtype=torch.bool)
+    for row in (-pitch, 0, pitch):
+        for step in (-1, 0, 1):
+            near[changed + (row + step)] = True
+    return _within_margins(near, pitch).nonzero()[:, 0] + pitch + 1
 
 
 def _any(planes: list[Tensor]) -> Tensor:
@@ -125,12 +218,8 @@ def _all(planes: list[Tensor]) -> Tensor:
     return result
 
 
-def _exactly_one(planes: list[Tensor]) -> Tensor:
-    return _any(planes) & ~_two_or_more(planes)
-
-
 def _two_or_more(planes: list[Tensor]) -> Tensor:
-    seen, again = planes[0], planes[0] ^ planes[0]
-    for plane in planes[1:]:
+    seen, again = planes[0] | planes[1], planes[0] & planes[1]
+    for plane in planes[2:]:
         seen, again = seen | plane, again | (seen & plane)
     return again
