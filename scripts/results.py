@@ -86,8 +86,10 @@ fractions of the eight categories in a {GRID_SIDE} x {GRID_SIDE} grid
 ({8 * GRID_SIDE**2} numbers), square root, normalised. t is the reach of the temporal sum.
 """
 
-TABLE_HEAD = """| condition | method | t | RecallRate@1 | RecallRate@5 | AUC-PR | Recall@100%Precision |
-| --- | --- | --- | --- | --- | --- | --- |"""
+COLUMNS = "condition, method, t, RecallRate@1, RecallRate@5, AUC-PR, Recall@100%Precision".split(
+    ", "
+)
+TABLE_HEAD = "\n".join(f"| {' | '.join(cells)} |" for cells in (COLUMNS, ["---"] * len(COLUMNS)))
 
 
 def camvid_section(folder: Path) -> Iterator[str]:
