@@ -86,9 +86,15 @@ fractions of the eight categories in a {GRID_SIDE} x {GRID_SIDE} grid
 ({8 * GRID_SIDE**2} numbers), square root, normalised. t is the reach of the temporal sum.
 """
 
-COLUMNS = "condition, method, t, RecallRate@1, RecallRate@5, AUC-PR, Recall@100%Precision".split(
-    ", "
-)
+COLUMNS = [
+    "condition",
+    "method",
+    "t",
+    "RecallRate@1",
+    "RecallRate@5",
+    "AUC-PR",
+    "Recall@100%Precision",
+]
 TABLE_HEAD = "\n".join(f"| {' | '.join(cells)} |" for cells in (COLUMNS, ["---"] * len(COLUMNS)))
 
 
