@@ -13,8 +13,8 @@ from torch import Tensor
 
 Vectors = Tensor | npt.NDArray[np.float32]
 
-_QUERY_BLOCK = 256
-_REFERENCE_BLOCK = 1 << 15
+_QUERY_BLOCK = 1024
+_REFERENCE_BLOCK = 1 << 11
 
 
 class Matches(NamedTuple):
@@ -57,17 +57,14 @@ def match(
     _check(queries, references, top)
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
+    wanted = _unit(queries, "queries")
     for first in range(0, len(references), _REFERENCE_BLOCK):
-        block = references[first : first + _REFERENCE_BLOCK].float()
-        norms = torch.linalg.vector_norm(block, dim=1)
+        block = _unit(references[first : first + _REFERENCE_BLOCK], "references")
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
-            found = _cosines(F.normalize(queries[part].float(), dim=1), block, norms)
-            best, rows = _best(found, min(top, len(block)))
-            scores[part], indices[part] = _merge(
-                (scores[part], indices[part]), (best, rows + first)
-            )
-    no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
+            _improve(scores[part], indices[part], _cosines(wanted[part], block), first)
+    above = scores > (-torch.inf if threshold is None else threshold)
+    no_candidate = ~(above & wanted.any(dim=1, keepdim=True))
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
@@ -108,10 +105,34 @@ def temporal_sum(descriptors: Vectors, sequences: Sequence[str], reach: int) -> 
     return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
 
 
-def _cosines(queries: Tensor, references: Tensor, norms: Tensor) -> Tensor:
-    """Cosines, -inf where either vector is zero."""
-    nonzero = (norms > 0) & queries.any(dim=1, keepdim=True)
-    return torch.where(nonzero, queries @ references.T / norms, -torch.inf)
+def _unit(vectors: Tensor, name: str) -> Tensor:
+    """Vectors of length 1 or 0 in float32."""
+    norms = torch.linalg.vector_norm(vectors.float(), dim=1, keepdim=True)
+    if not bool(norms.isfinite().all()):
+        raise ValueError(f"{name} hold values that are not finite")
+    return vectors.float() / torch.where(norms > 0, norms, 1)
+
+
+def _cosines(queries: Tensor, references: Tensor) -> Tensor:
+    """Cosines of vectors of length 1, -inf for a reference that is zero."""
+    cosines = queries @ references.T
+    empty = ~references.any(dim=1)
+    if bool(empty.any()):
+        cosines[:, empty] = -torch.inf
+    return cosines
+
+
+def _improve(scores: Tensor, indices: Tensor, found: Tensor, first: int) -> None:
+    """Puts what was found into lists of candidates, in place.
+
+    Most queries find nothing in a later block that is better than what they have, and one look
+    at the block's best score tells.
+    """
+    rows = (found.amax(dim=1) > scores[:, -1]).nonzero()[:, 0]
+    if len(rows):
+        best, columns = _best(found[rows], min(scores.shape[1], found.shape[1]))
+        merged = _merge((scores[rows], indices[rows]), (best, columns + first))
+        scores[rows], indices[rows] = merged
 
 
 def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
@@ -148,6 +169,3 @@ def _check(queries: Tensor, references: Tensor, top: int) -> None:
         )
     if top < 1:
         raise ValueError(f"top must be at least 1, got {top}")
-    for name, vectors in (("queries", queries), ("references", references)):
-        if not bool(torch.isfinite(vectors).all()):
-            raise ValueError(f"{name} hold values that are not finite")

@@ -65,6 +65,7 @@ def test_the_distance_includes_its_limit_and_ignores_the_heading():
     queries = np.array([[0, 0, 9], [100, 0, math.nan]], float)
     assert as_lists(from_poses(queries, references, 5)) == [[0, 1, 3], []]
     assert as_lists(from_poses(queries, references, 0)) == [[0], []]
+    assert as_lists(from_poses(queries, np.pad(references, ((0, 0), (0, 1))), 0)) == [[0], []]
     assert as_lists(from_poses(queries[:0], references, 5)) == []
     assert as_lists(from_poses(queries, references[:0], 5)) == [[], []]
 
@@ -117,7 +118,7 @@ def test_two_aligned_traverses_are_counted_apart():
 
 
 def test_a_sequence_may_have_slashes():
-    assert as_lists(from_frame_numbers(["a/b/1"], ["a/b/1", "a/c/1"], 0)) == [[0]]
+    assert as_lists(from_frame_numbers(["a/b/1"], ["a/b/1", "a/c/1"], 9)) == [[0]]
 
 
 @pytest.mark.parametrize(

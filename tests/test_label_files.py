@@ -1,6 +1,7 @@
 """Label maps on disk: which files are frames, and what each format holds."""
 
 import os
+import struct
 
 import cv2
 import numpy as np
@@ -33,6 +34,21 @@ def touch(*paths):
 
 def ids(files):
     return [file.frame for file in files]
+
+
+def raw_tiff(pixels, order):
+    """A TIFF of ``(H, W, 3)`` 16-bit colours in a byte order; Pillow cannot write it."""
+    height, width, _ = pixels.shape
+    data = pixels.astype(f"{order}u2").tobytes()
+    tags = {
+        256: width, 257: height, 258: 16, 259: 1, 262: 2, 273: 8,
+        277: 3, 278: height, 279: len(data), 284: 1,
+    }  # fmt: skip
+    directory = struct.pack(f"{order}H", len(tags))
+    for tag, value in tags.items():
+        directory += struct.pack(f"{order}HHII", tag, 4, 1, value)
+    head = b"II*\0" if order == "<" else b"MM\0*"
+    return head + struct.pack(f"{order}I", 8 + len(data)) + data + directory + bytes(4)
 
 
 def beside(first, *channels):
@@ -126,9 +142,14 @@ def test_eight_bit_gray_with_alpha_holds_the_class_first(tmp_path):
     np.testing.assert_array_equal(read(path), LABELS)
 
 
-def test_sixteen_bit_colour_outside_png_is_refused_rather_than_read_as_void(tmp_path):
+@pytest.mark.parametrize("order", ["<", ">", "compressed"])
+def test_sixteen_bit_colour_outside_png_is_refused_rather_than_read_as_void(tmp_path, order):
     """Pillow keeps the high bytes only, and all of these are (0, 0, 0)."""
-    cv2.imwrite(str(tmp_path / "a.tif"), np.dstack([LABELS.astype(np.uint16)] * 3))
+    pixels = np.dstack([LABELS.astype(np.uint16)] * 3)
+    if order == "compressed":
+        cv2.imwrite(str(tmp_path / "a.tif"), pixels)
+    else:
+        (tmp_path / "a.tif").write_bytes(raw_tiff(pixels, order))
     with pytest.raises(ValueError, match="would be read scaled; wanted"):
         read(tmp_path / "a.tif")
 
@@ -271,6 +292,13 @@ def test_a_damaged_header_of_an_array_is_refused(tmp_path):
     assert refused > 64
 
 
+def test_an_array_of_rank_four_is_one_frame_and_refused_whole(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((2, 3, 4, 5), int))
+    (file,) = find_label_files([str(tmp_path / "a.npy")])
+    with pytest.raises(ValueError, match=r"got \(2, 3, 4, 5\)"):
+        read_label_map(file, CAMVID)
+
+
 def test_a_stack_that_became_shorter_is_refused(tmp_path):
     np.save(tmp_path / "a.npy", LABELS[None])
     with pytest.raises(ValueError, match="index 1 is out of bounds"):
@@ -309,6 +337,7 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
     folder = tmp_path / "monday"
     touch(*(folder / name for name in ("f10.png", "f2.png", "f1.tif", "f3.PNG", "f01.bmp")))
     touch(folder / "notes.txt", folder / "poses", folder / "below" / "f5.png")
+    (folder / "f6.png").mkdir()
     wanted = ["monday/f01", "monday/f1", "monday/f2", "monday/f3", "monday/f10"]
     assert ids(find_label_files([str(folder)])) == wanted
     assert ids(find_label_files([f"{folder}/"])) == wanted
