@@ -52,10 +52,10 @@ def write_png(path: Path, pixels: npt.NDArray[np.integer], colour_type: int, bit
     return path
 
 
-def flip_byte(path: Path, position: int) -> None:
+def flip_byte(path: Path, position: int, bits: int = 0x55) -> None:
     """Damages one byte of a file."""
     content = bytearray(path.read_bytes())
-    content[position] ^= 0x55
+    content[position] ^= bits
     path.write_bytes(content)
 
 

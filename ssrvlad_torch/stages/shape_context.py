@@ -14,11 +14,15 @@ PAIRS_AT_ONCE = 1 << 18
 """Pairs of points in memory at a time: some megabytes, however many points there are."""
 
 
+ROWS_AT_ONCE = 64
+"""Rows of the table of bins that are made at a time."""
+
+
 class Bins(NamedTuple):
     """The target-shaped template of the shape context, as a table over offsets.
 
     Attributes:
-        table: ``(2H - 1, 2W - 1)`` int32. The entry at ``(dy + H - 1, dx + W - 1)`` is the bin of
+        table: ``(2H - 1, 2W - 1)`` int16. The entry at ``(dy + H - 1, dx + W - 1)`` is the bin of
             the offset ``(dy, dx)``, ``ring * M + sector``, or ``total`` for the reference point
             itself and for what is farther than the last ring.
         total: N * M, the number of bins.
@@ -78,14 +82,17 @@ def log_polar_bins(
             ``2 pi (m + 1) / M``, excluded, counted from +x (right) towards +y (down).
         device: where the table lies.
     """
-    dy = torch.arange(1 - height, height, device=device)[:, None]
-    dx = torch.arange(1 - width, width, device=device)[None, :]
-    squared = dy * dy + dx * dx
-    ring = sum((squared > limit).to(torch.int64) for limit in limits)
-    sector = _twelve_sectors(dy, dx) if sectors == 12 else _sectors(dy, dx, sectors)
     total = len(limits) * sectors
-    inside = (squared > 0) & (squared <= limits[-1])
-    return Bins(torch.where(inside, ring * sectors + sector, total).to(torch.int32), total)
+    table = torch.empty((2 * height - 1, 2 * width - 1), dtype=torch.int16, device=device)
+    dx = torch.arange(1 - width, width, device=device)
+    rows = torch.arange(1 - height, height, device=device)[:, None]
+    for part, dy in zip(table.split(ROWS_AT_ONCE), rows.split(ROWS_AT_ONCE), strict=True):
+        squared = dy * dy + dx * dx
+        ring = sum((squared > limit).to(torch.int64) for limit in limits)
+        sector = _twelve_sectors(dy, dx) if sectors == 12 else _sectors(dy, dx, sectors)
+        inside = (squared > 0) & (squared <= limits[-1])
+        part.copy_(torch.where(inside, ring * sectors + sector, total))
+    return Bins(table, total)
 
 
 def _twelve_sectors(dy: Tensor, dx: Tensor) -> Tensor:

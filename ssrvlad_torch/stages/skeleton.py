@@ -65,6 +65,8 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
 def thin_by_sweeps(planes: Tensor, sweep: Sweep) -> Tensor:
     """The skeleton of every layer, every sub-iteration a pass over the whole batch.
 
+    Whenever half of the images are settled they leave the batch.
+
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
         sweep: `sweep_into` for a rule, compiled.
@@ -72,16 +74,33 @@ def thin_by_sweeps(planes: Tensor, sweep: Sweep) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
+    skeletons = torch.empty_like(planes, memory_format=torch.contiguous_format)
+    images = torch.arange(len(planes), device=planes.device)
+    while len(images):
+        planes, settled = _sweep_until_half_settle(planes, sweep)
+        skeletons[images[settled]] = planes[settled]
+        images, planes = images[~settled], planes[~settled]
+    return skeletons
+
+
+def _sweep_until_half_settle(planes: Tensor, sweep: Sweep) -> tuple[Tensor, Tensor]:
+    """Thins a batch until at least half of its images are settled, ``(B,)`` bool."""
     line, pitch = _to_line(planes)
     other = line.clone()
     pixels, other_pixels = _within_margins(line, pitch), _within_margins(other, pitch)
-    settled = False
-    while not settled:
+    settled = torch.zeros(len(planes), dtype=torch.bool, device=planes.device)
+    while 2 * int(settled.sum()) < len(planes):
         sweep(other_pixels, line, pitch, True)
-        settled = torch.equal(other_pixels, pixels)
+        settled = _equal_images(other_pixels, pixels, len(planes))
         sweep(pixels, other, pitch, False)
-        settled = settled and torch.equal(other_pixels, pixels)
-    return _to_planes(line, pitch, planes.shape)
+        if bool(settled.any()):
+            settled &= _equal_images(other_pixels, pixels, len(planes))
+    return _to_planes(line, pitch, planes.shape), settled
+
+
+def _equal_images(some: Tensor, others: Tensor, count: int) -> Tensor:
+    """``(B,)`` bool, images whose words are the same."""
+    return (some == others).view(torch.uint8).view(count, -1).amin(dim=1).bool()
 
 
 def sweep_into(rule: Rule, target: Tensor, line: Tensor, pitch: int, first: bool) -> None:
