@@ -38,12 +38,13 @@ NO_LAYER = len(CATEGORIES)
 
 @dataclass(frozen=True)
 class LabelClass:
-    """One id of a label space: ``category`` is in `CATEGORIES`, or `DYNAMIC` or `VOID`."""
+    """One id of a label space: ``category`` is in `CATEGORIES`, or `DYNAMIC` or `VOID`; the colour
+    is what pictures of label maps show it in, if any."""
 
     id: int
     name: str
     category: str
-    colour: tuple[int, int, int]
+    colour: tuple[int, int, int] | None
 
     @property
     def category_index(self) -> int:
@@ -126,7 +127,7 @@ def palette(name: str) -> npt.NDArray[np.uint8]:
     """(256, 3) colours of a label space's ids 0 to 255; black where it defines none."""
     colours = np.zeros((256, 3), np.uint8)
     for label in label_space(name).classes:
-        if 0 <= label.id < 256:
+        if 0 <= label.id < 256 and label.colour:
             colours[label.id] = label.colour
     return colours
 
@@ -138,7 +139,7 @@ def colourise(labels: npt.NDArray[Any], name: str) -> npt.NDArray[np.uint8]:
     """
     picture = np.full((*labels.shape, 3), (255, 0, 255), np.uint8)
     for label in label_space(name).classes:
-        picture[labels == label.id] = label.colour
+        picture[labels == label.id] = label.colour or (0, 0, 0)
     return picture
 
 
@@ -168,10 +169,12 @@ def _parse_class(entry: object, where: str) -> LabelClass:
             f"{where}: id {identity} has category {category!r}; "
             f"wanted one of {', '.join((*CATEGORIES, DYNAMIC, VOID))}"
         )
-    colour = entry.get("colour", (0, 0, 0))
-    if not _is_colour(colour):
+    colour = entry.get("colour")
+    if colour is not None and not _is_colour(colour):
         raise ValueError(f"{where}: id {identity} has colour {colour!r}; wanted three of 0 to 255")
-    return LabelClass(identity, str(entry["name"]), category, tuple(colour))
+    return LabelClass(
+        identity, str(entry["name"]), category, None if colour is None else tuple(colour)
+    )
 
 
 def _is_colour(value: object) -> bool:

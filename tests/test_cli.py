@@ -227,6 +227,10 @@ def bad_uses(tmp_path: Path) -> dict[str, tuple[list[object], str]]:
         ),
         "output is a file": (["encode", maps, "-o", tmp_path / "file", *camvid], "no database"),
         "output below a file": (["encode", maps, "-o", tmp_path / "file" / "db", *camvid], "file"),
+        "start beyond the end": (
+            ["encode", maps, "-o", none, *camvid, "--start", 99],
+            "no sequence has a frame 99; the longest has 6 frames",
+        ),
         "not a database": (
             ["query", tmp_path / "folder", maps],
             "folder is not a database: it has no manifest.json",
@@ -272,6 +276,7 @@ def bad_uses(tmp_path: Path) -> dict[str, tuple[list[object], str]]:
         "output is a file",
         "output below a file",
         "not a database",
+        "start beyond the end",
         "two tolerances",
         "no tolerance",
         "no poses",

@@ -1,7 +1,13 @@
 import pytest
 import torch
 
-from ssrvlad_torch.stages.layers import categorise, category_table, refuse_unknown, split
+from ssrvlad_torch.stages.layers import (
+    UNKNOWN,
+    categorise,
+    category_table,
+    refuse_unknown,
+    split,
+)
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
 
 INTEGER_DTYPES = [
@@ -43,6 +49,16 @@ def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown):
         match=rf"label id {unknown} \(2 pixels\) is not in label space camvid-11; wanted 0 to 11",
     ):
         refuse_unknown(labels, categories, space)
+
+
+@pytest.mark.parametrize(
+    ("dtype", "value"),
+    [(torch.uint32, 2**32 - 1), (torch.uint64, 2**64 - 1), (torch.uint64, 2**32 + 3)],
+)
+def test_unsigned_ids_do_not_wrap_into_known_ones(dtype, value):
+    space = label_space("cityscapes-ids")
+    labels = torch.tensor([[[value]]], dtype=dtype)
+    assert categorise(labels, *category_table(space)).item() == UNKNOWN
 
 
 def test_several_unknown_ids():

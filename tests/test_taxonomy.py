@@ -119,6 +119,7 @@ def test_a_space_of_ones_own(tmp_path):
     assert [label.category_index for label in space.classes] == [8, 0, 8]
     assert list(space.channel_counts) == []
     assert palette(str(file))[5].tolist() == [1, 2, 3]
+    assert [label.colour for label in space.classes] == [None, (1, 2, 3), None]
 
 
 @pytest.mark.parametrize(

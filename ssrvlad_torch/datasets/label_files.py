@@ -83,7 +83,11 @@ def find_label_files(
         found.values(), key=lambda f: (natural_key(f.sequence), natural_key(f.name))
     ):
         by_sequence.setdefault(file.sequence, []).append(file)
-    return [file for files in by_sequence.values() for file in files[start::every]]
+    kept = [file for files in by_sequence.values() for file in files[start::every]]
+    if not kept:
+        longest = max(map(len, by_sequence.values()))
+        raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
+    return kept
 
 
 def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
@@ -240,8 +244,9 @@ def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDA
     packed = pixels.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
     ids = np.full(packed.shape, np.iinfo(np.int32).min, np.int32)
     for label in reversed(space.classes):
-        red, green, blue = label.colour
-        ids[packed == (red << 16 | green << 8 | blue)] = label.id
+        if label.colour:
+            red, green, blue = label.colour
+            ids[packed == (red << 16 | green << 8 | blue)] = label.id
     unknown = packed[ids == np.iinfo(np.int32).min]
     if len(unknown):
         colour = tuple(int(unknown[0]) >> shift & 255 for shift in (16, 8, 0))

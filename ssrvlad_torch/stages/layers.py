@@ -39,7 +39,9 @@ def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
     if labels.dtype == torch.uint8:
         entries, table = labels.to(torch.int32), table[origin : origin + 256]
     else:
-        wide = labels if labels.dtype == torch.int64 else labels.to(torch.int32)
+        wide = labels.to(torch.int64)
+        if labels.dtype == torch.uint64:
+            wide = torch.where(wide < 0, len(table), wide)  # beyond int64: no id of any space
         entries = wide.clamp(-origin, len(table) - 1 - origin) + origin
     return table.index_select(0, entries.flatten()).view(labels.shape)
 
