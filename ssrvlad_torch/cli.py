@@ -28,6 +28,7 @@ from rich.progress import (
 )
 from rich.table import Table
 
+from .bench import bench_this_machine
 from .config import SSRVLADConfig
 from .database import Database, FrameSet
 from .datasets.label_files import find_label_files, read_label_map
@@ -280,6 +281,28 @@ def show(
     file = find_label_files([str(labels)])[0]
     draw(read_label_map(file, head.label_space), head, output, title=file.frame)
     print(output)
+
+
+@app.command()
+def bench(
+    repetitions: Annotated[int, typer.Option(min=1, help="How often each way is timed.")] = 5,
+    as_json: Json = False,
+) -> None:
+    """Time the method on this machine, one thread: reference, eager, compiled.
+
+    Example: ssrvlad bench --repetitions 3
+    """
+    rows = bench_this_machine(repetitions)
+    if as_json:
+        _print_json({"rows": rows})
+        return
+    columns = ("preset", "batch", "way", "ms an image", "min", "max", "times faster")
+    table = Table(*columns)
+    for row in rows:
+        times = [f"{row[key]:.2f}" for key in ("median_ms", "min_ms", "max_ms")]
+        ratio = f"{row['times_faster']:.1f}" if "times_faster" in row else ""
+        table.add_row(row["preset"], str(row["batch"]), row["way"], *times, ratio)
+    Console().print(table)
 
 
 @database_app.callback(invoke_without_command=False)

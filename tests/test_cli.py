@@ -13,7 +13,7 @@ from PIL import Image
 
 from ssrvlad_torch import cli
 
-COMMANDS = ["demo", "city", "encode", "query", "evaluate", "show", "db info"]
+COMMANDS = ["demo", "city", "encode", "query", "evaluate", "show", "db info", "bench"]
 
 
 @pytest.fixture

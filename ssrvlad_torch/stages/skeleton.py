@@ -25,6 +25,9 @@ from torch import Tensor
 PIXELS = 8
 """Pixels in a word."""
 
+CPU_PIXELS_AT_ONCE = 1 << 21
+"""Pixels that compiled sweeps go over at a time on a CPU, as many bytes in each of two lines."""
+
 Ring = tuple[Tensor, ...]
 Rule = Callable[[Tensor, Ring, bool], Tensor]
 """``(pixels, neighbours, first) ->`` the pixels that a sub-iteration leaves."""
@@ -65,7 +68,8 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
 def thin_by_sweeps(planes: Tensor, sweep: Sweep) -> Tensor:
     """The skeleton of every layer, every sub-iteration a pass over the whole batch.
 
-    Whenever half of the images are settled they leave the batch.
+    Some images at a time are thinned, few enough for a cache, and whenever half of them are
+    settled they leave.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
@@ -74,6 +78,12 @@ def thin_by_sweeps(planes: Tensor, sweep: Sweep) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
+    limit = CPU_PIXELS_AT_ONCE if planes.is_cpu else planes.numel()
+    images_at_once = max(1, limit // planes[0].numel())
+    return torch.cat([_sweep_part(part, sweep) for part in planes.split(images_at_once)])
+
+
+def _sweep_part(planes: Tensor, sweep: Sweep) -> Tensor:
     skeletons = torch.empty_like(planes, memory_format=torch.contiguous_format)
     images = torch.arange(len(planes), device=planes.device)
     while len(images):
