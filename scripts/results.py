@@ -139,8 +139,22 @@ def city_section() -> Iterator[str]:
 Found = tuple[np.ndarray, np.ndarray]
 
 
-def row(condition: str, method: str, reach: int, searches: list[tuple[Found, list]]) -> str:
+Searches = list[tuple[Found, list[np.ndarray]]]
+"""Candidates and true matches of the queries of each database that was searched."""
+
+
+def row(condition: str, method: str, reach: int, searches: Searches) -> str:
     """A line of a table over the queries of all searches together."""
+    return f"| {condition} | {method} | {reach} | {' | '.join(with_intervals(searches))} |"
+
+
+def recall_at_1(searches: Searches) -> str:
+    """RecallRate@1 with its interval."""
+    return with_intervals(searches)[0]
+
+
+def with_intervals(searches: Searches) -> list[str]:
+    """RecallRate@1, RecallRate@5, AUC-PR and Recall@100%Precision, each with its interval."""
     scores = np.concatenate([found[0] for found, _ in searches])
     rows = np.concatenate([found[1] + i * 10**6 for i, (found, _) in enumerate(searches)])
     truth = [matches + i * 10**6 for i, (_, matched) in enumerate(searches) for matches in matched]
@@ -150,11 +164,10 @@ def row(condition: str, method: str, reach: int, searches: list[tuple[Found, lis
         chosen = rng.integers(0, len(truth), len(truth))
         resampled.append(figures(scores[chosen], rows[chosen], [truth[i] for i in chosen]))
     low, high = np.percentile(resampled, (2.5, 97.5), axis=0)
-    cells = [
+    return [
         f"{value:.3f} [{a:.3f}, {b:.3f}]"
         for value, a, b in zip(figures(scores, rows, truth), low, high, strict=True)
     ]
-    return f"| {condition} | {method} | {reach} | {' | '.join(cells)} |"
 
 
 def figures(scores: np.ndarray, rows: np.ndarray, truth: list) -> list[float]:

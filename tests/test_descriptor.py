@@ -11,10 +11,12 @@ from cases import assert_equals_reference, camvid_labels, degenerate, hand_drawn
 from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from torch.utils._python_dispatch import TorchDispatchMode
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.config import CONTEXTS, PRESETS, THINNINGS
 from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
+from ssrvlad_torch.stages.shape_context import PAIRS_AT_ONCE
 
 DEFAULT = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 PAPER = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
@@ -222,6 +224,40 @@ def test_compiled_equals_eager(thinning):
         batch = batch_of_blobs(*shape)
         assert torch.equal(compiled(batch), head(batch))
     assert torch.equal(compiled.explain(batch).skeleton, head.explain(batch).skeleton)
+
+
+class LargestTensor(TorchDispatchMode):
+    """Remembers the bytes of the largest tensor that any operation makes."""
+
+    def __init__(self):
+        super().__init__()
+        self.bytes = 0
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):
+        result = func(*args, **(kwargs or {}))
+        for made in result if isinstance(result, (tuple, list)) else (result,):
+            if isinstance(made, torch.Tensor):
+                self.bytes = max(self.bytes, made.untyped_storage().nbytes())
+        return result
+
+
+@pytest.mark.parametrize("specks", [0, 4000])
+@presets
+def test_no_tensor_outgrows_the_image(preset, specks):
+    """Key-points times skeleton pixels would be gigabytes here; they are counted in chunks."""
+    config = dataclasses.replace(
+        SSRVLADConfig.from_preset(preset, labels_as=SPACE),
+        closing=0.0,
+        hole_area=0.0,
+        region_area=0.0,
+    )
+    labels = torch.full((2, 400, 500), VOID, dtype=torch.uint8)
+    rng = np.random.default_rng(0)
+    for y, x in rng.integers(0, (400, 500), (specks, 2)).tolist():
+        labels[:, y, x] = ROAD
+    with LargestTensor() as largest:
+        SSRVLAD(config)(labels)
+    assert largest.bytes <= max(16 * labels.numel(), 8 * PAIRS_AT_ONCE)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")

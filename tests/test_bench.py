@@ -1,0 +1,58 @@
+import pytest
+import torch
+
+from ssrvlad_torch import SSRVLADConfig, bench
+from ssrvlad_torch.bench import Timing, bench_this_machine, heads, threads, time_in_turn
+
+
+def test_ways_are_timed_in_turn():
+    calls = []
+    ways = {name: lambda name=name: calls.append(name) for name in ("a", "b")}
+    timings = time_in_turn(ways, repetitions=3)
+    assert calls == ["a", "b"] * 4  # the first pair is the warm-up
+    assert [len(timing.seconds) for timing in timings.values()] == [3, 3]
+    calls.clear()
+    time_in_turn(ways, repetitions=1, warm_up=False)
+    assert calls == ["a", "b"]
+
+
+def test_ratios_are_taken_repetition_by_repetition():
+    slow, fast = Timing((1.0, 8.0, 3.0)), Timing((0.5, 1.0, 1.0))
+    assert fast.times_faster_than(slow) == {"median": 3.0, "min": 2.0, "max": 8.0}
+    assert slow.milliseconds == {"median": 3000.0, "min": 1000.0, "max": 8000.0}
+
+
+def test_threads_are_put_back():
+    before = torch.get_num_threads()
+    with pytest.raises(RuntimeError, match="on purpose"), threads(before + 1):
+        assert torch.get_num_threads() == before + 1
+        raise RuntimeError("on purpose")
+    assert torch.get_num_threads() == before
+
+
+def test_both_heads_have_the_settings():
+    config = SSRVLADConfig(labels_as="camvid-11")
+    assert {name: head.config for name, head in heads(config).items()} == {
+        "eager": config,
+        "compiled": config,
+    }
+
+
+def test_the_table_has_a_row_for_every_way(monkeypatch):
+    monkeypatch.setattr(bench, "SIZE", (48, 64))
+    monkeypatch.setattr(bench, "BATCH", 2)
+    rows = bench_this_machine(repetitions=1)
+    assert [(row["preset"], row["batch"], row["way"]) for row in rows] == [
+        (preset, *rest)
+        for preset in ("paper", "default")
+        for rest in (
+            (1, "reference"),
+            (1, "eager"),
+            (1, "compiled"),
+            (2, "eager"),
+            (2, "compiled"),
+        )
+    ]
+    for row in rows:
+        assert 0 < row["min_ms"] <= row["median_ms"] <= row["max_ms"]
+        assert (row["batch"] == 1) == ("times_faster" in row)
