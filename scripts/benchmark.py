@@ -199,6 +199,26 @@ def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield ""
 
 
+def thread_section(maps: Maps) -> Iterator[str]:
+    yield "What bounds the second thread: milliseconds of each stage of the whole batch of"
+    yield f"{BATCH}, compiled, the median of five calls. Stages on runs and points are short"
+    yield "operators on a few thousand numbers, which torch gives to one thread, and adding up rows"
+    yield "(`reduce_by_majority`) is one thread's work as well.\n"
+    labels = maps.batch(LARGE, BATCH)
+    measured = {}
+    for preset in ("paper", "default"):
+        head = heads(maps.config(preset))["compiled"]
+        head(labels)
+        for count in (1, 2):
+            with threads(count):
+                runs = [stage_seconds(head, labels) for _ in range(5)]
+            measured[preset, count] = {k: np.median([run[k] for run in runs]) for k in runs[0]}
+    yield from head_row("stage", *(f"{preset}, {n} threads" for preset, n in measured))
+    for stage in measured["paper", 1]:
+        yield line(stage, *(f"{1e3 * taken[stage]:.1f}" for taken in measured.values()))
+    yield ""
+
+
 def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
     with threads(count):
         return head(labels)
@@ -254,7 +274,8 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield "## Cost against the complexity of the scene\n"
     yield f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes strewn over it,"
     yield "preset `paper`, one thread; `uncleaned` is without closing, hole filling and region"
-    yield "removal, so that every speck is thinned and described.\n"
+    yield "removal, so that every speck is thinned and described; what it costs then are the pairs of"
+    yield "key-points and skeleton pixels, whose memory stays bounded but whose number does not.\n"
     yield from head_row("specks", "way", "ms", "ms, uncleaned")
     paper = maps.config("paper")
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
@@ -401,6 +422,7 @@ def main() -> None:
         partial(size_section, maps, options.repetitions),
         partial(bars_section, maps, options.repetitions),
         partial(batch_section, maps, options.repetitions),
+        partial(thread_section, maps),
         partial(stage_section, maps),
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),

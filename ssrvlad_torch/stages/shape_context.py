@@ -10,8 +10,9 @@ from torch import Tensor
 
 from ..bitplanes import LAYERS, Points, by_image
 
-PAIRS_AT_ONCE = 1 << 18
-"""Pairs of points in memory at a time: some megabytes, however many points there are."""
+PAIRS_AT_ONCE = 1 << 16
+"""Pairs of points in memory at a time, and those of one reference point more: some megabytes,
+however many points there are."""
 
 
 ROWS_AT_ONCE = 64
@@ -48,22 +49,24 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         ``(B, 8, N * M)`` int64.
     """
     pitch = bins.table.shape[1]
+    groups, stride = LAYERS * images, bins.total + 1
     context_place = context.y * pitch + context.x
     reference_place = references.y * pitch + references.x - bins.table.numel() // 2
-    groups = LAYERS * images
     population = torch.bincount(context.group, minlength=groups)
     group_start = population.cumsum(0) - population
-    pairs_until = population[references.group].cumsum(0)
-    pairs_before = pairs_until - population[references.group]
-    start = group_start[references.group] - pairs_before
-    pair_count = int(pairs_until[-1]) if len(pairs_until) else 0
-    lookup, stride = bins.table.flatten(), bins.total + 1
-    counts = torch.zeros(groups * stride, dtype=torch.int64, device=lookup.device)
-    for first in range(0, pair_count, PAIRS_AT_ONCE):
-        pair = torch.arange(first, min(first + PAIRS_AT_ONCE, pair_count), device=lookup.device)
-        reference = torch.searchsorted(pairs_until, pair, right=True)
-        offset = context_place[start[reference] + pair] - reference_place[reference]
-        place = references.group[reference] * stride + lookup[offset]
+    pairs = population[references.group]
+    chunk = (pairs.cumsum(0) - pairs) // PAIRS_AT_ONCE
+    counts = torch.zeros(groups * stride, dtype=torch.int64, device=bins.table.device)
+    for part in torch.arange(len(pairs), device=pairs.device).split(torch.bincount(chunk).tolist()):
+        group, count = references.group[part], pairs[part]
+        pair_count = int(count.sum())
+        owner = torch.repeat_interleave(count, output_size=pair_count)
+        first = group_start[group] - (count.cumsum(0) - count)
+        seen = first.index_select(0, owner) + torch.arange(pair_count, device=owner.device)
+        offset = context_place.index_select(0, seen)
+        offset -= reference_place[part].index_select(0, owner)
+        place = (group * stride).index_select(0, owner)
+        place += bins.table.flatten().index_select(0, offset)
         counts += torch.bincount(place, minlength=groups * stride)
     return by_image(counts.view(groups, stride)[:, : bins.total], images)
 
