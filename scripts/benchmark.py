@@ -274,8 +274,8 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield "## Cost against the complexity of the scene\n"
     yield f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes strewn over it,"
     yield "preset `paper`, one thread; `uncleaned` is without closing, hole filling and region"
-    yield "removal, so that every speck is thinned and described; what it costs then are the pairs of"
-    yield "key-points and skeleton pixels, whose memory stays bounded but whose number does not.\n"
+    yield "removal, so that every speck is thinned and described. What it costs then are the pairs"
+    yield "of key-points and skeleton pixels: their memory is bounded, their number is not.\n"
     yield from head_row("specks", "way", "ms", "ms, uncleaned")
     paper = maps.config("paper")
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
