@@ -30,9 +30,9 @@ PIXELS_AT_ONCE = 1 << 20
 class SSRVLAD(nn.Module):
     """Label maps or class scores -> place descriptors (Nie, Feng et al., arXiv 2202.03677).
 
-    The module has no weights and needs no training. It runs where it lies, on CPU or CUDA
-    (``head.to("cuda")``), and counts the same integers on both. ``head.compile()`` fuses the
-    thinning, which takes most of the time.
+    The module has no weights and needs no training. It runs where its input lies, on CPU or
+    CUDA, and counts the same integers on both. ``head.compile()`` fuses the thinning, which
+    takes most of the time.
 
     Args:
         config: the settings; without, the preset ``default``.
@@ -113,10 +113,11 @@ class SSRVLAD(nn.Module):
 
     def _categories(self, labels: Tensor, grid: tuple[int, int]) -> Tensor:
         """Categories on the working grid, a few images at a time so that memory stays bounded."""
+        table = self._table.to(labels.device)
         images_at_once = max(1, PIXELS_AT_ONCE // labels[0].numel())
         reduced = []
         for part in labels.split(images_at_once):
-            categories = categorise(part, self._table, self._origin)
+            categories = categorise(part, table, self._origin)
             refuse_unknown(labels, categories, self.label_space)
             reduced.append(reduce_by_majority(categories, grid))
         return torch.cat(reduced)
