@@ -37,9 +37,9 @@ from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
 SETTINGS: dict[str, list[Any]] = {"working_size": [None, 240, 180, 120, 90, 60]}
 VERDICTS = {
     "working_size": """
-The preset keeps 120. What that loses to the native size lies within the intervals, except where
-a network's predictions are matched with hand-made labels; there no size does well, and the plain
-method as such is the weak part (docs/results.md). docs/benchmark.md has what it saves.
+The preset keeps 120: in every condition its interval overlaps that of the native size. It loses
+most where a network's predictions are matched with hand-made labels; there no size does well, and
+the plain method as such is the weak part (docs/results.md). docs/benchmark.md has what it saves.
 """
 }
 
