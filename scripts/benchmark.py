@@ -174,7 +174,7 @@ def bars_section(maps: Maps, repetitions: int) -> Iterator[str]:
     for name, timing in timings.items():
         share = BATCH if "batch" in name else 1
         each = Timing(tuple(second / share for second in timing.seconds))
-        ratios = [span(each.times_faster_than(timings[other]), 1) for other in list(ways)[:2]]
+        ratios = [span(each.times_faster_than(timings[other]), 2) for other in list(ways)[:2]]
         yield line(name, span(each.milliseconds, 2), *ratios)
     yield ""
 
