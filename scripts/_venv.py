@@ -1,6 +1,6 @@
 """Makes or reuses ``.venv``, installs this package into it, and runs commands there.
 
-Needs only Python 3.10 with the standard library. It installs with pip from the package index:
+Needs only Python 3.11 with the standard library. It installs with pip from the package index:
 the core packages and the given extra of pyproject.toml, at the versions of constraints.txt.
 """
 
@@ -19,8 +19,9 @@ BIN = VENV / "bin"
 
 def install(extra: str) -> None:
     """Installs the package with an extra, unless that is done already for these very files."""
-    if sys.version_info < (3, 10):  # noqa: UP036 - the very thing to find out
-        sys.exit(f"{Path(sys.argv[0]).name}: wanted Python 3.10 or newer, got {sys.version}")
+    if sys.version_info < (3, 11):  # noqa: UP036 - the very thing to find out
+        version = sys.version.split()[0]
+        sys.exit(f"{Path(sys.argv[0]).name}: wanted Python 3.11 or newer, got {version}")
     wanted = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
     content = b"".join(file.read_bytes() for file in wanted)
     stamp = VENV / f"installed-{extra}-{hashlib.sha256(content).hexdigest()[:16]}"

@@ -10,6 +10,7 @@ group and then in raster order. `by_image` turns a value per group into a value 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -58,6 +59,14 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
     padded = F.pad(planes, (1, 1, 1, 1))
     offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
     return tuple(padded[:, y : y + height, x : x + width] for y, x in offsets)
+
+
+def two_or_more(planes: Sequence[Tensor]) -> Tensor:
+    """Bits that are set in at least two of the planes, of which there are two or more."""
+    seen, again = planes[0] | planes[1], planes[0] & planes[1]
+    for plane in planes[2:]:
+        seen, again = seen | plane, again | (seen & plane)
+    return again
 
 
 def points(planes: Tensor) -> Points:

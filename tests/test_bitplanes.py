@@ -25,6 +25,12 @@ def test_neighbours_are_clockwise_from_north_and_zero_outside():
         assert torch.equal(plane, padded[:, 1 + dy : 14 + dy, 1 + dx : 18 + dx])
 
 
+def test_two_or_more():
+    some = [random_planes(seed) for seed in range(4)]
+    expected = sum(bitplanes.unpack(plane).int() for plane in some) >= 2
+    assert torch.equal(bitplanes.unpack(bitplanes.two_or_more(some)), expected)
+
+
 def test_points_are_the_set_pixels_by_layer_then_image_then_raster_order():
     some = random_planes()
     group, y, x = bitplanes.points(some)

@@ -172,7 +172,7 @@ def _stack_length(path: Path) -> int | None:
     which is refused by name when its turn comes."""
     try:
         array = open_memmap(path, mode="r")
-    except Exception:  # as in read_label_map
+    except Exception:  # what damaged bytes raise has no bounds
         return None
     return len(array) if array.ndim == 3 else None
 

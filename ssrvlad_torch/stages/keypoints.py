@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..bitplanes import neighbours
+from ..bitplanes import neighbours, two_or_more
 
 
 def end_points(skeleton: Tensor) -> Tensor:
@@ -17,11 +17,7 @@ def end_points(skeleton: Tensor) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    ring = neighbours(skeleton)
-    seen, again = ring[0], ring[0] ^ ring[0]
-    for plane in ring[1:]:
-        seen, again = seen | plane, again | (seen & plane)
-    return skeleton & ~again
+    return skeleton & ~two_or_more(neighbours(skeleton))
 
 
 def intersections(skeleton: Tensor) -> Tensor:

@@ -22,6 +22,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from ..bitplanes import two_or_more
+
 PIXELS = 8
 """Pixels in a word."""
 
@@ -147,7 +149,7 @@ def zhang_suen(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
         kept = east & south & (north | west)  # p2 p4 p6 = 0 and p4 p6 p8 = 0
     else:
         kept = north & west & (east | south)  # p2 p4 p8 = 0 and p2 p6 p8 = 0
-    return pixels & ~(_any(steps) & ~_two_or_more(steps) & two_on & two_off & ~kept)
+    return pixels & ~(_any(steps) & ~two_or_more(steps) & two_on & two_off & ~kept)
 
 
 def guo_hall(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
@@ -164,11 +166,11 @@ def guo_hall(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
     groups = [~n & (ne | e), ~e & (se | s), ~s & (sw | w), ~w & (nw | n)]
     one = [nw | n, ne | e, se | s, sw | w]
     other = [n | ne, e | se, s | sw, w | nw]
-    two_or_more = _two_or_more(one) & _two_or_more(other)
-    three_or_fewer = ~(_all(one) & _all(other))
+    two_at_least = two_or_more(one) & two_or_more(other)
+    three_at_most = ~(_all(one) & _all(other))
     kept = (n | ne | ~se) & e if first else (s | sw | ~nw) & w
-    one_group = _any(groups) & ~_two_or_more(groups)
-    return pixels & ~(one_group & two_or_more & three_or_fewer & ~kept)
+    one_group = _any(groups) & ~two_or_more(groups)
+    return pixels & ~(one_group & two_at_least & three_at_most & ~kept)
 
 
 RULES: dict[str, Rule] = {"zhang-suen": zhang_suen, "guo-hall": guo_hall}
@@ -245,10 +247,3 @@ def _all(planes: list[Tensor]) -> Tensor:
     for plane in planes[1:]:
         result = result & plane
     return result
-
-
-def _two_or_more(planes: list[Tensor]) -> Tensor:
-    seen, again = planes[0] | planes[1], planes[0] & planes[1]
-    for plane in planes[2:]:
-        seen, again = seen | plane, again | (seen & plane)
-    return again
