@@ -1,10 +1,10 @@
-"""Encoding: label maps on disk -> descriptors, batch by batch, into a database or into memory."""
+"""Encoding: label maps, or images and a segmenter, -> descriptors, into a database or memory."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import islice
 from typing import NamedTuple
 
@@ -13,8 +13,10 @@ import torch
 from torch import Tensor
 
 from .database import Database, FrameRecord, FrameSet
-from .datasets.label_files import LabelFile, LabelMap, digest, read_label_map
+from .datasets.frame_files import FrameFile, read_ahead
+from .datasets.label_files import LabelMap, digest, read_label_map
 from .descriptor import SSRVLAD
+from .segmentation import Segmenter
 
 BATCH = 16
 PART_ROWS = 4096
@@ -50,10 +52,11 @@ class Summary:
 
 def encode_to_database(
     head: SSRVLAD,
-    files: Sequence[LabelFile],
+    files: Sequence[FrameFile],
     database: Database,
     workers: int = 2,
     progress: Progress | None = None,
+    segmenter: Segmenter | None = None,
 ) -> Summary:
     """Encodes the frames that a database lacks and adds them to it.
 
@@ -63,13 +66,14 @@ def encode_to_database(
 
     Args:
         head: its settings must have the database's fingerprint.
-        files: from `find_label_files`.
+        files: from `find_label_files`; with a segmenter, from `find_image_files`.
         database: where the raw descriptors go.
         workers: threads that read and decode ahead of the encoder.
         progress: told of every frame that is done.
+        segmenter: makes the label maps, of the head's label space; without, they are read.
 
     Raises:
-        ValueError: the fingerprints differ.
+        ValueError: the fingerprints differ, or the segmenter does not fit.
         OSError: the database cannot be written.
     """
     database.require(head.config)
@@ -80,7 +84,7 @@ def encode_to_database(
     tell(summary.already_there)
     waiting: list[Encoded] = []
     try:
-        for frame in encode(head, fresh, workers):
+        for frame in encode(head, fresh, workers, segmenter):
             if isinstance(frame, Refusal):
                 summary.refused.append(frame)
             else:
@@ -94,13 +98,17 @@ def encode_to_database(
 
 
 def encode_to_memory(
-    head: SSRVLAD, files: Sequence[LabelFile], workers: int = 2, progress: Progress | None = None
+    head: SSRVLAD,
+    files: Sequence[FrameFile],
+    workers: int = 2,
+    progress: Progress | None = None,
+    segmenter: Segmenter | None = None,
 ) -> tuple[FrameSet, list[Refusal]]:
     """Encodes frames in order; arguments as for `encode_to_database`."""
     encoded: list[Encoded] = []
     refused: list[Refusal] = []
     tell = progress or _tell_nobody
-    for frame in encode(head, files, workers):
+    for frame in encode(head, files, workers, segmenter):
         if isinstance(frame, Refusal):
             refused.append(frame)
         else:
@@ -120,15 +128,17 @@ def encode_to_memory(
     return frames, refused
 
 
-def encode(head: SSRVLAD, files: Sequence[LabelFile], workers: int) -> Iterator[Encoded | Refusal]:
+def encode(
+    head: SSRVLAD, files: Sequence[FrameFile], workers: int, segmenter: Segmenter | None = None
+) -> Iterator[Encoded | Refusal]:
     """Encodes frames in order, in batches of frames of like size, read ahead by threads."""
-    read = _read_ahead(head, files, workers)
-    while chunk := list(islice(read, BATCH)):
+    labelled = _label_maps(head, files, workers, segmenter)
+    while chunk := list(islice(labelled, BATCH)):
         results: list[Encoded | Refusal | None] = [None] * len(chunk)
-        alike: dict[object, list[tuple[int, LabelFile, LabelMap]]] = {}
+        alike: dict[object, list[tuple[int, FrameFile, LabelMap]]] = {}
         for place, (file, labels) in enumerate(chunk):
-            if isinstance(labels, Refusal):
-                results[place] = labels
+            if isinstance(labels, ValueError):
+                results[place] = Refusal(file.frame, f"{file.path}: {labels}")
             else:
                 alike.setdefault((labels.shape, labels.dtype), []).append((place, file, labels))
         for members in alike.values():
@@ -139,7 +149,7 @@ def encode(head: SSRVLAD, files: Sequence[LabelFile], workers: int) -> Iterator[
 
 
 def _describe(
-    head: SSRVLAD, batch: Sequence[tuple[LabelFile, LabelMap]]
+    head: SSRVLAD, batch: Sequence[tuple[FrameFile, LabelMap]]
 ) -> list[Encoded | Refusal]:
     """Describes frames of one size and dtype; if the batch is refused, one by one."""
     device = next(head.buffers()).device
@@ -157,32 +167,25 @@ def _describe(
     ]
 
 
-def _record(file: LabelFile, labels: LabelMap, labels_as: str) -> FrameRecord:
+def _record(file: FrameFile, labels: LabelMap, labels_as: str) -> FrameRecord:
     height, width = labels.shape
     return FrameRecord(
         file.sequence, file.name, labels_as, height, width, digest(labels), *file.pose
     )
 
 
-def _read_ahead(
-    head: SSRVLAD, files: Sequence[LabelFile], workers: int
-) -> Iterator[tuple[LabelFile, LabelMap | Refusal]]:
-    def read(file: LabelFile) -> LabelMap | Refusal:
-        try:
-            return read_label_map(file, head.label_space)
-        except ValueError as error:
-            return Refusal(file.frame, f"{file.path}: {error}")
-
-    remaining = iter(files)
-    pending: list[tuple[LabelFile, Future[LabelMap | Refusal]]] = []
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        while True:
-            wanted = islice(remaining, _READ_AHEAD - len(pending))
-            pending += [(file, pool.submit(read, file)) for file in wanted]
-            if not pending:
-                return
-            file, future = pending.pop(0)
-            yield file, future.result()
+def _label_maps(
+    head: SSRVLAD, files: Sequence[FrameFile], workers: int, segmenter: Segmenter | None
+) -> Iterator[tuple[FrameFile, LabelMap | ValueError]]:
+    if segmenter is None:
+        read = partial(read_label_map, space=head.label_space)
+        return read_ahead(read, files, workers, _READ_AHEAD)
+    if segmenter.label_space != head.label_space:
+        raise ValueError(
+            f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
+            f"{head.label_space.name}"
+        )
+    return segmenter.label_maps(files, workers)
 
 
 def _write(waiting: list[Encoded], database: Database, summary: Summary) -> None:

@@ -1,1 +1,1 @@
-"""Data sets: label maps on disk, poses, and the synthetic city."""
+"""Data sets: frames on disk, poses, the layouts in which data sets are published, and the city."""

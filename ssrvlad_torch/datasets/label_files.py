@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import glob
 import hashlib
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,79 +13,25 @@ from numpy.lib.format import open_memmap
 from PIL import Image
 from PIL.ImageFile import ImageFile
 
-from ..database import natural_key
-from ..files import absolute_folder
 from ..taxonomy import LabelSpace
-from .poses import UNKNOWN, Pose, find_poses
+from .frame_files import FileKind, FrameFile, find_frames, is_npy, one_line
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
 _FORMATS = ("PNG", "TIFF", "BMP")
 _SIXTEEN_BIT_LOW_BYTE = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L", "LA;16B": "RGBA"}
 
+LabelFile = FrameFile
+"""A frame whose file holds a label map."""
+
 LabelMap = npt.NDArray[np.integer[Any]]
-
-
-@dataclass(frozen=True)
-class LabelFile:
-    """One label map on disk.
-
-    Attributes:
-        sequence, name: the frame's id is ``<sequence>/<name>``.
-        path: the file.
-        row: which label map of a ``.npy`` stack, ``None`` for a file that holds one.
-        pose: from ``poses.csv``, NaN where there is none.
-    """
-
-    sequence: str
-    name: str
-    path: Path
-    row: int | None = None
-    pose: Pose = UNKNOWN
-
-    @property
-    def frame(self) -> str:
-        """The frame's id."""
-        return f"{self.sequence}/{self.name}"
 
 
 def find_label_files(
     sources: Sequence[str], sequence: str | None = None, every: int = 1, start: int = 0
 ) -> list[LabelFile]:
-    """The frames of some sources, sorted by sequence and name as a person would.
-
-    Args:
-        sources: folders, files or globs. The files of a folder are one sequence with the folder's
-            name; hidden ones are passed over. A glob that matches no label map stands for the
-            folders that it matches. A ``.npy`` file of rank 3 is a stack of label maps, and given
-            by itself is a sequence with the file's name.
-        sequence: the name of the sequence in place of the folder's.
-        every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
-
-    Raises:
-        ValueError: a source holds no label maps, two folders give the same frame, or ``every``
-            or ``start`` is out of range.
-    """
-    if every < 1 or start < 0:
-        raise ValueError(f"wanted every >= 1 and start >= 0, got {every} and {start}")
-    found: dict[str, LabelFile] = {}
-    for source in sources:
-        for file in _with_poses(_expand(source, sequence)):
-            earlier = found.setdefault(file.frame, file)
-            if earlier is not file and not _is_same(earlier, file):
-                raise ValueError(
-                    f"frame {file.frame!r} is both {earlier.path} and {file.path}; "
-                    "give one of them another --sequence"
-                )
-    by_sequence: dict[str, list[LabelFile]] = {}
-    for file in sorted(
-        found.values(), key=lambda f: (natural_key(f.sequence), natural_key(f.name))
-    ):
-        by_sequence.setdefault(file.sequence, []).append(file)
-    kept = [file for files in by_sequence.values() for file in files[start::every]]
-    if not kept:
-        longest = max(map(len, by_sequence.values()))
-        raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return kept
+    """The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
+    kind = FileKind("label maps", SUFFIXES, stack_rank=3)
+    return find_frames(kind, sources, sequence, every, start)
 
 
 def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
@@ -106,10 +50,9 @@ def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
     """
     try:
         file.frame.encode()
-        labels = _read_npy(file) if _is_npy(file.path) else _read_image(file.path, space)
+        labels = _read_npy(file) if is_npy(file.path) else _read_image(file.path, space)
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ValueError(" ".join(reason.split()) or type(error).__name__) from error
+        raise ValueError(one_line(error)) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
         raise ValueError(f"wanted an (H, W) integer label map, got {labels.shape} {labels.dtype}")
     return _with_dtype_of_torch(labels)
@@ -121,70 +64,6 @@ def digest(labels: LabelMap) -> str:
     content = hashlib.blake2b(str(labels.shape).encode(), digest_size=16)
     content.update(np.ascontiguousarray(smallest).tobytes())
     return content.hexdigest()
-
-
-def _expand(source: str, sequence: str | None) -> list[LabelFile]:
-    path = Path(source)
-    matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
-    if not matches:
-        raise ValueError(f"{source} does not exist and matches no file")
-    for folders in (False, True):
-        places = [match for match in matches if match.is_dir() == folders]
-        files = [file for place in places for file in _frames_at(place, sequence)]
-        if files:
-            return files
-    raise ValueError(f"{source} holds no label maps; wanted {', '.join(SUFFIXES)} files")
-
-
-def _is_same(one: LabelFile, other: LabelFile) -> bool:
-    return (one.path.resolve(), one.row) == (other.path.resolve(), other.row)
-
-
-def _frames_at(place: Path, sequence: str | None) -> Iterator[LabelFile]:
-    """The frames of a folder or a file. A link to nothing is a frame, refused when it is read."""
-    if place.is_dir():
-        for entry in place.iterdir():
-            if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
-                yield from _frames(entry, sequence)
-    else:
-        stack = _is_npy(place) and _stack_length(place) is not None
-        yield from _frames(place, sequence or (place.stem if stack else None))
-
-
-def _frames(path: Path, sequence: str | None) -> Iterator[LabelFile]:
-    if path.suffix.lower() not in SUFFIXES:
-        return
-    sequence = sequence or absolute_folder(path.parent).name
-    length = _stack_length(path) if _is_npy(path) else None
-    if length is None:
-        yield LabelFile(sequence, path.stem, path)
-    else:
-        for row in range(length):
-            yield LabelFile(sequence, f"{path.stem}-{row:06d}", path, row)
-
-
-def _is_npy(path: Path) -> bool:
-    return path.suffix.lower() == ".npy"
-
-
-def _stack_length(path: Path) -> int | None:
-    """Label maps in a ``.npy`` stack; ``None`` for a single one or a file that cannot be read,
-    which is refused by name when its turn comes."""
-    try:
-        array = open_memmap(path, mode="r")
-    except Exception:  # what damaged bytes raise has no bounds
-        return None
-    return len(array) if array.ndim == 3 else None
-
-
-def _with_poses(files: list[LabelFile]) -> Iterator[LabelFile]:
-    """The files with the poses of their ids, of ``<folder>/<name>``, or of their bare names."""
-    poses = {folder: find_poses(folder) for folder in {file.path.parent for file in files}}
-    for file in files:
-        known, folder = poses[file.path.parent], absolute_folder(file.path.parent).name
-        ids = (file.frame, f"{folder}/{file.name}", file.name)
-        pose = next((known[frame] for frame in ids if frame in known), UNKNOWN)
-        yield replace(file, pose=pose)
 
 
 def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:

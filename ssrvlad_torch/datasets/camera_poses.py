@@ -1,0 +1,71 @@
+"""Cameras in space, as data sets store them, set down on the ground plane."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from .poses import Pose
+
+
+class Ground(NamedTuple):
+    """The axes of a world that span its ground plane, seen from above.
+
+    Attributes:
+        x: number (0 to 2) of the world's axis that becomes a `Pose`'s x.
+        y: the axis that becomes its y, to the left of x for someone who looks down.
+    """
+
+    x: int
+    y: int
+
+    def pose(self, centre: Sequence[float], axis: Sequence[float]) -> Pose:
+        """The pose of a camera.
+
+        Args:
+            centre: ``(3,)`` position in the world, in metres.
+            axis: ``(3,)`` direction of view in the world, of any length.
+
+        Returns:
+            position in metres, heading in radians from -pi to pi.
+        """
+        return Pose(centre[self.x], centre[self.y], math.atan2(axis[self.y], axis[self.x]))
+
+
+Z_UP = Ground(0, 1)
+Z_DOWN = Ground(1, 0)
+Y_UP_LEFT_HANDED = Ground(0, 2)
+
+
+def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
+    """Direction of view of a camera that looks down its own +z, in the world.
+
+    That is the third row of the rotation from world to camera (COLMAP's and VisualSFM's convention:
+    x to the right, y down, z ahead).
+
+    Args:
+        quaternion: ``(w, x, y, z)`` of that rotation, of any length but 0.
+
+    Returns:
+        a vector of length 1.
+
+    Raises:
+        ValueError: the quaternion is zero or not finite.
+    """
+    length = math.hypot(*quaternion)
+    if not 0 < length < math.inf:
+        raise ValueError(f"{tuple(quaternion)} is no rotation")
+    w, x, y, z = (part / length for part in quaternion)
+    return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+def parse_numbers(words: Sequence[str], count: int) -> list[float]:
+    """Exactly so many numbers.
+
+    Raises:
+        ValueError: there are more or fewer, or one is no number.
+    """
+    if len(words) != count:
+        raise ValueError(f"wanted {count} numbers, got {len(words)}")
+    return [float(word) for word in words]

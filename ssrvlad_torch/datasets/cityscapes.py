@@ -1,0 +1,121 @@
+"""Cityscapes: ``gtFine/train/aachen/aachen_000000_000019_gtFine_labelIds.png``.
+
+Cordts et al., CVPR 2016. A traverse is a city: ``train-aachen``. Label maps are of the ids, which
+the data set comes with and which know parking and guard rails, or of the train ids, which its
+scripts make; ``vehicle/`` has the GPS fixes of the frames.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+from .dataset import Dataset, Layout, Traverse, files_in, folders_in
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .poses import Pose
+
+_IMAGES = "leftImg8bit"
+_ANNOTATIONS = ("gtFine", "gtCoarse")
+_ENCODINGS = {"cityscapes-ids": "labelIds", "cityscapes-trainids": "labelTrainIds"}
+_EARTH_RADIUS = 6_371_000
+_MERIDIAN = 9.0
+
+
+def read(root: Path, labels_as: str | None) -> Dataset:
+    """The data set in ``root``.
+
+    A label space that is one of the two of Cityscapes chooses between them. Fine annotations are
+    preferred to coarse ones.
+
+    Raises:
+        ValueError: there is no image and no label map, or a GPS fix is damaged.
+    """
+    cities = _cities(root)
+    space = labels_as or _published_encoding(root, cities)
+    ending = _ENCODINGS.get(space, "labelIds")
+    traverses = []
+    for city in cities:
+        images = files_in(root / _IMAGES / city, IMAGE_SUFFIXES, f"_{_IMAGES}")
+        labels: dict[str, Path] = {}
+        for kind in reversed(_ANNOTATIONS):
+            labels |= files_in(root / kind / city, LABEL_SUFFIXES, f"_{kind}_{ending}")
+        fixes = files_in(root / "vehicle" / city, (".json",), "_vehicle")
+        poses = {
+            name: read_fix(file) for name, file in fixes.items() if name in images or name in labels
+        }
+        if images or labels:
+            traverses.append(Traverse.of(city.replace("/", "-"), images, labels, poses))
+    if not traverses:
+        raise ValueError(
+            f"{root} holds no frames in {_IMAGES}/*/* or gtFine/*/*; they are at {LAYOUT.origin}"
+        )
+    notes = []
+    if not (root / "vehicle").is_dir():
+        notes.append(
+            f"{root} has no vehicle/, so no frame has a pose; it is vehicle_trainvaltest.zip at "
+            f"{LAYOUT.origin}"
+        )
+    return Dataset(LAYOUT.name, root, tuple(traverses), space, None, tuple(notes))
+
+
+def read_fix(path: Path) -> Pose:
+    """The pose of one frame, in metres of a transverse Mercator map about 9 degrees east.
+
+    The Earth is taken as a sphere, which is within 0.5 % for distances anywhere in the data set.
+    ``gpsHeading`` is taken as a compass course: degrees clockwise from north.
+
+    Raises:
+        ValueError: the file is no JSON object with these numbers; the message names it.
+    """
+    try:
+        fix = json.loads(path.read_text(encoding="utf-8"))
+        x, y = _on_map(fix["gpsLatitude"], fix["gpsLongitude"])
+        course = math.radians(fix.get("gpsHeading", math.nan))
+        return Pose(x, y, math.remainder(math.pi / 2 - course, 2 * math.pi))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise ValueError(
+            f"{path} must hold numbers gpsLatitude, gpsLongitude and gpsHeading: {error!r}"
+        ) from error
+
+
+def recognises(root: Path) -> bool:
+    """Whether a folder has ``leftImg8bit`` or annotations with splits and cities in it."""
+    return bool(_cities(root))
+
+
+def _on_map(latitude: float, longitude: float) -> tuple[float, float]:
+    """Degrees to metres east of the meridian and north of the equator."""
+    phi, along = math.radians(latitude), math.radians(longitude - _MERIDIAN)
+    x = _EARTH_RADIUS * math.atanh(math.cos(phi) * math.sin(along))
+    return x, _EARTH_RADIUS * math.atan2(math.tan(phi), math.cos(along))
+
+
+def _cities(root: Path) -> list[str]:
+    """``train/aachen`` and so on, of those that there are."""
+    cities = {
+        f"{split.name}/{city.name}"
+        for kind in (_IMAGES, *_ANNOTATIONS)
+        for split in folders_in(root / kind)
+        for city in folders_in(split)
+    }
+    return sorted(cities)
+
+
+def _published_encoding(root: Path, cities: list[str]) -> str:
+    """The label space of the label maps that there are, the ids if both are."""
+    for space, ending in _ENCODINGS.items():
+        for kind in _ANNOTATIONS:
+            if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities):
+                return space
+    return "cityscapes-ids"
+
+
+LAYOUT = Layout(
+    "cityscapes",
+    "cityscapes-dataset.com",
+    "leftImg8bit/<split>/<city>/*_leftImg8bit.png and gtFine/<split>/<city>/*_gtFine_labelIds.png",
+    recognises,
+    read,
+)

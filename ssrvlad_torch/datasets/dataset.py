@@ -1,0 +1,328 @@
+"""A data set on disk: sequences of frames, which of them are queries, and what counts as right."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from ..database import natural_key
+from ..taxonomy import label_space
+from .frame_files import FrameFile
+from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .poses import UNKNOWN, Pose
+
+Role = Literal["reference", "query"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a data set.
+
+    Attributes:
+        sequence, name: the frame's id is ``<sequence>/<name>``.
+        image: the photo, if it is on disk.
+        label: its label map, if there is one.
+        pose: metres and radians, NaN where unknown.
+    """
+
+    sequence: str
+    name: str
+    image: Path | None = None
+    label: Path | None = None
+    pose: Pose = UNKNOWN
+
+    @property
+    def frame(self) -> str:
+        """The frame's id."""
+        return f"{self.sequence}/{self.name}"
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether it is known where the frame was taken."""
+        return not (math.isnan(self.pose.x) or math.isnan(self.pose.y))
+
+
+class GroundTruth(NamedTuple):
+    """When a reference shows the place of a query; one of the three is given, as in ``evaluate``.
+
+    Attributes:
+        source: who says so.
+        file: the true matches, written down.
+        metres: references at most so far away on the ground.
+        frames: references at most so many frames away in the drive.
+    """
+
+    source: str
+    file: Path | None = None
+    metres: float | None = None
+    frames: int | None = None
+
+
+@dataclass(frozen=True)
+class Traverse:
+    """One drive along a route with one camera.
+
+    Attributes:
+        name: the sequence of its frames.
+        frames: in the order of their names, as a person would sort them.
+        role: what the data set means it for, ``None`` where it does not say.
+    """
+
+    name: str
+    frames: tuple[Frame, ...]
+    role: Role | None = None
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        images: Mapping[str, Path],
+        labels: Mapping[str, Path],
+        poses: Mapping[str, Pose],
+        role: Role | None = None,
+    ) -> Traverse:
+        """A traverse of all frames that have an image or a label map, by their names."""
+        frames = tuple(
+            Frame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
+            for key in sorted({*images, *labels}, key=natural_key)
+        )
+        return cls(name, frames, role)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Traverses, and what is known of them. Made by `open_dataset`.
+
+    Attributes:
+        layout: name of the layout that it was found in.
+        root: its folder.
+        traverses: no two of one name.
+        labels_as: label space of the label maps, ``None`` where there are none or it is not known.
+        truth: what the data set counts as a true match, ``None`` where it does not say.
+        notes: what the layout has and this copy lacks, a line each.
+    """
+
+    layout: str
+    root: Path
+    traverses: tuple[Traverse, ...]
+    labels_as: str | None = None
+    truth: GroundTruth | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        counts = Counter(traverse.name for traverse in self.traverses)
+        repeated = [name for name, count in counts.items() if count > 1]
+        if repeated:
+            raise ValueError(f"{self.root} has more than one sequence {repeated[0]!r}")
+
+    @property
+    def frames(self) -> Iterator[Frame]:
+        """All frames, one traverse after another."""
+        return (frame for traverse in self.traverses for frame in traverse.frames)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What is missing, a line each: the notes, and how many frames lack what others have."""
+        frames = list(self.frames)
+        lacking = {
+            "image": [frame for frame in frames if frame.image is None],
+            "label map": [frame for frame in frames if frame.label is None],
+            "pose": [frame for frame in frames if not frame.has_pose],
+        }
+        return [
+            *self.notes,
+            *(
+                f"{len(without)} of {len(frames)} frames have no {what}, the first is "
+                f"{without[0].frame}"
+                for what, without in lacking.items()
+                if 0 < len(without) < len(frames)
+            ),
+        ]
+
+    def select(self, patterns: Sequence[str] = (), role: Role | None = None) -> Dataset:
+        """The same data set with some of its traverses.
+
+        Args:
+            patterns: names of sequences, ``*`` and ``?`` standing for any text and any letter;
+                all if there is none.
+            role: only traverses that the data set means for this.
+
+        Raises:
+            ValueError: a pattern matches no sequence, or none has the role.
+        """
+        for pattern in patterns:
+            if not any(fnmatchcase(traverse.name, pattern) for traverse in self.traverses):
+                names = shortened([traverse.name for traverse in self.traverses])
+                raise ValueError(f"{self.root} has no sequence {pattern!r}; it has {names}")
+        kept = tuple(
+            traverse
+            for traverse in self.traverses
+            if not patterns or any(fnmatchcase(traverse.name, pattern) for pattern in patterns)
+        )
+        if role and not any(traverse.role == role for traverse in kept):
+            names = shortened([traverse.name for traverse in kept])
+            raise ValueError(f"{self.root} does not say which of {names} is a {role}; name it")
+        return replace(self, traverses=tuple(t for t in kept if role in (None, t.role)))
+
+    def posed(self) -> Dataset:
+        """The same data set without the frames whose pose is not known.
+
+        Raises:
+            ValueError: no frame has a pose.
+        """
+        traverses = tuple(
+            replace(t, frames=tuple(frame for frame in t.frames if frame.has_pose))
+            for t in self.traverses
+        )
+        if not any(traverse.frames for traverse in traverses):
+            raise ValueError(f"no frame of {self.root} ({self.layout}) has a pose")
+        return replace(self, traverses=traverses)
+
+    def with_labels(self, folder: str | Path, labels_as: str) -> Dataset:
+        """The same data set with other label maps, for example a network's predictions.
+
+        A frame's label map has the name of the frame or of its image and lies in
+        ``folder/<sequence>``, in ``folder/<where the image lies under the root>``, in the folder of
+        this name beside that of the image (``0016E5/images`` and ``0016E5/predicted``), or in
+        ``folder`` itself if no two frames have one name.
+
+        Args:
+            folder: where the label maps are.
+            labels_as: their label space, a name or a ``.yaml`` file.
+
+        Raises:
+            ValueError: no frame has a label map there, or there is no such label space.
+        """
+        label_space(labels_as)
+        find = _label_finder(self, Path(folder))
+        traverses = tuple(
+            replace(t, frames=tuple(replace(frame, label=find(frame)) for frame in t.frames))
+            for t in self.traverses
+        )
+        found = replace(self, traverses=traverses, labels_as=labels_as)
+        if all(frame.label is None for frame in found.frames):
+            frame = next(self.frames)
+            raise ValueError(
+                f"{folder} holds no label map of a frame of {self.root}; wanted, for example, "
+                f"{Path(folder) / frame.sequence / frame.name}.png"
+            )
+        return found
+
+    def label_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
+        """The label maps, as `encode` takes them.
+
+        Args:
+            every, start: of each sequence keep label map ``start`` and every ``every``-th after it.
+
+        Raises:
+            ValueError: there is none, or ``every`` or ``start`` is out of range.
+        """
+        if not any(frame.label for frame in self.frames):
+            raise ValueError(
+                f"{self.root} ({self.layout}) has no label maps; segment its images and give the "
+                "folder of the results and their label space"
+            )
+        return self._files(lambda frame: frame.label, every, start)
+
+    def image_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
+        """The images, as a segmenter takes them; arguments and errors as for `label_files`."""
+        if not any(frame.image for frame in self.frames):
+            raise ValueError(f"{self.root} ({self.layout}) has no images")
+        return self._files(lambda frame: frame.image, every, start)
+
+    def _files(
+        self, path: Callable[[Frame], Path | None], every: int, start: int
+    ) -> list[FrameFile]:
+        if every < 1 or start < 0:
+            raise ValueError(f"wanted every >= 1 and start >= 0, got {every} and {start}")
+        kept = []
+        for traverse in self.traverses:
+            files = [
+                FrameFile(frame.sequence, frame.name, place, None, frame.pose)
+                for frame in traverse.frames
+                if (place := path(frame)) is not None
+            ]
+            kept += files[start::every]
+        if not kept:
+            raise ValueError(f"no sequence of {self.root} has a frame {start}")
+        return kept
+
+
+class Layout(NamedTuple):
+    """How a data set lies on disk.
+
+    Attributes:
+        name: what users call it.
+        origin: where the data set is to be had; empty for no data set in particular.
+        wanted: the folders and files that it is recognised by, in words.
+        recognises: whether a folder is laid out so.
+        read: the data set in a folder; the second argument is the label space that the user
+            gave, if any.
+    """
+
+    name: str
+    origin: str
+    wanted: str
+    recognises: Callable[[Path], bool]
+    read: Callable[[Path, str | None], Dataset]
+
+
+def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[str, Path]:
+    """The files of a folder by their names without suffix and ending; empty if there is no folder.
+
+    Args:
+        folder: hidden files in it and folders are passed over.
+        suffixes: in lower case.
+        ending: what a name must end in before its suffix.
+
+    Raises:
+        ValueError: two files have one name.
+    """
+    files: dict[str, Path] = {}
+    for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
+        wanted = entry.suffix.lower() in suffixes and entry.stem.endswith(ending)
+        if wanted and not entry.name.startswith(".") and not entry.is_dir():
+            earlier = files.setdefault(entry.stem.removesuffix(ending), entry)
+            if earlier is not entry:
+                raise ValueError(f"one frame is both {earlier} and {entry.name}")
+    return files
+
+
+def folders_in(folder: Path) -> list[Path]:
+    """The folders in a folder, sorted as a person would; none if it is no folder."""
+    entries = folder.iterdir() if folder.is_dir() else ()
+    folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
+    return sorted(folders, key=lambda entry: natural_key(entry.name))
+
+
+def shortened(names: Sequence[str], most: int = 8) -> str:
+    """Names in words, the first few of them: ``a, b and 12 more``."""
+    if not names:
+        return "nothing"
+    rest = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(names[:most]) + rest
+
+
+def _label_finder(dataset: Dataset, folder: Path) -> Callable[[Frame], Path | None]:
+    """Looks up a frame's label map, reading each folder once."""
+    listed = cache(lambda place: files_in(place, LABEL_SUFFIXES))
+    names = [frame.name for frame in dataset.frames]
+    unambiguous = len(set(names)) == len(names)
+
+    def find(frame: Frame) -> Path | None:
+        own = frame.image or frame.label or dataset.root / frame.name
+        places = [folder / frame.sequence, folder / own.parent.relative_to(dataset.root)]
+        if folder.name == str(folder):
+            places.append(own.parent.with_name(folder.name))
+        if unambiguous:
+            places.append(folder)
+        stems = (frame.name, own.stem)
+        return next((listed(p)[stem] for p in places for stem in stems if stem in listed(p)), None)
+
+    return find

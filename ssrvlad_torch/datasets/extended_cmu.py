@@ -1,0 +1,128 @@
+"""Extended CMU Seasons: ``slice7/{database,query}/img_00119_c0_1287503873253450us.jpg``.
+
+Sattler et al., CVPR 2018. A slice is a stretch of road, driven on twelve days by a car with two
+cameras, ``c0`` and ``c1``; the name of an image ends in its time in microseconds since 1970. A
+traverse is one camera on one day (UTC): ``slice7-c0-2010-10-01``. Poses are lines
+``name qw qx qy qz cx cy cz``, the rotation from world to camera and the camera's centre, in a world
+whose z points up: for the reference traverse in ``ground-truth-database-images-slice7.txt``,
+for about half of the query images in ``camera-poses/*.txt``.
+"""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+
+from ..files import absolute_folder
+from .camera_poses import Z_UP, optical_axis, parse_numbers
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .poses import Pose
+
+_SLICE = re.compile(r"slice\d+")
+_NAME = re.compile(r"img_\d+_(c\d)_(\d{16})us(?:_rect)?")
+_ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
+
+
+def read(root: Path, labels_as: str | None) -> Dataset:
+    """The slices in ``root``, or the one that it is.
+
+    Raises:
+        ValueError: there is no image, or a file of poses is damaged.
+    """
+    traverses: list[Traverse] = []
+    notes: list[str] = []
+    for folder in _slices(root):
+        for part, role in _ROLES.items():
+            images = files_in(folder / part, IMAGE_SUFFIXES)
+            files = _pose_files(folder, part)
+            poses = {name: pose for file in files for name, pose in read_poses(file).items()}
+            if images and not poses:
+                notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
+            strange = [path.name for name, path in images.items() if not _NAME.fullmatch(name)]
+            if strange:
+                notes.append(
+                    f"{len(strange)} images in {folder / part} are left out, {strange[0]!r} among "
+                    "them: not named img_<number>_c<camera>_<microseconds>us"
+                )
+            traverses += _traverses(absolute_folder(folder).name, images, poses, role)
+    if not traverses:
+        raise ValueError(
+            f"{root} holds no images in slice*/database or slice*/query; they are at "
+            f"{LAYOUT.origin}"
+        )
+    truth = GroundTruth("within 5 m, Nie et al., arXiv 2202.03677", metres=5.0)
+    return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
+
+
+def read_poses(path: Path) -> dict[str, Pose]:
+    """Poses by image name without suffix.
+
+    Raises:
+        ValueError: a line is no ``name qw qx qy qz cx cy cz``; the message names file and line.
+    """
+    poses = {}
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if words and not line.startswith("#"):
+            try:
+                numbers = parse_numbers(words[1:], 7)
+                poses[_plain(Path(words[0]).stem)] = Z_UP.pose(
+                    numbers[4:], optical_axis(numbers[:4])
+                )
+            except ValueError as error:
+                raise ValueError(f"{path} line {number}: {error}") from error
+    return poses
+
+
+def recognises(root: Path) -> bool:
+    """Whether a folder is a slice or has slices in it."""
+    return bool(_slices(root))
+
+
+def _slices(root: Path) -> list[Path]:
+    if _SLICE.fullmatch(absolute_folder(root).name) and _is_slice(root):
+        return [root]
+    return [f for f in folders_in(root) if _SLICE.fullmatch(f.name) and _is_slice(f)]
+
+
+def _is_slice(folder: Path) -> bool:
+    return any((folder / part).is_dir() for part in _ROLES)
+
+
+def _pose_files(folder: Path, part: str) -> list[Path]:
+    if part == "database":
+        return sorted(folder.glob("ground-truth-database-images-slice*.txt"))
+    return sorted((folder / "camera-poses").glob("*.txt"))
+
+
+def _plain(name: str) -> str:
+    """An image's name as in the lists of poses: undistorted copies of images end in ``_rect``."""
+    return name.removesuffix("_rect")
+
+
+def _traverses(
+    slice_name: str, images: dict[str, Path], poses: dict[str, Pose], role: Role
+) -> list[Traverse]:
+    drives: dict[str, dict[str, Path]] = {}
+    for name, path in images.items():
+        parts = _NAME.fullmatch(name)
+        if parts:
+            day = datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()
+            drives.setdefault(f"{slice_name}-{parts[1]}-{day}", {})[name] = path
+    own = {name: poses[_plain(name)] for name in images if _plain(name) in poses}
+    return [
+        Traverse.of(drive, files, labels={}, poses=own, role=role)
+        for drive, files in sorted(drives.items())
+    ]
+
+
+LAYOUT = Layout(
+    "extended-cmu",
+    "visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)",
+    "slice*/database/*.jpg and slice*/query/*.jpg",
+    recognises,
+    read,
+)

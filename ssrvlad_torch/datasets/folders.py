@@ -1,0 +1,87 @@
+"""Plain folders: one folder a sequence, as ``ssrvlad city`` writes them.
+
+A sequence is a folder of label maps or images, or one that has ``images/`` and ``labels/`` in it.
+Where a folder does not say which it is, a JPEG is an image, and a PNG may be either: it is the
+frame's label map as well as its image, and whoever reads it decides. Poses come from ``poses.csv``;
+a file with ``ground_truth`` in its name is no frame.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..files import absolute_folder
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .poses import find_poses
+
+_ROLES: dict[str, Role] = {
+    "reference": "reference",
+    "ref": "reference",
+    "database": "reference",
+    "query": "query",
+    "queries": "query",
+}
+_TRUTHS = ("ground_truth.json", "ground_truth.csv", "ground_truth.npy")
+_ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_SUFFIXES)
+
+
+def read(root: Path, labels_as: str | None) -> Dataset:
+    """The sequences in ``root``, or the one that it is.
+
+    Raises:
+        ValueError: two files are one frame, or a ``poses.csv`` is damaged.
+    """
+    file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
+    truth = GroundTruth(file.name, file=file) if file else None
+    traverses = tuple(_traverse(folder) for folder in _sequences(root))
+    return Dataset(LAYOUT.name, root, traverses, labels_as, truth)
+
+
+def recognises(root: Path) -> bool:
+    """Whether a folder holds images or label maps, or has folders that do."""
+    return bool(_sequences(root))
+
+
+def _sequences(root: Path) -> list[Path]:
+    return [root] if _has_frames(root) else [f for f in folders_in(root) if _has_frames(f)]
+
+
+def _has_frames(folder: Path) -> bool:
+    return any(map(bool, _frames(folder)))
+
+
+def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
+    """The images and the label maps of a sequence."""
+    if (folder / "images").is_dir() or (folder / "labels").is_dir():
+        images = files_in(folder / "images", IMAGE_SUFFIXES)
+        return images, files_in(folder / "labels", LABEL_SUFFIXES)
+    labels = {
+        name: path
+        for name, path in files_in(folder, LABEL_SUFFIXES).items()
+        if "ground_truth" not in name
+    }
+    return labels | files_in(folder, _ONLY_IMAGES), labels
+
+
+def _traverse(folder: Path) -> Traverse:
+    name = absolute_folder(folder).name
+    images, labels = _frames(folder)
+    known = find_poses(folder)
+    poses = {
+        frame: known[key]
+        for frame in {*images, *labels}
+        for key in (frame, f"{name}/{frame}")
+        if key in known
+    }
+    return Traverse.of(name, images, labels, poses, _ROLES.get(name.lower()))
+
+
+LAYOUT = Layout(
+    "folders",
+    "",
+    "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one a sequence",
+    recognises,
+    read,
+)

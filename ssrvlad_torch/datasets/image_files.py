@@ -1,0 +1,98 @@
+"""Images on disk: finding them as label maps are found, and decoding them to 8-bit RGB."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib.format import MAGIC_PREFIX, open_memmap, write_array
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from .frame_files import FileKind, FrameFile, find_frames, one_line
+
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
+_FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
+_SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
+_EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
+
+Pixels = npt.NDArray[np.uint8]
+
+
+def find_image_files(
+    sources: Sequence[str], sequence: str | None = None, every: int = 1, start: int = 0
+) -> list[FrameFile]:
+    """The images of some sources; see `find_frames`. A ``.npy`` stack of them has rank 4."""
+    kind = FileKind("images", SUFFIXES, stack_rank=4)
+    return find_frames(kind, sources, sequence, every, start)
+
+
+def image_bytes(file: FrameFile) -> bytes:
+    """The bytes of an image file; of a row of a stack, the ``.npy`` file that it would be alone.
+
+    Raises:
+        ValueError: the file is missing or cannot be read, or has a name that is no text.
+    """
+    try:
+        file.frame.encode()
+        if file.row is None:
+            return file.path.read_bytes()
+        content = io.BytesIO()
+        write_array(content, open_memmap(file.path, mode="r")[file.row], allow_pickle=False)
+        return content.getvalue()
+    except Exception as error:  # what damaged bytes raise has no bounds
+        raise ValueError(one_line(error)) from error
+
+
+def decode_image(content: bytes) -> Pixels:
+    """An image as it is seen: turned upright by its EXIF orientation, in 8-bit RGB.
+
+    Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour
+    profile, and of 16 bits the high 8 are kept. Of an animation it is the first picture.
+
+    Args:
+        content: a JPEG, PNG, WebP, BMP, TIFF, PPM, or ``.npy`` file, whatever its name was.
+
+    Returns:
+        ``(H, W, 3)`` uint8.
+
+    Raises:
+        ValueError: no such file, a truncated or damaged one, or pixels of 32 bits or floats; an
+            array that is not ``(H, W, 3)`` uint8. The message says which.
+    """
+    try:
+        return _decode_npy(content) if content.startswith(MAGIC_PREFIX) else _decode(content)
+    except UnidentifiedImageError as error:
+        raise ValueError(f"is no image file; wanted {', '.join(_FORMATS)} or .npy") from error
+    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+        raise ValueError(one_line(error)) from error
+
+
+def read_image(file: FrameFile) -> Pixels:
+    """An image on disk, ``(H, W, 3)`` uint8; see `decode_image`."""
+    return decode_image(image_bytes(file))
+
+
+def _decode_npy(content: bytes) -> Pixels:
+    array: npt.NDArray[Any] = np.load(io.BytesIO(content), allow_pickle=False)
+    if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
+        raise ValueError(f"wanted an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
+    return array
+
+
+def _decode(content: bytes) -> Pixels:
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
+        stored.verify()  # the checksums of PNG, which decoding passes over
+    with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
+        image: Image.Image = ImageOps.exif_transpose(stored)
+    if image.mode in _SIXTEEN_BIT:
+        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    elif image.mode not in _EIGHT_BIT:
+        raise ValueError(
+            f"wanted an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
+        )
+    if "transparency" in image.info:
+        image = image.convert("RGBA")
+    return np.asarray(image.convert("RGB"))

@@ -1,0 +1,91 @@
+"""Opening a data set: its layout is recognised by what lies on disk."""
+
+from __future__ import annotations
+
+from itertools import islice
+from pathlib import Path
+
+from ..database import natural_key
+from . import camvid, cityscapes, extended_cmu, folders, robotcar, synthia, vpr_bench
+from .dataset import Dataset, Layout, folders_in, shortened
+
+LAYOUTS: tuple[Layout, ...] = (
+    extended_cmu.LAYOUT,
+    robotcar.LAYOUT,
+    synthia.LAYOUT,
+    cityscapes.LAYOUT,
+    camvid.LAYOUT,
+    vpr_bench.LAYOUT,
+    folders.LAYOUT,
+)
+"""In the order in which they are tried: plain folders, which take nearly anything, come last."""
+
+
+def open_dataset(
+    path: str | Path,
+    layout: str | None = None,
+    labels: str | Path | None = None,
+    labels_as: str | None = None,
+) -> Dataset:
+    """The data set in a folder.
+
+    Args:
+        path: the folder.
+        layout: name of a layout in `LAYOUTS`; if not given, the first that recognises the folder.
+        labels: a folder of label maps to take instead of the data set's own, or the name of such a
+            folder beside each folder of images; see `Dataset.with_labels`.
+        labels_as: label space of the label maps. The layouts that come with label maps know theirs.
+
+    Raises:
+        ValueError: there is no such folder or layout, no layout recognises the folder, it lacks
+            what the layout needs, a file in it is damaged, or ``labels`` come without
+            ``labels_as``. The message is one line.
+
+    Example:
+        >>> city = open_dataset("/data/SYNTHIA", labels_as="synthia")  # doctest: +SKIP
+        >>> night = city.select(["SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F"])  # doctest: +SKIP
+        >>> night.label_files()[0].frame  # doctest: +SKIP
+        'SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F/000000'
+    """
+    root = Path(path)
+    if not root.is_dir():
+        raise ValueError(f"{root} is no folder; wanted the folder of a data set")
+    if labels is not None and labels_as is None:
+        raise ValueError(f"the label maps in {labels} are of a label space that was not given")
+    dataset = _choose(root, layout).read(root, labels_as)
+    if labels is not None and labels_as is not None:
+        return dataset.with_labels(labels, labels_as)
+    return dataset
+
+
+def _choose(root: Path, name: str | None) -> Layout:
+    if name is None:
+        layout = next((layout for layout in LAYOUTS if layout.recognises(root)), None)
+        if layout is None:
+            known = "; ".join(f"{layout.name}: {layout.wanted}" for layout in LAYOUTS)
+            raise ValueError(
+                f"{root} is in no known layout; found {_found(root)}; wanted one of {known}"
+            )
+        return layout
+    layout = next((layout for layout in LAYOUTS if layout.name == name), None)
+    if layout is None:
+        names = ", ".join(layout.name for layout in LAYOUTS)
+        raise ValueError(f"unknown layout {name!r}; wanted one of {names}")
+    if not layout.recognises(root):
+        origin = f"; the data set is at {layout.origin}" if layout.origin else ""
+        raise ValueError(
+            f"{root} is not in the layout {name}: wanted {layout.wanted}; found {_found(root)}"
+            f"{origin}"
+        )
+    return layout
+
+
+def _found(root: Path, most: int = 1000) -> str:
+    """What lies in a folder and in its folders, in words."""
+    inside = [
+        f"{folder.name}/{entry.name}"
+        for folder in folders_in(root)
+        for entry in [*islice(folder.iterdir(), most)] or [Path()]
+    ]
+    files = [entry.name for entry in islice(root.iterdir(), most) if not entry.is_dir()]
+    return shortened(sorted(inside + files, key=natural_key))

@@ -1,0 +1,133 @@
+"""RobotCar Seasons: ``images/<condition>/<camera>/<microseconds>.jpg``.
+
+Sattler et al., CVPR 2018. A traverse is one camera in one condition: ``dawn-rear``. The condition
+``overcast-reference`` is the map; its poses are in the 3D models, ``3D-models/**/*.nvm`` (of
+VisualSFM: lines ``name focal qw qx qy qz cx cy cz distortion 0``, the rotation from world to
+camera). Version 2 adds poses of some query images, ``robotcar_v2_train.txt``: a name and the 4 x 4
+matrix from camera to world, row by row. The world's third axis points down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TextIO
+
+from .camera_poses import Z_DOWN, optical_axis, parse_numbers
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .poses import Pose
+
+_CAMERAS = ("left", "rear", "right")
+_REFERENCE = "overcast-reference"
+_V2_POSES = "robotcar_v2_train.txt"
+
+
+def read(root: Path, labels_as: str | None) -> Dataset:
+    """The data set in ``root``.
+
+    Raises:
+        ValueError: there is no image, or a file of poses is damaged.
+    """
+    models = sorted((root / "3D-models").rglob("*.nvm"))
+    poses: dict[str, Pose] = {}
+    for model in models:
+        poses |= read_nvm(model)
+    notes = [] if models else [f"{root} has no 3D-models/**/*.nvm, so {_REFERENCE} has no poses"]
+    if (root / _V2_POSES).is_file():
+        poses |= read_v2_poses(root / _V2_POSES)
+    else:
+        notes.append(f"{root} has no {_V2_POSES}, so no query has a pose")
+    traverses = []
+    for camera in _cameras(root):
+        where = f"{camera.parent.name}/{camera.name}/"
+        own = {
+            name.removeprefix(where): pose for name, pose in poses.items() if name.startswith(where)
+        }
+        images = files_in(camera, IMAGE_SUFFIXES)
+        role: Role = "reference" if camera.parent.name == _REFERENCE else "query"
+        name = f"{camera.parent.name}-{camera.name}"
+        if images:
+            traverses.append(Traverse.of(name, images, labels={}, poses=own, role=role))
+    if not traverses:
+        raise ValueError(f"{root}/images/*/rear holds no images; they are at {LAYOUT.origin}")
+    truth = GroundTruth("within 5 m, the coarse limit of Sattler et al., CVPR 2018", metres=5.0)
+    notes = [f"{note}; it is at {LAYOUT.origin}" for note in notes]
+    return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
+
+
+def read_nvm(path: Path) -> dict[str, Pose]:
+    """Poses by ``<condition>/<camera>/<name>``; the points of the model are not read.
+
+    Raises:
+        ValueError: the file is no NVM_V3, ends too soon, or a line is no camera; the message names
+            file and line.
+    """
+    poses = {}
+    number = 1
+    with path.open(encoding="utf-8", errors="replace") as file:
+        if not file.readline().startswith("NVM_V3"):
+            raise ValueError(f"{path} is no NVM_V3 model")
+        lines = _filled_lines(file)
+        try:
+            number, words = next(lines)
+            for left in range(int(words[0]), 0, -1):
+                number, words = next(lines, (number, []))
+                if not words:
+                    raise ValueError(f"the file ends {left} cameras too soon")
+                numbers = parse_numbers(words[1:], 10)
+                pose = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
+                poses[_plain(words[0])] = pose
+        except StopIteration:
+            raise ValueError(f"{path} holds no number of cameras") from None
+        except ValueError as error:
+            raise ValueError(f"{path} line {number}: {error}") from error
+    return poses
+
+
+def read_v2_poses(path: Path) -> dict[str, Pose]:
+    """Poses by ``<condition>/<camera>/<name>`` of lines of a name and 16 numbers.
+
+    Raises:
+        ValueError: a line is of another form; the message names file and line.
+    """
+    poses = {}
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for number, words in _filled_lines(file, 1):
+            try:
+                matrix = parse_numbers(words[1:], 16)
+                poses[_plain(words[0])] = Z_DOWN.pose(matrix[3:12:4], matrix[2:11:4])
+            except ValueError as error:
+                raise ValueError(f"{path} line {number}: {error}") from error
+    return poses
+
+
+def recognises(root: Path) -> bool:
+    """Whether a folder has ``images/<condition>/<camera>`` in it."""
+    return bool(_cameras(root))
+
+
+def _cameras(root: Path) -> list[Path]:
+    conditions = folders_in(root / "images")
+    return [c for condition in conditions for c in folders_in(condition) if c.name in _CAMERAS]
+
+
+def _filled_lines(file: TextIO, first: int = 2) -> Iterator[tuple[int, list[str]]]:
+    for number, line in enumerate(file, first):
+        words = line.split()
+        if words:
+            yield number, words
+
+
+def _plain(name: str) -> str:
+    """A name as the folders have it: the models were built from ``./<condition>/...png``."""
+    return str(Path(name).with_suffix(""))
+
+
+LAYOUT = Layout(
+    "robotcar-seasons",
+    "visuallocalization.net/datasets (RobotCar Seasons)",
+    "images/<condition>/rear/*.jpg, the zips of the conditions unpacked",
+    recognises,
+    read,
+)

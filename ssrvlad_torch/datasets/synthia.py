@@ -1,0 +1,99 @@
+"""SYNTHIA video sequences: ``SYNTHIA-SEQS-04-FALL/GT/LABELS/Stereo_Left/Omni_F/000000.png``.
+
+Ros et al., CVPR 2016. A traverse is one camera in one season:
+``SYNTHIA-SEQS-04-FALL-Stereo_Left-Omni_F``. Label maps are PNGs of 16-bit channels, the class in
+the first, the instance in the second. ``CameraParams`` has one file a frame, the 16 numbers of the
+matrix from camera to world, column by column. The world was made in Unity: it is left-handed with y
+up, and a camera looks down its own -z. The ground, on which VPR-Bench too measures, is x and z.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from ..files import absolute_folder
+from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers
+from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, folders_in
+from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .poses import Pose
+
+_LABELS, _IMAGES, _POSES = "GT/LABELS", "RGB", "CameraParams"
+
+
+def read(root: Path, labels_as: str | None) -> Dataset:
+    """The sequences in ``root``, or the one that it is.
+
+    Raises:
+        ValueError: there is no label map and no image, or a file of poses is damaged.
+    """
+    traverses: list[Traverse] = []
+    notes: list[str] = []
+    for folder in _sequences(root):
+        notes += [
+            f"{folder} has no {part}; it is in the package at {LAYOUT.origin}"
+            for part in (_LABELS, _POSES)
+            if not (folder / part).is_dir()
+        ]
+        for camera in _cameras(folder):
+            images = files_in(folder / _IMAGES / camera, IMAGE_SUFFIXES)
+            labels = files_in(folder / _LABELS / camera, LABEL_SUFFIXES)
+            poses = {
+                name: read_pose(file)
+                for name, file in files_in(folder / _POSES / camera, (".txt",)).items()
+                if name in images or name in labels
+            }
+            name = f"{absolute_folder(folder).name}-{'-'.join(camera.parts)}"
+            if images or labels:
+                traverses.append(Traverse.of(name, images, labels, poses))
+    if not traverses:
+        raise ValueError(
+            f"{root} holds no frames in {_LABELS}/Stereo_*/Omni_* or {_IMAGES}/Stereo_*/Omni_*; "
+            f"they are at {LAYOUT.origin}"
+        )
+    truth = GroundTruth("within 7 m on x and z, VPR-Bench", metres=7.0)
+    space = labels_as or "synthia"
+    return Dataset(LAYOUT.name, root, tuple(traverses), space, truth, tuple(notes))
+
+
+def read_pose(path: Path) -> Pose:
+    """The pose of one frame.
+
+    Raises:
+        ValueError: the file does not hold 16 numbers; the message names it.
+    """
+    try:
+        matrix = parse_numbers(path.read_text(encoding="utf-8", errors="replace").split(), 16)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-part for part in matrix[8:11]])
+
+
+def recognises(root: Path) -> bool:
+    """Whether a folder is a sequence or has sequences in it."""
+    return bool(_sequences(root))
+
+
+def _sequences(root: Path) -> list[Path]:
+    if _cameras(root):
+        return [root]
+    return [folder for folder in folders_in(root) if _cameras(folder)]
+
+
+def _cameras(folder: Path) -> list[Path]:
+    """``Stereo_Left/Omni_F`` and so on, of those that there are."""
+    cameras = {
+        camera.relative_to(folder / part)
+        for part in (_LABELS, _IMAGES)
+        for camera in (folder / part).glob("Stereo_*/Omni_*")
+    }
+    return sorted(cameras)
+
+
+LAYOUT = Layout(
+    "synthia",
+    "synthia-dataset.net (SYNTHIA-SEQS-<number>-<season>)",
+    "SYNTHIA-SEQS-*/GT/LABELS/Stereo_Left/Omni_F/*.png",
+    recognises,
+    read,
+)

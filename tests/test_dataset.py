@@ -1,0 +1,267 @@
+"""Data sets as such: choosing traverses, attaching label maps, saying what is missing."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import write_street
+from trees import outline, plant
+
+from ssrvlad_torch.datasets.dataset import (
+    Dataset,
+    Frame,
+    Traverse,
+    files_in,
+    folders_in,
+    shortened,
+)
+from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
+
+HERE = Pose(1, 2, 0.5)
+
+
+def made(*traverses, root=Path("root"), **fields):
+    return Dataset("made", root, traverses, **fields)
+
+
+def drive(name, *frames, role=None, **fields):
+    return Traverse(name, tuple(Frame(name, frame, **fields) for frame in frames), role)
+
+
+def photos(root, *names):
+    """A data set of images that are on disk, one traverse a folder."""
+    plant(root, *names)
+    folders = sorted({Path(name).parent for name in names})
+    return made(
+        *(Traverse.of("-".join(f.parts), files_in(root / f, (".jpg",)), {}, {}) for f in folders),
+        root=root,
+    )
+
+
+# ---- traverses
+
+
+def test_a_traverse_joins_images_label_maps_and_poses_by_name():
+    images = {"10": Path("10.jpg"), "9": Path("9.jpg")}
+    labels = {"9": Path("9.png"), "11": Path("11.png")}
+    traverse = Traverse.of("monday", images, labels, {"9": HERE, "12": HERE}, "query")
+    assert traverse.role == "query"
+    assert traverse.frames == (
+        Frame("monday", "9", Path("9.jpg"), Path("9.png"), HERE),
+        Frame("monday", "10", Path("10.jpg")),
+        Frame("monday", "11", None, Path("11.png")),
+    )
+    assert traverse.frames[0].frame == "monday/9"
+
+
+def test_traverses_of_one_name_are_refused():
+    with pytest.raises(ValueError, match="root has more than one sequence 'a'"):
+        made(drive("a", "1"), drive("b", "1"), drive("a", "2"))
+
+
+# ---- choosing
+
+
+DAYS = made(
+    drive("dawn-rear", "1", role="query"),
+    drive("dawn-left", "1", role="query"),
+    drive("map-rear", "1", "2", role="reference"),
+)
+
+
+@pytest.mark.parametrize(
+    ("patterns", "role", "names"),
+    [
+        ((), None, ["dawn-rear", "dawn-left", "map-rear"]),
+        ((), "query", ["dawn-rear", "dawn-left"]),
+        (("*-rear",), None, ["dawn-rear", "map-rear"]),
+        (("*-rear",), "reference", ["map-rear"]),
+        (("map-rear", "dawn-l?ft"), None, ["dawn-left", "map-rear"]),
+    ],
+)
+def test_traverses_are_chosen_by_pattern_and_role(patterns, role, names):
+    chosen = DAYS.select(patterns, role)
+    assert list(outline(chosen)) == names
+    assert (chosen.layout, chosen.root) == (DAYS.layout, DAYS.root)
+
+
+def test_a_choice_of_nothing_is_refused():
+    with pytest.raises(ValueError, match="no sequence 'DAWN'; it has dawn-rear, dawn-left, map-"):
+        DAYS.select(["*", "DAWN"])
+    with pytest.raises(ValueError, match="which of dawn-rear is a reference"):
+        DAYS.select(["dawn-rear"], "reference")
+    with pytest.raises(ValueError, match="which of a, b is a query; name it"):
+        made(drive("a", "1"), drive("b", "1")).select(role="query")
+
+
+def test_frames_without_pose_are_dropped_when_asked():
+    half = Pose(1, math.nan, 0)
+    frames = (Frame("a", "1", pose=HERE), Frame("a", "2"), Frame("a", "3", pose=half))
+    assert outline(made(Traverse("a", frames), drive("b", "1")).posed()) == {"a": ["1"], "b": []}
+    with pytest.raises(ValueError, match=r"no frame of root \(made\) has a pose"):
+        made(drive("a", "1")).posed()
+
+
+# ---- files
+
+
+def test_files_carry_id_and_pose():
+    frames = (
+        Frame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
+        Frame("a", "2", None, Path("2.png")),
+        Frame("a", "3", Path("3.jpg"), None),
+    )
+    dataset = made(Traverse("a", frames))
+    labels, images = dataset.label_files(), dataset.image_files()
+    assert [(f.frame, f.path, f.pose) for f in labels] == [
+        ("a/1", Path("1.png"), HERE),
+        ("a/2", Path("2.png"), UNKNOWN),
+    ]
+    assert [(f.frame, f.path) for f in images] == [
+        ("a/1", Path("1.jpg")),
+        ("a/3", Path("3.jpg")),
+    ]
+
+
+def test_every_other_file_of_each_sequence():
+    dataset = made(
+        drive("a", "1", "2", "3", "4", label=Path("x")), drive("b", "1", label=Path("x"))
+    )
+    assert [f.frame for f in dataset.label_files(2)] == ["a/1", "a/3", "b/1"]
+    assert [f.frame for f in dataset.label_files(2, 1)] == ["a/2", "a/4"]
+    with pytest.raises(ValueError, match="no sequence of root has a frame 4"):
+        dataset.label_files(start=4)
+    for every, start in ((0, 0), (1, -1)):
+        with pytest.raises(ValueError, match="wanted every >= 1 and start >= 0"):
+            dataset.label_files(every, start)
+
+
+def test_what_is_not_there_at_all_is_refused():
+    with pytest.raises(ValueError, match=r"root \(made\) has no label maps; segment its images"):
+        made(drive("a", "1", image=Path("x"))).label_files()
+    with pytest.raises(ValueError, match=r"root \(made\) has no images"):
+        made(drive("a", "1", label=Path("x"))).image_files()
+
+
+# ---- what is missing
+
+
+def test_gaps_are_counted_and_the_first_is_named():
+    frames = (
+        Frame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
+        Frame("a", "2", Path("2.jpg"), None, HERE),
+        Frame("a", "3", Path("3.jpg")),
+    )
+    assert made(Traverse("a", frames), notes=("no vehicle",)).warnings == [
+        "no vehicle",
+        "2 of 3 frames have no label map, the first is a/2",
+        "1 of 3 frames have no pose, the first is a/3",
+    ]
+
+
+def test_what_no_frame_has_is_no_gap():
+    assert made(drive("a", "1", "2", image=Path("x"))).warnings == []
+
+
+# ---- label maps from elsewhere
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        "out/night-rear/1.png",  # by sequence
+        "out/night/rear/1.png",  # as the images lie
+        "out/1.png",  # all in one folder
+        "out/night-rear/1.npy",
+    ],
+)
+def test_label_maps_are_found_where_networks_write_them(tmp_path, place):
+    dataset = photos(tmp_path / "data", "night/rear/1.jpg", "night/rear/2.jpg")
+    (tmp_path / place).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / place).touch()
+    labelled = dataset.with_labels(tmp_path / "out", "camvid-11")
+    assert labelled.labels_as == "camvid-11"
+    assert [frame.label for frame in labelled.frames] == [tmp_path / place, None]
+    assert labelled.warnings == ["1 of 2 frames have no label map, the first is night-rear/2"]
+    assert [file.path for file in labelled.label_files()] == [tmp_path / place]
+
+
+def test_label_maps_in_a_folder_beside_that_of_the_images(tmp_path):
+    dataset = photos(tmp_path, "0001TP/images/1.jpg", "0016E5/images/1.jpg")
+    for name in ("0001TP/predicted/1.png", "0016E5/predicted/1.png"):
+        write_street(tmp_path / name, 0)
+    labelled = dataset.with_labels("predicted", "camvid-11")
+    assert [frame.label for frame in labelled.frames] == [
+        tmp_path / "0001TP/predicted/1.png",
+        tmp_path / "0016E5/predicted/1.png",
+    ]
+
+
+def test_a_label_map_may_have_the_name_of_the_image(tmp_path):
+    plant(tmp_path, "city/a_leftImg8bit.jpg")
+    images = files_in(tmp_path / "city", (".jpg",), "_leftImg8bit")
+    dataset = made(Traverse.of("city", images, {}, {}), root=tmp_path)
+    write_street(tmp_path / "out/city/a_leftImg8bit.png", 0)
+    assert next(dataset.with_labels(tmp_path / "out", "camvid-11").frames).label is not None
+
+
+def test_one_folder_for_all_is_not_taken_where_names_are_ambiguous(tmp_path):
+    """The one 1.png must not become the label map of two frames."""
+    dataset = photos(tmp_path / "data", "query/1.jpg", "ref/1.jpg")
+    write_street(tmp_path / "out/1.png", 0)
+    with pytest.raises(ValueError, match=r"out holds no label map .*out/query/1\.png"):
+        dataset.with_labels(tmp_path / "out", "camvid-11")
+
+
+def test_other_label_maps_take_the_place_of_those_that_there_are(tmp_path):
+    write_street(tmp_path / "a/1.png", 0)
+    write_street(tmp_path / "b/a/1.png", 1)
+    labels = files_in(tmp_path / "a", (".png",))
+    dataset = made(Traverse.of("a", {}, labels, {}), root=tmp_path, labels_as="camvid-32")
+    other = dataset.with_labels(tmp_path / "b", "camvid-11")
+    assert next(other.frames).label == tmp_path / "b/a/1.png"
+    assert other.labels_as == "camvid-11"
+
+
+def test_a_strange_label_space_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="unknown label space 'rgb'"):
+        photos(tmp_path, "a/1.jpg").with_labels(tmp_path, "rgb")
+
+
+# ---- listing
+
+
+def test_files_are_listed_by_name_without_suffix_and_ending(tmp_path):
+    for name in ("1_L.png", "2_L.PNG", "3.png", "4_L.txt", ".5_L.png"):
+        (tmp_path / name).touch()
+    (tmp_path / "6_L.png").mkdir()
+    assert list(files_in(tmp_path, (".png",), "_L")) == ["1", "2"]
+    assert files_in(tmp_path / "nowhere", (".png",)) == {}
+
+
+def test_a_link_to_nothing_is_a_file(tmp_path):
+    """It is refused by name when its turn to be read comes."""
+    (tmp_path / "1.png").symlink_to(tmp_path / "gone.png")
+    assert list(files_in(tmp_path, (".png",))) == ["1"]
+
+
+def test_two_files_of_one_name_are_refused(tmp_path):
+    for name in ("1.jpg", "1.png"):
+        (tmp_path / name).touch()
+    with pytest.raises(ValueError, match=r"one frame is both .*1\.jpg and 1\.png"):
+        files_in(tmp_path, (".png", ".jpg"))
+
+
+def test_folders_are_sorted_as_a_person_would(tmp_path):
+    for name in ("slice10", "slice9", ".hidden"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "file").touch()
+    assert [folder.name for folder in folders_in(tmp_path)] == ["slice9", "slice10"]
+    assert folders_in(tmp_path / "file") == folders_in(tmp_path / "nowhere") == []
+
+
+def test_long_lists_are_shortened():
+    assert shortened([]) == "nothing"
+    assert shortened(list("ab"), 2) == "a, b"
+    assert shortened([str(n) for n in np.arange(5)], 2) == "0, 1 and 3 more"

@@ -1,0 +1,89 @@
+"""Plain folders."""
+
+import math
+
+import pytest
+from helpers import write_street
+from trees import outline, plant, roles, write
+
+from ssrvlad_torch.datasets.image_files import SUFFIXES as IMAGE_SUFFIXES
+from ssrvlad_torch.datasets.label_files import SUFFIXES as LABEL_SUFFIXES
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.datasets.layouts import open_dataset
+from ssrvlad_torch.datasets.synthetic_city import write_city
+
+
+def test_the_synthetic_city(tmp_path):
+    files = write_city(tmp_path, frames=2, size=(16, 24))
+    dataset = open_dataset(tmp_path, labels_as="cityscapes-trainids")
+    assert dataset.layout == "folders"
+    assert roles(dataset) == {"query": "query", "reference": "reference"}
+    assert dataset.truth.file == files.ground_truth
+    assert dataset.warnings == []
+    assert dataset.label_files() == find_label_files([str(files.query), str(files.reference)])
+    assert dataset.labels_as == "cityscapes-trainids"
+
+
+def test_a_folder_of_frames_is_one_sequence(tmp_path, monkeypatch):
+    """What lies in folders in it is passed over, as it is when the folder is encoded."""
+    for name in ("monday/9.png", "monday/10.png", "monday/thumbnails/9.png"):
+        write_street(tmp_path / name, 0)
+    assert outline(open_dataset(tmp_path / "monday")) == {"monday": ["9", "10"]}
+    monkeypatch.chdir(tmp_path / "monday")
+    assert outline(open_dataset(".")) == {"monday": ["9", "10"]}
+
+
+def test_a_folder_of_folders_is_a_sequence_each(tmp_path):
+    for name in ("drive10/1.png", "drive9/1.png", "drive9/2.png", "notes/1.txt"):
+        write_street(tmp_path / name, 0) if name.endswith("png") else write(tmp_path / name, "")
+    assert outline(open_dataset(tmp_path)) == {"drive9": ["1", "2"], "drive10": ["1"]}
+    assert roles(open_dataset(tmp_path)) == {"drive9": None, "drive10": None}
+
+
+def test_jpegs_are_images_and_pngs_may_be_either(tmp_path):
+    plant(tmp_path, "a/1.jpg", "a/2.png", "a/3.jpg", "a/3.png")
+    frames = list(open_dataset(tmp_path).frames)
+    names = [[path and path.name for path in (frame.image, frame.label)] for frame in frames]
+    assert names == [["1.jpg", None], ["2.png", "2.png"], ["3.jpg", "3.png"]]
+
+
+def test_whatever_may_be_a_label_map_may_be_an_image():
+    """On which the rule above rests."""
+    assert set(LABEL_SUFFIXES) < set(IMAGE_SUFFIXES)
+
+
+def test_images_and_labels_in_folders_of_their_own(tmp_path):
+    plant(tmp_path, "monday/images/1.png", "monday/images/2.png")
+    write_street(tmp_path / "monday/labels/2.png", 0)
+    write(tmp_path / "monday/poses.csv", "frame,x,y\n2,5,6\n")
+    first, second = open_dataset(tmp_path).frames
+    assert (first.image.parent.name, first.label) == ("images", None)
+    assert second.label == tmp_path / "monday/labels/2.png"
+    assert second.pose[:2] == (5, 6)
+    assert outline(open_dataset(tmp_path / "monday")) == {"monday": ["1", "2"]}
+
+
+def test_poses_beside_the_folders_are_joined_by_id_before_name(tmp_path):
+    for name in ("a/1.png", "a/2.png", "b/1.png"):
+        write_street(tmp_path / name, 0)
+    write(tmp_path / "poses.csv", "frame,x,y,heading\na/1,1,0,0\n1,3,0,0\n")
+    poses = {frame.frame: frame.pose.x for frame in open_dataset(tmp_path).frames}
+    assert (poses["a/1"], poses["b/1"]) == (1, 3)
+    assert math.isnan(poses["a/2"])
+    assert open_dataset(tmp_path).warnings == ["1 of 3 frames have no pose, the first is a/2"]
+
+
+def test_damaged_poses_are_refused(tmp_path):
+    write_street(tmp_path / "a/1.png", 0)
+    write(tmp_path / "poses.csv", "frame,x,y\n1,east,0\n")
+    with pytest.raises(ValueError, match=r"poses\.csv line 2: .*'east'"):
+        open_dataset(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["ground_truth.json", "ground_truth.csv", "ground_truth.npy"])
+def test_a_ground_truth_is_found_and_is_no_frame(tmp_path, name):
+    write_street(tmp_path / "a/1.png", 0)
+    (tmp_path / name).touch()
+    dataset = open_dataset(tmp_path)
+    assert dataset.truth.file == tmp_path / name
+    assert outline(dataset) == {"a": ["1"]}

@@ -1,0 +1,272 @@
+"""Images on disk: found as label maps are, and decoded as they are seen."""
+
+import io
+
+import numpy as np
+import pytest
+from helpers import COLOUR, GRAY, flip_byte, write_png
+from PIL import Image
+
+from ssrvlad_torch.datasets.frame_files import FrameFile, read_ahead
+from ssrvlad_torch.datasets.image_files import (
+    SUFFIXES,
+    decode_image,
+    find_image_files,
+    image_bytes,
+    read_image,
+)
+
+PICTURE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
+SMOOTH = np.linspace((0, 40, 250), (250, 90, 0), 20 * 30).reshape(20, 30, 3).astype(np.uint8)
+ORIENTATION = 0x0112
+
+
+def encoded(image, form, **options):
+    content = io.BytesIO()
+    (image if isinstance(image, Image.Image) else Image.fromarray(image)).save(
+        content, form, **options
+    )
+    return content.getvalue()
+
+
+def read(path, row=None):
+    return read_image(FrameFile("sequence", "name", path, row))
+
+
+# ---- what a file holds
+
+
+@pytest.mark.parametrize(
+    ("form", "options"),
+    [("PNG", {}), ("BMP", {}), ("TIFF", {}), ("PPM", {}), ("WEBP", {"lossless": True})],
+)
+def test_what_is_stored_without_loss_is_read_without_loss(form, options):
+    np.testing.assert_array_equal(decode_image(encoded(PICTURE, form, **options)), PICTURE)
+
+
+@pytest.mark.parametrize("options", [{}, {"progressive": True}])
+def test_jpeg(options):
+    image = decode_image(encoded(SMOOTH, "JPEG", quality=95, **options))
+    assert image.dtype == np.uint8
+    assert np.abs(image.astype(int) - SMOOTH).max() < 12
+
+
+def test_the_content_says_the_format_and_not_the_name(tmp_path):
+    (tmp_path / "a.png").write_bytes(encoded(SMOOTH, "JPEG", quality=95))
+    assert np.abs(read(tmp_path / "a.png").astype(int) - SMOOTH).max() < 12
+
+
+def test_cmyk_jpeg_is_not_inverted():
+    """Adobe stores CMYK inverted; read plainly it would be a negative."""
+    content = encoded(Image.fromarray(SMOOTH).convert("CMYK"), "JPEG", quality=95)
+    assert Image.open(io.BytesIO(content)).mode == "CMYK"
+    assert np.abs(decode_image(content).astype(int) - SMOOTH).max() < 12
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+@pytest.mark.parametrize("form", ["JPEG", "PNG", "WEBP", "TIFF"])
+def test_an_image_is_turned_upright(orientation, form):
+    """The eight orientations of EXIF 2.3, written out: what the camera stored for SMOOTH."""
+    upright = SMOOTH
+    turned = {
+        1: upright,
+        2: upright[:, ::-1],
+        3: upright[::-1, ::-1],
+        4: upright[::-1],
+        5: upright.transpose(1, 0, 2),
+        6: np.rot90(upright),
+        7: upright[::-1, ::-1].transpose(1, 0, 2),
+        8: np.rot90(upright, -1),
+    }[orientation]
+    exif = Image.Exif()
+    exif[ORIENTATION] = orientation
+    quality = {"quality": 95} if form in ("JPEG", "WEBP") else {}
+    image = decode_image(encoded(np.ascontiguousarray(turned), form, exif=exif, **quality))
+    assert image.shape == upright.shape
+    assert np.abs(image.astype(int) - upright).max() < 24
+
+
+@pytest.mark.parametrize("form", ["PNG", "TIFF", "JPEG", "BMP"])
+def test_gray_has_three_equal_channels(form):
+    image = decode_image(encoded(SMOOTH[..., 0], form))
+    assert image.shape == SMOOTH.shape
+    assert (image[..., :1] == image).all()
+    assert np.abs(image[..., 0].astype(int) - SMOOTH[..., 0]).max() < 5
+
+
+@pytest.mark.parametrize("form", ["PNG", "TIFF"])
+def test_sixteen_bit_gray_keeps_its_high_byte(form):
+    """Pillow's own conversion would clip nearly all of it to white."""
+    low = np.random.default_rng(1).integers(0, 256, SMOOTH.shape[:2])
+    image = decode_image(encoded((SMOOTH[..., 0].astype(np.uint16) << 8) + low.astype("u2"), form))
+    np.testing.assert_array_equal(image, np.repeat(SMOOTH[..., :1], 3, axis=2))
+
+
+def test_sixteen_bit_gray_is_turned_upright_too():
+    exif = Image.Exif()
+    exif[ORIENTATION] = 6
+    stored = np.ascontiguousarray(np.rot90(SMOOTH[..., 0])).astype(np.uint16) << 8
+    image = decode_image(encoded(stored, "PNG", exif=exif))
+    np.testing.assert_array_equal(image[..., 0], SMOOTH[..., 0])
+
+
+def test_sixteen_bit_colour_keeps_its_high_byte(tmp_path):
+    path = write_png(tmp_path / "a.png", PICTURE.astype(np.uint16) << 8 | 77, COLOUR, 16)
+    np.testing.assert_array_equal(read(path), PICTURE)
+
+
+def test_gray_of_few_bits_is_scaled(tmp_path):
+    """A picture of two bits has white, unlike a label map."""
+    path = write_png(tmp_path / "a.png", np.array([[0, 1, 2, 3]]), GRAY, 2)
+    assert read(path)[0, :, 0].tolist() == [0, 85, 170, 255]
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+def test_alpha_is_dropped_and_not_blended(mode):
+    alpha = np.random.default_rng(2).integers(0, 256, PICTURE.shape[:2], np.uint8)
+    bands = (PICTURE if mode == "RGBA" else PICTURE[..., :1], alpha[..., None])
+    image = decode_image(encoded(Image.fromarray(np.concatenate(bands, axis=2)), "PNG"))
+    np.testing.assert_array_equal(image, np.broadcast_to(bands[0], PICTURE.shape))
+
+
+@pytest.mark.parametrize("transparency", [None, 3, bytes(range(200))])
+def test_palette_images_show_their_colours(transparency):
+    """With transparent entries Pillow warns of the plain conversion; a warning fails here."""
+    ids = np.random.default_rng(3).integers(0, 200, (20, 30), np.uint8)
+    colours = np.random.default_rng(4).integers(0, 256, (256, 3), np.uint8)
+    image = Image.fromarray(ids)
+    image.putpalette(colours.tobytes())
+    options = {} if transparency is None else {"transparency": transparency}
+    np.testing.assert_array_equal(decode_image(encoded(image, "PNG", **options)), colours[ids])
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is no image file; wanted JPEG, PNG, WEBP, BMP, TIFF, PPM or .npy"),
+        (b"hello", "is no image file"),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n", "is no image file"),
+        (encoded(SMOOTH[..., 0].astype(np.float32), "TIFF"), "8 or 16 bits .* got mode F"),
+        (encoded(SMOOTH[..., 0].astype(np.int32), "TIFF"), "8 or 16 bits .* got mode I"),
+        (encoded(PICTURE, "GIF"), "is no image file"),
+    ],
+)
+def test_what_is_no_image_is_refused_in_one_line(content, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        decode_image(content)
+    assert "\n" not in str(refusal.value)
+    assert "0x" not in str(refusal.value)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning:PIL")
+@pytest.mark.parametrize("form", ["JPEG", "PNG", "WEBP", "TIFF", "BMP", "PPM"])
+def test_a_truncated_image_is_refused_wherever_it_is_cut(form):
+    whole = encoded(PICTURE, form)
+    for length in range(0, len(whole) - 12, 11):
+        with pytest.raises(ValueError, match=r"."):
+            decode_image(whole[:length])
+
+
+def test_a_png_with_a_flipped_byte_is_refused(tmp_path):
+    path = tmp_path / "a.png"
+    Image.fromarray(SMOOTH).save(path)
+    whole = path.read_bytes()
+    for position in range(0, whole.index(b"IEND") - 4):
+        path.write_bytes(whole)
+        flip_byte(path, position)
+        with pytest.raises(ValueError, match=r"."):
+            read(path)
+
+
+def test_a_missing_file_and_a_name_that_is_no_text(tmp_path):
+    with pytest.raises(ValueError, match="No such file"):
+        read(tmp_path / "none.jpg")
+    with pytest.raises(ValueError, match="surrogates not allowed"):
+        read_image(FrameFile("a", "\udcff", tmp_path / "a.png"))
+
+
+# ---- arrays
+
+
+def test_rows_of_a_stack(tmp_path):
+    stack = np.stack([PICTURE, SMOOTH])
+    np.save(tmp_path / "drive.npy", stack)
+    files = find_image_files([str(tmp_path / "drive.npy")])
+    assert [file.frame for file in files] == ["drive/drive-000000", "drive/drive-000001"]
+    for file, image in zip(files, stack, strict=True):
+        np.testing.assert_array_equal(read_image(file), image)
+
+
+def test_a_row_has_the_bytes_of_the_file_that_it_would_be_alone(tmp_path):
+    np.save(tmp_path / "stack.npy", np.stack([PICTURE, SMOOTH]))
+    np.save(tmp_path / "alone.npy", SMOOTH)
+    row = image_bytes(FrameFile("a", "b", tmp_path / "stack.npy", 1))
+    assert row == (tmp_path / "alone.npy").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "array",
+    [PICTURE / 255, PICTURE[..., :2], PICTURE[..., 0], PICTURE[:0], PICTURE.astype(np.uint16)],
+)
+def test_arrays_that_are_no_images(tmp_path, array):
+    np.save(tmp_path / "a.npy", array)
+    with pytest.raises(ValueError, match=r"wanted an \(H, W, 3\) uint8 image, got"):
+        read(tmp_path / "a.npy")
+
+
+def test_an_array_of_objects_is_not_unpickled(tmp_path):
+    np.save(tmp_path / "a.npy", np.array([[{"id": 3}]]), allow_pickle=True)
+    with pytest.raises(ValueError, match="pickle"):
+        read(tmp_path / "a.npy")
+
+
+# ---- which files are frames
+
+
+def test_images_are_found_as_label_maps_are(tmp_path):
+    folder = tmp_path / "monday"
+    folder.mkdir()
+    names = ["f10.jpg", "f2.JPEG", "f1.webp", "f3.png", ".f4.jpg", "notes.txt", "f5.svg"]
+    for name in names:
+        (folder / name).touch()
+    (tmp_path / "poses.csv").write_text("frame,x,y\nmonday/f2,3,4\n")
+    files = find_image_files([str(folder)])
+    assert [file.frame for file in files] == [f"monday/f{n}" for n in (1, 2, 3, 10)]
+    assert files[1].pose[:2] == (3, 4)
+    files = find_image_files([str(folder / "*")], "drive", every=2, start=1)
+    assert [file.frame for file in files] == ["drive/f2", "drive/f10"]
+    assert files[0].pose[:2] == (3, 4)
+
+
+def test_a_folder_without_images_says_so(tmp_path):
+    (tmp_path / "a.txt").touch()
+    with pytest.raises(ValueError, match=rf"holds no images; wanted {SUFFIXES[0]}, "):
+        find_image_files([str(tmp_path)])
+
+
+# ---- reading ahead
+
+
+def test_reading_ahead_keeps_the_order_and_bounds_what_is_in_memory():
+    files = [FrameFile("a", str(number), None) for number in range(50)]
+    begun = []
+
+    def begin(file):
+        begun.append(int(file.name))
+        if file.name == "7":
+            raise ValueError("seven")
+        return int(file.name)
+
+    for position, (file, content) in enumerate(read_ahead(begin, files, workers=3, ahead=5)):
+        assert file is files[position]
+        assert max(begun) < position + 5
+        assert str(content) == ("seven" if position == 7 else str(position))
+    assert position == 49
+
+
+def test_what_is_no_refusal_ends_the_reading():
+    def fail(file):
+        raise MemoryError
+
+    with pytest.raises(MemoryError):
+        next(read_ahead(fail, [FrameFile("a", "0", None)], workers=1, ahead=2))

@@ -1,0 +1,37 @@
+"""Small data sets on disk in the layouts in which they are published; shared by the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from ssrvlad_torch.datasets.dataset import Dataset
+
+
+def plant(root: Path, *names: str) -> Path:
+    """Tiny images of the formats that their names say; the folders are made."""
+    for name in names:
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.zeros((4, 6, 3), np.uint8)).save(path)
+    return root
+
+
+def write(path: Path, lines: Iterable[str] | str) -> Path:
+    """A text file; the folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(lines if isinstance(lines, str) else "".join(f"{line}\n" for line in lines))
+    return path
+
+
+def outline(dataset: Dataset) -> dict[str, list[str]]:
+    """Names of the frames by traverse, in order."""
+    return {t.name: [frame.name for frame in t.frames] for t in dataset.traverses}
+
+
+def roles(dataset: Dataset) -> dict[str, str | None]:
+    """Roles by traverse."""
+    return {t.name: t.role for t in dataset.traverses}
