@@ -158,21 +158,15 @@ def with_intervals(searches: Searches) -> list[str]:
     scores = np.concatenate([found[0] for found, _ in searches])
     rows = np.concatenate([found[1] + i * 10**6 for i, (found, _) in enumerate(searches)])
     truth = [matches + i * 10**6 for i, (_, matched) in enumerate(searches) for matches in matched]
-    rng = np.random.default_rng(0)
-    resampled = []
-    for _ in range(RESAMPLES):
-        chosen = rng.integers(0, len(truth), len(truth))
-        resampled.append(figures(scores[chosen], rows[chosen], [truth[i] for i in chosen]))
-    low, high = np.percentile(resampled, (2.5, 97.5), axis=0)
+    figures = evaluate(scores, rows, truth, at=(1, 5), resamples=RESAMPLES)
     return [
-        f"{value:.3f} [{a:.3f}, {b:.3f}]"
-        for value, a, b in zip(figures(scores, rows, truth), low, high, strict=True)
+        f"{value:.3f} [{low:.3f}, {high:.3f}]"
+        for value, (low, high) in zip(listed(figures), listed(figures["intervals"]), strict=True)
     ]
 
 
-def figures(scores: np.ndarray, rows: np.ndarray, truth: list) -> list[float]:
-    result = evaluate(scores, rows, truth, at=(1, 5))
-    return [*result["recall_at"].values(), result["auc_pr"], result["recall_at_100_precision"]]
+def listed(figures: dict) -> list:
+    return [*figures["recall_at"].values(), figures["auc_pr"], figures["recall_at_100_precision"]]
 
 
 def methods() -> dict[str, Describe]:

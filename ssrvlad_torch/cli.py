@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import os
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -16,6 +17,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
+import numpy.typing as npt
 import typer
 from rich.console import Console
 from rich.progress import (
@@ -30,20 +33,38 @@ from rich.table import Table
 
 from .bench import bench_this_machine
 from .config import SSRVLADConfig
-from .database import Database, FrameSet
+from .database import Database, FrameSet, natural_key
+from .datasets.dataset import Dataset, Role
+from .datasets.frame_files import FrameFile
+from .datasets.image_files import find_image_files
 from .datasets.label_files import find_label_files, read_label_map
+from .datasets.layouts import open_dataset
 from .datasets.synthetic_city import write_city
 from .demo import STEPS, run_demo
 from .descriptor import SSRVLAD
 from .encoding import Refusal, encode_to_database, encode_to_memory
-from .evaluation import ground_truth as truths
+from .evaluation.ground_truth import from_frame_numbers, from_poses
+from .evaluation.ground_truth_files import Known, from_file, of_known
+from .evaluation.metrics import Convention, precision_recall_curve
 from .evaluation.metrics import evaluate as measure
+from .evaluation.outcomes import judge
+from .evaluation.thresholds import operating_points
 from .matching import match
+from .segmentation import Segmenter
 from .show import draw
 
 WRONG_USE = 2
 SOME_REFUSED = 3
 INTERRUPTED = 130
+RESAMPLES = 1000
+
+FIGURES = {
+    "auc_pr": "AUC-PR",
+    "average_precision": "average precision",
+    "recall_at_100_precision": "Recall@100%Precision",
+    "extended_precision": "extended precision",
+    "roc_auc": "ROC-AUC",
+}
 
 app = typer.Typer(
     name="ssrvlad",
@@ -57,7 +78,11 @@ database_app = typer.Typer(help="Look into a database.", rich_markup_mode=None)
 app.add_typer(database_app, name="db")
 
 Source = Annotated[
-    list[str], typer.Argument(help="Folders, globs or files of label maps; a folder is a sequence.")
+    list[str],
+    typer.Argument(
+        help="Folders, globs or files of label maps, or of images with --segmenter; a folder is a "
+        "sequence."
+    ),
 ]
 DatabaseFolder = Annotated[Path, typer.Argument(help="Folder of the database.")]
 LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
@@ -73,6 +98,37 @@ SequenceName = Annotated[
 ]
 Every = Annotated[int, typer.Option(min=1, help="Take every so many-th frame of a sequence.")]
 Start = Annotated[int, typer.Option(min=0, help="First frame that is taken of a sequence.")]
+SegmenterFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--segmenter",
+        help="Network that labels images: an .onnx file, or a .yaml file with network: FILE.onnx "
+        "and its settings.",
+    ),
+]
+SegmenterCache = Annotated[
+    Path | None,
+    typer.Option(help="Folder that keeps what the segmenter made; ~/.cache/ssrvlad if not given."),
+]
+LayoutName = Annotated[
+    str | None,
+    typer.Option(
+        "--layout",
+        help="SOURCE is the folder of a data set: auto, or extended-cmu, robotcar-seasons, "
+        "synthia, cityscapes, camvid, vpr-bench, folders.",
+    ),
+]
+Split = Annotated[
+    list[str] | None,
+    typer.Option("--split", help="With --layout: a sequence to take, * for any text; repeatable."),
+]
+RoleName = Annotated[
+    Role | None, typer.Option("--role", help="With --layout: what the data set means for this.")
+]
+LabelsFolder = Annotated[
+    Path | None,
+    typer.Option("--labels", help="With --layout: other label maps than the data set's own."),
+]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Frames = Annotated[int, typer.Option(min=2, help="Frames of each traverse.")]
@@ -134,31 +190,48 @@ def city(
 def encode(
     source: Source,
     output: Annotated[Path, typer.Option("--output", "-o", help="Database: new, or added to.")],
-    labels_as: LabelsAs,
+    labels_as: Annotated[
+        str | None,
+        typer.Option(
+            help="Label space of the ids: a name or a .yaml file; the data set's with --layout."
+        ),
+    ] = None,
     preset: Annotated[
         str | None,
         typer.Option(help="paper or default; if not given the database's, or default."),
     ] = None,
+    layout: LayoutName = None,
+    split: Split = None,
+    role: RoleName = None,
+    labels: LabelsFolder = None,
     sequence: SequenceName = None,
     every: Every = 1,
     start: Start = 0,
+    segmenter: SegmenterFile = None,
+    segmenter_cache: SegmenterCache = None,
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
-    """Encode label maps into a database. Run again, it adds only what is missing.
+    """Encode label maps, or images with a segmenter, into a database. Run again, it adds only
+    what is missing.
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
     """
 
+    dataset = _dataset(source, layout, split, role, labels, labels_as)
+    labels_as = labels_as or (dataset.labels_as if dataset else None)
+    if labels_as is None:
+        raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if preset is None and Database.exists(output):
         config = dataclasses.replace(Database.open(output).config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(config)
-    files = find_label_files(source, sequence, every, start)
+    selection, segmenting = (sequence, every, start), (segmenter, segmenter_cache)
+    files, labeller = _find(source, selection, segmenting, labels_as, dataset)
     database = Database.open_or_create(output, config)
     with _progress("encoding", len(files)) as advance:
-        summary = encode_to_database(head, files, database, workers, advance)
+        summary = encode_to_database(head, files, database, workers, advance, labeller)
     if as_json:
         counts = dataclasses.asdict(summary)
         refused = [refusal._asdict() for refusal in summary.refused]
@@ -181,9 +254,15 @@ def query(
         float | None, typer.Option(help="Leave out candidates whose score is not above it.")
     ] = None,
     temporal: Temporal = 3,
+    layout: LayoutName = None,
+    split: Split = None,
+    role: RoleName = None,
+    labels: LabelsFolder = None,
     sequence: SequenceName = None,
     every: Every = 1,
     start: Start = 0,
+    segmenter: SegmenterFile = None,
+    segmenter_cache: SegmenterCache = None,
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
@@ -192,8 +271,11 @@ def query(
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
 
-    selection = (sequence, every, start)
-    references, queries, refused = _load(database, source, labels_as, temporal, selection, workers)
+    selection, segmenting = (sequence, every, start), (segmenter, segmenter_cache)
+    dataset = _dataset(source, layout, split, role, labels, labels_as)
+    references, queries, refused = _load(
+        database, source, labels_as, temporal, selection, segmenting, workers, dataset
+    )
     found = match(queries.descriptors, references.descriptors, top, threshold)
     for frame, scores, rows in zip(queries.frames, *found, strict=True):
         candidates = [
@@ -215,52 +297,81 @@ def evaluate(
     source: Source,
     labels_as: MaybeLabelsAs = None,
     ground_truth: Annotated[
-        Path | None, typer.Option(help='JSON {"<query id>": ["<reference id>", ...], ...}.')
+        Path | None,
+        typer.Option(
+            help="Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
+            "ground_truth_new.npy."
+        ),
     ] = None,
     tolerance_metres: Annotated[
         float | None, typer.Option(help="Or: true matches are this near, by poses.csv.")
     ] = None,
+    tolerance_degrees: Annotated[
+        float | None, typer.Option(help="With --tolerance-metres: and their headings this alike.")
+    ] = None,
     tolerance_frames: Annotated[
         int | None, typer.Option(help="Or: true matches are at most so many frames away.")
     ] = None,
+    convention: Annotated[Convention, typer.Option(help="Whose way of computing it is.")] = "exact",
+    at_recall: Annotated[
+        float, typer.Option(min=0, max=1, help="Recall at which the precision is told.")
+    ] = 0.5,
     temporal: Temporal = 3,
+    layout: LayoutName = None,
+    split: Split = None,
+    role: RoleName = None,
+    labels: LabelsFolder = None,
     sequence: SequenceName = None,
     every: Every = 1,
     start: Start = 0,
+    segmenter: SegmenterFile = None,
+    segmenter_cache: SegmenterCache = None,
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
-    """Measure the recognition: RecallRate@N, AUC-PR and Recall@100%Precision.
+    """Measure the recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
+    bootstrap intervals, and what follows from the choice of a threshold. The suggested one is the
+    lowest whose precision is at least 0.95 at the lower end of its own 95 % interval.
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
     """
 
-    given = [value is not None for value in (ground_truth, tolerance_metres, tolerance_frames)]
-    if sum(given) != 1:
-        raise ValueError(
-            "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, "
-            f"got {sum(given)} of them"
-        )
-    selection = (sequence, every, start)
-    references, queries, refused = _load(database, source, labels_as, temporal, selection, workers)
-    if ground_truth is not None:
-        truth = truths.from_json(ground_truth, queries.frames, references.frames)
-    elif tolerance_metres is not None:
-        truth = truths.from_poses(queries.poses, references.poses, tolerance_metres)
-    else:
-        assert tolerance_frames is not None
-        truth = truths.from_frame_numbers(queries.frames, references.frames, tolerance_frames)
+    dataset = _dataset(source, layout, split, role, labels, labels_as)
+    given = (ground_truth, tolerance_metres, tolerance_frames)
+    if dataset and dataset.truth and given == (None, None, None):
+        _, ground_truth, tolerance_metres, tolerance_frames = dataset.truth
+    if dataset and tolerance_metres is not None:
+        dataset = dataset.posed()
+    tolerance = (tolerance_metres, tolerance_degrees, tolerance_frames)
+    _check_tolerance(ground_truth, *tolerance)
+    selection, segmenting = (sequence, every, start), (segmenter, segmenter_cache)
+    references, queries, refused = _load(
+        database, source, labels_as, temporal, selection, segmenting, workers, dataset
+    )
+    truths = _true_matches(ground_truth, tolerance, queries, references, refused)
+    known, truth = of_known(truths)
+    unknown = len(truths) - len(known)
+    if unknown:
+        _note(f"{unknown} of {len(truths)} queries are left out: {ground_truth} does not name them")
     themselves = len(set(queries.frames) & set(references.frames))
     if themselves:
         _note(f"{themselves} of {len(queries.frames)} queries are in the database themselves")
-    scores, rows = match(queries.descriptors, references.descriptors, top=10)
-    metrics = measure(scores.numpy(), rows.numpy(), truth)
+    found = match(queries.descriptors, references.descriptors, top=10)
+    scores, rows = (best.numpy()[known] for best in found)
+    similarity = None
+    if convention.startswith("vpr-tutorial"):
+        similarity = _similarity(queries, references)[known]
+    metrics = measure(
+        scores, rows, truth, convention=convention, similarity=similarity, resamples=RESAMPLES
+    )
+    curve = precision_recall_curve(judge(scores, rows, truth), truth)
+    metrics["thresholds"] = operating_points(curve, [at_recall])
     metrics["references"] = len(references.frames)
     metrics["fingerprint"] = Database.open(database).fingerprint
     if as_json:
         _print_json(metrics)
     else:
-        _print_metrics(metrics)
+        _print_evaluation(metrics)
     _finish(refused)
 
 
@@ -332,7 +443,9 @@ def _load(
     labels_as: str | None,
     temporal: int,
     selection: tuple[str | None, int, int],
+    segmenting: tuple[Path | None, Path | None],
     workers: int,
+    dataset: Dataset | None,
 ) -> tuple[FrameSet, FrameSet, list[Refusal]]:
     """The frames of a database after Eq. 3, the queries encoded alike, and the refused ones."""
 
@@ -340,11 +453,105 @@ def _load(
     references = opened.load(temporal)
     if not references.frames:
         raise ValueError(f"{database} holds no frames yet")
-    config = dataclasses.replace(opened.config, labels_as=labels_as or opened.config.labels_as)
-    files = find_label_files(sources, *selection)
+    labels_as = labels_as or (dataset and dataset.labels_as) or opened.config.labels_as
+    config = dataclasses.replace(opened.config, labels_as=labels_as)
+    files, labeller = _find(sources, selection, segmenting, labels_as, dataset)
     with _progress("encoding", len(files)) as advance:
-        queries, refused = encode_to_memory(SSRVLAD(config), files, workers, advance)
+        queries, refused = encode_to_memory(SSRVLAD(config), files, workers, advance, labeller)
     return references, queries, refused
+
+
+def _find(
+    sources: Sequence[str],
+    selection: tuple[str | None, int, int],
+    segmenting: tuple[Path | None, Path | None],
+    labels_as: str,
+    dataset: Dataset | None,
+) -> tuple[list[FrameFile], Segmenter | None]:
+    """The frames of some sources, and what makes label maps of them if they are images."""
+    network, cache = segmenting
+    if network is None:
+        if cache is not None:
+            raise ValueError("--segmenter-cache wants a --segmenter")
+        if dataset:
+            return dataset.label_files(*selection[1:]), None
+        return find_label_files(sources, *selection), None
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
+    labeller = Segmenter.load(network, labels_as, cache or user_cache)
+    if dataset:
+        return dataset.image_files(*selection[1:]), labeller
+    return find_image_files(sources, *selection), labeller
+
+
+def _dataset(
+    sources: Sequence[str],
+    layout: str | None,
+    split: Sequence[str] | None,
+    role: Role | None,
+    labels: Path | None,
+    labels_as: str | None,
+) -> Dataset | None:
+    """The chosen sequences of a data set, if the source is one; what it lacks is noted."""
+    if layout is None:
+        if split or role or labels:
+            raise ValueError("--split, --role and --labels want a --layout, for example auto")
+        return None
+    if len(sources) != 1:
+        raise ValueError(f"--layout wants the folder of one data set, got {len(sources)} sources")
+    name = None if layout == "auto" else layout
+    dataset = open_dataset(sources[0], name, labels, labels_as).select(split or (), role)
+    for warning in dataset.warnings:
+        _note(warning)
+    return dataset
+
+
+def _check_tolerance(
+    ground_truth: Path | None, metres: float | None, degrees: float | None, frames: int | None
+) -> None:
+    given = sum(value is not None for value in (ground_truth, metres, frames))
+    if given != 1:
+        raise ValueError(
+            "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, "
+            f"got {given} of them"
+        )
+    if degrees is not None and metres is None:
+        raise ValueError("--tolerance-degrees wants --tolerance-metres beside it")
+
+
+def _true_matches(
+    ground_truth: Path | None,
+    tolerance: tuple[float | None, float | None, int | None],
+    queries: FrameSet,
+    references: FrameSet,
+    refused: Sequence[Refusal],
+) -> Known:
+    """True matches of each query; the refused ones keep their place where frames are counted."""
+    if not queries.frames:
+        return []
+    metres, degrees, frames = tolerance
+    if metres is not None:
+        return [*from_poses(queries.poses, references.poses, metres, degrees)]
+    asked = sorted((*queries.frames, *(refusal.frame for refusal in refused)), key=_natural_order)
+    if ground_truth is not None:
+        truth = from_file(ground_truth, asked, references.frames)
+    else:
+        assert frames is not None
+        truth = [*from_frame_numbers(asked, references.frames, frames)]
+    of_frame = dict(zip(asked, truth, strict=True))
+    return [of_frame[frame] for frame in queries.frames]
+
+
+def _natural_order(frame: str) -> tuple[list[tuple[int, int, str]], ...]:
+    sequence, _, name = frame.rpartition("/")
+    return natural_key(sequence), natural_key(name)
+
+
+def _similarity(queries: FrameSet, references: FrameSet) -> npt.NDArray[np.float32]:
+    """Cosines of all pairs, ``(Q, R)``; -inf where a frame is empty and matches nothing."""
+    cosines: npt.NDArray[np.float32] = (queries.descriptors @ references.descriptors.T).numpy()
+    cosines[queries.empty] = -np.inf
+    cosines[:, references.empty] = -np.inf
+    return cosines
 
 
 def _info(path: Path) -> dict[str, Any]:
@@ -371,6 +578,44 @@ def _print_metrics(metrics: Mapping[str, Any]) -> None:
     table.add_row("AUC-PR", f"{metrics['auc_pr']:.3f}")
     table.add_row("Recall@100%Precision", f"{metrics['recall_at_100_precision']:.3f}")
     Console().print(table)
+    _print_counts(metrics)
+
+
+def _print_evaluation(metrics: Mapping[str, Any]) -> None:
+    """All figures with their intervals, and the thresholds that one may choose."""
+    table, intervals = Table("metric", metrics["convention"], "95 % interval"), metrics["intervals"]
+    for n, rate in metrics["recall_at"].items():
+        table.add_row(f"RecallRate@{n}", _figure(rate), _interval(intervals["recall_at"][n]))
+    for key, name in FIGURES.items():
+        table.add_row(name, _figure(metrics[key]), _interval(intervals[key]))
+    Console().print(table)
+    points = metrics["thresholds"]
+    table = Table("threshold for", "score", "precision", "lower end", "recall", "accepted")
+    for precision, point in points["at_precision"].items():
+        table.add_row(f"precision {precision}", *_point(point))
+    for recall, point in points["at_recall"].items():
+        table.add_row(f"recall {recall}", *_point(point))
+    table.add_row("suggested", *_point(points["suggested"]))
+    Console().print(table)
+    _print_counts(metrics)
+
+
+def _point(point: Mapping[str, Any] | None) -> list[str]:
+    if point is None:
+        return ["none"]
+    shares = [_figure(point[key]) for key in ("precision", "precision_low", "recall")]
+    return [f"{point['score']:.4f}", *shares, str(point["accepted"])]
+
+
+def _figure(value: float) -> str:
+    return "-" if math.isnan(value) else f"{value:.3f}"
+
+
+def _interval(ends: Sequence[float]) -> str:
+    return "-" if math.isnan(ends[0]) else f"{ends[0]:.3f} to {ends[1]:.3f}"
+
+
+def _print_counts(metrics: Mapping[str, Any]) -> None:
     print(
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
         f"{metrics['references']} references, fingerprint {metrics['fingerprint']}"
@@ -385,6 +630,8 @@ def _without_nan(value: Any) -> Any:
     """JSON has no NaN: a figure without a meaning is null."""
     if isinstance(value, Mapping):
         return {key: _without_nan(entry) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_without_nan(entry) for entry in value]
     return None if isinstance(value, float) and math.isnan(value) else value
 
 

@@ -17,7 +17,7 @@ from .datasets.label_files import LabelFile, find_label_files, read_label_map
 from .datasets.synthetic_city import write_city
 from .descriptor import SSRVLAD
 from .encoding import encode_to_database, encode_to_memory
-from .evaluation.ground_truth import from_json
+from .evaluation.ground_truth_files import from_file, of_known
 from .evaluation.metrics import evaluate
 from .files import replacing
 from .matching import match
@@ -78,7 +78,7 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     references = database.load(TEMPORAL)
 
     scores, rows = match(queries.descriptors, references.descriptors, top=10)
-    truth = from_json(city / "ground_truth.json", queries.frames, references.frames)
+    _, truth = of_known(from_file(city / "ground_truth.json", queries.frames, references.frames))
     metrics = evaluate(scores.numpy(), rows.numpy(), truth)
     metrics["references"] = len(references.frames)
     metrics["fingerprint"] = database.fingerprint

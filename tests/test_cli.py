@@ -8,10 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from drawings import ROAD, SKY, VOID, blobs
+from networks import photo, write_graph
 from PIL import Image
 
 from ssrvlad_torch import cli
+from ssrvlad_torch.database import Database
 
 COMMANDS = ["demo", "city", "encode", "query", "evaluate", "show", "db info", "bench"]
 
@@ -119,6 +122,155 @@ def test_odd_against_even_frames(ssrvlad, maps, tmp_path):
     assert (json.loads(out)["references"], json.loads(out)["queries"]) == (3, 3)
 
 
+@pytest.fixture
+def evaluate(ssrvlad, database, tmp_path):
+    """Evaluates six frames of Tuesday, alike those of Monday, against Monday's database."""
+    tuesday = write_maps(tmp_path / "tuesday", range(6))
+
+    def run(*arguments: object) -> tuple[int, str, list[str]]:
+        return ssrvlad("evaluate", database, tuesday, "--temporal", 0, *arguments)
+
+    return run
+
+
+def write_truth(path: Path, content: object) -> Path:
+    if path.suffix == ".npy":
+        np.save(path, content)
+    else:
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def vpr_bench(matches: list[object]) -> np.ndarray:
+    rows = np.empty((len(matches), 2), object)
+    for query, references in enumerate(matches):
+        rows[query, 0], rows[query, 1] = query, references
+    return rows
+
+
+def test_evaluate_names_its_convention_and_gives_intervals_and_thresholds(evaluate):
+    code, out, err = evaluate("--tolerance-frames", 0, "--json")
+    metrics = json.loads(out)
+    assert (code, err) == (0, [])
+    assert metrics["convention"] == "exact"
+    figures = ("auc_pr", "average_precision", "recall_at_100_precision", "extended_precision")
+    assert [metrics[name] for name in figures] == [1.0] * 4
+    assert metrics["intervals"]["recall_at"]["1"] == metrics["intervals"]["auc_pr"] == [1.0, 1.0]
+    assert metrics["roc_auc"] is None
+    assert metrics["intervals"]["roc_auc"] == [None, None]
+    points = metrics["thresholds"]
+    assert points["at_precision"]["1"]["accepted"] == 6
+    assert points["at_recall"]["0.5"]["precision"] == 1.0
+    assert points["suggested"] is None
+
+
+def test_evaluate_prints_all_figures(evaluate):
+    code, out, _ = evaluate("--tolerance-frames", 0, "--at-recall", 0.25)
+    assert code == 0
+    for words in ("exact", "average precision", "ROC-AUC", "1.000 to 1.000", "recall 0.25"):
+        assert words in out
+    assert "suggested" in out
+
+
+@pytest.mark.parametrize("convention", ["vpr-bench", "vpr-tutorial", "vpr-tutorial-single"])
+def test_other_conventions(evaluate, convention):
+    out = evaluate("--tolerance-frames", 1, "--convention", convention, "--json")[1]
+    metrics = json.loads(out)
+    assert metrics["convention"] == convention
+    assert 0 < metrics["auc_pr"] <= 1
+    assert (metrics["average_precision"] is None) == convention.startswith("vpr-tutorial")
+    assert convention in evaluate("--tolerance-frames", 1, "--convention", convention)[1]
+
+
+def test_an_empty_frame_is_no_obstacle_to_any_convention(evaluate, tmp_path):
+    Image.fromarray(np.full((24, 32), VOID, np.uint8)).save(tmp_path / "tuesday" / "003.png")
+    for convention in ("exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"):
+        out = evaluate("--tolerance-frames", 0, "--convention", convention, "--json")[1]
+        metrics = json.loads(out)
+        assert metrics["recall_at"]["1"] == pytest.approx(5 / 6)
+        assert metrics["auc_pr"] > 0.1
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("truth.json", {f"tuesday/{n:03d}": [f"monday/{n:03d}"] for n in range(6)}),
+        ("truth.json", [[f"tuesday/{n:03d}", f"monday/{n:03d}"] for n in range(6)]),
+        (
+            "truth.csv",
+            "query,reference\n" + "".join(f"tuesday/{n:03d},monday/{n:03d}\n" for n in range(6)),
+        ),
+        ("truth.csv", "\n".join(",".join(str(int(a == b)) for a in range(6)) for b in range(6))),
+        ("truth.npy", np.eye(6)),
+        ("ground_truth_new.npy", vpr_bench([[n] for n in range(6)])),
+    ],
+)
+def test_every_form_of_ground_truth(evaluate, tmp_path, name, content):
+    code, out, err = evaluate("--ground-truth", write_truth(tmp_path / name, content), "--json")
+    assert (code, err) == (0, [])
+    assert json.loads(out)["recall_at"]["1"] == 1.0
+
+
+def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_path):
+    truth = {"tuesday/001": ["monday/001"], "tuesday/004": []}
+    path = write_truth(tmp_path / "truth.json", truth)
+    code, out, err = evaluate("--ground-truth", path, "--json")
+    assert code == 0
+    assert err == [f"ssrvlad: 4 of 6 queries are left out: {path} does not name them"]
+    metrics = json.loads(out)
+    assert (metrics["queries"], metrics["queries_with_match"]) == (2, 1)
+    assert metrics["recall_at"]["1"] == 1.0
+
+
+@pytest.mark.parametrize("how", ["frames", "matrix"])
+def test_a_refused_query_keeps_its_place(evaluate, tmp_path, how):
+    """What counts frames counts the unreadable one, too."""
+    (tmp_path / "tuesday" / "002.png").write_text("no image")
+    truth = write_truth(tmp_path / "truth.npy", np.eye(6))
+    arguments = {"frames": ("--tolerance-frames", 0), "matrix": ("--ground-truth", truth)}[how]
+    code, out, err = evaluate(*arguments, "--json")
+    assert code == 3
+    assert len(err) == 1
+    metrics = json.loads(out)
+    assert (metrics["queries"], metrics["recall_at"]["1"]) == (5, 1.0)
+
+
+def test_headings_can_count(ssrvlad, tmp_path):
+    city, db = tmp_path / "city", tmp_path / "city.ssrdb"
+    ssrvlad("city", city, "--frames", 8, "--seed", 1)
+    ssrvlad("encode", city / "reference", "-o", db, "--labels-as", "cityscapes-trainids")
+    counts = []
+    for degrees in (None, 180, 0):
+        limit = [] if degrees is None else ["--tolerance-degrees", degrees]
+        arguments = ("evaluate", db, city / "query", "--tolerance-metres", 5, *limit, "--json")
+        counts.append(json.loads(ssrvlad(*arguments)[1])["queries_with_match"])
+    assert counts == [8, 8, 0]
+
+
+class Code:
+    """A pickle of it calls a function."""
+
+    def __reduce__(self):
+        return print, ("run",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.npy", vpr_bench([[0]] * 5 + [[6]]), "names reference 6 of query 5; the database has 6"),
+        ("a.npy", vpr_bench([[0]] * 5), "has 5 rows, wanted one for each of 6 queries"),
+        ("a.npy", vpr_bench([Code()] * 6), "it asks for builtins.print; wanted nothing but arrays"),
+        ("a.npy", np.eye(6, 5), "is a matrix of shape (6, 5), wanted (6, 6)"),
+        ("a.json", {"tuesday/000": ["monday/6"]}, "names reference 'monday/6', which is not in"),
+        ("a.txt", "", "wanted a ground truth in .json, .csv, .npy, .npz"),
+    ],
+)
+def test_bad_ground_truth_is_one_line(evaluate, tmp_path, name, content, message):
+    code, out, err = evaluate("--ground-truth", write_truth(tmp_path / name, content))
+    assert (code, out, len(err)) == (2, "", 1)
+    assert message in err[0]
+
+
 def test_running_again_adds_only_what_is_missing(ssrvlad, database, maps):
     write_maps(maps, range(6, 9))
     code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "camvid-11")
@@ -206,6 +358,7 @@ def bad_uses(tmp_path: Path) -> dict[str, tuple[list[object], str]]:
     photo = tmp_path / "photo" / "a.png"
     photo.parent.mkdir()
     Image.fromarray(np.random.default_rng(0).integers(0, 256, (9, 9, 3), np.uint8)).save(photo)
+    write_maps(tmp_path / "short", range(1))
     return {
         "no command": (["fly"], "No such command 'fly'"),
         "no source": (["encode", "-o", none, *camvid], "Missing argument"),
@@ -240,10 +393,22 @@ def bad_uses(tmp_path: Path) -> dict[str, tuple[list[object], str]]:
             "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, got 2",
         ),
         "no tolerance": (["evaluate", db, maps], "got 0 of them"),
+        "degrees alone": (
+            ["evaluate", db, maps, "--tolerance-frames", 1, "--tolerance-degrees", 5],
+            "--tolerance-degrees wants --tolerance-metres beside it",
+        ),
+        "unknown convention": (
+            ["evaluate", db, maps, "--tolerance-frames", 1, "--convention", "sklearn"],
+            "'sklearn' is not one of 'exact', 'vpr-bench', 'vpr-tutorial'",
+        ),
+        "unequal length": (
+            ["evaluate", db, tmp_path / "short", "--tolerance-frames", 1],
+            "one length, got 1 query frames and 6 reference frames",
+        ),
         "no poses": (["evaluate", db, maps, "--tolerance-metres", 5], "have no pose"),
         "ground truth of others": (
             ["evaluate", db, maps, "--ground-truth", tmp_path / "truth.json"],
-            "has no entry for query monday/000",
+            "has an entry for none of the 6 queries, as monday/000",
         ),
         "no ground truth": (["evaluate", db, maps, "--ground-truth", none], "cannot read"),
         "show a photo": (
@@ -279,6 +444,9 @@ def bad_uses(tmp_path: Path) -> dict[str, tuple[list[object], str]]:
         "start beyond the end",
         "two tolerances",
         "no tolerance",
+        "degrees alone",
+        "unknown convention",
+        "unequal length",
         "no poses",
         "ground truth of others",
         "no ground truth",
@@ -332,3 +500,100 @@ def test_a_label_map_of_one_colour_is_no_problem(ssrvlad, maps, tmp_path):
     for ids in (ROAD, SKY):
         Image.fromarray(np.full((1, 1), ids, np.uint8)).save(maps / f"one{ids}.png")
     assert ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")[0] == 0
+
+
+# ---- images and a segmenter
+
+
+@pytest.fixture
+def photos(maps, tmp_path, monkeypatch):
+    """``photos/monday``, the world of ``maps`` as a camera sees it, and ``net.yaml``, which labels
+    it; the user's cache is ``cache``."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    write_graph(tmp_path / "net.onnx")
+    (tmp_path / "net.yaml").write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n")
+    folder = tmp_path / "photos" / "monday"
+    folder.mkdir(parents=True)
+    for path in maps.iterdir():
+        Image.fromarray(photo(np.asarray(Image.open(path)))).save(folder / path.name)
+    return folder
+
+
+def test_images_and_a_segmenter_give_what_label_maps_give(ssrvlad, database, photos, tmp_path):
+    db, segmenter = tmp_path / "photos.ssrdb", ["--segmenter", tmp_path / "net.yaml"]
+    command = ["encode", photos, "-o", db, "--labels-as", "camvid-11", *segmenter]
+    code, out, err = ssrvlad(*command)
+    assert (code, err) == (0, [])
+    assert "6 frames encoded (0 of them empty), 0 already there, 0 refused" in out
+    by_labels, by_images = Database.open(database).load(), Database.open(db).load()
+    assert by_images.frames == by_labels.frames
+    assert torch.equal(by_images.descriptors, by_labels.descriptors)
+    assert "0 frames encoded (0 of them empty), 6 already there" in ssrvlad(*command)[1]
+
+    code, out, _ = ssrvlad("query", database, photos, "--temporal", 0, "--top", 1, *segmenter)
+    assert code == 0
+    assert out.splitlines() == [f"monday/{n:03d}: monday/{n:03d} 1.0000" for n in range(6)]
+
+    options = ["--tolerance-frames", 1, "--json"]
+    code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
+    assert code == 0
+    assert out == ssrvlad("evaluate", db, photos.parents[1] / "monday", *options)[1]
+
+
+def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(ssrvlad, photos, tmp_path):
+    command = ["encode", photos, "--labels-as", "camvid-11", "--segmenter", tmp_path / "net.yaml"]
+    assert ssrvlad(*command, "-o", tmp_path / "a")[0] == 0
+    kept = list((tmp_path / "cache" / "ssrvlad").rglob("*.png"))
+    assert len(kept) == 6
+    written = {path: path.stat().st_mtime_ns for path in kept}
+    assert ssrvlad(*command, "-o", tmp_path / "b", "--preset", "paper")[0] == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == written
+    elsewhere = tmp_path / "elsewhere"
+    assert ssrvlad(*command, "-o", tmp_path / "c", "--segmenter-cache", elsewhere)[0] == 0
+    assert len(list(elsewhere.rglob("*.png"))) == 6
+
+
+def test_an_image_that_cannot_be_read_is_listed_and_the_rest_lands(ssrvlad, photos, tmp_path):
+    whole = (photos / "002.png").read_bytes()
+    (photos / "002.png").write_bytes(whole[: len(whole) // 2])
+    code, out, err = ssrvlad(
+        "encode", photos, "-o", tmp_path / "db", "--labels-as", "camvid-11",
+        "--segmenter", tmp_path / "net.yaml",
+    )  # fmt: skip
+    assert code == 3
+    assert "5 frames encoded (0 of them empty), 0 already there, 1 refused" in out
+    assert len(err) == 1
+    assert f"refused monday/002: {photos}/002.png: " in err[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--segmenter", "none.onnx"], "none.onnx does not exist or is no file"),
+        (["--segmenter", "none.yaml"], "cannot read the settings none.yaml: No such file"),
+        (["--segmenter", "monday/000.png"], "monday/000.png is no ONNX graph that can be run"),
+        (
+            ["--segmenter", "net.onnx", "--labels-as", "synthia"],
+            "net.onnx: no output fits label space synthia: got found (?, 12, ?, ?)",
+        ),
+        (["--segmenter-cache", "cache"], "--segmenter-cache wants a --segmenter"),
+    ],
+)
+def test_wrong_use_of_a_segmenter(ssrvlad, photos, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["encode", photos, "-o", "db", "--labels-as", "camvid-11", *options]
+    code, _, err = ssrvlad(*arguments)
+    assert (code, len(err)) == (2, 1)
+    assert message in err[0]
+    assert not Path("db").exists()
+
+
+def test_a_folder_without_images_is_refused(ssrvlad, photos, tmp_path):
+    (tmp_path / "folder").mkdir()
+    code, _, err = ssrvlad(
+        "encode", tmp_path / "folder", "-o", tmp_path / "none", "--labels-as", "camvid-11",
+        "--segmenter", tmp_path / "net.onnx",
+    )  # fmt: skip
+    assert (code, len(err)) == (2, 1)
+    assert "folder holds no images; wanted .jpg" in err[0]
+    assert not (tmp_path / "none").exists()

@@ -1,6 +1,5 @@
-"""Ground truth: from a file, from poses, from frame numbers."""
+"""Ground truth from poses and from frame numbers."""
 
-import json
 import math
 
 import numpy as np
@@ -8,56 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_json, from_poses
-
-REFERENCES = ("day/1", "day/2", "day/10")
+from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
 
 
 def as_lists(truth):
     assert all(rows.dtype == np.int64 for rows in truth)
     return [rows.tolist() for rows in truth]
-
-
-@pytest.fixture
-def written(tmp_path):
-    path = tmp_path / "truth.json"
-
-    def write(content):
-        path.write_text(content if isinstance(content, str) else json.dumps(content))
-        return path
-
-    return write
-
-
-def test_pairs_become_rows(written):
-    path = written({"b": [], "a": ["day/10", "day/1"], "unasked": ["nowhere"]})
-    assert as_lists(from_json(path, ["a", "b", "a"], REFERENCES)) == [[0, 2], [], [0, 2]]
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("{", "cannot read the ground truth .*truth.json"),
-        ("", "cannot read the ground truth .*truth.json"),
-        ([["a", "day/1"]], "truth.json must hold"),
-        ({"a": "day/1"}, "truth.json must hold"),
-        ({"a": {"day/1": 1}}, "truth.json must hold"),
-        ({"a": [["day/1"]]}, "truth.json must hold"),
-        ({"a": [1]}, "truth.json must hold"),
-        ({"b": []}, "truth.json has no entry for query a"),
-        ({"a": ["day/1", "day/3"]}, "names reference 'day/3', which is not in the database"),
-    ],
-)
-def test_other_files_are_refused(written, content, message):
-    with pytest.raises(ValueError, match=message):
-        from_json(written(content), ["a"], REFERENCES)
-
-
-def test_a_missing_file_and_a_binary_one_are_refused(tmp_path):
-    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
-    for name in ("missing", "binary"):
-        with pytest.raises(ValueError, match=f"cannot read the ground truth .*{name}"):
-            from_json(tmp_path / name, ["a"], REFERENCES)
 
 
 def test_the_distance_includes_its_limit_and_ignores_the_heading():
@@ -84,6 +39,39 @@ def test_missing_poses_are_counted(hole):
 def test_a_distance_below_zero_is_refused(metres):
     with pytest.raises(ValueError, match="0 metres or more"):
         from_poses(np.zeros((1, 3)), np.zeros((1, 3)), metres)
+
+
+def test_headings_are_compared_the_shorter_way_round():
+    """Limits included; x and y are all alike. 359 and 2 degrees are 3 degrees apart."""
+    there = np.radians([0, 10, 90, 180, 350, -90, 359])
+    references = np.column_stack((np.zeros((7, 2)), there))
+    here = np.radians([0, 2, 90 + 720, 270])
+    queries = np.column_stack((np.zeros((4, 2)), here))
+    wanted = [[0, 1, 4, 6], [0, 1, 6], [2], [5]]
+    assert as_lists(from_poses(queries, references, 1, degrees=10)) == wanted
+    assert as_lists(from_poses(queries[:1], references, 1, degrees=180)) == [[*range(7)]]
+    assert as_lists(from_poses(queries[2:3], references, 1, degrees=0)) == [[2]]
+
+
+def test_both_the_distance_and_the_heading_count():
+    references = np.array([[0, 0, 0], [9, 0, 0], [0, 0, math.pi]])
+    assert as_lists(from_poses(references[:1], references, 5, degrees=45)) == [[0]]
+
+
+def test_missing_headings_are_counted_only_if_asked_for():
+    known, holed = np.zeros((3, 3)), np.zeros((2, 3))
+    holed[1, 2] = math.nan
+    assert as_lists(from_poses(holed, known, 1)) == [[0, 1, 2]] * 2
+    with pytest.raises(ValueError, match="1 of 2 queries have no heading; a tolerance in degrees"):
+        from_poses(holed, known, 1, degrees=5)
+    with pytest.raises(ValueError, match="3 of 3 references have no heading"):
+        from_poses(known, known[:, :2], 1, degrees=5)
+
+
+@pytest.mark.parametrize("degrees", [-1, math.nan])
+def test_a_turn_below_zero_is_refused(degrees):
+    with pytest.raises(ValueError, match="0 degrees or more"):
+        from_poses(np.zeros((1, 3)), np.zeros((1, 3)), 1, degrees)
 
 
 def test_frames_of_one_drive_are_counted_together():
@@ -132,6 +120,11 @@ def test_a_sequence_may_have_slashes():
 def test_sequences_that_cannot_belong_together_are_refused(queries, references):
     with pytest.raises(ValueError, match=r"query sequence 'night'.*\(a(, b)?\)"):
         from_frame_numbers(queries, references, 1)
+
+
+def test_traverses_of_unequal_length_are_refused():
+    with pytest.raises(ValueError, match="one length, got 1 query frames and 2 reference frames"):
+        from_frame_numbers(["night/1"], ["day/1", "day/2"], 1)
 
 
 def test_a_reach_below_zero_is_refused():

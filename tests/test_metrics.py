@@ -1,23 +1,24 @@
-"""Metrics against tables worked by hand and against a plain loop over thresholds."""
+"""Metrics against tables worked by hand and against what VPR-Bench prints."""
 
 import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
 
-from ssrvlad_torch.evaluation.metrics import evaluate, precision_recall, recall_rate
+from ssrvlad_torch.evaluation.metrics import (
+    CONVENTIONS,
+    evaluate,
+    precision_recall_curve,
+    recall_rate,
+)
+from ssrvlad_torch.evaluation.outcomes import judge
 
 INF = math.inf
 
 
 def rows(*matches):
     return [np.array(match, np.int64) for match in matches]
-
-
-def curve_of(scores, correct, positives):
-    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
 
 
 @pytest.mark.parametrize(
@@ -58,100 +59,6 @@ def test_recall_rate_refuses_what_does_not_fit(shape, queries, n, message):
         recall_rate(np.zeros(shape, np.int64), rows([0], [0], [0])[:queries], n)
 
 
-def test_curve_by_hand():
-    """Right, right, wrong, right; one positive is never found."""
-    curve = curve_of([0.9, 0.8, 0.6, 0.4], [1, 1, 0, 1], 4)
-    np.testing.assert_allclose(curve.thresholds, [0.9, 0.8, 0.6, 0.4])
-    np.testing.assert_allclose(curve.precision, [1, 1, 2 / 3, 3 / 4])
-    np.testing.assert_allclose(curve.recall, [1 / 4, 2 / 4, 2 / 4, 3 / 4])
-    assert curve.auc == pytest.approx(1 / 2 + 1 / 4 * (2 / 3 + 3 / 4) / 2)
-    assert curve.recall_at_full_precision == 0.5
-
-
-def test_all_right_is_one_and_all_wrong_is_zero():
-    assert curve_of([0.3, 0.2, 0.1], [1, 1, 1], 3).auc == 1.0
-    assert curve_of([0.3, 0.2, 0.1], [1, 1, 1], 3).recall_at_full_precision == 1.0
-    assert curve_of([0.3, 0.2, 0.1], [0, 0, 0], 3).auc == 0.0
-    assert curve_of([0.3, 0.2, 0.1], [0, 0, 0], 3).recall_at_full_precision == 0.0
-
-
-def test_equal_scores_are_accepted_together():
-    curve = curve_of([0.5] * 4, [1, 0, 1, 0], 3)
-    assert curve.thresholds.tolist() == [0.5]
-    assert curve.precision.tolist() == [0.5]
-    assert curve.auc == pytest.approx(0.5 * 2 / 3)
-
-
-def test_the_best_score_wrong_means_no_recall_at_full_precision():
-    assert curve_of([0.9, 0.8, 0.7], [0, 1, 1], 3).recall_at_full_precision == 0.0
-
-
-@pytest.mark.parametrize("correct", [[1, 0, 1], [0, 1, 1]])
-def test_right_and_wrong_tied_at_the_top_mean_no_recall_at_full_precision(correct):
-    """In whatever order the tied queries come."""
-    curve = curve_of([0.9, 0.9, 0.7], correct, 3)
-    assert curve.recall_at_full_precision == 0.0
-    assert curve.precision.tolist() == [0.5, 2 / 3]
-
-
-def test_a_query_without_candidate_is_never_accepted():
-    curve = curve_of([0.9, -INF, -INF], [1, 0, 0], 3)
-    assert curve.thresholds.tolist() == [0.9]
-    assert curve.precision.tolist() == [1.0]
-    assert curve.recall.tolist() == [1 / 3]
-
-
-def test_negative_scores_are_scores():
-    curve = curve_of([-0.5, -0.9], [1, 0], 2)
-    assert curve.thresholds.tolist() == [-0.5, -0.9]
-    assert curve.recall_at_full_precision == 0.5
-
-
-def test_no_candidate_at_all_gives_an_empty_curve():
-    curve = curve_of([-INF, -INF], [0, 0], 2)
-    assert len(curve.precision) == len(curve.recall) == len(curve.thresholds) == 0
-    assert curve.auc == 0.0
-    assert curve.recall_at_full_precision == 0.0
-
-
-def test_without_positives_recall_is_nan():
-    curve = curve_of([0.9, 0.8], [0, 0], 0)
-    assert np.isnan(curve.recall).all()
-    assert curve.precision.tolist() == [0.0, 0.0]
-    assert math.isnan(curve.auc)
-
-
-SCORES = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
-
-
-@settings(max_examples=200, deadline=None)
-@given(st.lists(st.tuples(SCORES, st.booleans()), max_size=30), st.integers(0, 5))
-def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
-    scores = np.array([score for score, _ in queries], float)
-    correct = np.array([right and score > -INF for score, right in queries], bool)
-    positives = int(correct.sum()) + more_positives
-    curve = precision_recall(scores, correct, positives)
-
-    thresholds = sorted({score for score in scores if score > -INF}, reverse=True)
-    assert curve.thresholds.tolist() == thresholds
-    area, before = 0.0, None
-    full = 0.0
-    for place, threshold in enumerate(thresholds):
-        accepted = scores >= threshold
-        precision = (accepted & correct).sum() / accepted.sum()
-        assert curve.precision[place] == pytest.approx(precision)
-        if positives:
-            recall = (accepted & correct).sum() / positives
-            assert curve.recall[place] == pytest.approx(recall)
-            last_recall, last_precision = before or (0.0, precision)
-            area += (recall - last_recall) * (precision + last_precision) / 2
-            before = recall, precision
-            full = recall if precision == 1 else full
-    if positives:
-        assert curve.auc == pytest.approx(area)
-        assert curve.recall_at_full_precision == pytest.approx(full)
-
-
 def test_evaluate_by_hand():
     scores = np.array([[0.9, 0.1], [0.8, 0.7], [0.7, 0.2], [-INF, -INF], [0.6, 0.5]], np.float32)
     indices = np.array([[0, 1], [5, 2], [3, 4], [-1, -1], [1, 0]])
@@ -179,3 +86,132 @@ def test_evaluate_without_positives_or_queries_has_no_figures():
 def test_evaluate_refuses_truth_of_other_queries():
     with pytest.raises(ValueError, match="candidates for 1 queries"):
         evaluate(np.ones((2, 10)), np.zeros((2, 10), np.int64), rows([0]))
+
+
+def test_evaluate_refuses_what_it_cannot_compute():
+    scores, indices, truth = np.ones((2, 10)), np.zeros((2, 10), np.int64), rows([0], [1])
+    with pytest.raises(ValueError, match=r"convention must be one of .*, got 'sklearn'"):
+        evaluate(scores, indices, truth, convention="sklearn")
+    with pytest.raises(ValueError, match="convention vpr-tutorial wants the similarity"):
+        evaluate(scores, indices, truth, convention="vpr-tutorial")
+    with pytest.raises(ValueError, match=r"similarity matrix for 2 queries, got \(3, 4\)"):
+        evaluate(scores, indices, truth, convention="vpr-tutorial", similarity=np.ones((3, 4)))
+    with pytest.raises(ValueError, match="1 of 2 queries have scores of candidates that are NaN"):
+        evaluate(np.array([[math.nan], [1]]), indices[:, :1], truth, at=(1,))
+    with pytest.raises(ValueError, match="RecallRate@5 needs 5 candidates a query, got 4"):
+        evaluate(scores[:, :4], indices[:, :4], truth)
+
+
+@needs_vpr_bench
+def test_every_stored_result_of_vpr_bench():
+    checked = [agrees_with_vpr_bench(stored) for stored in stored_results()]
+    assert len(checked) == 4
+
+
+def test_the_frozen_result_of_vpr_bench():
+    agrees_with_vpr_bench(frozen_corridor())
+
+
+def agrees_with_vpr_bench(stored):
+    metrics = evaluate(stored.scores, stored.candidates, stored.truth, convention="vpr-bench")
+    found = {
+        "auc_pr": metrics["auc_pr"],
+        "rr": metrics["recall_at"],
+        "r_at_100p": metrics["recall_at_100_precision"],
+        "ep": metrics["extended_precision"],
+    }
+    assert found.keys() == stored.expected.keys()
+    for name, figure in found.items():
+        assert figure == pytest.approx(stored.expected[name], abs=1e-9), (stored.name, name)
+
+
+HANDMADE = {
+    "scores": np.array([[0.9], [0.8], [0.7], [0.6]]),
+    "indices": np.array([[5], [1], [2], [3]]),
+    "truth": rows([0], [1], [2], []),
+}
+"""Wrong, right, right, and a query of an unknown place that is accepted last."""
+
+
+@pytest.mark.parametrize(
+    ("convention", "wanted"),
+    [
+        (
+            "exact",
+            {
+                "recall_at": {"1": 2 / 3},
+                "auc_pr": (1 / 3) * (0 + 1 / 2) / 2 + (1 / 3) * (1 / 2 + 2 / 3) / 2,
+                "average_precision": (1 / 3) * (1 / 2) + (1 / 3) * (2 / 3),
+                "recall_at_100_precision": 0.0,
+                "extended_precision": 0.0,
+                "roc_auc": 1 / 2,
+            },
+        ),
+        (
+            "vpr-bench",
+            {
+                "recall_at": {"1": 2 / 4},
+                "auc_pr": (1 / 2) * (0 + 1 / 2) / 2 + (1 / 2) * (1 / 2 + 2 / 3) / 2,
+                "average_precision": (1 / 2) * (1 / 2) + (1 / 2) * (2 / 3),
+                "recall_at_100_precision": 0.0,
+                "extended_precision": 0.0,
+                "roc_auc": 1 / 2,
+            },
+        ),
+    ],
+)
+def test_conventions_by_hand(convention, wanted):
+    metrics = evaluate(**HANDMADE, at=(1,), convention=convention)
+    assert metrics["convention"] == convention
+    for name, figure in wanted.items():
+        assert metrics[name] == pytest.approx(figure), name
+
+
+def test_a_query_of_an_unknown_place_costs_precision_only_when_accepted():
+    """Rejected it is a true negative: the best point of the curve does not see it."""
+    outcomes = judge(HANDMADE["scores"], HANDMADE["indices"], HANDMADE["truth"])
+    curve = precision_recall_curve(outcomes, HANDMADE["truth"])
+    assert curve.precision.tolist() == [0, 1 / 2, 2 / 3, 2 / 4]
+    assert curve.recall.tolist() == [0, 1 / 3, 2 / 3, 2 / 3]
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+@pytest.mark.parametrize("resamples", [0, 20])
+def test_no_convention_stumbles_over_nothing(convention, resamples):
+    """No queries, no positives, no candidates, and scores that are all equal."""
+    cases = [
+        (np.zeros((0, 1)), np.zeros((0, 1), np.int64), rows(), np.zeros((0, 3))),
+        (np.ones((2, 1)), np.zeros((2, 1), np.int64), rows([], []), np.ones((2, 3))),
+        (np.full((2, 1), -INF), np.full((2, 1), -1), rows([0], [1]), np.full((2, 3), -INF)),
+        (np.ones((2, 1)), np.zeros((2, 1), np.int64), rows([0], [1]), np.ones((2, 3))),
+    ]
+    results = [
+        evaluate(*case[:3], (1,), convention, case[3], resamples=resamples) for case in cases
+    ]
+    assert math.isnan(results[0]["auc_pr"])
+    assert math.isnan(results[1]["auc_pr"])
+    assert results[3]["recall_at"] == {"1": 1 / 2}
+    for result in results:
+        assert ("intervals" in result) == bool(resamples)
+    no_candidate = math.nan if convention == "vpr-bench" else 0.0
+    assert results[2]["auc_pr"] == pytest.approx(no_candidate, nan_ok=True)
+    equal = {"exact": 1 / 4, "vpr-bench": 3 / 4, "vpr-tutorial": 2 / 3}
+    wanted = equal.get(convention, (1 + 1 / 2) / 2 * (1 / 2))
+    assert results[3]["auc_pr"] == pytest.approx(wanted)
+
+
+def test_the_tutorial_has_no_figures_that_it_does_not_define():
+    for convention in ("vpr-tutorial", "vpr-tutorial-single"):
+        metrics = evaluate(**HANDMADE, at=(1,), convention=convention, similarity=np.eye(4, 9))
+        for name in ("average_precision", "extended_precision", "roc_auc"):
+            assert math.isnan(metrics[name])
+
+
+@pytest.mark.parametrize("convention", CONVENTIONS)
+def test_the_curve_is_the_one_that_is_summed_up(convention):
+    similarity = np.random.default_rng(0).random((4, 9))
+    outcomes = judge(HANDMADE["scores"], HANDMADE["indices"], HANDMADE["truth"])
+    curve = precision_recall_curve(outcomes, HANDMADE["truth"], convention, similarity)
+    metrics = evaluate(**HANDMADE, at=(1,), convention=convention, similarity=similarity)
+    assert curve.precision.shape == curve.recall.shape == curve.thresholds.shape
+    assert curve.auc == metrics["auc_pr"]

@@ -1,74 +1,57 @@
-"""Ground truth: which references show the place of each query, as rows of the references."""
+"""Ground truth: which references show the place of each query, as rows of the references.
+
+A true match is a row of the references; a query may have any number of them, or none. Here it
+comes from what is known of the frames; `ground_truth_files` reads it from files.
+"""
 
 from __future__ import annotations
 
-import json
+import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from ..database import natural_key
+from .outcomes import Rows
 
-Rows = npt.NDArray[np.int64]
-
-
-def from_json(path: str | Path, queries: Sequence[str], references: Sequence[str]) -> list[Rows]:
-    """True matches from a file ``{"<query id>": ["<reference id>", ...], ...}``.
-
-    Entries of queries that are not asked for are ignored.
-
-    Raises:
-        ValueError: the file is of another form, has no entry for a query, or names a reference
-            that is not among the references.
-    """
-    try:
-        pairs = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"cannot read the ground truth {path}: {error}") from error
-    if not isinstance(pairs, dict) or not all(_is_list_of_ids(ids) for ids in pairs.values()):
-        raise ValueError(f'{path} must hold {{"<query id>": ["<reference id>", ...], ...}}')
-    row = {frame: number for number, frame in enumerate(references)}
-    truth = []
-    for query in queries:
-        if query not in pairs:
-            raise ValueError(f"{path} has no entry for query {query}")
-        strange = [frame for frame in pairs[query] if frame not in row]
-        if strange:
-            raise ValueError(f"{path} names reference {strange[0]!r}, which is not in the database")
-        truth.append(np.array(sorted(row[frame] for frame in pairs[query]), np.int64))
-    return truth
-
-
-def _is_list_of_ids(value: object) -> bool:
-    return isinstance(value, list) and all(isinstance(frame, str) for frame in value)
+_ROUNDING = 1e-9
 
 
 def from_poses(
-    queries: npt.NDArray[np.float64], references: npt.NDArray[np.float64], metres: float
+    queries: npt.NDArray[np.float64],
+    references: npt.NDArray[np.float64],
+    metres: float,
+    degrees: float | None = None,
 ) -> list[Rows]:
     """True matches are the references within a distance, the limit included.
 
     Args:
-        queries: ``(Q, 2+)`` x and y in metres.
+        queries: ``(Q, 2+)`` x and y in metres, and heading in radians if ``degrees`` is given.
         references: ``(R, 2+)`` likewise.
         metres: largest distance of a true match.
+        degrees: largest difference of the headings, either way round; ``None`` for any.
 
     Raises:
-        ValueError: a pose is missing (NaN), or the distance is negative.
+        ValueError: a pose is missing (NaN), or a limit is negative.
     """
     if not metres >= 0:
         raise ValueError(f"the tolerance must be 0 metres or more, got {metres}")
+    if degrees is not None and not degrees >= 0:
+        raise ValueError(f"the tolerance must be 0 degrees or more, got {degrees}")
     for name, poses in (("queries", queries), ("references", references)):
-        missing = int(np.isnan(poses[:, :2]).any(axis=1).sum())
-        if missing:
-            raise ValueError(
-                f"{missing} of {len(poses)} {name} have no pose; a tolerance in metres wants a "
-                "poses.csv (frame,x,y,heading) in or beside their folder"
-            )
-    return [
+        _refuse_missing(name, "pose", poses[:, :2])
+        if degrees is not None:
+            _refuse_missing(name, "heading", poses[:, 2:3])
+    near = [
         np.flatnonzero(np.hypot(*(references[:, :2] - query[:2]).T) <= metres) for query in queries
+    ]
+    if degrees is None:
+        return near
+    limit = math.radians(degrees) + _ROUNDING
+    return [
+        rows[_turn(references[rows, 2] - query[2]) <= limit]
+        for rows, query in zip(near, queries, strict=True)
     ]
 
 
@@ -79,14 +62,15 @@ def from_frame_numbers(
 
     Frames of one sequence, queries and references together, are counted in the order of their
     names. Where no sequence of the queries is among the references, both must be one sequence:
-    two aligned traverses, in which the n-th frames belong together.
+    two aligned traverses of one length, in which the n-th frames belong together.
 
     Args:
         queries, references: frame ids, ``<sequence>/<name>``.
         frames: largest distance of a true match.
 
     Raises:
-        ValueError: the sequences cannot be told to belong together, or ``frames`` is negative.
+        ValueError: the sequences cannot be told to belong together, aligned traverses are not of
+            one length, or ``frames`` is negative.
     """
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")
@@ -98,6 +82,11 @@ def from_frame_numbers(
         there = [(_sequence(frame), number[frame]) for frame in references]
     elif len(of_queries) == len(of_references) == 1:
         query_number, number = _numbers(set(queries)), _numbers(set(references))
+        if len(query_number) != len(number):
+            raise ValueError(
+                "a tolerance in frames wants two traverses of one length, got "
+                f"{len(query_number)} query frames and {len(number)} reference frames"
+            )
         here = [("", query_number[frame]) for frame in queries]
         there = [("", number[frame]) for frame in references]
     else:
@@ -126,3 +115,18 @@ def _numbers(frames: set[str]) -> dict[str, int]:
         numbers[frame] = counts.get(_sequence(frame), 0)
         counts[_sequence(frame)] = numbers[frame] + 1
     return numbers
+
+
+def _turn(radians: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Size of an angle, either way round: 0 to pi."""
+    return np.abs((radians + math.pi) % (2 * math.pi) - math.pi)
+
+
+def _refuse_missing(name: str, what: str, poses: npt.NDArray[np.float64]) -> None:
+    missing = int(np.isnan(poses).any(axis=1).sum()) if poses.shape[1] else len(poses)
+    if missing:
+        unit = "metres" if what == "pose" else "degrees"
+        raise ValueError(
+            f"{missing} of {len(poses)} {name} have no {what}; a tolerance in {unit} wants a "
+            "poses.csv (frame,x,y,heading) in or beside their folder"
+        )

@@ -1,59 +1,48 @@
-"""Metrics of place recognition, exact: a threshold at every distinct score, ties together.
+"""Metrics of place recognition, each by a convention that is named.
 
-The convention is the one named ``exact``: the positives are the queries that have a true match.
-A query is accepted at a threshold if its best score reaches it. An accepted query is a true
-positive if its best candidate is a true match, else a false positive, also where it has no true
-match at all. So recall is TP / positives, and a query without a true match can only cost
-precision.
+Published figures disagree because tools compute them differently. Every convention accepts what
+scores at least a threshold and differs in what is counted:
+
+| | ``exact`` | ``vpr-bench`` | ``vpr-tutorial``, ``vpr-tutorial-single`` |
+|---|---|---|---|
+| accepted | a query's best candidate | the same | any pair; a query's best pair |
+| positives | queries with a true match | right best candidates | true pairs; as ``exact`` |
+| thresholds | every distinct score | every distinct score | 100, linearly spaced |
+| precision at recall 0 | that of the highest threshold | 1 | 1 |
+| RecallRate@N is a share of | queries with a true match | all queries | as ``exact`` |
+
+In ``exact``, a query without a true match is a true negative when it is rejected and a false
+positive when it is accepted: it can only cost precision. ``vpr-bench`` is what VPR-Bench prints
+(Zaffar et al., IJCV 2021): the recall of its curve says which of the right candidates are
+accepted and always ends at 1. ``vpr-tutorial`` is the code of Schubert et al., see `tutorial`; it
+has no average precision, extended precision or ROC-AUC, so these are NaN.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float64]
-Truth = Sequence[npt.NDArray[np.int64]]
-"""For each query the rows of the references that are true matches, possibly none."""
+from .bootstrap import bootstrap
+from .curves import PrecisionRecall, rank, roc_auc
+from .outcomes import Floats, Outcomes, Rows, Truth, check_candidates, hits_of, judge
+from .tutorial import count_pairs
+
+Convention = Literal["exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"]
+CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
+
+Similarity = npt.NDArray[np.floating[Any]]
+Curves = Callable[[Floats], PrecisionRecall]
+"""From ``(..., Q)`` float64, how often each query counts, to the curve."""
 
 
-@dataclass(frozen=True)
-class PrecisionRecall:
-    """Precision and recall at every distinct score, the highest threshold first.
-
-    Attributes:
-        precision, recall, thresholds: ``(T,)`` float64.
-    """
-
-    precision: Floats
-    recall: Floats
-    thresholds: Floats
-
-    @property
-    def auc(self) -> float:
-        """Area under the curve by the trapezoid rule, from recall 0 at the first precision.
-
-        NaN without positives. Recall that the method never reaches adds no area.
-        """
-        if len(self.precision) == 0 or np.isnan(self.recall).any():
-            return 0.0 if len(self.precision) == 0 else float("nan")
-        recall = np.concatenate(([0.0], self.recall))
-        precision = np.concatenate((self.precision[:1], self.precision))
-        return float(np.diff(recall) @ (precision[1:] + precision[:-1]) / 2)
-
-    @property
-    def recall_at_full_precision(self) -> float:
-        """Recall@100%Precision: the largest recall at which every accepted query is right."""
-        perfect = self.recall[self.precision == 1.0]
-        return float(perfect.max()) if len(perfect) else 0.0
-
-
-def recall_rate(indices: npt.NDArray[np.int64], truth: Truth, n: int) -> float:
+def recall_rate(indices: Rows, truth: Truth, n: int) -> float:
     """RecallRate@N: share of the queries with a true match that have one among their first N.
+
+    The convention ``vpr-bench`` takes the share of all queries instead; see `evaluate`.
 
     Args:
         indices: ``(Q, top)`` candidates, best first, -1 for none.
@@ -67,75 +56,138 @@ def recall_rate(indices: npt.NDArray[np.int64], truth: Truth, n: int) -> float:
         ValueError: ``n`` is below 1, fewer candidates than ``n`` were kept, or the numbers of
             queries differ.
     """
-    _check_queries(indices, truth)
-    if n < 1:
-        raise ValueError(f"the N of RecallRate@N must be at least 1, got {n}")
-    if n > indices.shape[1]:
-        raise ValueError(f"RecallRate@{n} needs {n} candidates a query, got {indices.shape[1]}")
-    hits = [
-        bool(np.isin(row[:n], matches).any())
-        for row, matches in zip(indices, truth, strict=True)
-        if len(matches)
-    ]
-    return float(np.mean(hits)) if hits else float("nan")
+    check_candidates(indices, truth)
+    _check_n(n, indices)
+    found = hits_of(indices[:, :n], truth).any(axis=1)
+    asked = sum(len(matches) > 0 for matches in truth)
+    return float(found.sum() / asked) if asked else float("nan")
 
 
-def precision_recall(
-    scores: Floats, correct: npt.NDArray[np.bool_], positives: int
+def precision_recall_curve(
+    outcomes: Outcomes,
+    truth: Truth,
+    convention: Convention = "exact",
+    similarity: Similarity | None = None,
 ) -> PrecisionRecall:
-    """Precision and recall of accepting each query's best candidate.
+    """Precision and recall by a convention; arguments and errors as for `evaluate`.
 
     Args:
-        scores: ``(Q,)`` score of the best candidate, -inf for a query that has none.
-        correct: ``(Q,)`` whether that candidate is a true match.
-        positives: number of queries that have a true match.
-
-    Returns:
-        the curve; empty if no query has a candidate, with NaN recall if there are no positives.
+        outcomes: from `judge`, of the same queries as ``truth``.
     """
-    candidates = np.isfinite(scores)
-    order = np.argsort(-scores[candidates], kind="stable")
-    ranked, right = scores[candidates][order], correct[candidates][order]
-    last_of_tie = np.flatnonzero(np.diff(ranked, append=-np.inf) != 0)
-    accepted = last_of_tie + 1
-    true_positives = np.cumsum(right)[last_of_tie] if len(right) else np.zeros(0)
-    recall = true_positives / positives if positives else np.full(len(accepted), np.nan)
-    return PrecisionRecall(true_positives / accepted, recall, ranked[last_of_tie])
+    return _curves(outcomes, truth, convention, similarity)(np.ones(len(outcomes)))
 
 
 def evaluate(
     scores: npt.NDArray[np.floating[Any]],
-    indices: npt.NDArray[np.int64],
+    indices: Rows,
     truth: Truth,
     at: Iterable[int] = (1, 5, 10),
+    convention: Convention = "exact",
+    similarity: Similarity | None = None,
+    resamples: int = 0,
+    seed: int = 0,
 ) -> dict[str, Any]:
-    """RecallRate@N, AUC-PR and Recall@100%Precision of the candidates of a set of queries.
+    """All figures of the candidates of a set of queries.
 
     Args:
         scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, as arrays.
         truth: true matches of each query.
         at: the N of RecallRate@N, at most ``top``.
+        convention: one of `CONVENTIONS`.
+        similarity: ``(Q, R)`` of all pairs, -inf where there can be no match; only for the
+            conventions of the tutorial.
+        resamples: of the bootstrap; 0 for no intervals.
+        seed: of the bootstrap.
 
     Returns:
-        ``recall_at`` by N as text, ``auc_pr``, ``recall_at_100_precision``, ``queries`` and
-        ``queries_with_match``. A figure that has no meaning (no positives) is NaN.
+        ``convention``, ``recall_at`` by N as text, ``auc_pr``, ``average_precision``,
+        ``recall_at_100_precision``, ``extended_precision``, ``roc_auc``, ``queries``,
+        ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure,
+        see `bootstrap`; the tutorial's thresholds stay those of all queries. A figure that has
+        no meaning (no positives) is NaN. VPR-Bench prints -1 for the ROC-AUC where every
+        candidate is right; here it is NaN.
+
+    Raises:
+        ValueError: the shapes do not fit, a score is NaN, the convention is unknown, or the
+            similarity is missing.
     """
-    _check_queries(indices, truth)
-    positives = sum(len(matches) > 0 for matches in truth)
-    first = zip(indices[:, 0], truth, strict=True)
-    correct = np.array([index in matches for index, matches in first], bool)
-    curve = precision_recall(scores[:, 0].astype(np.float64), correct, positives)
+    outcomes, at = judge(scores, indices, truth), list(at)
+    for n in at:
+        _check_n(n, indices)
+    curves = _curves(outcomes, truth, convention, similarity)
+
+    def figures(weights: Floats) -> dict[str, Floats]:
+        return {
+            **_recall_rates(outcomes, convention, at, weights),
+            **_summaries(outcomes, convention, curves, weights),
+        }
+
+    values = {name: float(value[0]) for name, value in figures(np.ones((1, len(truth)))).items()}
+    result = {
+        "convention": convention,
+        **_nested(values, at),
+        "queries": len(outcomes),
+        "queries_with_match": int(outcomes.has_match.sum()),
+    }
+    if resamples:
+        intervals = bootstrap(figures, len(outcomes), resamples, seed)
+        result["intervals"] = _nested({name: list(i) for name, i in intervals.items()}, at)
+    return result
+
+
+def _curves(
+    outcomes: Outcomes, truth: Truth, convention: Convention, similarity: Similarity | None
+) -> Curves:
+    if convention not in CONVENTIONS:
+        raise ValueError(f"convention must be one of {', '.join(CONVENTIONS)}, got {convention!r}")
+    if convention.startswith("vpr-tutorial"):
+        if similarity is None:
+            raise ValueError(f"the convention {convention} wants the similarity of all pairs")
+        matching = "single" if convention.endswith("single") else "multi"
+        return count_pairs(similarity, truth, matching).curve
+    ranking = rank(outcomes.score, outcomes.correct)
+    if convention == "vpr-bench":
+        return lambda weights: ranking.curve(weights, weights @ outcomes.correct, start=1.0)
+    return lambda weights: ranking.curve(weights, weights @ outcomes.has_match)
+
+
+def _recall_rates(
+    outcomes: Outcomes, convention: Convention, at: list[int], weights: Floats
+) -> dict[str, Floats]:
+    asked = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
+    total = weights @ asked
+    rates = {}
+    for n in at:
+        found = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
+        rates[str(n)] = np.where(total > 0, found / np.maximum(total, 1), np.nan)
+    return rates
+
+
+def _summaries(
+    outcomes: Outcomes, convention: Convention, curves: Curves, weights: Floats
+) -> dict[str, Floats]:
+    curve = curves(weights)
+    undefined = np.full(len(weights), np.nan)
+    of_pairs = convention.startswith("vpr-tutorial")
+    right = weights @ outcomes.correct
     return {
-        "recall_at": {str(n): recall_rate(indices, truth, n) for n in at},
-        "auc_pr": curve.auc if positives else float("nan"),
-        "recall_at_100_precision": curve.recall_at_full_precision if positives else float("nan"),
-        "queries": len(indices),
-        "queries_with_match": positives,
+        "auc_pr": curve.auc,
+        "average_precision": undefined if of_pairs else curve.average_precision,
+        "recall_at_100_precision": curve.recall_at_full_precision,
+        "extended_precision": undefined if of_pairs else curve.extended_precision,
+        "roc_auc": undefined if of_pairs else roc_auc(curve, right, weights.sum(axis=1) - right),
     }
 
 
-def _check_queries(indices: npt.NDArray[np.int64], truth: Truth) -> None:
-    if indices.ndim != 2 or len(indices) != len(truth):
-        raise ValueError(
-            f"wanted (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
-        )
+def _nested(figures: dict[str, Any], at: list[int]) -> dict[str, Any]:
+    """RecallRates, which are named by N alone, under one name."""
+    rates = {str(n): figures[str(n)] for n in at}
+    others = {name: figure for name, figure in figures.items() if name not in rates}
+    return {"recall_at": rates, **others}
+
+
+def _check_n(n: int, indices: Rows) -> None:
+    if n < 1:
+        raise ValueError(f"the N of RecallRate@N must be at least 1, got {n}")
+    if n > indices.shape[1]:
+        raise ValueError(f"RecallRate@{n} needs {n} candidates a query, got {indices.shape[1]}")

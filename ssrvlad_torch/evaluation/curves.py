@@ -1,0 +1,191 @@
+"""Precision and recall over thresholds, and the figures that sum a curve up.
+
+A curve is kept as counts, so one of many resamples at once is the same code: the arrays then have
+a leading axis of resamples, and so has every figure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from .outcomes import Bools, Floats, Rows
+
+
+@dataclass(frozen=True)
+class PrecisionRecall:
+    """What is accepted at each threshold, the highest first.
+
+    Precision is true positives / accepted, recall is true positives / positives.
+
+    Attributes:
+        accepted, true_positives: ``(..., T)`` float64, counts that grow along the last axis.
+        positives: ``(...)`` float64, all that could be found. Where it is 0, recall and every
+            figure are NaN.
+        thresholds: ``(T,)`` float64; a score that equals the threshold is accepted.
+        start: precision that the curve is given at recall 0, where nothing is accepted; ``None``
+            for that of the highest threshold that accepts anything.
+    """
+
+    accepted: Floats
+    true_positives: Floats
+    positives: Floats
+    thresholds: Floats
+    start: float | None = None
+
+    @cached_property
+    def precision(self) -> Floats:
+        """``(..., T)``; where nothing is accepted yet, the precision at recall 0."""
+        share = self.true_positives / np.maximum(self.accepted, 1)
+        return np.where(self.accepted > 0, share, self._at_recall_zero[..., None])
+
+    @cached_property
+    def recall(self) -> Floats:
+        """``(..., T)``."""
+        return _divide(self.true_positives, self.positives[..., None])
+
+    @property
+    def auc(self) -> Floats:
+        """AUC-PR, the area under the curve by the trapezoid rule, from recall 0 on.
+
+        Recall that is never reached adds no area.
+        """
+        precision = np.concatenate((self._at_recall_zero[..., None], self.precision), axis=-1)
+        heights = (precision[..., 1:] + precision[..., :-1]) / 2
+        return _divide((self._found * heights).sum(axis=-1), self.positives)
+
+    @property
+    def average_precision(self) -> Floats:
+        """The precision at each threshold, weighted by the recall that is won there.
+
+        No line is drawn between the points, unlike in `auc`. scikit-learn's
+        ``average_precision_score`` is this figure where the positives are the right candidates.
+        """
+        return _divide((self._found * self.precision).sum(axis=-1), self.positives)
+
+    @property
+    def recall_at_full_precision(self) -> Floats:
+        """Recall@100%Precision: the largest recall at which all that is accepted is right."""
+        perfect = np.where(self.precision == 1.0, self.recall, 0.0)
+        return self._meant(perfect.max(axis=-1, initial=0.0))
+
+    @property
+    def extended_precision(self) -> Floats:
+        """EP = (P_R0 + R_P100) / 2 (Ferrarini et al., RA-L 2020, DOI 10.1109/LRA.2020.2969197).
+
+        P_R0 is the precision at the lowest recall, that of the highest threshold. R_P100 is
+        Recall@100%Precision, which is 0 where P_R0 is below 1.
+        """
+        return self._meant((self._at_highest_threshold + self.recall_at_full_precision) / 2)
+
+    @property
+    def _found(self) -> Floats:
+        """True positives that each threshold adds to the one before."""
+        return np.diff(self.true_positives, prepend=0.0, axis=-1)
+
+    @cached_property
+    def _at_highest_threshold(self) -> Floats:
+        """Precision at the highest threshold that accepts anything, 0 if none does."""
+        if self.accepted.shape[-1] == 0:
+            return np.zeros(self.accepted.shape[:-1])
+        first = (self.accepted > 0).argmax(axis=-1)[..., None]
+        counts = (np.take_along_axis(c, first, -1) for c in (self.true_positives, self.accepted))
+        right, accepted = counts
+        return (right / np.maximum(accepted, 1))[..., 0]
+
+    @property
+    def _at_recall_zero(self) -> Floats:
+        first = self._at_highest_threshold
+        return first if self.start is None else np.full_like(first, self.start)
+
+    def _meant(self, figure: Floats) -> Floats:
+        return np.where(self.positives > 0, figure, np.nan)
+
+
+@dataclass(frozen=True)
+class Ranking:
+    """Queries by falling score of their best candidate; queries without one are left out.
+
+    Attributes:
+        order: ``(C,)`` int64, the queries.
+        correct: ``(C,)`` bool, whether their best candidate is a true match.
+        last_of_tie: ``(T,)`` int64, the place where each distinct score occurs last.
+        thresholds: ``(T,)`` float64, the distinct scores.
+    """
+
+    order: Rows
+    correct: Bools
+    last_of_tie: Rows
+    thresholds: Floats
+
+    def curve(
+        self, weights: Floats, positives: Floats, start: float | None = None
+    ) -> PrecisionRecall:
+        """The curve of accepting best candidates, a threshold at every distinct score.
+
+        Args:
+            weights: ``(..., Q)`` float64, how often each query counts.
+            positives: ``(...)`` float64.
+            start: as in `PrecisionRecall`.
+        """
+        ranked = weights[..., self.order]
+        accepted = np.cumsum(ranked, axis=-1)[..., self.last_of_tie]
+        right = np.cumsum(ranked * self.correct, axis=-1)[..., self.last_of_tie]
+        return PrecisionRecall(accepted, right, positives, self.thresholds, start)
+
+
+def rank(scores: Floats, correct: Bools) -> Ranking:
+    """Ranks queries; arguments as for `precision_recall`."""
+    candidates = np.flatnonzero(scores > -np.inf)
+    order = candidates[np.argsort(-scores[candidates], kind="stable")]
+    ranked = scores[order]
+    last = np.flatnonzero(np.diff(ranked, append=-np.inf) != 0)
+    return Ranking(order, correct[order], last, ranked[last])
+
+
+def precision_recall(
+    scores: Floats, correct: Bools, positives: int, start: float | None = None
+) -> PrecisionRecall:
+    """Precision and recall of accepting each query's best candidate.
+
+    There is a threshold at every distinct score, so equal scores are accepted together, and the
+    curve is exact.
+
+    Args:
+        scores: ``(Q,)`` float64, score of the best candidate, -inf for a query that has none:
+            that query is never accepted.
+        correct: ``(Q,)`` bool, whether that candidate is a true match.
+        positives: what recall is a share of.
+        start: as in `PrecisionRecall`.
+
+    Returns:
+        the curve; empty if no query has a candidate.
+    """
+    ones = np.ones(len(scores))
+    return rank(scores, correct).curve(ones, np.asarray(positives, np.float64), start)
+
+
+def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
+    """ROC-AUC: how probably a right best candidate scores above a wrong one, ties half.
+
+    A query without a candidate counts as wrong with the lowest score of all. The figure is that
+    of scikit-learn's ``roc_auc_score(correct, scores)``.
+
+    Args:
+        curve: from `precision_recall` or `Ranking.curve`.
+        right, wrong: ``(...)`` float64, queries whose best candidate is right, and all others.
+
+    Returns:
+        ``(...)``, 0 to 1, NaN where all are right or all are wrong.
+    """
+    found = np.insert(curve.true_positives, 0, 0.0, axis=-1)
+    missed = np.insert(curve.accepted - curve.true_positives, 0, 0.0, axis=-1)
+    area = (np.diff(missed) * (found[..., 1:] + found[..., :-1]) / 2).sum(axis=-1)
+    return _divide(area + (wrong - missed[..., -1]) * right, right * wrong)
+
+
+def _divide(part: Floats, whole: Floats) -> Floats:
+    """NaN where the whole is 0."""
+    return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)

@@ -1,0 +1,201 @@
+"""Ground truth from files: pairs of frames, a 0/1 matrix, or VPR-Bench's pickled rows."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+from zipfile import ZipFile
+
+import numpy as np
+import numpy.typing as npt
+from numpy.lib import format as npy
+
+from .object_arrays import PickledArray, load_object_array
+from .outcomes import Rows
+
+Matrix = npt.NDArray[Any]
+Pairs = dict[str, list[str]]
+"""True matches of each query that an entry names, by ids."""
+Known = list[Rows | None]
+"""True matches of each query; ``None`` where the ground truth says nothing of a query."""
+
+
+def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str]) -> Known:
+    """True matches from a file of any known form, chosen by its suffix and what is in it.
+
+    | file | holds |
+    |---|---|
+    | ``.json`` | ``{"<query>": ["<reference>", ...]}`` or ``[["<query>", "<reference>"], ...]`` |
+    | ``.csv`` | a first line ``query,reference`` and a line for each pair, or a 0/1 matrix |
+    | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
+    | ``.npy`` of objects | VPR-Bench's ``ground_truth_new.npy``: ``[query, [reference, ...]]`` |
+
+    Pairs name frames by their ids. Of a query that no entry names nothing is known: to say that
+    it has no true match, give it an empty list, or in CSV a line with an empty reference. A
+    matrix and VPR-Bench's rows count frames from 0 in the order of ``queries`` and ``references``.
+
+    Args:
+        path: the file.
+        queries, references: frame ids, ``<sequence>/<name>``.
+
+    Raises:
+        ValueError: the file cannot be read, has another form, size or number of queries, names a
+            reference that is not there, or has an entry for none of the queries.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"cannot read the ground truth {path}: there is no such file")
+    if path.suffix.lower() not in READERS:
+        raise ValueError(f"wanted a ground truth in {', '.join(READERS)}, got {path}")
+    try:
+        found = READERS[path.suffix.lower()](path)
+    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+        raise ValueError(f"cannot read the ground truth {path}: {error}") from error
+    try:
+        if isinstance(found, dict):
+            return _of_pairs(found, queries, references)
+        if isinstance(found, PickledArray):
+            return _of_vpr_bench(found, len(queries), len(references))
+        return _of_matrix(found, len(queries), len(references))
+    except ValueError as error:
+        raise ValueError(f"ground truth {path} {error}") from error
+
+
+def of_known(truth: Known) -> tuple[list[int], list[Rows]]:
+    """The queries of which the ground truth says something, by number, and their true matches."""
+    known = {query: matches for query, matches in enumerate(truth) if matches is not None}
+    return list(known), list(known.values())
+
+
+def _read_json(path: Path) -> Pairs:
+    content = json.loads(path.read_text(encoding="utf-8"))
+    if isinstance(content, dict) and all(map(_is_ids, content.values())):
+        return content
+    if isinstance(content, list) and all(_is_ids(pair) and len(pair) == 2 for pair in content):
+        return _grouped(content)
+    raise ValueError(
+        'wanted {"<query id>": ["<reference id>", ...], ...} or '
+        '[["<query id>", "<reference id>"], ...]'
+    )
+
+
+def _read_csv(path: Path) -> Pairs | Matrix:
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        lines = csv.DictReader(file, restval="", skipinitialspace=True)
+        first = lines.fieldnames or ()
+        if {"query", "reference"} <= set(first):
+            return _grouped((line["query"], line["reference"]) for line in lines)
+    if not first or not all(map(_is_number, first)):
+        raise ValueError("wanted a first line query,reference or a matrix of 0 and 1")
+    return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
+
+
+def _read_npy(path: Path) -> PickledArray | Matrix:
+    with path.open("rb") as file:
+        version = npy.read_magic(file)
+        read_header = npy.read_array_header_1_0 if version[0] == 1 else npy.read_array_header_2_0
+        if read_header(file)[2].hasobject:
+            return load_object_array(file)
+    return np.asarray(np.load(path, allow_pickle=False))
+
+
+def _read_npz(path: Path) -> Matrix:
+    with ZipFile(path):
+        archive = np.load(path, allow_pickle=False)
+    with archive:
+        if "GThard" in archive.files:
+            return np.asarray(archive["GThard"].T)
+        if len(archive.files) != 1:
+            raise ValueError(f"wanted one matrix, or GThard, got {', '.join(archive.files)}")
+        return np.asarray(archive[archive.files[0]])
+
+
+READERS: dict[str, Callable[[Path], Pairs | PickledArray | Matrix]] = {
+    ".json": _read_json,
+    ".csv": _read_csv,
+    ".npy": _read_npy,
+    ".npz": _read_npz,
+}
+"""What reads a file, by its suffix."""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _is_ids(value: object) -> bool:
+    return isinstance(value, list) and all(isinstance(frame, str) for frame in value)
+
+
+def _grouped(pairs: Iterable[Sequence[str]]) -> Pairs:
+    """References by query; an empty reference only says that the query is known."""
+    grouped: Pairs = {}
+    for query, reference in pairs:
+        grouped.setdefault(query, []).extend([reference] if reference else [])
+    return grouped
+
+
+def _of_pairs(pairs: Pairs, queries: Sequence[str], references: Sequence[str]) -> Known:
+    row = {frame: number for number, frame in enumerate(references)}
+    if queries and not any(query in pairs for query in queries):
+        raise ValueError(f"has an entry for none of the {len(queries)} queries, as {queries[0]}")
+    truth: Known = []
+    for query in queries:
+        strange = [frame for frame in pairs.get(query, ()) if frame not in row]
+        if strange:
+            raise ValueError(f"names reference {strange[0]!r}, which is not in the database")
+        truth.append(_rows(row[f] for f in pairs[query]) if query in pairs else None)
+    return truth
+
+
+def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:
+    if matrix.shape != (queries, references):
+        raise ValueError(
+            f"is a matrix of shape {matrix.shape}, wanted {(queries, references)} for "
+            f"{queries} queries and {references} references"
+        )
+    if matrix.dtype.kind not in "biuf" or not np.isin(matrix, (0, 1)).all():
+        raise ValueError("is no matrix of 0 and 1")
+    return [np.flatnonzero(row) for row in matrix]
+
+
+def _of_vpr_bench(rows: PickledArray, queries: int, references: int) -> Known:
+    """Rows ``[query, [reference, ...]]`` of numbers from 0, in any order of the queries."""
+    if len(rows) != queries:
+        raise ValueError(f"has {len(rows)} rows, wanted one for each of {queries} queries")
+    truth: dict[int, Rows] = {}
+    for place, row in enumerate(rows):
+        query, matches = _row(place, row)
+        if not 0 <= query < queries or query in truth:
+            raise ValueError(f"has query {query} in row {place}, wanted each of {queries} once")
+        past = [match for match in matches if not 0 <= match < references]
+        if past:
+            raise ValueError(
+                f"names reference {past[0]} of query {query}; the database has {references}, "
+                "counted from 0"
+            )
+        truth[query] = _rows(matches)
+    return [truth[query] for query in range(queries)]
+
+
+def _row(place: int, row: Any) -> tuple[int, list[int]]:
+    try:
+        query, matches = row
+        numbers = [query, *matches]
+        whole = [int(number) for number in numbers]
+        if whole == numbers:
+            return whole[0], whole[1:]
+    except (TypeError, ValueError, OverflowError):
+        pass
+    raise ValueError(f"has no [query, [reference, ...]] of whole numbers in row {place}")
+
+
+def _rows(numbers: Iterable[int]) -> Rows:
+    return np.array(sorted(set(numbers)), np.int64)

@@ -1,0 +1,91 @@
+"""What became of each query: its best candidate, the score, and whether that is right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.int64]
+Truth = Sequence[Rows]
+"""For each query the rows of the references that are true matches, possibly none."""
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """A record of each query, in the order of the queries.
+
+    Attributes:
+        score: ``(Q,)`` float64, score of the best candidate, -inf for a query that has none.
+        candidate: ``(Q,)`` int64, row of the best candidate, -1 for a query that has none.
+        correct: ``(Q,)`` bool, whether the best candidate is a true match.
+        has_match: ``(Q,)`` bool, whether the query has a true match at all.
+        rank: ``(Q,)`` int64, place of the first true match among the candidates, the best
+            candidate being 1; 0 if no candidate is a true match.
+    """
+
+    score: Floats
+    candidate: Rows
+    correct: Bools
+    has_match: Bools
+    rank: Rows
+
+    def __len__(self) -> int:
+        return len(self.score)
+
+
+def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) -> Outcomes:
+    """Holds the candidates of each query against the ground truth.
+
+    Args:
+        scores: ``(Q, top)`` from `ssrvlad_torch.match`, best first, -inf where there is none.
+        indices: ``(Q, top)`` int64 rows of the references, -1 where there is no candidate.
+        truth: true matches of each query.
+
+    Raises:
+        ValueError: the numbers of queries differ, there is no column of candidates, or a score
+            is NaN or +inf.
+    """
+    check_candidates(indices, truth)
+    if scores.shape != indices.shape or indices.shape[1] == 0:
+        raise ValueError(
+            "wanted scores and indices of one shape (Q, top) with top >= 1, "
+            f"got {scores.shape} and {indices.shape}"
+        )
+    refuse_nan(scores, "scores of candidates")
+    hits = hits_of(indices, truth)
+    return Outcomes(
+        score=scores[:, 0].astype(np.float64),
+        candidate=indices[:, 0].astype(np.int64),
+        correct=hits[:, 0],
+        has_match=np.array([len(matches) > 0 for matches in truth], bool),
+        rank=np.where(hits.any(axis=1), hits.argmax(axis=1) + 1, 0).astype(np.int64),
+    )
+
+
+def hits_of(indices: Rows, truth: Truth) -> Bools:
+    """``(Q, top)`` bool: which candidates are true matches; an index of -1 never is."""
+    hits = np.zeros(indices.shape, bool)
+    for row, matches in enumerate(truth):
+        hits[row] = np.isin(indices[row], matches)
+    return hits & (indices >= 0)
+
+
+def check_candidates(indices: Rows, truth: Truth) -> None:
+    """Refuses candidates that are not ``(Q, top)`` for the queries of the ground truth."""
+    if indices.ndim != 2 or len(indices) != len(truth):
+        raise ValueError(
+            f"wanted (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
+        )
+
+
+def refuse_nan(scores: npt.NDArray[np.floating[Any]], name: str) -> None:
+    """Refuses scores that cannot be ranked: NaN and +inf."""
+    bad = int((np.isnan(scores) | (scores == np.inf)).any(axis=1).sum())
+    if bad:
+        raise ValueError(f"{bad} of {len(scores)} queries have {name} that are NaN or +inf")

@@ -1,0 +1,206 @@
+"""Curves against tables worked by hand, a plain loop over thresholds, and scikit-learn."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch.evaluation.curves import precision_recall, rank, roc_auc
+
+INF = math.inf
+
+
+def curve_of(scores, correct, positives):
+    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
+
+
+def test_curve_by_hand():
+    """Right, right, wrong, right; one positive is never found."""
+    curve = curve_of([0.9, 0.8, 0.6, 0.4], [1, 1, 0, 1], 4)
+    np.testing.assert_allclose(curve.thresholds, [0.9, 0.8, 0.6, 0.4])
+    np.testing.assert_allclose(curve.precision, [1, 1, 2 / 3, 3 / 4])
+    np.testing.assert_allclose(curve.recall, [1 / 4, 2 / 4, 2 / 4, 3 / 4])
+    assert curve.auc == pytest.approx(1 / 2 + 1 / 4 * (2 / 3 + 3 / 4) / 2)
+    assert curve.recall_at_full_precision == 0.5
+
+
+def test_all_right_is_one_and_all_wrong_is_zero():
+    assert curve_of([0.3, 0.2, 0.1], [1, 1, 1], 3).auc == 1.0
+    assert curve_of([0.3, 0.2, 0.1], [1, 1, 1], 3).recall_at_full_precision == 1.0
+    assert curve_of([0.3, 0.2, 0.1], [0, 0, 0], 3).auc == 0.0
+    assert curve_of([0.3, 0.2, 0.1], [0, 0, 0], 3).recall_at_full_precision == 0.0
+
+
+def test_equal_scores_are_accepted_together():
+    curve = curve_of([0.5] * 4, [1, 0, 1, 0], 3)
+    assert curve.thresholds.tolist() == [0.5]
+    assert curve.precision.tolist() == [0.5]
+    assert curve.auc == pytest.approx(0.5 * 2 / 3)
+
+
+def test_the_best_score_wrong_means_no_recall_at_full_precision():
+    assert curve_of([0.9, 0.8, 0.7], [0, 1, 1], 3).recall_at_full_precision == 0.0
+
+
+@pytest.mark.parametrize("correct", [[1, 0, 1], [0, 1, 1]])
+def test_right_and_wrong_tied_at_the_top_mean_no_recall_at_full_precision(correct):
+    """In whatever order the tied queries come."""
+    curve = curve_of([0.9, 0.9, 0.7], correct, 3)
+    assert curve.recall_at_full_precision == 0.0
+    assert curve.precision.tolist() == [0.5, 2 / 3]
+
+
+def test_a_query_without_candidate_is_never_accepted():
+    curve = curve_of([0.9, -INF, -INF], [1, 0, 0], 3)
+    assert curve.thresholds.tolist() == [0.9]
+    assert curve.precision.tolist() == [1.0]
+    assert curve.recall.tolist() == [1 / 3]
+
+
+def test_negative_scores_are_scores():
+    curve = curve_of([-0.5, -0.9], [1, 0], 2)
+    assert curve.thresholds.tolist() == [-0.5, -0.9]
+    assert curve.recall_at_full_precision == 0.5
+
+
+def test_no_candidate_at_all_gives_an_empty_curve():
+    curve = curve_of([-INF, -INF], [0, 0], 2)
+    assert len(curve.precision) == len(curve.recall) == len(curve.thresholds) == 0
+    assert curve.auc == 0.0
+    assert curve.recall_at_full_precision == 0.0
+
+
+def test_without_positives_recall_is_nan():
+    curve = curve_of([0.9, 0.8], [0, 0], 0)
+    assert np.isnan(curve.recall).all()
+    assert curve.precision.tolist() == [0.0, 0.0]
+    assert math.isnan(curve.auc)
+
+
+SCORES = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.tuples(SCORES, st.booleans()), max_size=30), st.integers(0, 5))
+def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
+    scores = np.array([score for score, _ in queries], float)
+    correct = np.array([right and score > -INF for score, right in queries], bool)
+    positives = int(correct.sum()) + more_positives
+    curve = precision_recall(scores, correct, positives)
+
+    thresholds = sorted({score for score in scores if score > -INF}, reverse=True)
+    assert curve.thresholds.tolist() == thresholds
+    area, before = 0.0, None
+    full = 0.0
+    for place, threshold in enumerate(thresholds):
+        accepted = scores >= threshold
+        precision = (accepted & correct).sum() / accepted.sum()
+        assert curve.precision[place] == pytest.approx(precision)
+        if positives:
+            recall = (accepted & correct).sum() / positives
+            assert curve.recall[place] == pytest.approx(recall)
+            last_recall, last_precision = before or (0.0, precision)
+            area += (recall - last_recall) * (precision + last_precision) / 2
+            before = recall, precision
+            full = recall if precision == 1 else full
+    if positives:
+        assert curve.auc == pytest.approx(area)
+        assert curve.recall_at_full_precision == pytest.approx(full)
+
+
+def test_figures_by_hand():
+    """Right, right, wrong, right; four positives."""
+    curve = curve_of([0.9, 0.8, 0.6, 0.4], [1, 1, 0, 1], 4)
+    assert curve.average_precision == pytest.approx((1 + 1 + 3 / 4) / 4)
+    assert curve.extended_precision == pytest.approx((1 + 1 / 2) / 2)
+    assert roc_auc(curve, np.array(3.0), np.array(1.0)) == pytest.approx(2 / 3)
+
+
+def test_extended_precision_where_the_best_score_is_not_right():
+    """P_R0 of a tie at the top is that of the tie, and R_P100 is then 0."""
+    assert curve_of([0.9, 0.9, 0.9, 0.7], [1, 0, 1, 1], 3).extended_precision == (2 / 3 + 0) / 2
+    assert curve_of([0.9, 0.7], [0, 1], 2).extended_precision == 0.0
+
+
+def test_all_equal_scores_are_one_point():
+    curve = curve_of([0.5] * 4, [1, 0, 1, 0], 2)
+    assert curve.auc == curve.average_precision == 0.5
+    assert curve.extended_precision == 0.25
+    assert roc_auc(curve, np.array(2.0), np.array(2.0)) == 0.5
+
+
+def test_the_precision_at_recall_zero_can_be_set():
+    """Wrong, right: from (0, 1) down to (0, 0), then up to (1, 1/2)."""
+    curve = precision_recall(np.array([0.9, 0.8]), np.array([False, True]), 1, start=1.0)
+    assert curve.auc == pytest.approx(1 / 4)
+    curve = precision_recall(np.array([0.9, 0.9]), np.array([False, True]), 1, start=1.0)
+    assert curve.auc == pytest.approx((1 + 1 / 2) / 2)
+
+
+def test_roc_auc_without_both_kinds_is_nan():
+    for correct in ([1, 1], [0, 0]):
+        curve = curve_of([0.9, 0.8], correct, 2)
+        right = float(sum(correct))
+        assert math.isnan(roc_auc(curve, np.array(right), np.array(2 - right)))
+
+
+def test_a_query_without_candidate_is_the_surest_rejection():
+    curve = curve_of([0.9, 0.8, -INF, -INF], [0, 1, 0, 0], 1)
+    assert roc_auc(curve, np.array(1.0), np.array(3.0)) == pytest.approx(2 / 3)
+
+
+def heavy_ties(seed):
+    """Scores of few values, and which candidates are right."""
+    rng = np.random.default_rng(seed)
+    scores = rng.integers(0, rng.integers(1, 12), 200) / 8 - 0.5
+    correct = rng.random(200) < 0.2 + 0.6 * (scores - scores.min())
+    correct[:2] = [True, False]
+    return scores, correct
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_scikit_learn_agrees_on_heavy_ties(seed):
+    sklearn = pytest.importorskip("sklearn.metrics", reason="scikit-learn is not installed")
+    scores, correct = heavy_ties(seed)
+    right = int(correct.sum())
+    curve = precision_recall(scores, correct, right, start=1.0)
+    precision, recall, thresholds = sklearn.precision_recall_curve(correct, scores)
+    np.testing.assert_allclose(curve.precision, precision[-2::-1], rtol=1e-12)
+    np.testing.assert_allclose(curve.recall, recall[-2::-1], rtol=1e-12)
+    np.testing.assert_array_equal(curve.thresholds, thresholds[::-1])
+    assert curve.auc == pytest.approx(sklearn.auc(recall, precision), abs=1e-12)
+    wanted = sklearn.average_precision_score(correct, scores)
+    assert curve.average_precision == pytest.approx(wanted, abs=1e-12)
+    found = roc_auc(curve, np.array(float(right)), np.array(200.0 - right))
+    assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_more_positives_scale_recall_and_nothing_else(seed):
+    scores, correct = heavy_ties(seed)
+    few = precision_recall(scores, correct, int(correct.sum()))
+    many = precision_recall(scores, correct, 2 * int(correct.sum()))
+    np.testing.assert_array_equal(few.precision, many.precision)
+    for figure in ("auc", "average_precision", "recall_at_full_precision"):
+        assert getattr(many, figure) == pytest.approx(getattr(few, figure) / 2)
+
+
+QUERIES = st.lists(st.tuples(SCORES, st.booleans(), st.integers(0, 3)), max_size=20)
+
+
+@settings(max_examples=200, deadline=None)
+@given(QUERIES, st.sampled_from([None, 1.0]))
+def test_a_weight_is_so_many_copies_of_a_query(queries, start):
+    """Also where the queries of the highest scores have weight 0."""
+    scores = np.array([score for score, _, _ in queries], float)
+    correct = np.array([right and score > -INF for score, right, _ in queries], bool)
+    weights = np.array([[weight for _, _, weight in queries]], np.int64).reshape(1, -1)
+    positives = weights @ correct + 1.0
+    weighted = rank(scores, correct).curve(weights.astype(float), positives, start)
+    copied = precision_recall(
+        np.repeat(scores, weights[0]), np.repeat(correct, weights[0]), int(positives[0]), start
+    )
+    for figure in ("auc", "average_precision", "recall_at_full_precision", "extended_precision"):
+        assert getattr(weighted, figure)[0] == pytest.approx(getattr(copied, figure)), figure

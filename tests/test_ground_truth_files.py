@@ -1,0 +1,185 @@
+"""Ground truth from files of every form, and what is wrong with others."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+from vpr_bench import VPR_BENCH, needs_vpr_bench
+
+from ssrvlad_torch.evaluation.ground_truth_files import from_file, of_known
+
+QUERIES = ("a", "b")
+REFERENCES = ("day/1", "day/2", "day/10")
+MATRIX = np.array([[1, 0, 1], [0, 0, 0]])
+
+
+def as_lists(truth):
+    assert all(rows.dtype == np.int64 for rows in truth if rows is not None)
+    return [None if rows is None else rows.tolist() for rows in truth]
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Writes a file and reads it as the ground truth of `QUERIES` and `REFERENCES`."""
+
+    def write_and_read(name, content, queries=QUERIES, references=REFERENCES):
+        path = tmp_path / name
+        if isinstance(content, str | bytes):
+            path.write_bytes(content.encode() if isinstance(content, str) else content)
+        elif name.endswith(".json"):
+            path.write_text(json.dumps(content))
+        elif isinstance(content, dict):
+            np.savez(path, **content)
+        else:
+            np.save(path, content)
+        return as_lists(from_file(path, queries, references))
+
+    return write_and_read
+
+
+def vpr_bench(*rows):
+    table = np.empty((len(rows), 2), object)
+    for place, (query, matches) in enumerate(rows):
+        table[place] = [query, None]
+        table[place, 1] = matches
+    return table
+
+
+FORMS = {
+    "mapping.json": {"b": [], "a": ["day/10", "day/1"], "unasked": ["nowhere"]},
+    "pairs.csv": "query,reference\na,day/10\na,day/1\nb,\n",
+    "other columns.csv": "\ufeffreference, x, query\r\nday/1,0,a\r\nday/10,,a\r\n,,b\r\n",
+    "matrix.csv": "1,0,1\n0,0,0\n",
+    "matrix with decimals.CSV": "1.0, 0.0, 1.0\n0.0, 0.0, 0.0\n",
+    "bool.npy": MATRIX.astype(bool),
+    "float.npy": MATRIX.astype(float),
+    "fortran.npy": np.asfortranarray(MATRIX),
+    "matrix.npz": {"truth": MATRIX},
+    "tutorial.npz": {"GThard": MATRIX.T, "GTsoft": np.ones((3, 2))},
+    "vpr_bench.npy": vpr_bench((0, [2, 0, 2]), (1, [])),
+    "vpr_bench of arrays.npy": vpr_bench((np.int64(0), np.array([0, 2])), (1, np.zeros(0))),
+    "vpr_bench in another order.npy": vpr_bench((1, []), (0, (0.0, 2.0))),
+}
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_every_form_says_the_same(read, name):
+    assert read(name, FORMS[name]) == [[0, 2], []]
+
+
+def test_pairs_as_a_list(read):
+    pairs = [["b", "day/1"], ["a", "day/10"], ["b", "day/2"], ["b", "day/1"]]
+    assert read("pairs.json", pairs) == [[2], [0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("some.json", {"a": ["day/2"]}),
+        ("some.json", [["a", "day/2"]]),
+        ("some.csv", "query,reference\na,day/2\n"),
+    ],
+)
+def test_of_a_query_that_no_entry_names_nothing_is_known(read, name, content):
+    assert read(name, content) == [[1], None]
+    assert read(name, content, ["b", "a", "a"]) == [None, [1], [1]]
+
+
+def test_the_known_queries_can_be_chosen():
+    known, truth = of_known([None, np.array([3]), np.array([], np.int64), None])
+    assert known == [1, 2]
+    assert as_lists(truth) == [[3], []]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.json", "{", "cannot read the ground truth .*a.json"),
+        ("a.json", "", "cannot read the ground truth"),
+        ("a.json", b"\xff\xfe\x00", "cannot read the ground truth"),
+        ("a.json", "[" * 100_000, "cannot read the ground truth"),
+        ("a.json", 3, "a.json: wanted .*query id.* or "),
+        ("a.json", {"a": "day/1"}, "wanted"),
+        ("a.json", {"a": {"day/1": 1}}, "wanted"),
+        ("a.json", {"a": [["day/1"]]}, "wanted"),
+        ("a.json", {"a": [1]}, "wanted"),
+        ("a.json", [["a", "day/1", "day/2"]], "wanted"),
+        ("a.json", ["ab"], "wanted"),
+        ("a.json", {"c": []}, "has an entry for none of the 2 queries, as a"),
+        ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
+        ("a.csv", "", "wanted a first line query,reference or a matrix of 0 and 1"),
+        ("a.csv", "query,place\na,day/1\n", "wanted a first line query,reference"),
+        ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
+        ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
+        ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),
+        ("a.csv", "1,0,2\n0,0,0\n", "is no matrix of 0 and 1"),
+        ("a.csv", "1,0,1\n", r"shape \(1, 3\), wanted \(2, 3\) for 2 queries and 3 references"),
+        ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), wanted \(2, 3\)"),
+        ("a.npy", MATRIX[0], r"is a matrix of shape \(3,\)"),
+        ("a.npy", MATRIX * 0.5, "is no matrix of 0 and 1"),
+        ("a.npy", MATRIX * np.nan, "is no matrix of 0 and 1"),
+        ("a.npy", MATRIX.astype(str), "is no matrix of 0 and 1"),
+        ("a.npy", b"", "cannot read the ground truth"),
+        ("a.npy", b"\x93NUMPY\x01\x00", "cannot read the ground truth"),
+        ("a.npz", b"PK", "cannot read the ground truth"),
+        ("a.npz", {"x": MATRIX, "y": MATRIX}, "wanted one matrix, or GThard, got x, y"),
+        ("a.npz", {"x": np.array([[0, []]], object)}, "cannot read the ground truth"),
+        ("a.npy", vpr_bench((0, [])), "has 1 rows, wanted one for each of 2 queries"),
+        ("a.npy", vpr_bench(*[(n, []) for n in range(3)]), "has 3 rows"),
+        ("a.npy", vpr_bench((0, []), (0, [])), "has query 0 in row 1, wanted each of 2 once"),
+        ("a.npy", vpr_bench((1, []), (2, [])), "has query 2 in row 1"),
+        ("a.npy", vpr_bench((0, []), (1, [0, 3])), "names reference 3 of query 1; .* has 3"),
+        ("a.npy", vpr_bench((0, [-1]), (1, [])), "names reference -1 of query 0"),
+        ("a.npy", vpr_bench((0, [0.5]), (1, [])), "of whole numbers in row 0"),
+        ("a.npy", vpr_bench((0, [np.inf]), (1, [])), "of whole numbers in row 0"),
+        ("a.npy", vpr_bench((0, 1), (1, [])), "of whole numbers in row 0"),
+        ("a.npy", vpr_bench((0, []), (None, [])), "of whole numbers in row 1"),
+        ("a.npy", vpr_bench((0, [[0]]), (1, [])), "of whole numbers in row 0"),
+        ("a.npy", np.array([[[0], [1]], [[1], [2]]], object), "of whole numbers in row 0"),
+        ("a.mat", b"", r"wanted a ground truth in \.json, \.csv, \.npy, \.npz, got .*a\.mat"),
+    ],
+)
+def test_other_files_are_refused(read, name, content, message):
+    with pytest.raises(ValueError, match=message) as refusal:
+        read(name, content)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_missing_file_is_refused(tmp_path):
+    for path in (tmp_path / "missing.json", tmp_path):
+        with pytest.raises(ValueError, match="there is no such file"):
+            from_file(path, QUERIES, REFERENCES)
+
+
+class Code:
+    def __reduce__(self):
+        return os.system, ("touch /tmp/never",)
+
+
+def test_a_pickle_that_asks_for_code_is_refused_by_name(read):
+    with pytest.raises(ValueError, match=r"a\.npy: it asks for (posix|nt)\.system; wanted nothing"):
+        read("a.npy", vpr_bench((0, Code()), (1, [])))
+
+
+@needs_vpr_bench
+@pytest.mark.parametrize(
+    ("name", "queries", "references", "first", "last"),
+    [
+        ("CrossSeason_CoHOG_Dataset", 191, 191, range(10), [190]),
+        ("SPEDTEST", 607, 607, [0], [606]),
+        ("Synthia-NightToFall", 813, 911, range(9), range(904, 911)),
+        ("corridor", 111, 111, range(3), [108, 109, 110]),
+    ],
+)
+def test_files_that_vpr_bench_ships(name, queries, references, first, last):
+    path = VPR_BENCH / f"{name}.ground_truth_new.npy"
+    frames = [list(map(str, range(count))) for count in (queries, references)]
+    truth = as_lists(from_file(path, *frames))
+    assert (truth[0], truth[-1]) == ([*first], [*last])
+    trusting = np.load(path, allow_pickle=True)
+    assert truth == [sorted(set(matches)) for _, matches in trusting]
+    with pytest.raises(ValueError, match="wanted one for each of"):
+        from_file(path, frames[0][1:], frames[1])
+    with pytest.raises(ValueError, match=f"the database has {references // 2}"):
+        from_file(path, frames[0], frames[1][: references // 2])

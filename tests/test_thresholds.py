@@ -1,0 +1,131 @@
+"""Operating points by hand, and what the suggested threshold promises."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from ssrvlad_torch import match
+from ssrvlad_torch.evaluation.curves import precision_recall
+from ssrvlad_torch.evaluation.thresholds import (
+    at_precision,
+    at_recall,
+    operating_points,
+    suggested,
+    wilson_low,
+)
+
+
+def curve_of(scores, correct, positives):
+    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
+
+
+@pytest.fixture
+def curve():
+    """Right, right, wrong, right, right; five positives."""
+    return curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5)
+
+
+def test_points_at_a_precision(curve):
+    point = at_precision(curve, 1)
+    assert (point.score, point.precision, point.recall, point.accepted) == (0.8, 1.0, 0.4, 2)
+    point = at_precision(curve, 0.75)
+    assert (point.score, point.precision, point.recall, point.accepted) == (0.3, 0.8, 0.8, 5)
+
+
+def test_points_at_a_recall(curve):
+    point = at_recall(curve, 0.5)
+    assert (point.score, point.precision, point.recall, point.accepted) == (0.4, 0.75, 0.6, 4)
+    assert at_recall(curve, 0.4).score == 0.8
+    assert at_recall(curve, 0.81) is None
+
+
+def test_points_that_are_never_reached():
+    wrong = curve_of([0.9, 0.8], [0, 1], 2)
+    assert at_precision(wrong, 0.99) is None
+    nothing = curve_of([0.9, 0.8], [0, 0], 0)
+    assert at_recall(nothing, 0.5) is at_precision(nothing, 0.99) is suggested(nothing) is None
+    empty = curve_of([-math.inf], [0], 1)
+    assert at_recall(empty, 0.5) is at_precision(empty, 0.99) is suggested(empty) is None
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
+def test_shares_beyond_their_range_are_refused(curve, share):
+    for point in (at_precision, at_recall, suggested):
+        with pytest.raises(ValueError, match="from 0 to 1"):
+            point(curve, share)
+
+
+def test_wilson_is_that_of_scipy():
+    right, accepted = np.array([(r, n) for n in (1, 10, 73, 400) for r in (0, n // 2, n)], float).T
+    wanted = [
+        binomtest(int(r), int(n)).proportion_ci(0.95, "wilson").low
+        for r, n in zip(right, accepted, strict=True)
+    ]
+    np.testing.assert_allclose(wilson_low(right, accepted), wanted, atol=1e-12)
+    assert wilson_low(np.zeros(1), np.zeros(1)) == 0
+
+
+def test_seventy_three_right_answers_are_enough_and_one_fewer_is_not():
+    scores = np.arange(73, 0, -1) / 100
+    assert suggested(curve_of(scores, [1] * 73, 73)).accepted == 73
+    assert suggested(curve_of(scores[1:], [1] * 72, 72)) is None
+
+
+def test_the_suggestion_lies_between_scores():
+    """Halfway to the first score that would spoil it; 0.5 and 0.25 are both wrong."""
+    scores = [*[0.75] * 100, *[0.5] * 50, *[0.25] * 50]
+    point = suggested(curve_of(scores, [1] * 100 + [0] * 100, 100))
+    assert (point.score, point.accepted, point.recall) == (0.625, 100, 1.0)
+    assert point.precision_low > 0.95
+
+
+def test_the_suggestion_is_what_match_takes():
+    """Above it, in float32, also where all scores that were measured are accepted."""
+    references = torch.eye(2)
+    queries = torch.tensor([[0.6, 0.8]]).repeat(100, 1)
+    scores = match(queries, references, top=1).scores[:, 0].numpy()
+    point = suggested(curve_of(scores, [1] * 100, 100))
+    assert point.score < scores.min()
+    assert bool((match(queries, references, 1, point.score).indices >= 0).all())
+
+
+SCORES = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.tuples(SCORES, st.booleans()), min_size=1, max_size=30), st.floats(0.01, 1))
+def test_points_equal_a_search(queries, share):
+    scores = np.array([score for score, _ in queries])
+    correct = np.array([right for _, right in queries])
+    curve = precision_recall(scores, correct, len(queries))
+    counts = {t: (correct[scores >= t].sum(), (scores >= t).sum()) for t in set(scores)}
+    precise = [t for t, (right, accepted) in counts.items() if right / accepted >= share]
+    found = [t for t, (right, _) in counts.items() if right / len(queries) >= share]
+    for point, wanted in (
+        (at_precision(curve, share), min(precise, default=None)),
+        (at_recall(curve, share), max(found, default=None)),
+    ):
+        assert (point and point.score) == wanted
+        if point:
+            assert point.accepted == counts[wanted][1]
+            assert point.precision == pytest.approx(counts[wanted][0] / counts[wanted][1])
+    point = suggested(curve, share)
+    sure = [t for t, (r, n) in counts.items() if wilson_low(np.array(r), np.array(n)) >= share]
+    assert (point is None) == (not sure)
+    if point:
+        assert (scores >= point.score).sum() == (scores > point.score).sum() == point.accepted
+        assert point.accepted == counts[min(sure)][1]
+
+
+def test_all_points_as_a_mapping(curve):
+    points = operating_points(curve, [0.5, 0.9])
+    assert points["at_precision"].keys() == {"0.99", "1"}
+    assert points["at_precision"]["1"]["score"] == 0.8
+    assert points["at_recall"]["0.5"]["precision"] == 0.75
+    assert points["at_recall"]["0.9"] is None
+    assert points["suggested"] is None

@@ -1,0 +1,129 @@
+"""The curve over all pairs, against a plain loop over its thresholds."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from ssrvlad_torch.evaluation.tutorial import STEPS, count_pairs, truth_matrix
+
+INF = math.inf
+
+
+def rows(*matches):
+    return [np.array(match, np.int64) for match in matches]
+
+
+def lists(matrix):
+    return [np.flatnonzero(row) for row in matrix]
+
+
+def whole(counts):
+    return counts.curve(np.ones(len(counts.positives)))
+
+
+def plain_curve(similarity, hard, soft, matching):
+    """Points from (recall 0, precision 1) on; every threshold looks at every pair anew."""
+    similarity = np.where(soft & ~hard, similarity.min(), similarity)
+    positives = hard.sum()
+    if matching == "single":
+        positives = sum(any(row) for row in hard)
+        best = [int(row.argmax()) for row in similarity]
+        hard = np.array([[row[b]] for row, b in zip(hard, best, strict=True)])
+        similarity = np.array([[row[b]] for row, b in zip(similarity, best, strict=True)])
+    points = [(0.0, 1.0)]
+    for threshold in np.linspace(similarity.max(), similarity.min(), 100):
+        accepted = similarity >= threshold
+        right = (accepted & hard).sum()
+        points.append((right / positives, right / accepted.sum()))
+    return np.array(points).T
+
+
+@st.composite
+def tables(draw):
+    shape = draw(st.tuples(st.integers(1, 8), st.integers(1, 8)))
+    values = st.sampled_from([-0.75, -0.5, 0.0, 0.125, 0.3, 0.30000001, 0.9])
+    similarity = draw(hnp.arrays(np.float64, shape, elements=values))
+    hard = draw(hnp.arrays(bool, shape))
+    hard[0, draw(st.integers(0, shape[1] - 1))] = True
+    return similarity, hard, draw(hnp.arrays(bool, shape))
+
+
+@settings(max_examples=150, deadline=None)
+@given(tables(), st.sampled_from(["multi", "single"]))
+def test_equals_a_plain_loop(table, matching):
+    similarity, hard, soft = table
+    recall, precision = plain_curve(similarity, hard, soft, matching)
+    curve = whole(count_pairs(similarity, lists(hard), matching, lists(soft)))
+    assert len(curve.thresholds) == STEPS == 100
+    np.testing.assert_allclose(curve.precision, precision[1:], rtol=1e-12)
+    np.testing.assert_allclose(curve.recall, recall[1:], rtol=1e-12)
+    area = sum(np.diff(recall) * (precision[1:] + precision[:-1]) / 2)
+    assert curve.auc == pytest.approx(area)
+    assert curve.recall_at_full_precision == pytest.approx(recall[precision == 1].max())
+
+
+def test_both_modes_by_hand():
+    """Two queries, three references; the second query's best pair is wrong."""
+    similarity = np.array([[0.9, 0.8, 0.0], [1.0, 0.5, 0.2]])
+    truth = rows([0, 1], [1])
+    multi = whole(count_pairs(similarity, truth))
+    first = multi.accepted.tolist().index
+    points = [(multi.precision[first(n)], multi.recall[first(n)]) for n in (1, 2, 3, 4)]
+    assert points == [(0, 0), (1 / 2, 1 / 3), (2 / 3, 2 / 3), (3 / 4, 1)]
+    single = whole(count_pairs(similarity, truth, "single"))
+    assert single.precision[[0, -1]].tolist() == [0, 1 / 2]
+    assert single.recall[[0, -1]].tolist() == [0, 1 / 2]
+
+
+def test_what_cannot_match_is_the_least_similar():
+    similarity = np.array([[0.9, -INF], [0.3, 0.1]])
+    filled = np.array([[0.9, 0.1], [0.3, 0.1]])
+    for matching in ("multi", "single"):
+        found, wanted = (
+            whole(count_pairs(matrix, rows([0], [1]), matching)) for matrix in (similarity, filled)
+        )
+        np.testing.assert_array_equal(found.precision, wanted.precision)
+        np.testing.assert_array_equal(found.thresholds, wanted.thresholds)
+
+
+def test_float32_is_compared_as_it_is():
+    similarity = np.random.default_rng(0).random((20, 30)).astype(np.float32)
+    truth = rows(*[[n] for n in range(20)])
+    single, double = (whole(count_pairs(similarity.astype(t), truth)) for t in ("f4", "f8"))
+    np.testing.assert_array_equal(single.precision, double.precision)
+
+
+def test_weights_are_copies_of_queries():
+    """On the thresholds of all queries."""
+    rng = np.random.default_rng(1)
+    similarity, hard = rng.random((6, 9)), rng.random((6, 9)) < 0.3
+    weights = np.array([2, 0, 1, 3, 0, 1])
+    for matching in ("multi", "single"):
+        counts = count_pairs(similarity, lists(hard), matching)
+        copies = np.repeat(np.arange(6), weights)
+        weighted = counts.curve(weights.astype(float))
+        np.testing.assert_array_equal(weighted.accepted, counts.accepted[copies].sum(axis=0))
+        np.testing.assert_array_equal(weighted.positives, counts.positives[copies].sum())
+
+
+def test_truth_as_a_matrix():
+    matrix = truth_matrix(rows([2], [], [0, 1]), 3)
+    assert matrix.tolist() == [[0, 0, 1], [0, 0, 0], [1, 1, 0]]
+
+
+@pytest.mark.parametrize(
+    ("similarity", "matching", "message"),
+    [
+        (np.ones((2, 3)), "best", "multi, single, got 'best'"),
+        (np.ones((1, 3)), "multi", r"for 2 queries, got \(1, 3\)"),
+        (np.ones(2), "multi", r"got \(2,\)"),
+        (np.array([[1, math.nan], [1, 1]]), "multi", "1 of 2 queries have similarities .* NaN"),
+    ],
+)
+def test_what_does_not_fit_is_refused(similarity, matching, message):
+    with pytest.raises(ValueError, match=message):
+        count_pairs(similarity, rows([0], [1]), matching)
