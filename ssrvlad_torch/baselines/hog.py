@@ -1,0 +1,102 @@
+"""Histograms of oriented gradients (Dalal & Triggs, CVPR 2005) on a coarse grid of an image."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .gray import grays, resize
+from .protocol import Frame, batches, cosines, image_shape
+
+CELL = 16
+"""Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""
+
+ORIENTATIONS = 8
+
+_BATCH = 16
+
+
+class HOG:
+    """A trivial method: one histogram of gradient directions for each cell of a grid.
+
+    Gray, resized to 16 pixels a cell, central differences (zero at the border), unsigned
+    directions in equal bins, each pixel voting with its gradient's length; each cell's histogram
+    is divided by its L2 norm, and so is the whole. These are the semantics of
+    ``skimage.feature.hog`` with one cell a block and ``block_norm="L2"``.
+
+    Args:
+        rows, columns: of the grid. With 6 x 10 a descriptor has 480 numbers, as SSR-VLAD's.
+
+    Raises:
+        ValueError: fewer than one row or column.
+    """
+
+    name = "hog"
+    needs = frozenset({"images"})
+
+    def __init__(self, rows: int = 6, columns: int = 10) -> None:
+        if rows < 1 or columns < 1:
+            raise ValueError(f"method hog wants a grid of 1 x 1 or more, got {rows} x {columns}")
+        self.rows, self.columns = rows, columns
+
+    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+        """``(Q, 8 * rows * columns)`` float32 of length 1, or zero for a flat image."""
+        return self._encode(frames)
+
+    def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
+        """``(R, 8 * rows * columns)``, as queries are encoded."""
+        return self._encode(frames)
+
+    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
+        """Cosines."""
+        return cosines(queries, references)
+
+    @torch.no_grad()
+    def _encode(self, frames: Iterable[Frame]) -> Tensor:
+        described = map(self._describe, batches(frames, _BATCH, image_shape))
+        return torch.cat([torch.zeros(0, self.rows * self.columns * ORIENTATIONS), *described])
+
+    def _describe(self, frames: Sequence[Frame]) -> Tensor:
+        pictures = grays(frames, self.name)
+        small = resize(pictures, CELL * self.rows, CELL * self.columns).float()
+        along_x, along_y = central_differences(small)
+        turn = torch.atan2(along_y.double(), along_x.double()) / torch.pi % 1
+        bins = (turn * ORIENTATIONS).long()
+        cells = cell_histograms(bins, torch.hypot(along_x, along_y), ORIENTATIONS)
+        return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
+
+
+def central_differences(pictures: Tensor) -> tuple[Tensor, Tensor]:
+    """Differences of the neighbours along x and along y, zero where one is missing.
+
+    Args:
+        pictures: ``(B, H, W)`` float.
+
+    Returns:
+        two of ``(B, H, W)``.
+    """
+    along_x = F.pad(pictures[:, :, 2:] - pictures[:, :, :-2], (1, 1))
+    along_y = F.pad(pictures[:, 2:] - pictures[:, :-2], (0, 0, 1, 1))
+    return along_x, along_y
+
+
+def cell_histograms(bins: Tensor, votes: Tensor, count: int) -> Tensor:
+    """Sums of the votes of each bin over square cells of ``CELL`` pixels.
+
+    Args:
+        bins: ``(B, H, W)`` int64, 0 to ``count - 1``; ``H`` and ``W`` are multiples of ``CELL``.
+        votes: ``(B, H, W)`` float.
+        count: number of bins.
+
+    Returns:
+        ``(B, H / CELL, W / CELL, count)``.
+    """
+    images, height, width = bins.shape
+    row, column = (torch.arange(side, device=bins.device) // CELL for side in (height, width))
+    entry = (row[:, None] * (width // CELL) + column) * count + bins
+    sums = votes.new_zeros(images, height // CELL * (width // CELL) * count)
+    sums.scatter_add_(1, entry.flatten(1), votes.flatten(1))
+    return sums.view(images, height // CELL, width // CELL, count)

@@ -1,0 +1,210 @@
+"""LoST-X (Garg, Suenderhauf, Milford, RSS 2018) as a method."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..taxonomy import label_space
+from .dense_network import DenseNetwork, TrunkAndClassifier, load_dense_network
+from .lost import class_sums, lost_descriptor
+from .protocol import Frame, Image, cosines, image_of
+from .spatial_layout import layout_cost
+from .weights import random_network
+
+_REACH = 7
+_CANDIDATES = 10
+
+
+@dataclass(frozen=True)
+class LoSTEncodings:
+    """Encoded frames: a descriptor, and one key-point a feature channel where it is strongest.
+
+    Attributes:
+        descriptors: ``(N, S * D)`` float32.
+        places: ``(N, D)`` int64, index of each key-point among the places of its image.
+        labels: ``(N, D)`` int64, the most likely class there.
+        columns: ``(N, D)`` int64, x of the key-points.
+        widths: ``(N, 1)`` int64, columns of the feature maps.
+        features: ``(P, D)`` float32 of each image, place by place, of length 1.
+    """
+
+    descriptors: Tensor
+    places: Tensor
+    labels: Tensor
+    columns: Tensor
+    widths: Tensor
+    features: Sequence[Tensor]
+
+    def __len__(self) -> int:
+        return len(self.descriptors)
+
+    def __getitem__(self, part: slice) -> LoSTEncodings:
+        return LoSTEncodings(
+            self.descriptors[part],
+            self.places[part],
+            self.labels[part],
+            self.columns[part],
+            self.widths[part],
+            self.features[part],
+        )
+
+
+class LoSTX:
+    """Descriptors of features by class; the best ten are ranked again by their key-points.
+
+    References take the mean features over 15 frames of their sequence, i - 7 to i + 7; a query
+    has only itself. The authors' program also scales every dimension over all queries and over
+    all references; that is left out, as a query must not depend on others.
+
+    Args:
+        weights: an ONNX file, see `load_dense_network`.
+        random_weights: only to measure what the method costs; the name then says so.
+        network: any network with features and class probabilities, in place of a file.
+        labels_as: label space of its classes.
+        classes: names of the classes in that space, the paper's by default.
+        opposite: the two traverses run in opposite directions: the key-points of queries are
+            mirrored left to right. The descriptor has no directions in it.
+
+    Raises:
+        FileNotFoundError: no network is given and there is no file of it.
+        ValueError: the label space lacks a class, or the file does not fit.
+    """
+
+    needs = frozenset({"images", "weights"})
+
+    def __init__(
+        self,
+        weights: str | Path | None = None,
+        random_weights: bool = False,
+        network: DenseNetwork | None = None,
+        labels_as: str = "cityscapes-trainids",
+        classes: Sequence[str] = ("road", "building", "vegetation"),
+        opposite: bool = False,
+    ) -> None:
+        self.name = "lost-x (random weights)" if random_weights else "lost-x"
+        self._space = label_space(labels_as)
+        self._classes = torch.tensor([self._id(name) for name in classes])
+        self._opposite = opposite
+        if network is not None:
+            self._network = network
+        elif random_weights:
+            count = self._space.channel_counts.start
+            self._network = random_network(lambda: TrunkAndClassifier(count))
+        else:
+            self._network = load_dense_network(weights)
+
+    def encode_query(self, frames: Iterable[Frame]) -> LoSTEncodings:
+        """Descriptors with the mean features of each frame alone. 8 kB a place are kept."""
+        return self._encode(frames, reach=0)
+
+    def encode_reference(self, frames: Iterable[Frame]) -> LoSTEncodings:
+        """Descriptors with the mean features over the frames around each. 8 kB a place are kept."""
+        return self._encode(frames, _REACH)
+
+    def scores(self, queries: LoSTEncodings, references: LoSTEncodings) -> Tensor:
+        """``(Q, R)``: for the ten references with the highest cosine, minus the cosine distance
+        times the cost of the layout. The others come after them in the order of their cosines,
+        and so do those of the ten with fewer than two pairs of key-points.
+        """
+        distances = 1 - cosines(queries.descriptors, references.descriptors)
+        for q, row in enumerate(distances):
+            costs = torch.full_like(row, math.inf)
+            for r in row.argsort(stable=True)[:_CANDIDATES].tolist():
+                costs[r] = row[r] * self._layout_cost(queries[q : q + 1], references[r : r + 1])
+            ranked = costs.isfinite()
+            worst = costs[ranked].max() if bool(ranked.any()) else 0
+            distances[q] = torch.where(ranked, costs, row + worst)
+        return -distances
+
+    def _layout_cost(self, query: LoSTEncodings, reference: LoSTEncodings) -> float:
+        alike = (query.labels == reference.labels)[0]
+        x = query.widths - 1 - query.columns if self._opposite else query.columns
+        one, other = query.features[0], reference.features[0]
+        pairs = query.places[0, alike] * len(other) + reference.places[0, alike]
+        distinct, number = pairs.unique(return_inverse=True)
+        cosine = (one[distinct // len(other)] * other[distinct % len(other)]).sum(dim=1)
+        return layout_cost((x[0, alike], reference.columns[0, alike]), 1 - cosine[number])
+
+    def _encode(self, frames: Iterable[Frame], reach: int) -> LoSTEncodings:
+        views, sequences = [], []
+        for frame in frames:
+            views.append(self._look(image_of(frame, self.name)))
+            sequences.append(frame.sequence)
+        if not views:
+            raise ValueError(f"method {self.name}: no frames to encode")
+        means = _means([view.sums for view in views], sequences, reach)
+        described = [
+            lost_descriptor(view.features, view.probabilities, mean)
+            for view, mean in zip(views, means, strict=True)
+        ]
+        places = [view.features.argmax(dim=1) for view in views]
+        return LoSTEncodings(
+            torch.stack(described),
+            torch.stack(places),
+            torch.stack([view.labels[at] for view, at in zip(views, places, strict=True)]),
+            torch.stack([at % view.width for view, at in zip(views, places, strict=True)]),
+            torch.tensor([[view.width] for view in views]),
+            [F.normalize(view.features.mT.contiguous(), dim=1) for view in views],
+        )
+
+    @torch.no_grad()
+    def _look(self, image: Image) -> _View:
+        pixels = torch.tensor(image).permute(2, 0, 1)[None] / 255
+        features, scores = self._network(pixels)
+        self._check(features, scores)
+        scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
+        labels, flat = scores.argmax(dim=0), features[0].flatten(1)
+        probabilities = F.normalize(scores, p=1, dim=0)[self._classes]
+        sums = class_sums(flat, labels, self._classes)
+        return _View(flat, probabilities, labels, features.shape[3], sums)
+
+    def _check(self, features: Tensor, scores: Tensor) -> None:
+        counts = self._space.channel_counts
+        if features.ndim != 4 or scores.ndim != 4 or scores.shape[1] not in counts:
+            raise ValueError(
+                f"method {self.name}: the network must give features (1, D, h, w) and "
+                f"probabilities (1, C, h, w) with C from {counts.start} to {counts.stop - 1}, "
+                f"got {tuple(features.shape)} and {tuple(scores.shape)}"
+            )
+        if bool((scores < 0).any()):
+            raise ValueError(
+                f"method {self.name}: the network must give class probabilities, got "
+                f"{float(scores.min()):.3g}; put a softmax behind it"
+            )
+
+    def _id(self, name: str) -> int:
+        channels = range(self._space.channel_counts.start)
+        ids = {label.name: label.id for label in self._space.classes if label.id in channels}
+        if name not in ids:
+            has = ", ".join(ids)
+            raise ValueError(f"label space {self._space.name} has no class {name!r}; it has {has}")
+        return ids[name]
+
+
+class _View(NamedTuple):
+    """What the network saw: the arguments of `lost_descriptor`, and what means are made of."""
+
+    features: Tensor
+    probabilities: Tensor
+    labels: Tensor
+    width: int
+    sums: tuple[Tensor, Tensor]
+
+
+def _means(
+    sums: Sequence[tuple[Tensor, Tensor]], sequences: Sequence[str], reach: int
+) -> Iterator[Tensor]:
+    """mu_s (Eq. 2) over all places of the frames of a sequence that are near each frame."""
+    for i, sequence in enumerate(sequences):
+        window = range(max(0, i - reach), min(len(sums), i + reach + 1))
+        near = [sums[j] for j in window if sequences[j] == sequence]
+        total, places = (sum(part, torch.zeros(())) for part in zip(*near, strict=True))
+        yield total / places.clamp(min=1)

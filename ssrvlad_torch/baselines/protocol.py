@@ -1,0 +1,195 @@
+"""What a place-recognition method is: it encodes queries, encodes references, scores the pairs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from importlib import import_module
+from inspect import signature
+from itertools import groupby, islice
+from typing import Any, Protocol, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+LabelMap = npt.NDArray[np.integer[Any]]
+Image = npt.NDArray[np.uint8]
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One frame as a method sees it; what the method does not need may be missing.
+
+    Attributes:
+        frame: the frame's id, ``<sequence>/<name>``.
+        labels: ``(H, W)`` label ids.
+        labels_as: the label space of the ids.
+        image: ``(H, W, 3)`` uint8, RGB.
+    """
+
+    frame: str
+    labels: LabelMap | None = None
+    labels_as: str | None = None
+    image: Image | None = None
+
+    @property
+    def sequence(self) -> str:
+        """The part of the id before the last slash."""
+        return self.frame.rpartition("/")[0]
+
+
+class Encodings(Protocol):
+    """Encoded frames: how many, some of them by a slice, and their size. A tensor is one."""
+
+    def __len__(self) -> int: ...
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all of them."""
+
+    def __getitem__(self, part: slice, /) -> Any: ...
+
+
+class Method(Protocol):
+    """A place-recognition method.
+
+    Queries and references may be encoded differently: SSR-VLAD sums references over their
+    neighbours, CoHOG keeps weights of the regions of queries only. What comes out is the
+    method's own business as long as it has a length and slices; mostly it is a tensor whose
+    first dimension counts the frames.
+
+    Attributes:
+        name: its name in `METHODS`.
+        needs: of ``"labels"``, ``"images"`` and ``"weights"``.
+    """
+
+    name: str
+    needs: frozenset[str]
+
+    def encode_query(self, frames: Iterable[Frame]) -> Encodings:
+        """The encodings of Q queries, none of which sees another.
+
+        Raises:
+            ValueError: a frame lacks what the method needs, or cannot be encoded.
+        """
+
+    def encode_reference(self, frames: Iterable[Frame]) -> Encodings:
+        """The encodings of R references, the frames of a sequence one after another in order.
+
+        Raises:
+            ValueError: a frame lacks what the method needs, or cannot be encoded.
+        """
+
+    def scores(self, queries: Any, references: Any) -> Tensor:
+        """``(Q, R)`` float32, higher for frames that look more alike, ``-inf`` for no candidate.
+
+        A row does not depend on the other rows. The memory beside the result is bounded.
+        """
+
+
+METHODS = {
+    "ssr-vlad": ("ssrvlad", "SSRVLADMethod"),
+    "cohog": ("cohog", "CoHOG"),
+    "netvlad": ("netvlad", "NetVLAD"),
+    "region-vlad": ("region_vlad", "RegionVLAD"),
+    "lost-x": ("lost_x", "LoSTX"),
+    "label-grid": ("label_grid", "LabelGrid"),
+    "hog": ("hog", "HOG"),
+    "tiny-image": ("tiny_image", "TinyImage"),
+}
+"""Methods by name: the module of this package and the class in it."""
+
+
+def make(name: str, **settings: Any) -> Method:
+    """A method by its name; its module is imported here and not before.
+
+    Args:
+        name: one of `METHODS`.
+        settings: for the method's class.
+
+    Raises:
+        ValueError: no such method, or no such setting of it.
+    """
+    if name not in METHODS:
+        raise ValueError(f"unknown method {name!r}; wanted one of {', '.join(METHODS)}")
+    module, noun = METHODS[name]
+    method: type[Method] = getattr(import_module(f".{module}", __package__), noun)
+    try:
+        signature(method).bind(**settings)
+    except TypeError as error:
+        raise ValueError(f"method {name}: {error}") from error
+    return method(**settings)
+
+
+def image_of(frame: Frame, method: str) -> Image:
+    """The image of a frame for a method that needs it.
+
+    Raises:
+        ValueError: the frame has none, or it is not ``(H, W, 3)`` uint8; the message names the
+            frame and the method.
+    """
+    if frame.image is None:
+        raise ValueError(f"method {method} needs images, but frame {frame.frame} has none")
+    got = frame.image
+    if got.ndim != 3 or got.shape[2] != 3 or got.dtype != np.uint8 or got.size == 0:
+        raise ValueError(
+            f"method {method}: the image of frame {frame.frame} must be (H, W, 3) uint8, "
+            f"got {got.shape} {got.dtype}"
+        )
+    return got
+
+
+def labels_of(frame: Frame, method: str) -> tuple[LabelMap, str]:
+    """The label map of a frame and its label space, for a method that needs them.
+
+    Raises:
+        ValueError: the frame lacks one, or the map is not ``(H, W)`` integers; the message names
+            the frame and the method.
+    """
+    if frame.labels is None or frame.labels_as is None:
+        lacks = "a label map" if frame.labels is None else "the label space of its label map"
+        raise ValueError(f"method {method} needs labels, but frame {frame.frame} lacks {lacks}")
+    got = frame.labels
+    if got.ndim != 2 or got.dtype.kind not in "iu" or got.size == 0:
+        raise ValueError(
+            f"method {method}: the label map of frame {frame.frame} must be (H, W) integers, "
+            f"got {got.shape} {got.dtype}"
+        )
+    return got, frame.labels_as
+
+
+def label_kind(frame: Frame) -> tuple[object, ...]:
+    """What the label maps of a batch have in common; of a frame without one, nothing."""
+    labels = frame.labels
+    return () if labels is None else (labels.shape, labels.dtype, frame.labels_as)
+
+
+def image_shape(frame: Frame) -> tuple[int, ...]:
+    """What the images of a batch have in common; of a frame without one, nothing."""
+    return () if frame.image is None else frame.image.shape
+
+
+def batches(
+    frames: Iterable[Item], size: int, alike: Callable[[Item], object] | None = None
+) -> Iterator[list[Item]]:
+    """Frames in order in lists of at most ``size``; ``alike`` is equal for all of a list."""
+    for _, run in groupby(frames, alike or (lambda _: None)):
+        while batch := list(islice(run, size)):
+            yield batch
+
+
+def cosines(queries: Tensor, references: Tensor) -> Tensor:
+    """Scores of a method whose encodings are vectors.
+
+    Args:
+        queries: ``(Q, D)`` float of length 1, or zero.
+        references: ``(R, D)`` likewise.
+
+    Returns:
+        ``(Q, R)`` float32, ``-inf`` where a vector is zero: what is empty matches nothing.
+    """
+    empty = ~(queries.any(1)[:, None] & references.any(1))
+    return (queries @ references.T).float().masked_fill(empty, -torch.inf)

@@ -1,0 +1,90 @@
+"""Region-VLAD (Khaliq, Ehsan, Chen, Milford, McDonald-Maier, T-RO 2019) as a method."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .kmeans import nearest_centres
+from .protocol import Frame, cosines, image_of
+from .region_features import RegionFeatures
+from .vocabulary import CHANNELS, read_vocabulary
+from .weights import find_weights
+
+_ORIGIN = (
+    "the authors (github.com/Ahmedest61/CNN-Region-VLAD-VPR, folder Vocabulary), "
+    "or trained with train_vocabulary"
+)
+
+
+class RegionVLAD:
+    """VLAD of an image's regions over a vocabulary, compared by the cosine.
+
+    Args:
+        weights: of the network, see `RegionFeatures`.
+        vocabulary: a file in a form of `read_vocabulary`, or a folder with
+            ``region_vlad_vocabulary.npy`` or the authors' file; None looks in
+            ``~/.cache/ssrvlad/weights``.
+        random_weights: random network and vocabulary, only to measure what the method costs; the
+            name then says so.
+        regions, words: N and V of the paper: 400 and 256, or 200 and 128.
+        device: where the network runs.
+
+    Raises:
+        FileNotFoundError: there are no weights or no vocabulary; the message says where to get
+            them.
+        ValueError: they are damaged or do not fit.
+    """
+
+    needs = frozenset({"images", "weights"})
+
+    def __init__(
+        self,
+        weights: str | Path | None = None,
+        vocabulary: str | Path | None = None,
+        random_weights: bool = False,
+        regions: int = 400,
+        words: int = 256,
+        device: str = "cpu",
+    ) -> None:
+        self.name = "region-vlad (random weights)" if random_weights else "region-vlad"
+        self._features = RegionFeatures(weights, random_weights, regions, device)
+        if random_weights:
+            random = torch.Generator().manual_seed(0)
+            self._words = torch.rand(words, CHANNELS, generator=random)
+        else:
+            published = f"Vocabulary_{400 if regions == 400 else '100_200_300'}.pkl"
+            path = find_weights(vocabulary, ("region_vlad_vocabulary.npy", published), _ORIGIN)
+            self._words = read_vocabulary(path, words, regions)
+
+    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+        """``(N, words * 384)`` float32 of length 1, or zero for an image without regions."""
+        images = (image_of(frame, self.name) for frame in frames)
+        rows = [vlad(regions, self._words) for regions in self._features(images)]
+        return torch.stack(rows) if rows else torch.empty(0, self._words.numel())
+
+    encode_reference = encode_query
+
+    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
+        """``(Q, R)`` cosines."""
+        return cosines(queries, references)
+
+
+def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
+    """Vector of locally aggregated descriptors (Jegou et al., CVPR 2010) with signed square root.
+
+    Args:
+        descriptors: ``(R, D)`` float.
+        words: ``(V, D)`` float.
+
+    Returns:
+        ``(V * D,)`` float of length 1, or zero where there is no descriptor.
+    """
+    nearest = nearest_centres(descriptors, words)
+    residuals = torch.zeros_like(words).index_add_(0, nearest, descriptors - words[nearest])
+    rooted = residuals.sign() * residuals.abs().sqrt()
+    return F.normalize(rooted.flatten(), dim=0)

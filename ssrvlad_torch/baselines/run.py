@@ -1,0 +1,149 @@
+"""Running a method: every query against all references, and what it costs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import torch
+from torch import Tensor
+
+from .protocol import Frame, Method, batches
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Milliseconds a frame: the mean over all frames, and the cheapest and dearest block."""
+
+    average: float
+    min: float
+    max: float
+
+
+@dataclass(frozen=True)
+class Retrieval:
+    """Candidates of every query, and what finding them took.
+
+    Attributes:
+        queries, references: ids of the frames, in the order of rows and indices.
+        scores: ``(Q, top)`` float32, best first; ``-inf`` where there is no candidate.
+        indices: ``(Q, top)`` int64 rows of the references; -1 where there is no candidate. Of
+            references with equal scores the earlier comes first.
+        encode: encoding a query, without reading it from the disk.
+        match: scoring a query against all references, without ranking them.
+        bytes_a_reference: size of an encoded reference.
+    """
+
+    queries: tuple[str, ...]
+    references: tuple[str, ...]
+    scores: Tensor
+    indices: Tensor
+    encode: Cost
+    match: Cost
+    bytes_a_reference: float
+
+
+def run(
+    method: Method,
+    queries: Iterable[Frame],
+    references: Iterable[Frame],
+    top: int = 10,
+    block: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> Retrieval:
+    """Encodes the references, then takes the queries block by block.
+
+    Frames are taken from both iterables one after another and are not kept. The first block of
+    queries is worked on twice and timed the second time, so that what happens once in the life of
+    a process does not count.
+
+    Args:
+        method: from `make`.
+        queries: in any order.
+        references: the frames of a sequence one after another in order.
+        top: candidates of each query.
+        block: queries at a time. With 1, the costs are those of single frames.
+        progress: told of every frame that is done, references and queries.
+
+    Raises:
+        ValueError: no references or no queries, ``top`` or ``block`` is below 1, or a frame that
+            the method refuses.
+    """
+    if top < 1 or block < 1:
+        raise ValueError(f"wanted a top and a block of 1 or more, got {top} and {block}")
+    tell = progress or _tell_nobody
+    reference_ids: list[str] = []
+    query_ids: list[str] = []
+    encoded = method.encode_reference(_noted(references, reference_ids, tell))
+    if not reference_ids:
+        raise ValueError(f"method {method.name} got no references")
+    found: list[tuple[Tensor, Tensor]] = []
+    encoding, matching = _Clock(), _Clock()
+    for frames in batches(_noted(queries, query_ids, tell), block):
+        if not found:
+            method.scores(method.encode_query(frames), encoded)
+        wanted = encoding.time(len(frames), method.encode_query, frames)
+        scores = matching.time(len(frames), method.scores, wanted, encoded)
+        found.append(best(scores, top))
+    if not found:
+        raise ValueError(f"method {method.name} got no queries")
+    return Retrieval(
+        queries=tuple(query_ids),
+        references=tuple(reference_ids),
+        scores=torch.cat([scores for scores, _ in found]),
+        indices=torch.cat([indices for _, indices in found]),
+        encode=encoding.cost,
+        match=matching.cost,
+        bytes_a_reference=encoded.nbytes / len(reference_ids),
+    )
+
+
+def best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
+    """The highest scores of each row, the first of equals.
+
+    Args:
+        scores: ``(Q, R)`` float, ``-inf`` for no candidate.
+        top: how many, at least 1.
+
+    Returns:
+        ``(Q, top)`` scores and ``(Q, top)`` int64 columns; ``-inf`` and -1 where there is none.
+    """
+    ranked = scores.sort(dim=1, descending=True, stable=True)
+    shape = len(scores), top - min(top, scores.shape[1])
+    values = torch.cat((ranked.values[:, :top], scores.new_full(shape, -torch.inf)), 1)
+    columns = torch.cat((ranked.indices[:, :top], ranked.indices.new_full(shape, -1)), 1)
+    return values, columns.masked_fill(values == -torch.inf, -1)
+
+
+class _Clock:
+    """Adds up the seconds of blocks of frames."""
+
+    def __init__(self) -> None:
+        self._blocks: list[tuple[int, float]] = []
+
+    def time(self, frames: int, work: Callable[..., Result], *arguments: Any) -> Result:
+        begin = time.perf_counter()
+        result = work(*arguments)
+        self._blocks.append((frames, time.perf_counter() - begin))
+        return result
+
+    @property
+    def cost(self) -> Cost:
+        each = [1e3 * seconds / frames for frames, seconds in self._blocks]
+        frames, seconds = (sum(column) for column in zip(*self._blocks, strict=True))
+        return Cost(1e3 * seconds / frames, min(each), max(each))
+
+
+def _noted(frames: Iterable[Frame], ids: list[str], tell: Callable[[int], None]) -> Iterator[Frame]:
+    for frame in frames:
+        ids.append(frame.frame)
+        yield frame
+        tell(1)
+
+
+def _tell_nobody(done: int) -> None:
+    pass

@@ -1,0 +1,81 @@
+"""SSR-VLAD as one method among others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..config import SSRVLADConfig
+from ..descriptor import SSRVLAD
+from ..matching import temporal_sum
+from .protocol import Frame, batches, cosines, label_kind, labels_of
+
+_BATCH = 16
+
+
+class SSRVLADMethod:
+    """Raw descriptors of queries against references summed over their neighbours (Eq. 3).
+
+    Frames may be of several label spaces; each is read as its own.
+
+    Args:
+        preset: ``"paper"`` or ``"default"``.
+        temporal: t of Eq. 3, reference frames summed on each side inside a sequence.
+        compiled: fuse the thinning by ``torch.compile``; the numbers stay the same.
+        settings: fields of `SSRVLADConfig` in place of the preset's.
+
+    Raises:
+        ValueError: no such preset or setting, or one outside its range.
+    """
+
+    name = "ssr-vlad"
+    needs = frozenset({"labels"})
+
+    def __init__(
+        self, preset: str = "default", temporal: int = 3, compiled: bool = False, **settings: Any
+    ) -> None:
+        if temporal < 0:
+            raise ValueError(f"method ssr-vlad wants a temporal of 0 or more, got {temporal}")
+        self.config = SSRVLADConfig.from_preset(preset, **settings)
+        self.temporal = temporal
+        self.compiled = compiled
+        self._heads: dict[str, SSRVLAD] = {}
+
+    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+        """``(Q, 480)`` float32 of length 1, or zero for an empty image."""
+        described = map(self._describe, batches(frames, _BATCH, label_kind))
+        return torch.cat([torch.zeros(0, self.config.length), *described])
+
+    def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
+        """``(R, 480)`` float32, after Eq. 3."""
+        sequences: list[str] = []
+
+        def noting_sequences() -> Iterable[Frame]:
+            for frame in frames:
+                sequences.append(frame.sequence)
+                yield frame
+
+        return temporal_sum(self.encode_query(noting_sequences()), sequences, self.temporal)
+
+    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
+        """Cosines (Eq. 4)."""
+        return cosines(queries, references)
+
+    @torch.no_grad()
+    def _describe(self, frames: Sequence[Frame]) -> Tensor:
+        maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
+        descriptors: Tensor = self._head(spaces[0])(torch.from_numpy(np.stack(maps)))
+        return descriptors
+
+    def _head(self, labels_as: str) -> SSRVLAD:
+        if labels_as not in self._heads:
+            settings = {**self.config.to_dict(), "labels_as": labels_as}
+            head = SSRVLAD(SSRVLADConfig.from_dict(settings))
+            if self.compiled:
+                head.compile()
+            self._heads[labels_as] = head
+        return self._heads[labels_as]

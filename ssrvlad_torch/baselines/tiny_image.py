@@ -1,0 +1,171 @@
+"""The trivial method for images: tiny pictures, their difference normalised along the drive.
+
+The image comparison and the contrast enhancement of SeqSLAM (Milford & Wyeth, ICRA 2012),
+without its search over sequences of queries.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .gray import grays
+from .protocol import Frame, batches, image_shape
+
+PATCH = 8
+
+_BATCH = 16
+_SCORES_AT_ONCE = 1 << 20
+_LEAST_DEVIATION = 1e-4
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Encoded references.
+
+    Attributes:
+        pictures: ``(R, height * width)`` float32.
+        sequence: ``(R,)`` int64, the same number for the frames of a sequence.
+    """
+
+    pictures: Tensor
+    sequence: Tensor
+
+    def __len__(self) -> int:
+        return len(self.pictures)
+
+    def __getitem__(self, part: slice) -> Drive:
+        return Drive(self.pictures[part], self.sequence[part])
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of the pictures."""
+        return self.pictures.nbytes
+
+
+class TinyImage:
+    """Mean absolute difference of tiny pictures, in deviations from the drive around it.
+
+    A picture is gray, reduced to ``width x height`` by the mean of the area, and each patch of
+    8 x 8 pixels then has its mean subtracted and is divided by its standard deviation (zero where
+    it has none). D is the mean absolute difference of a query and a reference. With the mean m
+    and the standard deviation s of D over the references of a sequence, the score of its frames
+    is (m - D) / s: how much more like the query they are than the rest. Where all are alike, as
+    in a sequence of one frame, it is 0.
+
+    Args:
+        width, height: of the tiny picture, multiples of 8.
+        reach: take m and s only over so many references on each side and the frame itself.
+            SeqSLAM does so with 5 (its R_window is 10). It then needs its search over sequences
+            of queries, as every stretch of the drive has a frame that stands out; for single
+            queries the whole sequence is much the better choice.
+
+    Raises:
+        ValueError: a setting is outside its range.
+    """
+
+    name = "tiny-image"
+    needs = frozenset({"images"})
+
+    def __init__(self, width: int = 64, height: int = 32, reach: int | None = None) -> None:
+        if min(width, height) < PATCH or width % PATCH or height % PATCH:
+            raise ValueError(
+                f"method tiny-image wants sides that are multiples of 8, got {width} x {height}"
+            )
+        if reach is not None and reach < 1:
+            raise ValueError(f"method tiny-image wants a reach of 1 or more, got {reach}")
+        self.width, self.height, self.reach = width, height, reach
+
+    @torch.no_grad()
+    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+        """``(Q, height * width)`` float32."""
+        described = map(self._describe, batches(frames, _BATCH, image_shape))
+        return torch.cat([torch.zeros(0, self.height * self.width), *described])
+
+    def encode_reference(self, frames: Iterable[Frame]) -> Drive:
+        """The pictures, and which of them belong together."""
+        number: dict[str, int] = {}
+        sequence: list[int] = []
+
+        def noting_sequences() -> Iterable[Frame]:
+            for frame in frames:
+                sequence.append(number.setdefault(frame.sequence, len(number)))
+                yield frame
+
+        pictures = self.encode_query(noting_sequences())
+        return Drive(pictures, torch.tensor(sequence, dtype=torch.int64))
+
+    @torch.no_grad()
+    def scores(self, queries: Tensor, references: Drive) -> Tensor:
+        """Differences of the pictures, normalised along the references, ``(Q, R)``."""
+        scores = torch.zeros(len(queries), len(references))
+        at_once = max(1, _SCORES_AT_ONCE // max(1, len(references)))
+        first, last = windows(references.sequence, self.reach)
+        for part, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
+            difference = torch.cdist(block, references.pictures, p=1) / block.shape[1]
+            part.copy_(enhance(difference, first, last))
+        return scores
+
+    def _describe(self, frames: Sequence[Frame]) -> Tensor:
+        pictures = grays(frames, self.name)[:, None].float()
+        tiny = F.interpolate(pictures, (self.height, self.width), mode="area")
+        return normalise_patches(tiny[:, 0]).flatten(1)
+
+
+def normalise_patches(pictures: Tensor) -> Tensor:
+    """Each patch of 8 x 8 pixels with mean 0 and standard deviation 1, or zero if it is flat.
+
+    Args:
+        pictures: ``(B, H, W)`` float; ``H`` and ``W`` are multiples of 8.
+
+    Returns:
+        ``(B, H, W)``.
+    """
+    patches = pictures.unflatten(2, (-1, PATCH)).unflatten(1, (-1, PATCH))
+    centred = patches - patches.mean((2, 4), keepdim=True)
+    deviation = centred.square().mean((2, 4), keepdim=True).sqrt()
+    flat = deviation < _LEAST_DEVIATION
+    normal: Tensor = centred / deviation.masked_fill(flat, torch.inf)
+    return normal.flatten(3).flatten(1, 2)
+
+
+def windows(sequence: Tensor, reach: int | None) -> tuple[Tensor, Tensor]:
+    """The rows around each reference that are of its sequence.
+
+    Args:
+        sequence: ``(R,)`` numbers, the frames of a sequence one after another.
+        reach: rows on each side, ``None`` for all.
+
+    Returns:
+        two of ``(R,)`` int64: the first row, and the one after the last.
+    """
+    _, run, counts = sequence.unique_consecutive(return_inverse=True, return_counts=True)
+    end = counts.cumsum(0)[run]
+    start = end - counts[run]
+    if reach is None:
+        return start, end
+    row = torch.arange(len(sequence))
+    return torch.maximum(start, row - reach), torch.minimum(end, row + reach + 1)
+
+
+def enhance(difference: Tensor, first: Tensor, last: Tensor) -> Tensor:
+    """Contrast enhancement along the references, higher for what is more alike.
+
+    Args:
+        difference: ``(Q, R)`` float.
+        first, last: from `windows`.
+
+    Returns:
+        ``(Q, R)`` float32.
+    """
+    centred = difference.double() - difference.mean(1, keepdim=True)
+    sums, squares = (F.pad(x.cumsum(1), (1, 0)) for x in (centred, centred.square()))
+    mean = (sums[:, last] - sums[:, first]) / (last - first)
+    variance = (squares[:, last] - squares[:, first]) / (last - first) - mean.square()
+    deviation = variance.clamp(min=0).sqrt()
+    flat = deviation < _LEAST_DEVIATION
+    return ((mean - centred) / deviation.masked_fill(flat, torch.inf)).float()

@@ -1,0 +1,146 @@
+"""Caffe's networks: the wire format of protocol buffers, written here from its definition."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+import torch
+
+from ssrvlad_torch.baselines.caffemodel import read_caffemodel
+
+Blob = np.ndarray
+
+
+def varint(number: int) -> bytes:
+    low = bytes([number & 0x7F | (0x80 if number > 0x7F else 0)])
+    return low + (varint(number >> 7) if number > 0x7F else b"")
+
+
+def integer(field: int, number: int) -> bytes:
+    return varint(field << 3) + varint(number)
+
+
+def message(field: int, content: bytes) -> bytes:
+    return varint(field << 3 | 2) + varint(len(content)) + content
+
+
+def blob(array: Blob, old: bool = False, packed: bool = True) -> bytes:
+    """``BlobProto``: data (5), and shape (7) or, in old files, num to width (1 to 4)."""
+    if old:
+        padded = (1,) * (4 - array.ndim) + array.shape
+        shape = b"".join(integer(1 + i, size) for i, size in enumerate(padded))
+    else:
+        shape = message(7, message(1, b"".join(varint(size) for size in array.shape)))
+    numbers = array.astype("<f4").ravel()
+    if packed:
+        return shape + message(5, numbers.tobytes())
+    return shape + b"".join(varint(5 << 3 | 5) + number.tobytes() for number in numbers)
+
+
+def network(layers: dict[str, Iterable[Blob]], old: bool = False, packed: bool = True) -> bytes:
+    """``NetParameter``, with fields that are of no use between those that are."""
+    content = message(1, b"CaffeNet-Places365") + varint(50 << 3 | 1) + bytes(8)
+    for name, blobs in layers.items():
+        name_field, type_field, blob_field = (4, 5, 6) if old else (1, 2, 7)
+        kind = integer(type_field, 4) if old else message(type_field, b"Convolution")
+        parts = b"".join(message(blob_field, blob(array, old, packed)) for array in blobs)
+        rates = varint(70 << 3 | 5) + bytes(4)
+        layer = message(name_field, name.encode()) + kind + rates + parts
+        content += message(2 if old else 100, layer)
+    return content
+
+
+LAYERS = {
+    "data": [],
+    "conv1": [np.random.default_rng(0).random((6, 2, 3, 3)), np.arange(6.0)],
+    "relu1": [],
+    "fc6": [np.random.default_rng(1).random((4, 200)), np.arange(4.0)],
+}
+
+
+@pytest.mark.parametrize("old", [False, True])
+@pytest.mark.parametrize("packed", [False, True])
+def test_layers_come_out_by_name(old, packed, tmp_path):
+    path = tmp_path / "net.caffemodel"
+    path.write_bytes(network(LAYERS, old, packed))
+    read = read_caffemodel(path)
+    assert [*read] == ["conv1.weight", "conv1.bias", "fc6.weight", "fc6.bias"]
+    for name in ("conv1", "fc6"):
+        for kind, wanted in zip(("weight", "bias"), LAYERS[name], strict=True):
+            got = read[f"{name}.{kind}"]
+            assert got.dtype == torch.float32
+            assert got.shape == wanted.shape
+            np.testing.assert_array_equal(got.numpy(), wanted.astype(np.float32))
+
+
+def test_a_kernel_with_one_output_keeps_its_four_axes(tmp_path):
+    path = tmp_path / "net.caffemodel"
+    path.write_bytes(network({"conv": [np.ones((1, 1, 3, 3)), np.ones(1)]}))
+    read = read_caffemodel(path)
+    assert read["conv.weight"].shape == (1, 1, 3, 3)
+    assert read["conv.bias"].shape == (1,)
+
+
+@pytest.mark.parametrize("keep", [30, 100, -1])
+def test_a_cut_file_is_named(keep, tmp_path):
+    path = tmp_path / "net.caffemodel"
+    path.write_bytes(network(LAYERS)[:keep])
+    with pytest.raises(ValueError, match=r"net\.caffemodel is not a") as error:
+        read_caffemodel(path)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"\x0b", b"name: 'net'\nlayer { name: 'conv1' }", bytes(100), network({})]
+)
+def test_another_file_is_named(content, tmp_path):
+    path = tmp_path / "net.caffemodel"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"net\.caffemodel is not a (whole )?Caffe network"):
+        read_caffemodel(path)
+
+
+def test_fewer_numbers_than_the_shape_says(tmp_path):
+    path = tmp_path / "net.caffemodel"
+    wrong = message(7, message(1, varint(5))) + message(5, bytes(16))
+    path.write_bytes(message(100, message(1, b"conv") + message(7, wrong)))
+    with pytest.raises(ValueError, match=r"shape '\[5\]' is invalid for input of size 4"):
+        read_caffemodel(path)
+
+
+def test_googles_library_writes_the_same(tmp_path):
+    """The same bytes through Google's own library, with the messages defined at run time."""
+    descriptor_pb2 = pytest.importorskip("google.protobuf.descriptor_pb2")
+    from google.protobuf import descriptor_pool, message_factory
+
+    file = descriptor_pb2.FileDescriptorProto(name="caffe.proto", package="caffe")
+    fields = {
+        "BlobShape": [("dim", 1, 3, 3, "")],
+        "BlobProto": [("shape", 7, 1, 11, "BlobShape"), ("data", 5, 3, 2, "")],
+        "LayerParameter": [("name", 1, 1, 9, ""), ("blobs", 7, 3, 11, "BlobProto")],
+        "NetParameter": [("name", 1, 1, 9, ""), ("layer", 100, 3, 11, "LayerParameter")],
+    }
+    for kind, entries in fields.items():
+        added = file.message_type.add(name=kind)
+        for name, number, label, form, inner in entries:
+            field = added.field.add(name=name, number=number, label=label, type=form)
+            if inner:
+                field.type_name = f".caffe.{inner}"
+            elif label == 3:
+                field.options.packed = True
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    kinds = message_factory.GetMessageClass(pool.FindMessageTypeByName("caffe.NetParameter"))
+    net = kinds(name="net")
+    weight = np.random.default_rng(2).random((300, 2, 1, 1)).astype(np.float32)
+    blobs = net.layer.add(name="conv1").blobs
+    for array in (weight, weight[:, 0, 0, 0]):
+        added = blobs.add(data=array.ravel().tolist())
+        added.shape.dim.extend(array.shape)
+    path = tmp_path / "net.caffemodel"
+    path.write_bytes(net.SerializeToString())
+    read = read_caffemodel(path)
+    np.testing.assert_array_equal(read["conv1.weight"].numpy(), weight)
+    np.testing.assert_array_equal(read["conv1.bias"].numpy(), weight[:, 0, 0, 0])

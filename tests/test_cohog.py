@@ -1,0 +1,218 @@
+"""CoHOG against OpenCV, scikit-image and loops, and against the stored result of VPR-Bench."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from skimage.filters.rank import entropy
+from skimage.morphology import disk
+
+from ssrvlad_torch.baselines import Frame, cohog, make
+from ssrvlad_torch.baselines.cohog import (
+    local_entropy,
+    region_descriptors,
+    region_entropies,
+    sobel,
+)
+
+CORRIDOR = Path(__file__).parents[2] / "shared" / "data" / "vprbench" / "corridor"
+needs_corridor = pytest.mark.skipif(
+    not CORRIDOR.is_dir(), reason="the corridor images of ../shared/data are not on this machine"
+)
+
+
+def gray_noise(seed, height, width, grain=4):
+    """Random gray blocks, smoothed."""
+    rng = np.random.default_rng(seed)
+    small = rng.integers(0, 256, (height // grain + 1, width // grain + 1), dtype=np.uint8)
+    return cv2.resize(small, (width, height), interpolation=cv2.INTER_CUBIC)
+
+
+def image(seed, height=90, width=120):
+    return np.repeat(gray_noise(seed, height, width)[..., None], 3, axis=2)
+
+
+def frames(images):
+    return [Frame(f"a/{i}", image=one) for i, one in enumerate(images)]
+
+
+def plain_descriptors(picture):
+    """Pixel by pixel as the authors' code has it, its derivatives by OpenCV."""
+    rooted = np.sqrt(picture / picture.max()) * 255
+    along_x = cv2.Sobel(rooted, cv2.CV_64F, 1, 0, ksize=5)
+    along_y = cv2.Sobel(rooted, cv2.CV_64F, 0, 1, ksize=5)
+    rows, columns = picture.shape[0] // 16, picture.shape[1] // 16
+    cells = np.zeros((rows, columns, 8))
+    for y, x in np.ndindex(picture.shape):
+        strength = abs(along_x[y, x] + along_y[y, x]) / 2
+        place = np.degrees(np.arctan2(along_y[y, x], along_x[y, x])) % 360 / 45
+        lower = int(place)
+        cells[y // 16, x // 16, lower % 8] += strength * (1 - (place - lower))
+        cells[y // 16, x // 16, (lower + 1) % 8] += strength * (place - lower)
+    regions = []
+    for row in range(rows - 1):
+        for column in range(columns - 1):
+            region = cells[row : row + 2, column : column + 2].ravel()
+            length = np.linalg.norm(region)
+            regions.append(region / length if length else region)
+    return np.array(regions)
+
+
+def plain_score(query, chosen, reference):
+    """Region by region."""
+    matches = [max(float(d @ other) for other in reference) for d in query[chosen]]
+    return sum(matches) / len(matches) if matches else -np.inf
+
+
+@pytest.mark.parametrize("size", [(64, 64), (48, 96)])
+def test_descriptors_equal_a_loop(size):
+    pictures = np.stack([gray_noise(seed, *size) for seed in range(3)])
+    found = region_descriptors(torch.from_numpy(pictures))
+    assert found.dtype == torch.float32
+    for picture, regions in zip(pictures, found, strict=True):
+        np.testing.assert_allclose(regions.numpy(), plain_descriptors(picture), rtol=0, atol=1e-5)
+
+
+def test_sobel_is_that_of_opencv():
+    picture = np.random.default_rng(0).random((20, 30))
+    found = sobel(torch.from_numpy(picture)[None])
+    for along, order in zip(found, ((1, 0), (0, 1)), strict=True):
+        wanted = cv2.Sobel(picture, cv2.CV_64F, *order, ksize=5)
+        np.testing.assert_allclose(along[0].numpy(), wanted, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("size", "radius"), [((100, 100), 5), ((7, 30), 5), ((13, 11), 2)])
+@pytest.mark.parametrize("levels", [2, 9, 256])
+def test_entropy_is_that_of_scikit_image(size, radius, levels):
+    rng = np.random.default_rng(levels)
+    pictures = rng.integers(256 - levels, 256, (2, *size), dtype=np.uint8)
+    found = local_entropy(torch.from_numpy(pictures), radius)
+    for picture, bits in zip(pictures, found, strict=True):
+        np.testing.assert_allclose(bits.numpy(), entropy(picture, disk(radius)), rtol=0, atol=1e-5)
+
+
+def test_entropies_of_regions_equal_those_of_the_libraries():
+    picture = gray_noise(0, 512, 512, grain=40)
+    picture[:200, :300] = 128
+    bits = cv2.resize(entropy(cv2.resize(picture, (100, 100)), disk(5)), (512, 512))
+    starts = range(0, 512 - 16, 16)
+    wanted = [bits[y : y + 32, x : x + 32].mean() / 8 for y in starts for x in starts]
+    found = region_entropies(torch.from_numpy(picture)[None])[0].numpy()
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
+    assert found[0] == 0
+    assert found.max() > 0.4
+
+
+@pytest.mark.parametrize("at_once", [1, 300, 1 << 20])
+def test_scores_equal_a_loop_whatever_the_block(at_once, monkeypatch):
+    monkeypatch.setattr(cohog, "_SCORES_AT_ONCE", at_once)
+    method = make("cohog", size=64)
+    queries = method.encode_query(frames([image(0), image(1)]))
+    queries.chosen[1, ::2] = False
+    references = method.encode_reference(frames([image(seed) for seed in range(5)]))
+    found = method.scores(queries, references)
+    assert (found.shape, found.dtype) == ((2, 5), torch.float32)
+    for row, column in np.ndindex(2, 5):
+        query, chosen = queries.descriptors[row].numpy(), queries.chosen[row].numpy()
+        wanted = plain_score(query, chosen, references[column].numpy())
+        assert abs(float(found[row, column]) - wanted) < 1e-5
+
+
+def test_a_place_is_its_own_best_match_seen_from_elsewhere():
+    """Regions are looked for everywhere: a shift by a cell costs little."""
+    wide = [gray_noise(seed, 128, 144, grain=8) for seed in range(6)]
+    references = [np.repeat(one[:, :128, None], 3, axis=2) for one in wide]
+    shifted = [np.repeat(one[:, 16:, None], 3, axis=2) for one in wide]
+    method = make("cohog", size=128, entropy_threshold=0.1)
+    scores = method.scores(
+        method.encode_query(frames(shifted)), method.encode_reference(frames(references))
+    )
+    assert scores.argmax(1).tolist() == list(range(6))
+    assert (scores.diagonal() > 0.9).all()
+
+
+def test_only_regions_of_high_entropy_are_looked_for():
+    half = image(0, 512, 512)
+    half[:, :256] = 128
+    chosen = make("cohog").encode_query(frames([half])).chosen[0].view(31, 31)
+    assert not chosen[:, :14].any()
+    assert chosen[:, 17:].all()
+
+
+def test_a_flat_query_matches_nothing():
+    method = make("cohog", size=64)
+    flat = np.full((64, 64, 3), 200, np.uint8)
+    references = method.encode_reference(frames([image(0), flat, flat * 0]))
+    assert not references[1:].any()
+    assert method.scores(method.encode_query(frames([flat, flat * 0])), references).isneginf().all()
+    assert method.scores(method.encode_query(frames([image(0)])), references)[0, 1] == 0
+
+
+def test_a_batch_equals_one_by_one_whatever_the_sizes():
+    images = [image(i, *((90, 120) if i % 4 else (40, 64))) for i in range(9)]
+    method = make("cohog", size=128)
+    together = method.encode_query(iter(frames(images)))
+    single = [method.encode_query([frame]) for frame in frames(images)]
+    assert (together.descriptors.shape, len(together)) == ((9, 49, 32), 9)
+    assert torch.equal(together.descriptors, torch.cat([one.descriptors for one in single]))
+    assert torch.equal(together.chosen, torch.cat([one.chosen for one in single]))
+    assert torch.equal(method.encode_reference(frames(images)), together.descriptors)
+    assert together[2:5].nbytes == 3 * 49 * (32 * 4 + 1)
+    assert torch.equal(together[2:5].chosen, together.chosen[2:5])
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"size": 16}, "a size of 32, 48, 64, ..., got 16"),
+        ({"size": 100}, "a size of 32, 48, 64, ..., got 100"),
+        ({"entropy_threshold": 1.5}, "an entropy threshold from 0 to 1, got 1.5"),
+    ],
+)
+def test_wrong_settings_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        make("cohog", **settings)
+
+
+def test_a_frame_without_an_image_is_named():
+    with pytest.raises(ValueError, match="method cohog needs images, but frame b/7 has none"):
+        make("cohog").encode_reference([Frame("b/7", labels=np.zeros((3, 3), int))])
+
+
+def corridor(folder, every):
+    files = sorted((CORRIDOR / folder).iterdir())[::every]
+    return [Frame(f"{folder}/{file.stem}", image=np.array(Image.open(file))) for file in files]
+
+
+def corridor_scores(every):
+    """Ours and those that VPR-Bench stored, for every so many-th query."""
+    method = make("cohog")
+    queries = method.encode_query(corridor("query", every))
+    scores = method.scores(queries, method.encode_reference(corridor("ref", 1)))
+    with np.load(CORRIDOR.parent / "corridor_CoHOG.npz") as stored:
+        return scores.numpy(), dict(stored)
+
+
+@needs_corridor
+def test_some_queries_of_the_corridor_have_the_stored_scores():
+    scores, stored = corridor_scores(every=10)
+    np.testing.assert_allclose(scores, stored["sim"][::10], rtol=0, atol=3e-3)
+    assert (scores.argmax(1) == stored["match"][::10]).mean() >= 0.8
+
+
+@pytest.mark.slow
+@needs_corridor
+def test_the_corridor_has_the_stored_result():
+    scores, stored = corridor_scores(every=1)
+    bounds = stored["gt_off"]
+    truth = [stored["gt_flat"][a:b] for a, b in pairwise(bounds)]
+    ranked = np.argsort(-scores, axis=1, kind="stable")
+    for n, expected in ((1, 0.622), (5, 0.892), (10, 0.937)):
+        hits = [np.isin(row[:n], right).any() for row, right in zip(ranked, truth, strict=True)]
+        assert abs(np.mean(hits) - expected) <= 0.01
+    assert (ranked[:, 0] == stored["match"]).mean() >= 0.95
+    np.testing.assert_allclose(scores, stored["sim"], rtol=0, atol=3e-3)

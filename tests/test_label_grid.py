@@ -1,0 +1,95 @@
+"""The label grid against a loop over cells."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from drawings import CAR, ROAD, SKY, SPACE, TREE, VOID, blobs
+
+from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.taxonomy import CATEGORIES, label_space
+
+
+def frame(labels, name="a/1", space=SPACE):
+    return Frame(name, labels=labels, labels_as=space)
+
+
+def plain(labels, rows, columns):
+    """Cell by cell, category by category."""
+    height, width = labels.shape
+    category = {label.id: label.category for label in label_space(SPACE).classes}
+    numbers = []
+    for name in CATEGORIES:
+        for row in range(rows):
+            for column in range(columns):
+                top, bottom = row * height // rows, math.ceil((row + 1) * height / rows)
+                left, right = column * width // columns, math.ceil((column + 1) * width / columns)
+                cell = labels[top:bottom, left:right].ravel()
+                share = sum(category[int(pixel)] == name for pixel in cell) / len(cell)
+                numbers.append(math.sqrt(share))
+    length = math.hypot(*numbers)
+    return np.array(numbers) / (length or 1)
+
+
+@pytest.mark.parametrize(
+    ("size", "grid"),
+    [((24, 40), (6, 10)), ((31, 45), (6, 10)), ((31, 45), (7, 3)), ((3, 4), (6, 10))],
+)
+def test_the_label_grid_equals_a_loop(size, grid):
+    labels = blobs(0, *size, grain=4)
+    method = make("label-grid", rows=grid[0], columns=grid[1])
+    found = method.encode_query([frame(labels)])[0]
+    np.testing.assert_allclose(found.numpy(), plain(labels, *grid), rtol=0, atol=1e-6)
+
+
+def test_sky_above_road_by_hand():
+    labels = np.array([[SKY] * 4] * 2 + [[ROAD, ROAD, ROAD, CAR]] * 2, np.uint8)
+    found = make("label-grid", rows=2, columns=2).encode_query([frame(labels)])[0].view(8, 2, 2)
+    wanted = torch.zeros(8, 2, 2)
+    wanted[CATEGORIES.index("sky"), 0] = 1
+    wanted[CATEGORIES.index("ground"), 1] = torch.tensor([1.0, 0.5**0.5])
+    torch.testing.assert_close(found, wanted / 3.5**0.5)
+
+
+def test_an_image_without_a_category_matches_nothing():
+    method = make("label-grid")
+    drawn = [np.full((12, 20), VOID), np.full((12, 20), TREE)]
+    encoded = method.encode_reference([frame(labels) for labels in drawn])
+    assert not encoded[0].any()
+    scores = method.scores(encoded, encoded)
+    inf = torch.inf
+    torch.testing.assert_close(scores, torch.tensor([[-inf, -inf], [-inf, 1.0]]))
+
+
+def test_label_spaces_compare():
+    in_camvid = np.array([[SKY, SKY], [ROAD, TREE]])
+    in_trainids = np.array([[10, 10], [0, 8]])
+    method = make("label-grid", rows=2, columns=2)
+    encoded = method.encode_query(
+        [frame(in_camvid), frame(in_trainids, space="cityscapes-trainids")]
+    )
+    assert torch.equal(encoded[0], encoded[1])
+
+
+def test_a_batch_equals_one_by_one_whatever_the_kinds():
+    kinds = [((24, 40), np.uint8), ((24, 40), np.int32), ((18, 20), np.uint8)]
+    frames = [
+        frame(blobs(i, *kinds[i % 7 % 3][0], grain=5).astype(kinds[i % 7 % 3][1]), f"a/{i}")
+        for i in range(40)
+    ]
+    method = make("label-grid")
+    together = method.encode_query(iter(frames))
+    assert (together.shape, together.dtype) == ((40, 480), torch.float32)
+    assert torch.equal(together, torch.cat([method.encode_query([one]) for one in frames]))
+    assert torch.equal(together, method.encode_reference(frames))
+
+
+def test_an_unknown_id_and_a_missing_label_map_are_errors():
+    method = make("label-grid")
+    with pytest.raises(ValueError, match=r"label id 99 \(6 pixels\) is not in label space camvid"):
+        method.encode_query([frame(np.full((2, 3), 99))])
+    with pytest.raises(ValueError, match="method label-grid needs labels, but frame b/7 lacks a"):
+        method.encode_query([Frame("b/7")])
+    with pytest.raises(ValueError, match="wants a grid of 1 x 1 or more, got 6 x 0"):
+        make("label-grid", columns=0)

@@ -1,0 +1,65 @@
+"""The Local Semantic Tensor against its equations as loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from plain_layers import Array, unit
+
+from ssrvlad_torch.baselines.lost import class_sums, lost_descriptor
+
+CLASSES = [0, 2, 3]
+
+
+def scene(seed: int, channels: int = 5, places: int = 12) -> tuple[Array, Array, Array]:
+    """Features ``(D, P)``, probabilities ``(4, P)`` of four classes, most likely classes."""
+    rng = np.random.default_rng(seed)
+    probabilities = rng.random((4, places))
+    probabilities /= probabilities.sum(axis=0)
+    return rng.normal(size=(channels, places)), probabilities, probabilities.argmax(axis=0)
+
+
+def mean_feature(features: Array, labels: Array, s: int) -> Array:
+    """Eq. 2: the mean over the places whose most likely class is s."""
+    members = [x for x, label in zip(features.T, labels, strict=True) if label == s]
+    return sum(members) / len(members) if members else np.zeros(len(features))
+
+
+def described(features: Array, probabilities: Array, means: list[Array]) -> Array:
+    """Eq. 1: L_s = sum_i m_is |x_i - mu_s|, each of length 1, put one after another."""
+    parts = []
+    for s, mean in zip(CLASSES, means, strict=True):
+        total = np.zeros(len(features))
+        for x, odds in zip(features.T, probabilities.T, strict=True):
+            total += odds[s] * np.abs(x - mean)
+        parts.append(unit(total))
+    return unit(np.concatenate(parts))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_it_is_the_equations(seed):
+    features, probabilities, labels = scene(seed)
+    x, classes = torch.from_numpy(features), torch.tensor(CLASSES)
+    sums, places = class_sums(x, torch.from_numpy(labels), classes)
+    means = [mean_feature(features, labels, s) for s in CLASSES]
+    np.testing.assert_allclose((sums / places.clamp(min=1)).numpy(), means, atol=1e-12)
+    got = lost_descriptor(
+        x, torch.from_numpy(probabilities)[classes], torch.tensor(np.array(means))
+    )
+    np.testing.assert_allclose(got.numpy(), described(features, probabilities, means), rtol=1e-9)
+
+
+def test_a_class_that_is_not_there_has_no_members():
+    sums, places = class_sums(torch.rand(3, 4), torch.zeros(4).long(), torch.tensor([0, 1]))
+    assert places.flatten().tolist() == [4, 0]
+    assert not sums[1].any()
+
+
+def test_where_things_stand_does_not_count():
+    """So a picture and its mirror image have one descriptor, up to the network."""
+    features, probabilities, _ = (torch.from_numpy(part) for part in scene(0))
+    order, means = torch.randperm(12), torch.rand(4, 5, dtype=torch.float64)
+    one = lost_descriptor(features, probabilities, means)
+    other = lost_descriptor(features[:, order], probabilities[:, order], means)
+    torch.testing.assert_close(one, other)

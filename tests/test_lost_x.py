@@ -1,0 +1,244 @@
+"""LoST-X as a method: windows of references, key-points, ranking again, errors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from scipy.spatial.distance import cosine
+from test_lost import CLASSES as SEEN
+from test_lost import described, mean_feature
+from torch import Tensor
+
+from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines.lost_x import LoSTX
+from ssrvlad_torch.baselines.spatial_layout import layout_cost
+
+CHANNELS, CLASSES = 40, 4
+SPACE = """
+name: small
+source: made up
+classes:
+  - {id: 0, name: road, category: ground}
+  - {id: 1, name: car, category: dynamic}
+  - {id: 2, name: building, category: building}
+  - {id: 3, name: vegetation, category: vegetation}
+"""
+
+
+def network(images: Tensor) -> tuple[Tensor, Tensor]:
+    """Random projections of 8 x 8 blocks; the class probabilities come at twice the resolution."""
+    random = torch.Generator().manual_seed(0)
+    features = F.conv2d(images - 0.5, torch.randn(CHANNELS, 3, 8, 8, generator=random), stride=8)
+    scores = F.conv2d(images - 0.5, torch.randn(CLASSES, 3, 4, 4, generator=random), stride=4)
+    return features, scores.softmax(dim=1)
+
+
+def seen(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Features ``(D, P)``, probabilities ``(4, P)`` and most likely classes, place by place."""
+    pixels = torch.tensor(frame.image).permute(2, 0, 1)[None] / 255
+    features, scores = (part[0].double().numpy() for part in network(pixels))
+    nearest = scores[:, 1::2, 1::2]  # of four places in a square the one after the middle
+    probabilities = nearest.reshape(CLASSES, -1)
+    return features.reshape(CHANNELS, -1), probabilities, probabilities.argmax(axis=0)
+
+
+def frames(count: int, sequence: str = "drive", seed: int = 0) -> list[Frame]:
+    rng = np.random.default_rng(seed)
+    shape = (count, 32, 48, 3)
+    return [
+        Frame(f"{sequence}/{i}", image=image)
+        for i, image in enumerate(rng.integers(0, 256, shape, np.uint8))
+    ]
+
+
+@pytest.fixture
+def space(tmp_path):
+    (tmp_path / "small.yaml").write_text(SPACE)
+    return str(tmp_path / "small.yaml")
+
+
+@pytest.fixture
+def method(space):
+    return LoSTX(network=network, labels_as=space)
+
+
+def test_a_query_is_the_equations_on_what_the_network_saw(method):
+    found = method.encode_query(frames(3))
+    assert (method.name, method.needs, len(found)) == ("lost-x", {"images", "weights"}, 3)
+    for row, frame in zip(found.descriptors, frames(3), strict=True):
+        features, probabilities, labels = seen(frame)
+        means = [mean_feature(features, labels, s) for s in SEEN]
+        wanted = described(features, probabilities, means)
+        np.testing.assert_allclose(row.numpy(), wanted, atol=1e-5)
+
+
+def test_references_take_means_over_15_frames_of_their_sequence(method):
+    drives = frames(20, "a") + frames(3, "b", seed=1)
+    found = method.encode_reference(drives)
+    for i, near in ((0, range(8)), (10, range(3, 18)), (19, range(12, 20)), (21, range(20, 23))):
+        parts = [seen(drives[j]) for j in near]
+        together = np.concatenate([part[0] for part in parts], axis=1)
+        labels = np.concatenate([part[2] for part in parts])
+        means = [mean_feature(together, labels, s) for s in SEEN]
+        features, probabilities, _ = seen(drives[i])
+        wanted = described(features, probabilities, means)
+        np.testing.assert_allclose(found.descriptors[i].numpy(), wanted, atol=1e-5)
+
+
+def test_key_points_are_the_strongest_places_with_their_classes(method):
+    found = method.encode_query(frames(2))
+    for i, frame in enumerate(frames(2)):
+        features, _, labels = seen(frame)
+        for d in range(CHANNELS):
+            place = int(features[d].argmax())
+            assert found.places[i, d] == place
+            assert found.labels[i, d] == labels[place]
+            assert found.columns[i, d] == place % 6
+    assert found.widths.tolist() == [[6], [6]]
+
+
+@pytest.mark.parametrize("opposite", [False, True])
+def test_the_ten_best_are_ranked_by_their_key_points(space, opposite):
+    method = LoSTX(network=network, labels_as=space, opposite=opposite)
+    queries, references = frames(4, "query", seed=1), frames(15, "reference", seed=2)
+    q, r = method.encode_query(queries), method.encode_reference(references)
+    scores = method.scores(q, r)
+    distances = 1 - q.descriptors @ r.descriptors.T
+    for i, row in enumerate(scores):
+        best = distances[i].argsort()[:10].tolist()
+        costs = {}
+        for j in best:
+            costs[j] = float(distances[i, j]) * layout(queries[i], references[j], opposite)
+            assert row[j] == pytest.approx(-costs[j], rel=1e-4)
+        others = sorted(set(range(15)) - set(best), key=lambda j: distances[i, j])
+        ranked = sorted(costs, key=lambda j: costs[j]) + others
+        assert row.argsort(descending=True).tolist() == ranked
+        assert row[others].max() < row[best].min()
+
+
+def layout(query: Frame, reference: Frame, opposite: bool) -> float:
+    """The cost over the channels whose strongest places in both images have one class."""
+    (one, _, labels_one), (other, _, labels_other) = seen(query), seen(reference)
+    columns, distances = [], []
+    for d in range(CHANNELS):
+        a, b = int(one[d].argmax()), int(other[d].argmax())
+        if labels_one[a] == labels_other[b]:
+            columns.append((5 - a % 6 if opposite else a % 6, b % 6))
+            distances.append(cosine(one[:, a], other[:, b]))
+    xs, ys = torch.tensor(columns).T
+    return layout_cost((xs, ys), torch.tensor(distances))
+
+
+def test_a_frame_finds_itself_and_its_mirror_image(space):
+    drive = frames(12)
+    mirrored = [Frame(f.frame, image=f.image[:, ::-1].copy()) for f in drive]
+
+    def symmetric(images: Tensor) -> tuple[Tensor, Tensor]:
+        """What it sees in a mirror is the mirror image of what it sees."""
+        (one, scores), (two, mirror) = network(images), network(images.flip(3))
+        return one + two.flip(3), (scores + mirror.flip(3)) / 2
+
+    for opposite, queries in ((False, drive), (True, mirrored)):
+        method = LoSTX(network=symmetric, labels_as=space, opposite=opposite)
+        scores = method.scores(method.encode_query(queries), method.encode_query(drive))
+        assert scores.argmax(dim=1).tolist() == list(range(12))
+
+
+def test_rows_do_not_depend_on_each_other_and_encodings_slice(method):
+    queries, references = method.encode_query(frames(5)), method.encode_reference(frames(14))
+    whole = method.scores(queries, references)
+    part = queries[2:4]
+    assert len(part) == 2
+    torch.testing.assert_close(method.scores(part, references), whole[2:4])
+
+
+def test_frames_may_differ_in_size(method):
+    small, large = frames(2), [Frame("drive/9", image=np.tile(frames(1)[0].image, (2, 2, 1)))]
+    found = method.encode_query(small + large)
+    assert found.widths.flatten().tolist() == [6, 6, 12]
+    assert method.scores(found, found).isfinite().all()
+
+
+def test_candidates_without_key_points_stand_behind_the_ranked(space):
+    """Two references see other classes at every place, so no pair of key-points is left."""
+
+    def blind(images: Tensor) -> tuple[Tensor, Tensor]:
+        features, scores = network(images)
+        shifted = torch.zeros_like(scores)
+        shifted[:, 2 if images.mean() > 0.7 else 0] = 1
+        return features, shifted
+
+    bright = [Frame(f.frame, image=(f.image // 4 + 191).astype(np.uint8)) for f in frames(2)]
+    method = LoSTX(network=blind, labels_as=space)
+    queries = method.encode_query(frames(1, seed=5))
+    scores = method.scores(queries, method.encode_query(bright + frames(5, seed=6)))[0]
+    assert scores.isfinite().all()
+    assert scores[:2].max() < scores[2:].min()
+    only = method.scores(queries, method.encode_query(bright))[0]
+    assert only.isfinite().all()
+
+
+def test_a_frame_without_the_classes_matches_nothing(space):
+    def cars(images: Tensor) -> tuple[Tensor, Tensor]:
+        features, scores = network(images)
+        return features, F.one_hot(torch.ones_like(scores[:, 0]).long(), 4).movedim(3, 1).float()
+
+    found = LoSTX(network=cars, labels_as=space).encode_query(frames(2))
+    other = LoSTX(network=network, labels_as=space).encode_query(frames(2))
+    method = LoSTX(network=network, labels_as=space)
+    assert not found.descriptors.any()
+    assert (method.scores(found, other) == -torch.inf).all()
+
+
+def test_class_names_come_from_the_label_space(space):
+    with pytest.raises(ValueError, match="small has no class 'tree'; it has road, car, building"):
+        LoSTX(network=network, labels_as=space, classes=("road", "tree"))
+    with pytest.raises(ValueError, match="camvid-11 has no class 'vegetation'"):
+        LoSTX(network=network, labels_as="camvid-11")
+    LoSTX(network=network, labels_as="camvid-11", classes=("road", "building", "tree"))
+    with pytest.raises(ValueError, match="no class 'license plate'"):
+        LoSTX(network=network, classes=("license plate",))
+
+
+@pytest.mark.parametrize(
+    ("features", "scores", "message"),
+    [
+        ((1, 5, 2, 2), (1, 7, 2, 2), r"C from 4 to 4, got \(1, 5, 2, 2\) and \(1, 7, 2, 2\)"),
+        ((1, 5), (1, 4, 2, 2), r"got \(1, 5\) and"),
+    ],
+)
+def test_a_network_that_gives_something_else(features, scores, message, space):
+    def other(images: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.rand(features), torch.rand(scores)
+
+    with pytest.raises(ValueError, match=message):
+        LoSTX(network=other, labels_as=space).encode_query(frames(1))
+
+
+def test_logits_are_refused(space):
+    def logits(images: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.rand(1, 5, 2, 2), torch.rand(1, 4, 2, 2) - 1
+
+    with pytest.raises(ValueError, match=r"class probabilities, got -.*put a softmax"):
+        LoSTX(network=logits, labels_as=space).encode_query(frames(1))
+
+
+def test_frames_that_do_not_do_are_named(method):
+    with pytest.raises(ValueError, match="method lost-x needs images, but frame drive/1"):
+        method.encode_query([Frame("drive/1")])
+    with pytest.raises(ValueError, match="method lost-x: no frames to encode"):
+        method.encode_query([])
+
+
+def test_no_network(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"lost_x\.onnx"):
+        make("lost-x", weights=tmp_path)
+
+
+def test_random_weights_say_what_they_are():
+    method = LoSTX(random_weights=True)
+    assert method.name == "lost-x (random weights)"
+    found = method.encode_query([Frame("a/0", image=frames(1)[0].image)])
+    assert found.descriptors.shape == (1, 3 * 2048)

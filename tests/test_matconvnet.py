@@ -1,0 +1,122 @@
+"""Networks in MATLAB files, with their layers as structs and as objects."""
+
+from __future__ import annotations
+
+import base64
+import sys
+
+import numpy as np
+import pytest
+from helpers import flip_byte
+from scipy.io import savemat
+
+from ssrvlad_torch.baselines.matconvnet import read_matconvnet
+
+WITH_OBJECTS = base64.b85decode(
+    "O+i#lK|&xkE-"
+    ")ZXK~ybfX>4U6P;6mzW^ZzBE+9j4Wnpw>WFT*DIv_GIGBzzSF)cDNATTyMGcY<cHy~A1Lm*;#AZ=lEX>TBRX>@2Hb7"
+    "N_6c_1JlARr(hARr(hARr(hARr(hARr(hARr(hARr(h@c{q;0000000Bu&4*&oFX#oHLc%0*7U|{&b!oa`=q&a|?i2"
+    "(vwp?pR-"
+    "W@gAsEdh$NFt9_#_<%Sku`;!&m?1Z{BoV9+B({MWVICtE^H`9?LFy+k5@SD1oCPi}0mLPh1*stMyu@5EU7nhmo>5W^"
+    "HrIdwVJ-"
+    "^+cL)G^$@zI@Abl1D^s%GpgYZFm4dV^L_8wrs?|&vV{|6wcXGc;mfaG^(G=1z)|3iTT149D{+XI<EdVvGFKakDkKr#"
+    "#2JPx>V4fg2%ASPZ|p?od|XuQB81?o>y<D)1wr<C0I0O^IrM+cIAL8v-"
+    "LIL*S~>+By4;&U=U({q@QqYIL|J&^SCqS?=e77idjG+yo^hcOI;(>syw5rw%YJR?6R)yK#$zbH2`C$lP*itb{9Vvu<"
+    "+7)Xn6J|sWoLEV;El9`_e6`Mh#dAv|Qh)yg^ElNyJ^~?nl*x~^>J@X)$#f%o7>`-"
+    "|IhHp*`46lIrf)j`b0B<iwx(@&V0G$B<0C=3`RLxGpKoFj7Yg>#EyzvO0IT<h3NDM|$5)(OMgN=|B+LWrn6OZ5{aO5"
+    "rI=p*<D9zA+=_NTHg+o0&d#7Vx)&hULZJG)a#0Px@d*yvqE0l005m>@14?x`6f26Eh_aS73q^oB;Cf#)su8xfr5;n{"
+    "h%k1Or7E%@ZaTZ~KNBI2kY2JOU;;~?pDg#O81=oj^P>?r4;{5r|+yFxzm4Ux0Zo3v-"
+    "d1TjOrBHj>X!a;fda15b84w8$;L5;84y(kPC)zc^$_+kG(fIKsl*wk>;dnKBj&WL7Bl$wU(zhWiH*NyMZLzdq`q~n-"
+    "f%+Mb&e<FA_;qQX}buS&UI=ir_V`=KxQk}AhyEmgW8t`*^EA$0LPvhIrzuN0YN%nf`IqVhv7DQf{_cOiA^v{q#_u1R"
+    "ZbKjEqj>IoZwM<1vc@^p0IQ<m+xI{noeqrAUVvdgD5%)zuowM&6*86|i1Tjz9Fv0SBtur_4=;LUVHmY3z0{QP{D*dS"
+    "Sbp3<U|6kL4lD@d2U&`BpW&3aU_6|jMNS6"
+)
+"""A MATLAB 7 file as NetVLAD's authors save theirs: the layers are a struct conv1_1 with weights, a
+struct relu1_1 without, an object of layerVLAD and one of layerWholeL2Normalize, both saved as the
+structs that their ``saveobj`` returns. Written with mat-io 1.0.2 (``saveobj_classes``)."""
+
+
+def network(*layers: dict[str, object]) -> dict[str, object]:
+    cell = np.empty((1, len(layers)), object)
+    cell[0] = layers
+    average = np.array([123, 117, 104], np.float32).reshape(1, 1, 3)
+    return {"layers": cell, "meta": {"normalization": {"averageImage": average}}}
+
+
+def layer(name: str, *arrays: np.ndarray) -> dict[str, object]:
+    cell = np.empty((1, len(arrays)), object)
+    cell[0] = arrays
+    return {"type": "conv", "name": name, "weights": cell}
+
+
+def test_layers_that_are_structs(tmp_path):
+    rng = np.random.default_rng(0)
+    weight, bias = rng.random((3, 3, 2, 4)), rng.random((4, 1))
+    layers = [layer("conv", weight, bias), {"type": "relu", "name": "relu"}, layer("empty")]
+    savemat(tmp_path / "net.mat", {"net": network(*layers)})
+    read = read_matconvnet(tmp_path / "net.mat")
+    assert read.weights.keys() == {"conv"}
+    np.testing.assert_array_equal(read.weights["conv"][0], weight.astype(np.float32))
+    np.testing.assert_array_equal(read.weights["conv"][1], bias.astype(np.float32))
+    assert read.average.tolist() == [123, 117, 104]
+
+
+def test_layers_that_are_objects(tmp_path):
+    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS)
+    weights, average = read_matconvnet(tmp_path / "net.mat")
+    assert weights.keys() == {"conv1_1", "vlad:core"}
+    assign, minus_centres = weights["vlad:core"]
+    numbers = np.arange(6, dtype=np.float32).reshape(1, 1, 3, 2)
+    np.testing.assert_array_equal(assign, numbers)
+    np.testing.assert_array_equal(minus_centres, -numbers)
+    np.testing.assert_array_equal(weights["conv1_1"][0], numbers)
+    assert average.tolist() == [123, 117, 104]
+
+
+def test_of_a_whole_average_image_the_first_pixel_is_taken(tmp_path):
+    image = np.zeros((4, 5, 3), np.float32)
+    image[0, 0] = 1, 2, 3
+    content = network() | {"meta": {"normalization": {"averageImage": image}}}
+    savemat(tmp_path / "net.mat", {"net": content})
+    assert read_matconvnet(tmp_path / "net.mat").average.tolist() == [1, 2, 3]
+
+
+@pytest.mark.parametrize("content", [{"x": 1}, {"net": {"layers": 1}}, {"net": np.ones(3)}])
+def test_another_matlab_file(content, tmp_path):
+    savemat(tmp_path / "net.mat", content)
+    with pytest.raises(ValueError, match=r"net\.mat must hold a MatConvNet network"):
+        read_matconvnet(tmp_path / "net.mat")
+
+
+@pytest.mark.parametrize("keep", [5, 130, 300, 900])
+def test_a_cut_file(keep, tmp_path):
+    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS[:keep])
+    with pytest.raises(ValueError, match=r"net\.mat") as error:
+        read_matconvnet(tmp_path / "net.mat")
+    assert "\n" not in str(error.value)
+
+
+def test_a_damaged_file(tmp_path):
+    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS)
+    flip_byte(tmp_path / "net.mat", 300)
+    with pytest.raises(ValueError, match=r"net\.mat is not a whole MATLAB file"):
+        read_matconvnet(tmp_path / "net.mat")
+
+
+def test_version_7_3_is_named(tmp_path):
+    start = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    (tmp_path / "net.mat").write_bytes(start.ljust(1024, b"\0"))
+    with pytest.raises(ValueError, match=r"version 7\.3; save it again in MATLAB with -v7"):
+        read_matconvnet(tmp_path / "net.mat")
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_matconvnet(tmp_path / "net.mat")
+
+
+def test_a_missing_scipy_is_named(tmp_path, monkeypatch):
+    (tmp_path / "net.mat").write_bytes(WITH_OBJECTS)
+    monkeypatch.setitem(sys.modules, "scipy.io", None)
+    with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[eval\]"):
+        read_matconvnet(tmp_path / "net.mat")

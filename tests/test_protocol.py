@@ -1,0 +1,117 @@
+"""The protocol, the registry, and what the methods share."""
+
+import subprocess
+import sys
+from importlib import import_module
+
+import numpy as np
+import pytest
+import torch
+
+from ssrvlad_torch.baselines import METHODS, Frame, make
+from ssrvlad_torch.baselines.protocol import batches, cosines, image_of, labels_of
+
+NEEDS = {"labels", "images", "weights"}
+WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
+
+
+def test_the_sequence_is_what_stands_before_the_last_slash():
+    assert Frame("monday/morning/000042").sequence == "monday/morning"
+    assert Frame("000042").sequence == ""
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_every_method_is_where_the_registry_says(name):
+    module, noun = METHODS[name]
+    method = getattr(import_module(f"ssrvlad_torch.baselines.{module}"), noun)
+    for verb in ("encode_query", "encode_reference", "scores"):
+        assert callable(getattr(method, verb))
+
+
+@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
+def test_methods_without_weights_are_made_by_name(name):
+    method = make(name)
+    assert method.name == name
+    assert method.needs
+    assert method.needs <= NEEDS - {"weights"}
+
+
+@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
+def test_no_frames_make_empty_encodings(name):
+    method = make(name)
+    queries, references = method.encode_query([]), method.encode_reference([])
+    assert (len(queries), len(references)) == (0, 0)
+    scores = method.scores(queries, references)
+    assert (scores.shape, scores.dtype) == ((0, 0), torch.float32)
+
+
+def test_an_unknown_method_is_an_error_that_lists_the_known():
+    with pytest.raises(ValueError, match="unknown method 'orb'; wanted one of ssr-vlad, cohog,"):
+        make("orb")
+
+
+def test_an_unknown_setting_is_an_error():
+    with pytest.raises(ValueError, match="method cohog: got an unexpected keyword argument 'cell'"):
+        make("cohog", cell=3)
+    with pytest.raises(ValueError, match="unknown setting 'cell'"):
+        make("ssr-vlad", cell=3)
+
+
+def test_a_method_is_imported_only_when_it_is_made():
+    code = (
+        "import sys; from ssrvlad_torch.baselines import make; make('label-grid');"
+        "print(*sorted(m for m in sys.modules if m.startswith('ssrvlad_torch.baselines')))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    names = [name.removeprefix("ssrvlad_torch.") for name in done.stdout.split()]
+    assert names == ["baselines", "baselines.label_grid", "baselines.protocol"]
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (Frame("a/1"), "method hog needs images, but frame a/1 has none"),
+        (Frame("a/1", image=np.zeros((4, 5), np.uint8)), r"frame a/1 must be .*got \(4, 5\) uint8"),
+        (Frame("a/1", image=np.zeros((4, 5, 3))), r"got \(4, 5, 3\) float64"),
+        (Frame("a/1", image=np.zeros((0, 5, 3), np.uint8)), r"got \(0, 5, 3\) uint8"),
+    ],
+)
+def test_a_wrong_image_is_named(frame, message):
+    with pytest.raises(ValueError, match=message):
+        image_of(frame, "hog")
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (Frame("a/1", labels_as="camvid-11"), "needs labels, but frame a/1 lacks a label map"),
+        (Frame("a/1", labels=np.zeros((4, 5), int)), "frame a/1 lacks the label space"),
+        (Frame("a/1", np.zeros((4, 5)), "camvid-11"), r"must be \(H, W\) integers, .* float64"),
+        (Frame("a/1", np.zeros((4, 5, 1), int), "camvid-11"), r"got \(4, 5, 1\) int64"),
+    ],
+)
+def test_a_wrong_label_map_is_named(frame, message):
+    with pytest.raises(ValueError, match=message):
+        labels_of(frame, "label-grid")
+
+
+def test_batches_keep_the_order_and_hold_what_is_alike():
+    assert list(batches(range(7), 3)) == [[0, 1, 2], [3, 4, 5], [6]]
+    words = ["a", "b", "cc", "dd", "ee", "f"]
+    assert list(batches(words, 2, len)) == [["a", "b"], ["cc", "dd"], ["ee"], ["f"]]
+    assert list(batches([], 2)) == []
+
+
+def test_batches_take_no_more_than_they_give():
+    taken = []
+    stream = batches((taken.append(i) for i in range(10)), 3)
+    next(stream)
+    assert len(taken) <= 4
+
+
+def test_cosines_of_zero_vectors_are_no_candidates():
+    vectors = torch.tensor([[1.0, 0.0], [0.0, 0.0], [0.6, 0.8]])
+    found = cosines(vectors, vectors)
+    inf = torch.inf
+    wanted = torch.tensor([[1, -inf, 0.6], [-inf, -inf, -inf], [0.6, -inf, 1]])
+    torch.testing.assert_close(found, wanted)

@@ -1,0 +1,107 @@
+"""Running a method: order, ties, costs, and what it refuses."""
+
+import pytest
+import torch
+
+from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines.run import best, run
+
+
+class Numbers:
+    """A method whose frames are numbers; those that are near score high, negative ones nothing."""
+
+    name = "numbers"
+    needs = frozenset({"labels"})
+
+    def __init__(self):
+        self.blocks = []
+
+    def encode_query(self, frames):
+        numbers = torch.tensor([float(frame.frame.rpartition("/")[2]) for frame in frames])
+        self.blocks.append(len(numbers))
+        return numbers
+
+    encode_reference = encode_query
+
+    def scores(self, queries, references):
+        scores = -(queries[:, None] - references).abs()
+        return scores.masked_fill((queries < 0)[:, None] | (references < 0), -torch.inf)
+
+
+def numbered(sequence, *numbers):
+    return (Frame(f"{sequence}/{number}") for number in numbers)
+
+
+@pytest.mark.parametrize("block", [1, 2, 3, 100])
+def test_candidates_are_ranked_whatever_the_block(block):
+    queries, references = numbered("q", 2, 7, -1, 30), numbered("r", 0, 4, -1, 8, 6)
+    found = run(Numbers(), queries, references, top=3, block=block)
+    assert found.queries == ("q/2", "q/7", "q/-1", "q/30")
+    assert found.references == ("r/0", "r/4", "r/-1", "r/8", "r/6")
+    assert found.indices.tolist() == [[0, 1, 4], [3, 4, 1], [-1, -1, -1], [3, 4, 1]]
+    inf = torch.inf
+    assert found.scores.tolist() == [[-2, -2, -4], [-1, -1, -3], [-inf] * 3, [-22, -24, -26]]
+    assert (found.scores.dtype, found.indices.dtype) == (torch.float32, torch.int64)
+    assert found.bytes_a_reference == 4
+
+
+def test_fewer_references_than_candidates_leave_places_empty():
+    scores, indices = best(torch.tensor([[0.5, -torch.inf, 0.5]]), top=5)
+    assert indices.tolist() == [[0, 2, -1, -1, -1]]
+    assert scores.tolist() == [[0.5, 0.5, *[-torch.inf] * 3]]
+    assert best(torch.zeros(2, 0), top=2)[1].tolist() == [[-1, -1]] * 2
+
+
+def test_many_equal_scores_keep_the_order_of_the_references():
+    assert best(torch.ones(2, 5000), top=4)[1].tolist() == [[0, 1, 2, 3]] * 2
+
+
+def test_the_first_block_is_done_twice_and_references_once():
+    method = Numbers()
+    found = run(method, numbered("q", 1, 2, 3), numbered("r", 5, 6, 7, 8), block=2)
+    assert method.blocks == [4, 2, 2, 1]
+    for cost in (found.encode, found.match):
+        assert 0 < cost.min <= cost.average <= cost.max
+
+
+def test_costs_are_milliseconds_a_frame(monkeypatch):
+    ticks = iter([0.0, 0.004, 1.0, 1.002, 2.0, 2.005, 3.0, 3.001])
+    monkeypatch.setattr("ssrvlad_torch.baselines.run.time.perf_counter", lambda: next(ticks))
+    found = run(Numbers(), numbered("q", 1, 2, 3), numbered("r", 5), block=2)
+    figures = [getattr(found.encode, name) for name in ("min", "average", "max")]
+    assert figures == pytest.approx([2, 3, 5])
+    assert [found.match.min, found.match.average, found.match.max] == pytest.approx([1, 1, 1])
+
+
+def test_progress_counts_every_frame():
+    done = []
+    run(Numbers(), numbered("q", 1, 2, 3), numbered("r", 5, 6), progress=done.append)
+    assert done == [1] * 5
+
+
+def test_a_real_method_runs():
+    frames = [
+        Frame(f"a/{i}", torch.eye(8, dtype=torch.int64).numpy() * i, "camvid-11") for i in (3, 5)
+    ]
+    found = run(make("label-grid"), frames, frames, top=1)
+    assert found.indices.tolist() == [[0], [1]]
+    assert found.bytes_a_reference == 480 * 4
+
+
+@pytest.mark.parametrize(
+    ("queries", "references", "settings", "message"),
+    [
+        ((1,), (), {}, "method numbers got no references"),
+        ((), (1,), {}, "method numbers got no queries"),
+        ((1,), (1,), {"top": 0}, "a top and a block of 1 or more, got 0 and 1"),
+        ((1,), (1,), {"block": 0}, "a top and a block of 1 or more, got 10 and 0"),
+    ],
+)
+def test_what_cannot_be_run_is_refused(queries, references, settings, message):
+    with pytest.raises(ValueError, match=message):
+        run(Numbers(), numbered("q", *queries), numbered("r", *references), **settings)
+
+
+def test_the_refusal_of_a_method_names_the_frame():
+    with pytest.raises(ValueError, match="method hog needs images, but frame a/3 has none"):
+        run(make("hog"), numbered("a", 3), numbered("a", 3))

@@ -1,0 +1,87 @@
+"""SSR-VLAD as a method against the head, Eq. 3 and the matching of the package."""
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE, VOID
+from helpers import street
+
+from ssrvlad_torch import SSRVLAD, match
+from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.matching import temporal_sum
+
+
+def frames(seeds, sequence="a"):
+    return [Frame(f"{sequence}/{seed}", street(seed), SPACE) for seed in seeds]
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_queries_are_encoded_as_the_head_does(preset):
+    head = SSRVLAD.from_preset(preset, labels_as=SPACE)
+    found = make("ssr-vlad", preset=preset).encode_query(iter(frames(range(20))))
+    wanted = head(torch.stack([torch.from_numpy(street(seed)) for seed in range(20)]))
+    assert (found.shape, found.dtype) == ((20, 480), torch.float32)
+    assert torch.equal(found, wanted)
+
+
+@pytest.mark.parametrize("temporal", [0, 1, 3])
+def test_references_are_summed_inside_their_sequence(temporal):
+    method = make("ssr-vlad", temporal=temporal)
+    drives = [*frames(range(5), "a"), *frames(range(5, 9), "b")]
+    single = method.encode_query(drives)
+    wanted = temporal_sum(single, ["a"] * 5 + ["b"] * 4, temporal)
+    assert torch.equal(method.encode_reference(iter(drives)), wanted)
+
+
+def test_scores_are_those_of_match():
+    method = make("ssr-vlad")
+    empty = Frame("a/void", np.full((24, 32), VOID, np.uint8), SPACE)
+    queries = method.encode_query([*frames(range(4)), empty])
+    references = method.encode_reference([*frames(range(10, 16)), empty])
+    scores = method.scores(queries, references)
+    found = match(queries, references, top=7)
+    ranked = scores.sort(dim=1, descending=True, stable=True)
+    torch.testing.assert_close(ranked.values, found.scores)
+    known = found.indices >= 0
+    assert torch.equal(ranked.indices[known], found.indices[known])
+    assert scores[4].isneginf().all()
+
+
+def test_frames_of_several_label_spaces_and_sizes_are_read_each_as_its_own():
+    camvid = Frame("a/1", street(1), SPACE)
+    cityscapes = Frame("a/2", np.where(street(2) > 5, 8, 0).astype(np.int32), "cityscapes-trainids")
+    large = Frame("a/3", street(3, 48, 64), SPACE)
+    mixed = [camvid, cityscapes, large, cityscapes, camvid]
+    method = make("ssr-vlad")
+    wanted = torch.cat([method.encode_query([frame]) for frame in mixed])
+    assert torch.equal(method.encode_query(mixed), wanted)
+    head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
+    assert torch.equal(wanted[1], head(torch.from_numpy(cityscapes.labels)[None])[0])
+
+
+def test_settings_of_the_method_are_taken():
+    method = make("ssr-vlad", preset="paper", rings=3)
+    assert method.encode_query(frames([0])).shape == (1, 8 * 3 * 12)
+    assert method.config.working_size is None
+
+
+def test_a_head_is_compiled_once_for_its_label_space_if_wanted(monkeypatch):
+    compiled = []
+    monkeypatch.setattr(SSRVLAD, "compile", lambda head: compiled.append(head.config.labels_as))
+    make("ssr-vlad").encode_query(frames([0]))
+    assert compiled == []
+    method = make("ssr-vlad", compiled=True)
+    method.encode_query(frames([0, 1]))
+    method.encode_query(frames([2]))
+    assert compiled == [SPACE]
+
+
+def test_wrong_frames_and_settings_are_errors():
+    with pytest.raises(ValueError, match="method ssr-vlad needs labels, but frame b/7 lacks"):
+        make("ssr-vlad").encode_query([*frames([0]), Frame("b/7")])
+    with pytest.raises(ValueError, match="label id 99"):
+        make("ssr-vlad").encode_query([Frame("b/7", np.full((4, 4), 99), SPACE)])
+    with pytest.raises(ValueError, match="a temporal of 0 or more, got -1"):
+        make("ssr-vlad", temporal=-1)
+    with pytest.raises(ValueError, match="preset must be one of paper, default, got 'best'"):
+        make("ssr-vlad", preset="best")

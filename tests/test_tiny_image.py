@@ -1,0 +1,142 @@
+"""Tiny images against loops over patches and windows."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch.baselines import Frame, make, tiny_image
+from ssrvlad_torch.baselines.tiny_image import enhance, normalise_patches, windows
+
+
+def image(seed, height=64, width=128):
+    gray = np.random.default_rng(seed).integers(0, 256, (height // 8, width // 8), dtype=np.uint8)
+    return np.repeat(np.kron(gray, np.ones((8, 8), np.uint8))[..., None], 3, axis=2)
+
+
+def frames(images, sequence="a"):
+    return [Frame(f"{sequence}/{i}", image=one) for i, one in enumerate(images)]
+
+
+def plain_picture(gray, height, width):
+    """Area means, then patch by patch; the sides of ``gray`` are multiples of the small ones."""
+    tall, wide = gray.shape[0] // height, gray.shape[1] // width
+    tiny = gray.reshape(height, tall, width, wide).astype(float).mean((1, 3))
+    for y in range(0, height, 8):
+        for x in range(0, width, 8):
+            patch = tiny[y : y + 8, x : x + 8]
+            deviation = patch.std()
+            patch -= patch.mean()
+            patch /= deviation or 1
+    return tiny
+
+
+def plain_scores(difference, sequences, reach):
+    """Reference by reference."""
+    scores = np.zeros_like(difference)
+    for q, i in np.ndindex(difference.shape):
+        around = [
+            difference[q, j]
+            for j in range(difference.shape[1])
+            if sequences[j] == sequences[i] and (reach is None or abs(j - i) <= reach)
+        ]
+        deviation = np.std(around)
+        scores[q, i] = (np.mean(around) - difference[q, i]) / deviation if deviation > 1e-9 else 0
+    return scores
+
+
+def test_the_picture_equals_a_loop():
+    gray = np.random.default_rng(0).integers(0, 256, (64, 192), dtype=np.uint8)
+    found = make("tiny-image").encode_query(frames([np.repeat(gray[..., None], 3, axis=2)]))
+    assert (found.shape, found.dtype) == ((1, 64 * 32), torch.float32)
+    wanted = plain_picture(gray, 32, 64)
+    np.testing.assert_allclose(found.view(32, 64).numpy(), wanted, rtol=0, atol=1e-5)
+
+
+def test_a_flat_patch_is_zero():
+    picture = torch.rand(1, 8, 16)
+    picture[..., 8:] = 0.7
+    normal = normalise_patches(picture)
+    assert not normal[..., 8:].any()
+    torch.testing.assert_close(normal[..., :8].mean(), torch.tensor(0.0), atol=1e-6, rtol=0)
+    torch.testing.assert_close(normal[..., :8].square().mean(), torch.tensor(1.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.lists(st.integers(1, 6), max_size=4),
+    st.sampled_from([None, 1, 2, 5, 100]),
+    st.integers(0, 2**32 - 1),
+)
+def test_normalisation_equals_a_loop(lengths, reach, seed):
+    sequence = np.repeat(np.arange(len(lengths)), lengths).astype(np.int64)
+    difference = np.random.default_rng(seed).uniform(0.2, 1.8, (3, len(sequence)))
+    found = enhance(torch.from_numpy(difference), *windows(torch.from_numpy(sequence), reach))
+    wanted = plain_scores(difference, sequence, reach)
+    np.testing.assert_allclose(found.numpy(), wanted, rtol=0, atol=1e-4)
+
+
+def test_windows_end_with_the_sequence():
+    sequence = torch.tensor([0, 0, 0, 1, 1])
+    first, last = windows(sequence, 1)
+    assert (first.tolist(), last.tolist()) == ([0, 0, 1, 3, 3], [2, 3, 3, 5, 5])
+    first, last = windows(sequence, None)
+    assert (first.tolist(), last.tolist()) == ([0, 0, 0, 3, 3], [3, 3, 3, 5, 5])
+
+
+@pytest.mark.parametrize("reach", [None, 2])
+def test_scores_equal_loops_whatever_the_block(reach, monkeypatch):
+    monkeypatch.setattr(tiny_image, "_SCORES_AT_ONCE", 18)
+    method = make("tiny-image", reach=reach)
+    drives = [*frames(map(image, range(6)), "a"), *frames(map(image, range(6, 9)), "b")]
+    queries = [image(seed) for seed in (1, 4, 8, 20, 21)]
+    found = method.scores(method.encode_query(frames(queries)), method.encode_reference(drives))
+    assert (found.shape, found.dtype) == ((5, 9), torch.float32)
+    there = np.stack([plain_picture(frame.image[..., 0], 32, 64) for frame in drives])
+    here = np.stack([plain_picture(query[..., 0], 32, 64) for query in queries])
+    difference = np.abs(here[:, None] - there).mean((2, 3))
+    wanted = plain_scores(difference, [frame.sequence for frame in drives], reach)
+    np.testing.assert_allclose(found.numpy(), wanted, rtol=0, atol=1e-3)
+    assert found[:3].argmax(1).tolist() == [1, 4, 8]
+
+
+def test_where_all_references_are_alike_the_score_is_zero():
+    method = make("tiny-image")
+    alone = method.encode_reference([*frames([image(0)], "a"), *frames([image(1)] * 50, "b")])
+    assert not method.scores(method.encode_query(frames([image(5), image(1)])), alone).any()
+
+
+def test_a_slow_change_of_light_does_not_matter():
+    bright = (image(0) // 2).astype(np.uint8)
+    encoded = make("tiny-image").encode_query(frames([bright, bright + 40]))
+    torch.testing.assert_close(encoded[0], encoded[1], atol=1e-4, rtol=0)
+
+
+def test_a_batch_equals_one_by_one_whatever_the_sizes():
+    images = [image(i, *((64, 128) if i % 5 else (16, 24))) for i in range(20)]
+    method = make("tiny-image")
+    together = method.encode_query(iter(frames(images)))
+    assert torch.equal(together, torch.cat([method.encode_query([one]) for one in frames(images)]))
+    drive = method.encode_reference(frames(images))
+    assert torch.equal(drive.pictures, together)
+    assert (len(drive), drive.nbytes) == (20, 20 * 2048 * 4)
+    assert torch.equal(drive[3:5].pictures, together[3:5])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"width": 60}, "multiples of 8, got 60 x 32"),
+        ({"height": 0}, "multiples of 8, got 64 x 0"),
+        ({"reach": 0}, "a reach of 1 or more, got 0"),
+    ],
+)
+def test_wrong_settings_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
+        make("tiny-image", **wrong)
+
+
+def test_a_frame_without_an_image_is_named():
+    with pytest.raises(ValueError, match="method tiny-image needs images, but frame b/7 has none"):
+        make("tiny-image").encode_reference([Frame("b/7")])

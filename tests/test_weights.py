@@ -1,0 +1,159 @@
+"""Where weights are looked for, what is read of a checkpoint, and what is refused."""
+
+from __future__ import annotations
+
+import pickle
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from ssrvlad_torch.baselines import weights
+from ssrvlad_torch.baselines.weights import fill, find_weights, random_network, read_checkpoint
+
+
+def layer(seed: int = 0) -> nn.Linear:
+    torch.manual_seed(seed)
+    return nn.Linear(2, 3)
+
+
+class TestFinding:
+    def test_a_file_of_any_name(self, tmp_path):
+        file = tmp_path / "mine"
+        file.touch()
+        assert find_weights(file, ["published.mat"], "them") == file
+        assert find_weights(str(file), ["published.mat"], "them") == file
+
+    def test_a_published_name_in_a_folder(self, tmp_path):
+        (tmp_path / "unzipped").mkdir()
+        (tmp_path / "unzipped" / "b.pth").touch()
+        assert find_weights(tmp_path, ["a.mat", "unzipped/b.pth"], "them").name == "b.pth"
+        (tmp_path / "a.mat").touch()
+        assert find_weights(tmp_path, ["a.mat", "unzipped/b.pth"], "them").name == "a.mat"
+
+    def test_the_cache_folder_by_default(self, tmp_path, monkeypatch):
+        monkeypatch.setattr(Path, "home", lambda: tmp_path)
+        assert weights.weights_folder() == tmp_path / ".cache" / "ssrvlad" / "weights"
+        weights.weights_folder().mkdir(parents=True)
+        (weights.weights_folder() / "a.mat").touch()
+        assert find_weights(None, ["a.mat"], "them") == weights.weights_folder() / "a.mat"
+
+    @pytest.mark.parametrize("given", [None, "nowhere.mat", "."])
+    def test_what_is_missing_is_named_in_one_line(self, given, tmp_path, monkeypatch):
+        monkeypatch.setattr(Path, "home", lambda: tmp_path)
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(FileNotFoundError) as error:
+            find_weights(given, ["a.mat", "b.pth"], "the project page")
+        message = str(error.value)
+        assert "\n" not in message
+        place = given or str(weights.weights_folder())
+        for part in ("a.mat or b.pth", "the project page", str(weights.weights_folder()), place):
+            assert part in message
+
+
+class TestReading:
+    @pytest.mark.parametrize("wrap", [lambda s: s, lambda s: {"state_dict": s, "epoch": 7}])
+    @pytest.mark.parametrize("zipped", [True, False])
+    def test_bare_or_wrapped_in_the_present_and_the_old_format(self, wrap, zipped, tmp_path):
+        path = tmp_path / "checkpoint.pth.tar"
+        state = layer().state_dict()
+        torch.save(wrap(state), path, _use_new_zipfile_serialization=zipped)
+        read = read_checkpoint(path)
+        assert read.keys() == state.keys()
+        assert all(torch.equal(read[name], state[name]) for name in state)
+
+    def test_module_of_data_parallel_is_taken_out(self, tmp_path):
+        path = tmp_path / "checkpoint.pth.tar"
+        torch.save({"encoder.module.0.weight": torch.ones(1), "module.a": torch.ones(2)}, path)
+        assert read_checkpoint(path).keys() == {"encoder.0.weight", "a"}
+
+    @pytest.mark.parametrize("zipped", [True, False])
+    def test_numpy_numbers_beside_the_tensors_are_no_obstacle(self, zipped, tmp_path):
+        """The port's checkpoints keep their recalls, which are NumPy's floats."""
+        path = tmp_path / "checkpoint.pth.tar"
+        recalls = {1: np.float64(0.85), 5: np.float32(0.94)}
+        content = {"state_dict": OrderedDict(a=torch.ones(2)), "recalls": recalls}
+        torch.save(content, path, _use_new_zipfile_serialization=zipped)
+        assert read_checkpoint(path).keys() == {"a"}
+
+    def test_numpy_numbers_under_their_old_module(self, tmp_path):
+        path = tmp_path / "checkpoint.pth.tar"
+        content = {"best": np.float64(0.85), "state_dict": OrderedDict(a=torch.ones(2))}
+        torch.save(content, path, _use_new_zipfile_serialization=False)
+        renamed = path.read_bytes().replace(b"numpy._core.multi", b"numpy.core.multi")
+        assert b"numpy._core" not in renamed
+        path.write_bytes(renamed)
+        assert read_checkpoint(path).keys() == {"a"}
+
+    def test_code_is_refused(self, tmp_path):
+        path = tmp_path / "checkpoint.pth.tar"
+        torch.save({"a": torch.ones(2), "b": Path("x")}, path)
+        with pytest.raises(ValueError, match=r"checkpoint\.pth\.tar.*Weights only load failed"):
+            read_checkpoint(path)
+
+    @pytest.mark.parametrize("keep", [0, 1, 10, 0.5, 0.95])
+    @pytest.mark.parametrize("zipped", [True, False])
+    def test_a_damaged_file_is_named(self, keep, zipped, tmp_path):
+        path = tmp_path / "checkpoint.pth.tar"
+        torch.save(layer().state_dict(), path, _use_new_zipfile_serialization=zipped)
+        content = path.read_bytes()
+        path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
+        with pytest.raises(ValueError, match=r"checkpoint\.pth\.tar is not a whole") as error:
+            read_checkpoint(path)
+        assert "\n" not in str(error.value)
+
+    @pytest.mark.parametrize("content", [{}, {"state_dict": {}}, [torch.ones(1)], {"epoch": 1}])
+    def test_no_tensors(self, content, tmp_path):
+        path = tmp_path / "checkpoint.pth.tar"
+        torch.save(content, path)
+        with pytest.raises(ValueError, match="must hold tensors by name"):
+            read_checkpoint(path)
+
+    def test_another_file(self, tmp_path):
+        path = tmp_path / "notes.pth"
+        path.write_bytes(pickle.dumps({"a": 1}, protocol=2)[:-3])
+        with pytest.raises(ValueError, match="is not a whole PyTorch checkpoint"):
+            read_checkpoint(path)
+
+
+class TestFilling:
+    def test_more_than_is_needed_is_passed_over(self):
+        network = layer(0)
+        state = {**layer(1).state_dict(), "other": torch.ones(1)}
+        fill(network, state, Path("x"))
+        assert torch.equal(network.weight, layer(1).weight)
+
+    def test_a_network_without_memory_of_its_own(self):
+        with torch.device("meta"):
+            network = nn.Linear(2, 3)
+        fill(network, {n: t.half() for n, t in layer(1).state_dict().items()}, Path("x"))
+        assert torch.equal(network.weight, layer(1).weight.half().float())
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"bias": None}, r"file\.pth lacks bias \(3,\); it has weight"),
+            ({"bias": torch.ones(4)}, r"file\.pth: bias must be \(3,\), got \(4,\)"),
+            ({"weight": torch.full((3, 2), torch.nan)}, r"file\.pth: weight holds values"),
+        ],
+    )
+    def test_what_does_not_fit_is_named_and_nothing_is_copied(self, change, message):
+        network = layer(0)
+        changed = {**layer(1).state_dict(), **change}
+        state = {name: value for name, value in changed.items() if value is not None}
+        with pytest.raises(ValueError, match=message):
+            fill(network, state, Path("file.pth"))
+        assert torch.equal(network.weight, layer(0).weight)
+
+
+def test_random_networks_are_the_same_and_leave_the_random_numbers_alone():
+    torch.manual_seed(3)
+    wanted = torch.rand(1)
+    torch.manual_seed(3)
+    first, second = (random_network(lambda: nn.Linear(4, 4)) for _ in range(2))
+    assert torch.equal(first.weight, second.weight)
+    assert not first.training
+    assert torch.equal(torch.rand(1), wanted)
