@@ -16,11 +16,21 @@ CATEGORY_COUNT = 8
 
 THINNINGS = ("zhang-suen", "guo-hall")
 CONTEXTS = ("skeleton", "keypoints")
+AGGREGATIONS = ("residuals", "harmonics")
+ANCHORS = ("vista", "middle")
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "paper": {"working_size": None},
-    "default": {"working_size": 120},
+    "paper": {
+        "working_size": None,
+        "rings": 5,
+        "sectors": 12,
+        "inner_radius": 1 / 16,
+        "aggregation": "residuals",
+    },
+    "default": {},
 }
+
+_ONLY_HARMONICS = ("anchor", "skeleton_weight", "harmonics", "sharpening", "power")
 
 _AREA_UNIT = 10**6
 _RING_UNIT = 10**9
@@ -53,8 +63,17 @@ class SSRVLADConfig:
         inner_radius: outer radius of the first ring as a fraction of R; the rings between grow by
             a constant factor (2 with five rings and 1/16, as in Belongie et al. 2002). Silent in
             the paper.
-        context: the points that the histograms count: ``"skeleton"`` pixels or ``"keypoints"``.
-            The paper can be read either way.
+        context: the points that the histograms of Eq. 2 count: ``"skeleton"`` pixels or
+            ``"keypoints"``. The paper can be read either way.
+        aggregation: ``"residuals"`` of the key-points' histograms to the centre's (Eq. 2), or
+            ``"harmonics"`` of one soft histogram of area and skeleton around an anchor. What
+            follows is for harmonics only and not in the paper.
+        anchor: where that histogram stands: the ``"vista"``, the column in which the view
+            opens, or the ``"middle"`` of the image.
+        skeleton_weight: weight of the skeleton's length beside the layer's area.
+        harmonics: numbers of each layer, the amounts of the smoothest patterns over the bins.
+        sharpening: exponent by which finer patterns weigh more.
+        power: to which every number's size is raised, its sign kept.
 
     Raises:
         ValueError: a setting is outside its range; the message names it, what was got and what
@@ -72,11 +91,17 @@ class SSRVLADConfig:
     hole_area: float = 0.002
     region_area: float = 0.0005
     thinning: str = "zhang-suen"
-    rings: int = 5
-    sectors: int = 12
+    rings: int = 6
+    sectors: int = 20
     radius: float = 0.5
-    inner_radius: float = 1 / 16
+    inner_radius: float = 1 / 6
     context: str = "skeleton"
+    aggregation: str = "harmonics"
+    anchor: str = "vista"
+    skeleton_weight: float = 0.1
+    harmonics: int = 60
+    sharpening: float = 1.0
+    power: float = 0.75
 
     def __post_init__(self) -> None:
         _check_type("labels_as", self.labels_as, str)
@@ -91,6 +116,18 @@ class SSRVLADConfig:
         _check_fraction("inner_radius", self.inner_radius, 1.0, above_zero=True)
         _check_choice("thinning", self.thinning, THINNINGS)
         _check_choice("context", self.context, CONTEXTS)
+        _check_choice("aggregation", self.aggregation, AGGREGATIONS)
+        _check_choice("anchor", self.anchor, ANCHORS)
+        _check_fraction("skeleton_weight", self.skeleton_weight, 100.0)
+        _check_fraction("sharpening", self.sharpening, 4.0)
+        _check_fraction("power", self.power, 1.0, above_zero=True)
+        _check_integer("harmonics", self.harmonics, 1, 1 << 12)
+        most = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
+        if self.aggregation == "harmonics" and self.harmonics > most:
+            raise ValueError(
+                f"harmonics must be at most {most} with {self.rings} rings and {self.sectors} "
+                f"sectors, got {self.harmonics}"
+            )
 
     @classmethod
     def from_preset(cls, preset: str, **settings: Any) -> SSRVLADConfig:
@@ -135,16 +172,23 @@ class SSRVLADConfig:
 
         Two descriptors compare only if their fingerprints are equal. A preset enters by the
         settings that it stands for, so a database outlives a change of what a preset means.
+        A setting that the aggregation does not use does not enter.
         """
+        unused = _ONLY_HARMONICS if self.aggregation == "residuals" else ("context",)
         settings = self.to_dict()
-        del settings["labels_as"]
+        for name in ("labels_as", *unused):
+            del settings[name]
+        if self.aggregation == "residuals":
+            del settings["aggregation"]  # the paper's has no name, and keeps its fingerprint
         text = json.dumps({"revision": METHOD_REVISION, **settings}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
     def length(self) -> int:
-        """Numbers in a descriptor: K x N x M."""
-        return CATEGORY_COUNT * self.rings * self.sectors
+        """Numbers in a descriptor: K x N x M, or K x harmonics."""
+        if self.aggregation == "residuals":
+            return CATEGORY_COUNT * self.rings * self.sectors
+        return CATEGORY_COUNT * self.harmonics
 
     def grid(self, height: int, width: int) -> tuple[int, int]:
         """Rows and columns of the working grid of an image: its aspect kept, never enlarged."""

@@ -13,14 +13,17 @@ from torch import Tensor, nn
 from .bitplanes import count_points, points, unpack
 from .config import SSRVLADConfig
 from .stages.aggregation import aggregate
+from .stages.canvas import ROWS, shares
 from .stages.centroid import centre_table, centroids
 from .stages.components import drop_regions, fill_holes
+from .stages.harmonics import amounts, bin_table, pattern_table, soft_histograms
 from .stages.keypoints import end_points, intersections
 from .stages.layers import categorise, category_table, refuse_unknown, split
 from .stages.morphology import open_and_close
 from .stages.reduction import reduce_by_majority
 from .stages.shape_context import log_polar_bins, shape_contexts
 from .stages.skeleton import RULES, sweep_into, thin, thin_by_sweeps
+from .stages.vista import vistas
 from .taxonomy import LabelSpace, label_space
 
 PIXELS_AT_ONCE = 1 << 20
@@ -62,6 +65,7 @@ class SSRVLAD(nn.Module):
         table, self._origin = category_table(self.label_space)
         self._table: Tensor
         self.register_buffer("_table", table, persistent=False)
+        self._bins, self._patterns = _tables(self.config)
         self._thin: Callable[[Tensor], Tensor] = partial(thin, rule=RULES[self.config.thinning])
 
     @classmethod
@@ -72,7 +76,7 @@ class SSRVLAD(nn.Module):
     def forward(self, labels: Tensor, explained: bool = False) -> Tensor | Explanation:
         """The descriptors of a batch, or all that led to them if they are to be ``explained``."""
         labels = _label_map(labels, self.label_space)
-        config, images = self.config, len(labels)
+        config = self.config
         grid = config.grid(*labels.shape[1:])
 
         layers = split(self._categories(labels, grid))  # Table II
@@ -85,27 +89,56 @@ class SSRVLAD(nn.Module):
         clean = drop_regions(clean, config.area_pixels(config.region_area, *grid))
 
         skeleton = self._thin(clean)
-        ends, crossings = end_points(skeleton), intersections(skeleton)
-        keypoints, centres = points(ends | crossings), centroids(clean)  # Eq. 1
-        context = points(skeleton) if config.context == "skeleton" else keypoints
-
-        bins = log_polar_bins(*grid, config.ring_limits(*grid), config.sectors, clean.device)
-        point_sums = shape_contexts(keypoints, context, bins, images)
-        centre_counts = shape_contexts(centres, context, bins, images)
-        descriptor = aggregate(point_sums, centre_counts, count_points(keypoints, images))  # Eq. 2
+        if config.aggregation == "residuals":
+            descriptor, histograms = self._residuals(clean, skeleton)
+        else:
+            descriptor, histograms = self._harmonics(layers, clean, skeleton)
         if not explained:
             return descriptor
         return Explanation(
             layers=unpack(layers),
             clean_layers=unpack(clean),
             skeleton=unpack(skeleton),
-            end_points=unpack(ends),
-            intersections=unpack(crossings),
-            centres=centre_table(centres, images),
-            point_histograms=point_sums.unflatten(-1, (config.rings, config.sectors)),
-            centre_histograms=centre_counts.unflatten(-1, (config.rings, config.sectors)),
+            end_points=unpack(end_points(skeleton)),
+            intersections=unpack(intersections(skeleton)),
+            centres=centre_table(centroids(clean), len(clean)),
             descriptor=descriptor,
+            **histograms,
         )
+
+    def _residuals(self, clean: Tensor, skeleton: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """The paper's descriptor, and the histograms that led to it."""
+        config, (images, *grid) = self.config, clean.shape
+        keypoints = points(end_points(skeleton) | intersections(skeleton))
+        centres = centroids(clean)  # Eq. 1
+        context = points(skeleton) if config.context == "skeleton" else keypoints
+
+        bins = log_polar_bins(*grid, config.ring_limits(*grid), config.sectors, clean.device)
+        point_sums = shape_contexts(keypoints, context, bins, images)
+        centre_counts = shape_contexts(centres, context, bins, images)
+        descriptor = aggregate(point_sums, centre_counts, count_points(keypoints, images))  # Eq. 2
+        return descriptor, {
+            "point_histograms": self._by_bin(point_sums),
+            "centre_histograms": self._by_bin(centre_counts),
+        }
+
+    def _harmonics(
+        self, layers: Tensor, clean: Tensor, skeleton: Tensor
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        """The descriptor around the vista, and the histograms that led to it."""
+        config, (images, *grid) = self.config, clean.shape
+        middle = torch.zeros(images, dtype=torch.int64, device=clean.device)
+        vista = vistas(clean) if config.anchor == "vista" else middle
+
+        area = shares(layers, vista)
+        lengths = shares(skeleton, vista) * (min(grid) / ROWS)
+        bins, patterns = (table.to(clean.device) for table in (self._bins, self._patterns))
+        histogram = soft_histograms(area, lengths, config.skeleton_weight, bins)
+        descriptor = amounts(histogram, patterns, config.power)
+        return descriptor, {"vista": vista, "vista_histograms": self._by_bin(histogram)}
+
+    def _by_bin(self, histogram: Tensor) -> Tensor:
+        return histogram.view(*histogram.shape[:2], self.config.rings, self.config.sectors)
 
     def explain(self, labels: Tensor) -> Explanation:
         """Every step from the label map to the descriptor; input and errors as for a call."""
@@ -151,9 +184,14 @@ class Explanation:
         end_points: likewise.
         intersections: likewise.
         centres: ``(B, 8, 2)`` int64, row and column of each layer's centre (Eq. 1), -1 without.
-        point_histograms: ``(B, 8, N, M)`` int64, the sum of all d_i of Eq. 2.
-        centre_histograms: ``(B, 8, N, M)`` int64, d_c of Eq. 2.
         descriptor: ``(B, 480)`` float32.
+        point_histograms: ``(B, 8, N, M)`` int64, the sum of all d_i of Eq. 2; ``None`` for
+            harmonics.
+        centre_histograms: ``(B, 8, N, M)`` int64, d_c of Eq. 2; likewise.
+        vista: ``(B,)`` int64, columns from the middle to where the view opens; ``None`` for
+            residuals.
+        vista_histograms: ``(B, 8, N, M)`` float64, what stands in the soft bins around it;
+            likewise.
     """
 
     layers: Tensor
@@ -162,9 +200,11 @@ class Explanation:
     end_points: Tensor
     intersections: Tensor
     centres: Tensor
-    point_histograms: Tensor
-    centre_histograms: Tensor
     descriptor: Tensor
+    point_histograms: Tensor | None = None
+    centre_histograms: Tensor | None = None
+    vista: Tensor | None = None
+    vista_histograms: Tensor | None = None
 
     @property
     def keypoints(self) -> Tensor:
@@ -175,6 +215,13 @@ class Explanation:
     def empty(self) -> Tensor:
         """``(B,)`` bool, images whose descriptor is zero: they match nothing."""
         return ~self.descriptor.any(dim=1)
+
+
+def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
+    """Soft bins and patterns. They are no buffers: ``head.half()`` must not round them."""
+    bins = bin_table(config.rings, config.sectors, config.radius, config.inner_radius)
+    patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
+    return bins, patterns
 
 
 def _label_map(labels: Tensor, space: LabelSpace) -> Tensor:

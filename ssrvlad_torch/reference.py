@@ -6,7 +6,9 @@ is held to it: masks and counts equal, descriptors within 1e-6. It needs the ext
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,13 +26,17 @@ Mask = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
+CANVAS = (24, 32)
+"""Rows and columns of the cells around the vista."""
+
 
 @dataclass(frozen=True)
 class LayerTrace:
     """One layer of one image, step by step; points are ``(n, 2)`` rows and columns.
 
-    ``centre`` is ``None`` for a layer without pixels; ``point_histogram`` is the sum of all d_i
-    of Eq. 2 and ``centre_histogram`` is d_c, both ``(N, M)``.
+    ``centre`` is ``None`` for a layer without pixels. For residuals ``point_histogram`` is the
+    sum of all d_i of Eq. 2 and ``centre_histogram`` is d_c, both ``(N, M)``; for harmonics
+    ``vista_histogram`` is what stands in the soft bins.
     """
 
     layer: Mask
@@ -39,9 +45,10 @@ class LayerTrace:
     end_points: Mask
     intersections: Mask
     centre: tuple[int, int] | None
-    point_histogram: Integers
-    centre_histogram: Integers
     vector: Floats
+    point_histogram: Integers | None = None
+    centre_histogram: Integers | None = None
+    vista_histogram: Floats | None = None
 
 
 def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[np.float32]:
@@ -64,12 +71,16 @@ def trace_layers(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[Lay
     """The eight layers of one image, step by step; arguments and errors as for `describe`."""
     categories = categorise(label_map, config.labels_as)
     categories = reduce_by_majority(categories, config.grid(*categories.shape))
-    return [trace_layer(categories == k, config) for k in range(CATEGORY_COUNT)]
+    layers = [categories == k for k in range(CATEGORY_COUNT)]
+    clean = [clean_layer(layer, config) for layer in layers]
+    if config.aggregation == "residuals":
+        return [trace_residuals(*pair, config) for pair in zip(layers, clean, strict=True)]
+    shift = vista(clean) if config.anchor == "vista" else 0
+    return [trace_harmonics(*pair, shift, config) for pair in zip(layers, clean, strict=True)]
 
 
-def trace_layer(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
-    """One layer, from its pixels to its vector V(k)."""
-    clean = clean_layer(layer, config)
+def trace_residuals(layer: Mask, clean: Mask, config: SSRVLADConfig) -> LayerTrace:
+    """One layer of the paper, from its pixels to its vector V(k)."""
     skeleton = thin(clean, config.thinning)
     ends, crossings = end_points(skeleton), intersections(skeleton)
     points = np.argwhere(ends | crossings)
@@ -84,17 +95,22 @@ def trace_layer(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
     for point in points:
         around_points += shape_context(point, context, limits, config.sectors)
     residual = around_points - len(points) * around_centre  # Eq. 2
-    return LayerTrace(
-        layer,
-        clean,
-        skeleton,
-        ends,
-        crossings,
-        centre,
-        around_points,
-        around_centre,
-        normalise(residual.ravel().astype(np.float64)),
-    )
+    vector = normalise(residual.ravel().astype(np.float64))
+    steps = (layer, clean, skeleton, ends, crossings, centre, vector)
+    return LayerTrace(*steps, point_histogram=around_points, centre_histogram=around_centre)
+
+
+def trace_harmonics(layer: Mask, clean: Mask, shift: int, config: SSRVLADConfig) -> LayerTrace:
+    """One layer around the vista, from its pixels to its amounts of the patterns."""
+    skeleton = thin(clean, config.thinning)
+    area = np.sqrt(soft_histogram(canvas(layer, shift), config))
+    lengths = canvas(skeleton, shift) * (min(layer.shape) / CANVAS[0])
+    histogram = area + config.skeleton_weight * np.sqrt(soft_histogram(lengths, config))
+    amounts = np.array([(pattern * histogram).sum() for pattern in patterns(config)])
+    vector = np.sign(amounts) * np.abs(amounts) ** config.power
+    ends, crossings = end_points(skeleton), intersections(skeleton)
+    steps = (layer, clean, skeleton, ends, crossings, centroid(clean), vector)
+    return LayerTrace(*steps, vista_histogram=histogram)
 
 
 def concatenate(traces: list[LayerTrace]) -> npt.NDArray[np.float32]:
@@ -258,6 +274,94 @@ def shape_context(
     histogram = np.zeros((len(limits), sectors), np.int64)
     np.add.at(histogram, (ring[counted], sector[counted]), 1)
     return histogram
+
+
+def vista(clean: list[Mask]) -> int:
+    """Columns from the middle to where ground, sidewalk and sky leave the view open.
+
+    A column weighs by the eighth power of its openness in 64ths, one that is wholly open 2 ** 20;
+    the middle weighs as much as a twentieth of all columns, open. Halves are rounded up.
+    """
+    height, width = clean[0].shape
+    openness = (clean[0] | clean[1] | clean[5]).sum(0)
+    weights = [(int(pixels) * 64 // height) ** 8 // 2**28 for pixels in openness]
+    moment = sum(weight * (2 * x - (width - 1)) for x, weight in enumerate(weights))
+    total = sum(weights) + width * 2**20 // 20
+    return int((moment + total) // (2 * total))
+
+
+def canvas(layer: Mask, shift: int) -> Floats:
+    """The share of each of 24 x 32 cells that a layer covers, once moved ``shift`` columns left."""
+    height, width = layer.shape
+    tall, wide = overlaps(height, CANVAS[0], 0), overlaps(width, CANVAS[1], shift)
+    sums = tall.T @ layer.astype(np.int64) @ wide
+    return np.asarray(sums / (height * width))
+
+
+def overlaps(pixels: int, cells: int, shift: int) -> Integers:
+    """How much of each pixel lies in each cell, in ``1 / (pixels * cells)`` of a side."""
+    found = np.zeros((pixels, cells), np.int64)
+    for pixel in range(pixels):
+        start, end = (pixel - shift) * cells, (pixel - shift + 1) * cells
+        for cell in range(cells):
+            found[pixel, cell] = max(0, min(end, (cell + 1) * pixels) - max(start, cell * pixels))
+    return found
+
+
+def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:
+    """The mean of the cells in each soft bin, ``(N, M)``; bins without cells are 0."""
+    counts, weights = np.zeros((2, config.rings, config.sectors))
+    for i, j, ring, sector, weight in soft_bins(config):
+        counts[ring, sector] += weight * cells[i, j]
+        weights[ring, sector] += weight
+    return np.divide(counts, weights, out=counts, where=weights > 0)
+
+
+@lru_cache(maxsize=8)
+def soft_bins(config: SSRVLADConfig) -> list[tuple[int, int, int, int, float]]:
+    """Row and column of a cell, ring and sector, and how much of the one counts in the other.
+
+    Each cell is sampled at 4 x 4 points. A point between two ring centres (in the logarithm of the
+    distance) and two sector centres counts in all four, linearly. Within the first ring's centre
+    the first ring has it all; what is farther than the radius is not counted.
+    """
+    rows, columns = CANVAS
+    found = []
+    for sy, sx in np.ndindex(rows * 4, columns * 4):
+        dy, dx = (sy + 0.5) / 4 - rows / 2, (sx + 0.5) / 4 - columns / 2
+        distance = math.hypot(dy, dx) / math.hypot(rows, columns) / config.radius
+        ring = 0.0
+        if config.rings > 1 and config.inner_radius < 1:
+            steps = math.log(distance) / math.log(1 / config.inner_radius)
+            ring = max(0.0, (config.rings - 1) * (1 + steps))
+        sector = math.atan2(dy, dx) / (2 * math.pi) * config.sectors
+        for n, in_ring in between(ring):
+            for m, in_sector in between(sector):
+                if distance <= 1 and n < config.rings:
+                    found.append((sy // 4, sx // 4, n, m % config.sectors, in_ring * in_sector))
+    return found
+
+
+def between(position: float) -> list[tuple[int, float]]:
+    """The two integers around a position, each with its share."""
+    below = math.floor(position)
+    return [(below, 1 - (position - below)), (below + 1, position - below)]
+
+
+@lru_cache(maxsize=8)
+def patterns(config: SSRVLADConfig) -> list[Floats]:
+    """The smoothest patterns over the bins, ``(N, M)`` each, finer ones with more weight."""
+    waves = []
+    for u in range(config.rings):
+        for v in range((config.sectors + 1) // 2):
+            waves += [(u * u + v * v, u, v, sine) for sine in ((False, True) if v else (False,))]
+    found = []
+    for squared, u, v, sine in sorted(waves)[: config.harmonics]:
+        rings = np.cos(np.pi * u * (np.arange(config.rings) + 0.5) / config.rings)
+        turns = 2 * np.pi * v * np.arange(config.sectors) / config.sectors
+        pattern = np.outer(rings, np.sin(turns) if sine else np.cos(turns))
+        found.append(normalise(pattern) * (1 + squared) ** (config.sharpening / 2))
+    return found
 
 
 def normalise(vector: Floats) -> Floats:

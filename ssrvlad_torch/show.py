@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from .datasets.label_files import LabelMap
@@ -34,9 +35,10 @@ def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
     """Writes a picture of one frame.
 
     On the left stands the label map. For each category follow its clean layer with skeleton,
-    end points, intersections and centre, and under it the layer's vector V(k) as the target
-    that it is: rings by distance, sectors by direction, red where the key-points see more
-    skeleton than the centre does, blue where they see less.
+    end points, intersections and centre, and the vista where there is one, and under it the
+    layer's histogram as the target that it is: rings by distance, sectors by direction. Red is
+    what stands in the bin around the vista; for residuals red is where the key-points see more
+    skeleton than the centre does, and blue where they see less.
 
     Args:
         labels: ``(H, W)`` integer ids of the head's label space.
@@ -58,7 +60,7 @@ def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
     halves = figure.add_gridspec(1, 2, width_ratios=(1, 1.7))
     left = halves[0].subgridspec(2, 1, height_ratios=(3, 1))
     _draw_labels(figure.add_subplot(left[0]), labels, head, title)
-    _draw_key(figure.add_subplot(left[1]))
+    _draw_key(figure.add_subplot(left[1]), view)
     grid = halves[1].subgridspec(2 * len(CATEGORIES) // _COLUMNS, _COLUMNS)
     for k, category in enumerate(CATEGORIES):
         row, column = divmod(k, _COLUMNS)
@@ -75,16 +77,26 @@ def _draw_labels(axes: Axes, labels: LabelMap, head: SSRVLAD, title: str) -> Non
     axes.set_axis_off()
 
 
-def _draw_key(axes: Axes) -> None:
+def _draw_key(axes: Axes, view: Explanation) -> None:
     from matplotlib.lines import Line2D
+
+    if view.vista is None:
+        targets = [
+            _marker("o", "#b2182b", "target: key-points see more skeleton than the centre", 10),
+            _marker("o", "#2166ac", "target: they see less (Eq. 2)", 10),
+        ]
+    else:
+        targets = [
+            Line2D([], [], color="tab:red", ls="--", label="vista: where the view opens"),
+            _marker("o", "#b2182b", "target: area and skeleton around the vista", 10),
+        ]
 
     entries = [
         Line2D([], [], color="black", lw=1.5, label="skeleton"),
         _marker("o", "tab:red", "end point"),
         _marker("s", "tab:blue", "intersection"),
         _marker("*", "gold", "centre of the layer (Eq. 1)", size=14),
-        _marker("o", "#b2182b", "target: key-points see more skeleton than the centre", size=10),
-        _marker("o", "#2166ac", "target: they see less (Eq. 2)", size=10),
+        *targets,
     ]
     axes.legend(handles=entries, loc="upper left", frameon=False, fontsize=11)
     axes.set_axis_off()
@@ -111,6 +123,8 @@ def _draw_layer(axes: Axes, view: Explanation, k: int, category: str) -> None:
     ):
         y, x = mask[0, k].numpy().nonzero()
         axes.plot(x, y, shape, mfc=colour, mec="black", mew=0.4, ms=4)
+    if view.vista is not None:
+        axes.axvline((clean.shape[1] - 1) / 2 + int(view.vista[0]), color="tab:red", ls="--", lw=1)
     y, x = view.centres[0, k].tolist()
     if y >= 0:
         axes.plot(x, y, "*", mfc="gold", mec="black", mew=0.6, ms=12)
@@ -121,14 +135,25 @@ def _draw_layer(axes: Axes, view: Explanation, k: int, category: str) -> None:
 
 
 def _draw_vector(axes: Axes, view: Explanation, k: int) -> None:
-    points = view.keypoints[0, k].sum()
-    vector = (view.point_histograms[0, k] - points * view.centre_histograms[0, k]).numpy()
+    vector = _target(view, k)
     rings, sectors = vector.shape
     angles = np.linspace(0, 2 * np.pi, sectors * _ARC_STEPS + 1)
     arcs = vector.repeat(_ARC_STEPS, axis=1)
-    scale = max(1, np.abs(vector).max())
+    scale = max(1e-9, np.abs(vector).max())
     axes.pcolormesh(angles, np.arange(rings + 1), arcs, cmap="RdBu_r", vmin=-scale, vmax=scale)
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]
+    if view.vista is not None:  # a soft sector lies around its angle, not after it
+        axes.set_theta_offset(np.pi / sectors)  # type: ignore[attr-defined]
     axes.set_xticks(angles[:-1:_ARC_STEPS], [])
     axes.set_yticks(np.arange(1, rings + 1), [])
     axes.grid(lw=0.3, color="gray")
+
+
+def _target(view: Explanation, k: int) -> npt.NDArray[Any]:
+    """``(N, M)``, what the layer's target shows."""
+    if view.vista_histograms is not None:
+        return view.vista_histograms[0, k].numpy()
+    assert view.point_histograms is not None
+    assert view.centre_histograms is not None
+    points = view.keypoints[0, k].sum()
+    return (view.point_histograms[0, k] - points * view.centre_histograms[0, k]).numpy()

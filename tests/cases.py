@@ -63,7 +63,12 @@ def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConf
             ("sum of histograms", trace.point_histogram, view.point_histograms),
             ("histogram of the centre", trace.centre_histogram, view.centre_histograms),
         ):
-            np.testing.assert_array_equal(got[0, k].numpy(), expected, f"{name} of layer {k}")
+            assert (expected is None) == (got is None)
+            if got is not None:
+                np.testing.assert_array_equal(got[0, k].numpy(), expected, f"{name} of layer {k}")
+        if view.vista_histograms is not None:
+            got = view.vista_histograms[0, k].numpy()
+            np.testing.assert_allclose(got, trace.vista_histogram, rtol=1e-12, atol=1e-15)
         assert tuple(view.centres[0, k].tolist()) == (trace.centre or (-1, -1)), f"centre {k}"
     expected = reference.concatenate(traces)
     np.testing.assert_allclose(view.descriptor[0].numpy(), expected, rtol=0, atol=1e-6)

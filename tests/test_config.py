@@ -35,22 +35,36 @@ OTHER = {
     "radius": 0.4,
     "inner_radius": 0.1,
     "context": "keypoints",
+    "aggregation": "residuals",
+    "anchor": "middle",
+    "skeleton_weight": 0.3,
+    "harmonics": 30,
+    "sharpening": 0.5,
+    "power": 0.5,
 }
+ONLY_HARMONICS = {"anchor", "skeleton_weight", "harmonics", "sharpening", "power"}
 
 
-def test_every_setting_but_the_label_space_is_in_the_fingerprint():
-    base = SSRVLADConfig(labels_as="camvid-11")
-    settings = set(base.to_dict()) - {"labels_as"}
-    assert settings == set(OTHER)
-    changed = {dataclasses.replace(base, **{name: OTHER[name]}).fingerprint for name in settings}
-    assert len(changed | {base.fingerprint}) == len(settings) + 1
-    assert dataclasses.replace(base, labels_as="synthia").fingerprint == base.fingerprint
+@pytest.mark.parametrize(
+    ("aggregation", "unused"), [("harmonics", {"context"}), ("residuals", ONLY_HARMONICS)]
+)
+def test_every_setting_that_matters_is_in_the_fingerprint(aggregation, unused):
+    base = SSRVLADConfig(labels_as="camvid-11", sectors=22, aggregation=aggregation)
+    assert set(base.to_dict()) == {"labels_as", *OTHER}
+    other = {**OTHER, "aggregation": ({"harmonics", "residuals"} - {aggregation}).pop()}
+    changed = {
+        name: dataclasses.replace(base, **{name: value}).fingerprint
+        for name, value in {**other, "sectors": 21, "labels_as": "synthia"}.items()
+    }
+    same = {name for name, fingerprint in changed.items() if fingerprint == base.fingerprint}
+    assert same == unused | {"labels_as"}
+    assert len(set(changed.values())) == len(changed) - len(same) + 1
 
 
 def test_fingerprints_do_not_drift():
     """Databases carry these. Change them only together with METHOD_REVISION or a setting."""
     assert SSRVLADConfig.from_preset("paper").fingerprint == "fae2c61db07afbf9"
-    assert SSRVLADConfig.from_preset("default").fingerprint == "e2088fce33284fe5"
+    assert SSRVLADConfig.from_preset("default").fingerprint == "2ee5b63392b5432e"
 
 
 def test_dict_round_trip():
@@ -80,7 +94,9 @@ def test_bad_settings_are_named(settings, message):
 def test_unknown_names():
     with pytest.raises(ValueError, match="preset must be one of paper, default, got 'fast'"):
         SSRVLADConfig.from_preset("fast")
-    with pytest.raises(ValueError, match="unknown setting 'ring'; the settings are closing"):
+    with pytest.raises(
+        ValueError, match="unknown setting 'ring'; the settings are aggregation, anchor"
+    ):
         SSRVLADConfig.from_preset("paper", ring=3)
 
 
@@ -112,7 +128,7 @@ def test_pixels_of_fractions():
 
 
 def test_rings_double_and_end_at_the_radius():
-    limits = SSRVLADConfig(radius=0.5).ring_limits(300, 400)
+    limits = SSRVLADConfig.from_preset("paper", radius=0.5).ring_limits(300, 400)
     assert limits[-1] == 250**2
     assert [round((outer / inner) ** 0.5, 2) for inner, outer in pairwise(limits)] == [2] * 4
-    assert SSRVLADConfig(rings=1).ring_limits(300, 400) == (250**2,)
+    assert SSRVLADConfig(rings=1, harmonics=1).ring_limits(300, 400) == (250**2,)

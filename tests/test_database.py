@@ -181,9 +181,9 @@ def test_other_settings_are_refused_with_both_fingerprints_and_what_differs(path
         assert CONFIG.fingerprint in message
         assert other.fingerprint in message
         assert "working_size 120 there and None here" in message
-        assert "rings 5 there and 4 here" in message
+        assert "rings 6 there and 4 here" in message
         assert "labels_as" not in message
-        assert "sectors" not in message
+        assert "thinning" not in message
     assert len(Database.open(path)) == len(FRAMES)
 
 
@@ -251,7 +251,7 @@ def test_a_frame_that_is_there_is_refused_with_all_that_came_along(path, frames)
 
 def test_damage_anywhere_in_a_part_is_refused_or_without_effect(tmp_path):
     """Pages have checksums; what lies between them is the format's own business."""
-    small = SSRVLADConfig(rings=1, sectors=1)
+    small = SSRVLADConfig(rings=1, sectors=1, harmonics=1)
     made = Database.create(tmp_path / "db", small)
     made.append([record("a/1", x=1.0), record("b/2")], descriptors(0, 2, 8))
     part = tmp_path / "db" / PART
@@ -307,7 +307,7 @@ def test_a_part_of_another_database_is_refused(path, tmp_path):
     (tmp_path / "other" / PART).rename(path / PART)
     with pytest.raises(ValueError, match=f"{PART} has 1 rows; the manifest wants 4"):
         Database.open(path).load()
-    short = Database.create(tmp_path / "short", SSRVLADConfig(rings=1))
+    short = Database.create(tmp_path / "short", SSRVLADConfig(harmonics=12))
     short.append([record(frame) for frame in FRAMES], descriptors(0, 4, 96))
     (tmp_path / "short" / PART).rename(path / PART)
     with pytest.raises(ValueError, match=f"{PART} is damaged: its columns"):

@@ -24,8 +24,8 @@ from skimage.morphology import skeletonize, thin
 
 from ssrvlad_torch import SSRVLADConfig, reference
 
-PLAIN = SSRVLADConfig(
-    labels_as=SPACE, working_size=None, closing=0.0, hole_area=0.0, region_area=0.0
+PLAIN = SSRVLADConfig.from_preset(
+    "paper", labels_as=SPACE, closing=0.0, hole_area=0.0, region_area=0.0
 )
 
 
@@ -182,3 +182,42 @@ def test_an_image_without_category_is_zero():
     descriptor = reference.describe(np.full((8, 8), VOID), PLAIN)
     assert descriptor.shape == (480,)
     assert not descriptor.any()
+
+
+def test_a_street_bending_right_has_its_vista_there():
+    """Openness of the columns in 64ths: 0, 16 and 64; only the last has weight to speak of."""
+    layers = np.zeros((8, 4, 9), bool)
+    layers[0, 3, 2:4] = True  # ground in a quarter of two columns
+    layers[5, :, 7] = True  # sky over all of one
+    weights = [0, 0, 16, 16, 0, 0, 0, 2**20, 0]
+    weights[2] = weights[3] = 16**8 >> 28
+    moment = sum(w * 2 * (x - 4) for x, w in enumerate(weights))
+    total = sum(weights) + 9 * 2**20 // 20
+    assert reference.vista(list(layers)) == round(moment / (2 * total)) == 2
+    assert reference.vista(list(np.zeros((8, 4, 9), bool))) == 0
+
+
+def test_canvas_shares_are_areas():
+    layer = np.zeros((12, 16), bool)  # every pixel is 2 x 2 cells
+    layer[0, 0] = layer[11, 15] = True
+    cells = reference.canvas(layer, 0)
+    assert cells[:2, :2].tolist() == cells[-2:, -2:].tolist() == [[1, 1], [1, 1]]
+    assert cells.sum() == 8
+    assert reference.canvas(layer, 1).sum() == 4  # one pixel left it
+
+
+def test_soft_bins_hold_every_cell_once():
+    config = SSRVLADConfig()
+    weight = np.zeros(reference.CANVAS)
+    for row, column, ring, sector, share in reference.soft_bins(config):
+        assert 0 <= ring < config.rings
+        assert 0 <= sector < config.sectors
+        weight[row, column] += share
+    np.testing.assert_allclose(weight, 16)
+
+
+def test_patterns_are_orthogonal_and_rise_in_frequency():
+    config = SSRVLADConfig(sharpening=0.0, harmonics=6 * 19)
+    table = np.array(reference.patterns(config)).reshape(114, -1)
+    np.testing.assert_allclose(table @ table.T, np.eye(114), atol=1e-12)
+    np.testing.assert_allclose(table[0], 120**-0.5)

@@ -1,0 +1,78 @@
+"""Canvas: each layer as shares of 24 x 32 cells, at any size of image. Not in the paper."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..bitplanes import LAYERS, unpack
+from ..graph import Graph, Symbol
+from ..words import Words, planes_of
+
+ROWS, COLUMNS = 24, 32
+"""Cells of the canvas. They are square: any image is seen as one of 4:3."""
+
+_PIXELS_AT_ONCE = 1 << 20
+
+
+def shares(planes: Tensor, shift: Tensor) -> Tensor:
+    """The share of every cell that each layer covers, the image moved ``shift`` columns left.
+
+    A pixel counts in every cell that it overlaps, by the overlap. Overlaps are integers in units
+    of ``1 / (H * ROWS)`` and ``1 / (W * COLUMNS)``, and so are all sums: they are exact in any
+    order. What is moved in from outside the image is empty.
+
+    Args:
+        planes: ``(B, H, W)`` uint8 bit-planes.
+        shift: ``(B,)`` int64 columns, negative to move right.
+
+    Returns:
+        ``(B, 8, ROWS, COLUMNS)`` float64, 0 to 1.
+    """
+    height, width = planes.shape[1:]
+    images_at_once = max(1, _PIXELS_AT_ONCE // (height * width))
+    moved = overlaps(width, COLUMNS, shift)
+    upright = overlaps(height, ROWS, shift.new_zeros(1)).double().transpose(1, 2)
+    sums = [
+        upright @ (unpack(part).float() @ across[:, None]).double()
+        for part, across in zip(
+            planes.split(images_at_once), moved.split(images_at_once), strict=True
+        )
+    ]
+    return torch.cat(sums) / (height * width)
+
+
+def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:
+    """``(B, pixels, cells)`` float32, how much of each pixel lies in each cell, in whole units.
+
+    A line of ``pixels`` pixels is ``pixels * cells`` units long.
+    """
+    pixel = (torch.arange(pixels, device=shift.device) - shift[:, None])[..., None] * cells
+    cell = torch.arange(cells, device=shift.device) * pixels
+    within = torch.minimum(pixel + cells, cell + pixels) - torch.maximum(pixel, cell)
+    return within.clamp(min=0).float()
+
+
+def shares_in_graph(graph: Graph, words: Words, shift: Symbol) -> Symbol:
+    """`shares` in a graph, an image at a time."""
+    planes, grid = planes_of(graph, words), words.grid
+    bits = graph.constant((1 << np.arange(LAYERS)).astype(np.uint8)[:, None, None])
+    upright = _overlaps_in_graph(graph, grid.height, ROWS, 0).to("float64")
+    area = (grid.height * grid.width).to("float64")
+
+    def one_image(step: Symbol) -> list[Symbol]:
+        layers = (planes[step] & bits).to("bool").to("float32")
+        across = _overlaps_in_graph(graph, grid.width, COLUMNS, shift[step])
+        by_column = graph.MatMul(layers, graph.Transpose(across.to("float32"), perm=[1, 0]))
+        return [graph.MatMul(upright, by_column.to("float64")) / area]
+
+    return graph.stacked(grid.images, one_image)[0]
+
+
+def _overlaps_in_graph(graph: Graph, pixels: Symbol, cells: int, shift: Symbol | int) -> Symbol:
+    """``(cells, pixels)`` int64, `overlaps` for one shift."""
+    pixel = (graph.arange(pixels) - shift) * cells
+    cell = graph.arange(cells).reshape(-1, 1) * pixels
+    within = graph.Min(pixel + cells, cell + pixels) - graph.Max(pixel, cell)
+    return graph.Max(within, 0)

@@ -1,0 +1,63 @@
+"""Vista: where the view down the street opens, the descriptor's anchor in the picture.
+
+A camera that is turned a little, or a car in another lane, shifts what it sees sideways. The
+column in which ground and sky leave most of the view open moves with it: it stands for the
+vanishing point, which a label map does not show. Not in the paper, whose anchor is the centroid
+of each layer.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ..graph import Graph, Symbol
+from ..words import Words, planes_of
+
+OPEN_LAYERS = 1 << 0 | 1 << 1 | 1 << 5
+"""Ground, sidewalk and sky: where one can drive, walk, or see far."""
+
+LEVELS = 64
+POWER = 8
+ONE = 1 << 20
+PULL = 20
+"""A column that is wholly open weighs ``ONE``, and openness weighs by its eighth power. The middle
+of the image weighs as much as a twentieth of all columns, open: it decides where nothing is."""
+
+_SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
+
+
+def vistas(planes: Tensor) -> Tensor:
+    """How many columns right of the middle the view opens, in each image.
+
+    Integers only: the open pixels of a column in 64ths of its height, to the eighth power, are
+    its weight, and the weighted mean of the columns is rounded to the nearest, halves up.
+
+    Args:
+        planes: ``(B, H, W)`` uint8 bit-planes.
+
+    Returns:
+        ``(B,)`` int64, negative to the left.
+    """
+    height, width = planes.shape[1:]
+    open_pixels = (planes & OPEN_LAYERS != 0).sum(1)
+    weight = (open_pixels * LEVELS // height) ** POWER >> _SHIFT
+    twice_from_middle = 2 * torch.arange(width, device=planes.device) - (width - 1)
+    total = weight.sum(1) + width * ONE // PULL
+    return ((weight * twice_from_middle).sum(1) + total) // (2 * total)
+
+
+def vistas_in_graph(graph: Graph, words: Words) -> Symbol:
+    """`vistas` in a graph."""
+    width = words.grid.width
+    is_open = (planes_of(graph, words) & OPEN_LAYERS).to("bool").to("float32")
+    open_pixels = graph.ReduceSum(is_open, [1], keepdims=0).to("int64")
+    weight = open_pixels * LEVELS // words.grid.height
+    for _ in range(POWER.bit_length() - 1):
+        weight = weight * weight
+    weight = weight // (1 << _SHIFT)
+    twice_from_middle = graph.arange(width) * 2 - (width - 1)
+    moment = graph.ReduceSum(weight * twice_from_middle, [1], keepdims=0)
+    total = graph.ReduceSum(weight, [1], keepdims=0) + width * ONE // PULL
+    twice_from_left = moment + total * width * 2  # nothing negative is divided
+    return (twice_from_left + total) // (total * 2) - width

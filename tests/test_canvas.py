@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssrvlad_torch import reference
+from ssrvlad_torch.bitplanes import pack
+from ssrvlad_torch.stages.canvas import COLUMNS, ROWS, overlaps, shares
+
+
+@given(
+    st.integers(0, 10_000),
+    st.integers(1, 60),
+    st.integers(1, 80),
+    st.lists(st.integers(-90, 90), min_size=1, max_size=3),
+)
+def test_equals_the_reference_exactly(seed, height, width, shift):
+    layers = np.random.default_rng(seed).random((len(shift), 8, height, width)) < 0.4
+    cells = shares(pack(torch.from_numpy(layers)), torch.tensor(shift))
+    assert cells.dtype == torch.float64
+    assert cells.shape == (len(shift), 8, ROWS, COLUMNS)
+    expected = [
+        [reference.canvas(layer, s) for layer in image]
+        for image, s in zip(layers, shift, strict=True)
+    ]
+    np.testing.assert_array_equal(cells.numpy(), expected)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (24, 32), (7, 300), (480, 640)])
+def test_a_full_layer_fills_every_cell(size):
+    cells = shares(
+        torch.full((1, *size), 255, dtype=torch.uint8), torch.zeros(1, dtype=torch.int64)
+    )
+    assert (cells == 1).all()
+
+
+def test_parts_of_a_batch_are_put_together():
+    planes = torch.randint(0, 256, (5, 700, 500), dtype=torch.uint8)
+    shift = torch.tensor([0, 3, -7, 40, 1])
+    singly = [shares(image[None], move[None]) for image, move in zip(planes, shift, strict=True)]
+    assert torch.equal(shares(planes, shift), torch.cat(singly))
+
+
+@given(st.integers(1, 200), st.integers(1, 40))
+def test_overlaps_cut_every_pixel_into_whole_parts(pixels, cells):
+    parts = overlaps(pixels, cells, torch.zeros(1, dtype=torch.int64))[0]
+    assert (parts.sum(0) == pixels).all()
+    assert (parts.sum(1) == cells).all()
