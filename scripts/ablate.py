@@ -20,7 +20,7 @@ from typing import Any
 
 import conditions
 import numpy as np
-import rejected
+import steps
 import torch
 from conditions import CAMVID_CONDITIONS, CITY_FRAMES, CITY_SEEDS, described_by, figures, search_all
 from results import described_by_baseline
@@ -45,6 +45,9 @@ SETTINGS: dict[str, list[Any]] = {
     "sharpening": [0.0, 0.5, 1.5],
     "power": [0.5, 1.0],
 }
+BEHIND_THE_MASKS = tuple(SETTINGS)[list(SETTINGS).index("anchor") :]
+"""These leave layers and skeletons as they are, which are then made once for all."""
+
 BASELINES = ("paper", "label grid")
 Measured = dict[str, dict[str, dict[str, list[float]]]]
 """Way of describing, condition, figure: value, low and high end."""
@@ -88,7 +91,7 @@ def main() -> None:
 def ways() -> list[str]:
     """Names of all that is measured."""
     changed = [f"{name} = {value}" for name, values in SETTINGS.items() for value in values]
-    return ["default", *BASELINES, *changed, *rejected.REJECTED]
+    return ["default", *BASELINES, *changed, *steps.REJECTED]
 
 
 def measure(way: str, camvid: Path | None, cache: Path) -> dict[str, dict[str, list[float]]]:
@@ -105,21 +108,22 @@ def measure(way: str, camvid: Path | None, cache: Path) -> dict[str, dict[str, l
 
 def key(way: str, camvid: Path | None) -> str:
     """Changes with the way, the settings behind it, the conditions and the rejected steps."""
-    sources = [Path(module.__file__).read_text() for module in (conditions, rejected)]
+    sources = [Path(module.__file__).read_text() for module in (conditions, steps)]
     text = json.dumps([way, bool(camvid), DEFAULT.fingerprint, *sources])
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 
 
 def describe(way: str) -> conditions.Describe:
-    if way in rejected.REJECTED:
-        return rejected.REJECTED[way]
+    if way in steps.REJECTED:
+        return steps.REJECTED[way]
     if way == "label grid":
         return described_by_baseline("label-grid")
     if way in ("default", "paper"):
         return described_by(SSRVLADConfig.from_preset(way))
     name, text = way.split(" = ")
     value = next(value for value in SETTINGS[name] if str(value) == text)
-    return described_by(SSRVLADConfig.from_preset("default", **{name: value}))
+    changed = SSRVLADConfig.from_preset("default", **{name: value})
+    return steps.harmonics(changed) if name in BEHIND_THE_MASKS else described_by(changed)
 
 
 def page(measured: Measured) -> Iterator[str]:

@@ -15,12 +15,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
+from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.datasets.label_files import LabelFile, find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
@@ -104,6 +106,35 @@ def described_by(config: SSRVLADConfig) -> Describe:
         return torch.cat([heads[drive.labels_as](batch) for batch in batches])
 
     return describe
+
+
+class Masks(NamedTuple):
+    """What the front end of the preset `default` leaves of a drive: ``(n, h, w)`` bit-planes."""
+
+    layers: Tensor
+    clean: Tensor
+    skeleton: Tensor
+
+
+def described_from_masks(step: Callable[[Masks], Tensor]) -> Describe:
+    """A way to describe that needs no more than the masks, which are made once a drive."""
+
+    def describe(drive: Drive) -> Tensor:
+        if id(drive) not in _MASKS:
+            _MASKS[id(drive)] = _masks(drive)
+        return step(_MASKS[id(drive)])
+
+    return describe
+
+
+_MASKS: dict[int, Masks] = {}
+
+
+def _masks(drive: Drive) -> Masks:
+    head = SSRVLAD.from_preset("default", labels_as=drive.labels_as)
+    views = [head.explain(batch) for batch in torch.from_numpy(drive.maps).split(BATCH)]
+    kept = ("layers", "clean_layers", "skeleton")
+    return Masks(*(torch.cat([pack(getattr(view, name)) for view in views]) for name in kept))
 
 
 def _as(config: SSRVLADConfig, space: str) -> SSRVLADConfig:
