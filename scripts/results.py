@@ -70,6 +70,29 @@ def main() -> None:
     options.output.parent.mkdir(exist_ok=True)
     options.output.write_text("\n".join(text) + "\n", encoding="utf-8")
     print(options.output)
+    quote_in_readme(options.output)
+
+
+EXCERPT = ("labels -> labels", "espnetv2 -> labels", "clean", "2 m aside", "all together")
+
+
+def quote_in_readme(results: Path, readme: Path = Path("README.md")) -> None:
+    """Puts some lines of RecallRate@1 at t = 0 between the marks that README.md has for them."""
+    before, _, after = readme.read_text(encoding="utf-8").partition("<!-- results -->\n")
+    _, mark, after = after.partition("<!-- /results -->")
+    text = excerpt(results.read_text(encoding="utf-8"))
+    readme.write_text(f"{before}<!-- results -->\n{text}\n{mark}{after}", encoding="utf-8")
+
+
+def excerpt(page: str) -> str:
+    """The methods of a results page by some conditions, RecallRate@1 at t = 0."""
+    lines = page.partition("## RecallRate@1\n")[2].partition("\n##")[0].splitlines()
+    head, _, *rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("|")]
+    chosen = [0, *(i for i, name in enumerate(head) if name.endswith(", t = 0"))]
+    table = [head, *(row for row in rows if row[0] in EXCERPT)]
+    columns = [[row[i].removesuffix(", t = 0") for row in table] for i in chosen]
+    columns.insert(1, ["---"] * len(table))
+    return "\n".join(f"| {' | '.join(column)} |" for column in columns)
 
 
 def methods(folder: Path | None) -> dict[str, Describe]:
