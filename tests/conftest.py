@@ -1,5 +1,40 @@
-"""One thread for torch: the tests run side by side, and small tensors gain nothing from more."""
+"""One thread for torch: the tests run side by side, and small tensors gain nothing from more.
+What the tests of the command line share: the command line itself, six frames, a database of them.
+"""
 
+from __future__ import annotations
+
+import pytest
 import torch
+from drives import write_maps
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture
+def ssrvlad(monkeypatch, capsys):
+    """Runs a command line; returns exit code, stdout and the lines of stderr."""
+    from ssrvlad_torch import cli
+
+    def run(*arguments: object) -> tuple[int, str, list[str]]:
+        monkeypatch.setattr("sys.argv", ["ssrvlad", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capsys.readouterr()
+        return end.value.code or 0, out, err.splitlines()
+
+    return run
+
+
+@pytest.fixture
+def maps(tmp_path):
+    """A folder of six label maps."""
+    return write_maps(tmp_path / "monday", range(6))
+
+
+@pytest.fixture
+def database(ssrvlad, maps, tmp_path):
+    """A database of ``maps``."""
+    path = tmp_path / "town.ssrdb"
+    assert ssrvlad("encode", maps, "-o", path, "--labels-as", "camvid-11")[0] == 0
+    return path

@@ -16,19 +16,67 @@ PACKAGE = Path(ssrvlad_torch.__file__).parent
 ALLOWED = {
     "config": set(),
     "files": set(),
-    "bitplanes": set(),
+    "graph": set(),
+    "interruption": set(),
+    "pipeline": set(),
     "taxonomy": set(),
     "matching": set(),
-    "stages": {"bitplanes", "taxonomy"},
+    "bitplanes": {"graph"},
+    "words": {"bitplanes", "graph"},
+    "stages": {"bitplanes", "graph", "taxonomy", "words"},
     "descriptor": {"bitplanes", "config", "stages", "taxonomy"},
     "reference": {"config", "taxonomy"},
-    "database": {"config", "files", "matching"},
-    "evaluation": {"database"},
+    "skeleton_noise": {"bitplanes", "config", "descriptor", "stages"},
+    "parts": {"files"},
+    "manifest": {"config", "files", "parts"},
+    "verification": {"manifest", "parts"},
+    "database": {"config", "manifest", "matching", "parts"},
+    "exporting": {"database", "files"},
+    "searching": {"database", "files", "matching"},
+    "selecting": {"database"},
+    "evaluation": {"database", "files"},
     "datasets": {"database", "files", "taxonomy"},
     "network_outputs": {"datasets", "taxonomy"},
     "onnx_network": {"network_outputs"},
     "segmentation": {"datasets", "files", "network_outputs", "onnx_network", "taxonomy"},
-    "encoding": {"database", "datasets", "descriptor", "segmentation"},
+    "encoding": {
+        "database",
+        "datasets",
+        "descriptor",
+        "interruption",
+        "pipeline",
+        "segmentation",
+        "taxonomy",
+    },
+    "ray_engine": {"config", "database", "datasets", "descriptor", "encoding", "parts"},
+    "online_memory": {"matching"},
+    "loop_log": {"files", "online_memory"},
+    "loop_closure": {"database", "datasets", "descriptor", "loop_log", "online_memory"},
+    "loop_geometry": {"config", "loop_closure"},
+    "loop_stream": {
+        "config",
+        "database",
+        "datasets",
+        "descriptor",
+        "encoding",
+        "evaluation",
+        "files",
+        "loop_closure",
+        "segmentation",
+    },
+    "trajectory": {"evaluation", "files"},
+    "deployment": {
+        "__version__",
+        "config",
+        "datasets",
+        "descriptor",
+        "files",
+        "graph",
+        "network_outputs",
+        "stages",
+        "taxonomy",
+        "words",
+    },
     "baselines": {
         "config",
         "descriptor",
@@ -39,6 +87,7 @@ ALLOWED = {
         "taxonomy",
     },
     "show": {"datasets", "descriptor", "files", "taxonomy"},
+    "cli": {"commands"},
 }
 """Rooms that each room may import from. Those not listed, at the top, may import anything."""
 
@@ -64,6 +113,14 @@ def test_rooms_import_only_what_lies_below(room):
     assert files
     for file in files:
         assert imported_rooms(file) - {room} <= ALLOWED[room], file
+
+
+def test_only_the_command_line_imports_the_command_line():
+    users = {"cli": {"__main__"}, "commands": {"cli", "commands"}}
+    for file in PACKAGE.rglob("*.py"):
+        room = file.relative_to(PACKAGE).parts[0].removesuffix(".py")
+        for imported in imported_rooms(file) & users.keys():
+            assert room in users[imported], file
 
 
 def test_stages_import_no_other_stage():

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
+from networks import write_graph
+from PIL import Image
+from test_cli import COMMANDS
 
 from ssrvlad_torch import cli
+from ssrvlad_torch.baselines.alexnet import AlexNetPlaces365
+from ssrvlad_torch.baselines.weights import random_network
 from ssrvlad_torch.datasets.synthetic_city import write_city
+from ssrvlad_torch.taxonomy import colourise
 
 README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
 CONSOLE = re.findall(r"```console\n(.*?)```", README, re.DOTALL)
@@ -33,8 +42,34 @@ def maps(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def photos(maps):
+    """``photos/monday`` and ``photos/today``, what a camera sees of the first frames of ``maps``,
+    the data set ``town`` of both, and weights that were never trained."""
+    for day, role in (("monday", "reference"), ("today", "query")):
+        for label_map in sorted((maps / "maps" / day).iterdir())[:8]:
+            picture = Image.fromarray(
+                colourise(np.asarray(Image.open(label_map)), "cityscapes-ids")
+            )
+            place = maps / "photos" / day / label_map.name
+            place.parent.mkdir(parents=True, exist_ok=True)
+            picture.resize((256, 192)).save(place)
+            for kind, file in (("labels", label_map), ("images", place)):
+                (maps / "town" / role / kind).mkdir(parents=True, exist_ok=True)
+                shutil.copy(file, maps / "town" / role / kind)
+    shutil.copy(maps / "maps" / "poses.csv", maps / "photos")
+    shutil.copy(maps / "city" / "poses.csv", maps / "town")
+    truth = {f"query/{n:06d}": [f"reference/{n:06d}"] for n in range(8)}
+    (maps / "town" / "ground_truth.json").write_text(json.dumps(truth))
+    weights = random_network(AlexNetPlaces365).state_dict()
+    torch.save(weights, maps / "alexnet_places365.caffemodel")
+    return maps
+
+
 @pytest.fixture
 def run(maps, monkeypatch, capsys):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(maps / "cache"))
+
     def command_line(line: str) -> str:
         words = shlex.split(line.replace("camvid-11", "cityscapes-ids"))
         monkeypatch.chdir(maps)
@@ -62,6 +97,23 @@ def test_the_other_commands_in_order(run, maps):
     assert (maps / "frame.png").exists()
 
 
+def test_the_commands_on_images(run, maps):
+    write_graph(maps / "net.onnx", labels=True)
+    (maps / "net.yaml").write_text(re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)[0])
+    for day in ("monday", "today"):
+        (maps / "images" / day).mkdir(parents=True)
+        for label_map in sorted((maps / "maps" / day).iterdir())[:3]:
+            picture = colourise(np.asarray(Image.open(label_map)), "cityscapes-ids")
+            Image.fromarray(picture).save(maps / "images" / day / label_map.name)
+    for line in next(block for block in CONSOLE if "--segmenter" in block).splitlines():
+        assert run(line.removeprefix("$ "))
+
+
+def test_the_commands_on_data_sets(run, photos):
+    for line in next(block for block in CONSOLE if "compare" in block).splitlines():
+        assert run(line.removeprefix("$ "))
+
+
 @pytest.mark.parametrize("block", range(len(PYTHON)))
 def test_python(block, run, maps, monkeypatch):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
@@ -69,25 +121,20 @@ def test_python(block, run, maps, monkeypatch):
     exec("\n".join(PYTHON[: block + 1]), {})
 
 
-def test_every_command_is_in_the_table(run):
-    commands = re.findall(
-        r"^  (\w+)", run("ssrvlad --help").partition("Commands:")[2], re.MULTILINE
-    )
-    assert commands
-    for command in commands:
-        assert f"| `ssrvlad {command} " in README or f"| `ssrvlad {command}`" in README
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_is_in_the_table(command):
+    assert re.search(rf"^\| `ssrvlad {command}[ `]", README, re.MULTILINE)
 
 
-@pytest.mark.parametrize(
-    "command", ["encode", "query", "evaluate", "show", "db info", "city", "demo"]
-)
-def test_help_examples(command, run, maps, tmp_path):
+@pytest.mark.parametrize("command", [name for name in COMMANDS if name != "bench"])
+def test_help_examples(command, run, photos, tmp_path):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
-    text = " ".join(run(f"ssrvlad {command} --help").split())
-    example = re.search(r"Example: (ssrvlad .*?) (Arguments|Options):", text)
-    assert example, text
-    line = example[1].replace("/tmp/", f"{tmp_path}/")
-    assert run(line)
+    text = " ".join(run(f"ssrvlad {command} --help").replace("\\\n", " ").split())
+    text = re.split(r"(?:Arguments|Options):", text)[0]
+    examples = re.findall(r"Example: (ssrvlad .*?)(?= Example:|\s*$)", text)
+    assert examples, text
+    for line in examples:
+        assert run(line.replace("/tmp/", f"{tmp_path}/"))
 
 
 def test_links_lead_somewhere():

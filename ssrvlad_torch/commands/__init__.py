@@ -1,0 +1,1 @@
+"""The commands of ``ssrvlad``, one a file, and what they share."""

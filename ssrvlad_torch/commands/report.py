@@ -1,0 +1,134 @@
+"""The page of ``ssrvlad evaluate --report``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from ..evaluation.ground_truth_files import Known, of_known
+from ..evaluation.metrics import precision_recall_curve
+from ..evaluation.outcomes import judge
+from ..evaluation.report import (
+    Descriptors,
+    Report,
+    cosine_scores,
+    require_place,
+    stored_scores,
+    write_report,
+)
+from ..taxonomy import CATEGORIES
+from .measure import Recognition
+from .pictures import require_files
+from .truth import Places
+
+CANDIDATES = 100
+"""Candidates of each query that RecallRate@N is drawn up to."""
+
+
+@dataclass(frozen=True)
+class Page:
+    """A page that is wanted.
+
+    Attributes:
+        path: the file.
+        pictures: where label maps and images of the references are.
+
+    Raises:
+        ValueError: no page can be there, or a place of pictures holds none.
+    """
+
+    path: Path
+    pictures: Sequence[str]
+
+    def __post_init__(self) -> None:
+        require_place(self.path)
+        require_files(self.pictures)
+
+    def write(
+        self,
+        recognition: Recognition,
+        matches: Known,
+        metrics: Mapping[str, Any],
+        title: str,
+        settings: Mapping[str, object],
+    ) -> None:
+        """Writes the page of the queries whose true matches are known.
+
+        Args:
+            metrics: from `measure`.
+            settings: names and values that say how it was done.
+
+        Raises:
+            OSError: the disk refused.
+        """
+        known, truth = of_known(matches)
+        scores, rows = (best.numpy()[known, :CANDIDATES] for best in recognition.found)
+        outcomes = judge(scores, rows, truth)
+        pairs = None if recognition.similarity is None else recognition.similarity[known]
+        report = Report(
+            title=title,
+            metrics=metrics,
+            queries=_some(recognition.queries, known),
+            references=recognition.references,
+            outcomes=outcomes,
+            truth=truth,
+            candidates=min(scores.shape[1], len(recognition.references.frames)),
+            curve=precision_recall_curve(outcomes, truth, metrics["convention"], pairs),
+            settings=_in_words({**settings, **recognition.told}),
+            notes=_notes(recognition, matches),
+            **_scores(recognition, known, pairs),
+            **_pictures(recognition),
+        )
+        write_report(self.path, report)
+
+
+def _some(places: Places, rows: Sequence[int]) -> Places:
+    frames = tuple(places.frames[row] for row in rows)
+    return replace(places, frames=frames, poses=places.poses[rows])
+
+
+def _scores(
+    recognition: Recognition, known: list[int], pairs: npt.NDArray[np.float32] | None
+) -> dict[str, Any]:
+    """Scores of all pairs of the known queries, and the descriptors if there are any."""
+    if recognition.descriptors is None:
+        assert pairs is not None
+        return {"scores": stored_scores(pairs)}
+    queries, references = recognition.descriptors[0][known], recognition.descriptors[1]
+    return {
+        "scores": cosine_scores(queries, references),
+        "descriptors": Descriptors(queries, references, CATEGORIES),
+    }
+
+
+def _pictures(recognition: Recognition) -> dict[str, Any]:
+    if recognition.pictures is None:
+        return {}
+    names = ("query_pictures", "reference_pictures")
+    return dict(zip(names, recognition.pictures, strict=True))
+
+
+def _in_words(settings: Mapping[str, object]) -> dict[str, str]:
+    return {name.replace("_", " "): _words(value) for name, value in settings.items()}
+
+
+def _words(value: object) -> str:
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {words}" for name, words in _in_words(value).items())
+    return f"{value:.3f}" if isinstance(value, float) else str(value)
+
+
+def _notes(recognition: Recognition, matches: Known) -> list[str]:
+    """What was left out."""
+    unknown, refused = sum(rows is None for rows in matches), recognition.refused
+    notes = []
+    if unknown:
+        notes.append(f"{unknown} of {len(matches)} queries are left out: no true matches are known")
+    if refused:
+        first = f"{refused[0].frame}: {refused[0].reason}"
+        notes.append(f"{len(refused)} more queries were refused, the first is {first}")
+    return notes

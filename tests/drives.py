@@ -1,0 +1,44 @@
+"""Drives on disk, label maps and photos, and what is true of them; shared by the tests."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+from helpers import write_street
+from PIL import Image
+
+
+def write_maps(folder: Path, seeds: range) -> Path:
+    """A sequence of small label maps in ``drawings.SPACE``."""
+    for seed in seeds:
+        write_street(folder / f"{seed:03d}.png", seed)
+    return folder
+
+
+def write_photos(folder: Path, seeds: range, suffix: str = ".png") -> Path:
+    """A sequence of images without meaning, each its own."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for seed in seeds:
+        gray = np.random.default_rng(seed).integers(0, 256, (12, 16), dtype=np.uint8)
+        picture = Image.fromarray(gray).resize((128, 96)).convert("RGB")
+        picture.save(folder / f"{seed:03d}{suffix}")
+    return folder
+
+
+def write_truth(path: Path, content: object) -> Path:
+    """A ground truth in the form that the file's name says."""
+    if path.suffix == ".npy":
+        np.save(path, content)
+    else:
+        path.write_text(content if isinstance(content, str) else json.dumps(content))
+    return path
+
+
+def vpr_bench(matches: list[object]) -> np.ndarray:
+    """``ground_truth_new.npy``: the references of each query, by their numbers."""
+    rows = np.empty((len(matches), 2), object)
+    for query, references in enumerate(matches):
+        rows[query, 0], rows[query, 1] = query, references
+    return rows

@@ -1,0 +1,168 @@
+"""`ssrvlad encode`: label maps, or images and a segmenter, into a database."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from drawings import ROAD, SKY, VOID, blobs
+from drives import write_maps
+from networks import photo, write_graph
+from PIL import Image
+
+from ssrvlad_torch.database import Database
+
+
+def test_running_again_adds_only_what_is_missing(ssrvlad, database, maps):
+    write_maps(maps, range(6, 9))
+    code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "camvid-11")
+    assert code == 0
+    assert "3 frames encoded (0 of them empty), 6 already there, 0 refused" in out
+
+
+def test_the_preset_of_a_database_is_used_again(ssrvlad, maps, tmp_path):
+    db = tmp_path / "paper.ssrdb"
+    ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11", "--preset", "paper")
+    write_maps(maps, range(6, 7))
+    assert ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")[0] == 0
+    assert json.loads(ssrvlad("db", "info", db, "--json")[1])["preset"] == "paper"
+    code, _, err = ssrvlad(
+        "encode", maps, "-o", db, "--labels-as", "camvid-11", "--preset", "default"
+    )
+    assert code == 2
+    assert len(err) == 1
+    assert "working_size None there and 120 here" in err[0]
+
+
+def test_an_unreadable_frame_is_listed_and_the_rest_lands(ssrvlad, maps, tmp_path):
+    whole = (maps / "002.png").read_bytes()
+    (maps / "002.png").write_bytes(whole[: len(whole) // 2])
+    Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / "003.png")
+    db = tmp_path / "some.ssrdb"
+    code, out, err = ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")
+    assert code == 3
+    assert "4 frames encoded" in out
+    assert "2 refused" in out
+    assert [line.split(":")[1] for line in err] == [
+        " refused monday/002",
+        " refused monday/003",
+    ]
+    assert "label id 77 (768 pixels) is not in label space camvid-11" in err[1]
+
+
+def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, maps, tmp_path):
+    Image.fromarray(np.full((24, 32), VOID, np.uint8)).save(maps / "000.png")
+    db = tmp_path / "empty.ssrdb"
+    out = ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")[1]
+    assert "6 frames encoded (1 of them empty)" in out
+    out = ssrvlad("query", db, maps, "--top", 6)[1]
+    assert out.splitlines()[0] == "monday/000: no candidate"
+    assert "monday/000 " not in out
+
+
+def test_sizes_may_differ(ssrvlad, maps, tmp_path):
+    Image.fromarray(blobs(3, 50, 41, 6)).save(maps / "003.png")
+    assert ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")[0] == 0
+
+
+def test_a_label_map_of_one_colour_is_no_problem(ssrvlad, maps, tmp_path):
+    for ids in (ROAD, SKY):
+        Image.fromarray(np.full((1, 1), ids, np.uint8)).save(maps / f"one{ids}.png")
+    assert ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")[0] == 0
+
+
+@pytest.fixture
+def photos(maps, tmp_path, monkeypatch):
+    """``photos/monday``, the world of ``maps`` as a camera sees it, and ``net.yaml``, which labels
+    it; the user's cache is ``cache``."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    write_graph(tmp_path / "net.onnx")
+    (tmp_path / "net.yaml").write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n")
+    folder = tmp_path / "photos" / "monday"
+    folder.mkdir(parents=True)
+    for path in maps.iterdir():
+        Image.fromarray(photo(np.asarray(Image.open(path)))).save(folder / path.name)
+    return folder
+
+
+def test_images_and_a_segmenter_give_what_label_maps_give(ssrvlad, database, photos, tmp_path):
+    db, segmenter = tmp_path / "photos.ssrdb", ["--segmenter", tmp_path / "net.yaml"]
+    command = ["encode", photos, "-o", db, "--labels-as", "camvid-11", *segmenter]
+    code, out, err = ssrvlad(*command)
+    assert (code, err) == (0, [])
+    assert "6 frames encoded (0 of them empty), 0 already there, 0 refused" in out
+    by_labels, by_images = Database.open(database).load(), Database.open(db).load()
+    assert by_images.frames == by_labels.frames
+    assert torch.equal(by_images.descriptors, by_labels.descriptors)
+    assert "0 frames encoded (0 of them empty), 6 already there" in ssrvlad(*command)[1]
+
+    code, out, _ = ssrvlad("query", database, photos, "--temporal", 0, "--top", 1, *segmenter)
+    assert code == 0
+    assert out.splitlines() == [f"monday/{n:03d}: monday/{n:03d} 1.0000" for n in range(6)]
+
+    options = ["--tolerance-frames", 1, "--json"]
+    code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
+    assert code == 0
+    assert out == ssrvlad("evaluate", db, photos.parents[1] / "monday", *options)[1]
+
+
+def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(ssrvlad, photos, tmp_path):
+    command = ["encode", photos, "--labels-as", "camvid-11", "--segmenter", tmp_path / "net.yaml"]
+    assert ssrvlad(*command, "-o", tmp_path / "a")[0] == 0
+    kept = list((tmp_path / "cache" / "ssrvlad").rglob("*.png"))
+    assert len(kept) == 6
+    written = {path: path.stat().st_mtime_ns for path in kept}
+    assert ssrvlad(*command, "-o", tmp_path / "b", "--preset", "paper")[0] == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == written
+    elsewhere = tmp_path / "elsewhere"
+    assert ssrvlad(*command, "-o", tmp_path / "c", "--segmenter-cache", elsewhere)[0] == 0
+    assert len(list(elsewhere.rglob("*.png"))) == 6
+
+
+def test_an_image_that_cannot_be_read_is_listed_and_the_rest_lands(ssrvlad, photos, tmp_path):
+    whole = (photos / "002.png").read_bytes()
+    (photos / "002.png").write_bytes(whole[: len(whole) // 2])
+    code, out, err = ssrvlad(
+        "encode", photos, "-o", tmp_path / "db", "--labels-as", "camvid-11",
+        "--segmenter", tmp_path / "net.yaml",
+    )  # fmt: skip
+    assert code == 3
+    assert "5 frames encoded (0 of them empty), 0 already there, 1 refused" in out
+    assert len(err) == 1
+    assert f"refused monday/002: {photos}/002.png: " in err[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--segmenter", "none.onnx"], "none.onnx does not exist or is no file"),
+        (["--segmenter", "none.yaml"], "cannot read the settings none.yaml: No such file"),
+        (["--segmenter", "monday/000.png"], "monday/000.png is no ONNX graph that can be run"),
+        (
+            ["--segmenter", "net.onnx", "--labels-as", "synthia"],
+            "net.onnx: no output fits label space synthia: got found (?, 12, ?, ?)",
+        ),
+        (["--segmenter-cache", "cache"], "--segmenter-cache wants a --segmenter"),
+    ],
+)
+def test_wrong_use_of_a_segmenter(ssrvlad, photos, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["encode", photos, "-o", "db", "--labels-as", "camvid-11", *options]
+    code, _, err = ssrvlad(*arguments)
+    assert (code, len(err)) == (2, 1)
+    assert message in err[0]
+    assert not Path("db").exists()
+
+
+def test_a_folder_without_images_is_refused(ssrvlad, photos, tmp_path):
+    (tmp_path / "folder").mkdir()
+    code, _, err = ssrvlad(
+        "encode", tmp_path / "folder", "-o", tmp_path / "none", "--labels-as", "camvid-11",
+        "--segmenter", tmp_path / "net.onnx",
+    )  # fmt: skip
+    assert (code, len(err)) == (2, 1)
+    assert "folder holds no images; wanted .jpg" in err[0]
+    assert not (tmp_path / "none").exists()

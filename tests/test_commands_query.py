@@ -1,0 +1,43 @@
+"""`ssrvlad query` and `ssrvlad db info`."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+from ssrvlad_torch import SSRVLADConfig
+
+
+def test_a_query_finds_itself(ssrvlad, database, maps):
+    code, out, _ = ssrvlad("query", database, maps, "--temporal", 0, "--top", 1)
+    assert code == 0
+    assert out.splitlines() == [f"monday/{n:03d}: monday/{n:03d} 1.0000" for n in range(6)]
+
+
+def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):
+    db = tmp_path / "bare.ssrdb"
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "a.png").write_text("no image")
+    ssrvlad("encode", tmp_path / "bad", "-o", db, "--labels-as", "camvid-11")
+    code, _, err = ssrvlad("query", db, maps)
+    assert (code, err) == (2, [f"ssrvlad: {db} holds no frames yet"])
+
+
+def test_damage_is_named(ssrvlad, database, maps):
+    part = next(database.glob("part-*.parquet"))
+    shutil.move(part, database / "lost")
+    code, _, err = ssrvlad("query", database, maps)
+    assert code == 2
+    assert f"{part} is missing or damaged" in err[-1]
+    assert len(err) == 1
+
+
+def test_info(ssrvlad, database):
+    code, out, _ = ssrvlad("db", "info", database)
+    assert code == 0
+    assert "frames: 6" in out
+    assert "sequences: monday 6" in out
+    info = json.loads(ssrvlad("db", "info", database, "--json")[1])
+    assert info["preset"] == "default"
+    assert info["label_spaces"] == {"camvid-11": 6}
+    assert info["config"] == SSRVLADConfig.from_preset("default", labels_as="camvid-11").to_dict()

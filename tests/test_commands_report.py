@@ -1,0 +1,222 @@
+"""`ssrvlad evaluate --report`: a page beside the figures, with what pictures can be found."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import shutil
+
+import numpy as np
+import pytest
+from drives import write_maps, write_photos, write_truth
+from helpers import street, write_street
+from networks import photo, write_graph
+from PIL import Image
+from reports import Page
+
+from ssrvlad_torch.taxonomy import colourise
+
+CAMVID = ("--labels-as", "camvid-11")
+
+
+@pytest.fixture
+def out(tmp_path):
+    return tmp_path / "out.html"
+
+
+@pytest.fixture
+def evaluate(ssrvlad, database, tmp_path, out):
+    """Reports six frames of Friday, like those of Monday, against Monday's database."""
+    write_maps(tmp_path / "friday", range(6))
+
+    def run(*arguments: object) -> Page:
+        code, _, err = ssrvlad(
+            "evaluate", database, tmp_path / "friday", "--temporal", 0, "--report", out, *arguments
+        )
+        assert (code, err) == (0, [])
+        return Page(out.read_text("utf-8"))
+
+    return run
+
+
+def shown(page: Page, what: str) -> np.ndarray:
+    """The picture with a description."""
+    address = next(a["src"] for a in page.all("img") if a["alt"] == what)
+    content = base64.b64decode(address.partition("base64,")[2])
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+
+
+def described(page: Page) -> set[str]:
+    return {a["alt"] for a in page.all("img") if re.match("photo|label map", a["alt"])}
+
+
+def test_a_page_comes_beside_the_figures(ssrvlad, evaluate, database, tmp_path, out):
+    page = evaluate("--tolerance-frames", 0)
+    assert "6 queries, 6 of them with a true match, against 6 references." in page.words
+    assert page.words.startswith("friday against town.ssrdb ")
+    assert "true matches at most 0 frames away" in page.words
+    assert "temporal sum 0 frames on each side" in page.words
+    arguments = ("evaluate", database, tmp_path / "friday", "--tolerance-frames", 1)
+    plain, reported = (ssrvlad(*arguments, *rest)[1] for rest in ((), ("--report", out)))
+    assert reported == f"{plain}report: {out}\n"
+    metrics = json.loads(ssrvlad(*arguments, "--json")[1])
+    assert json.loads(ssrvlad(*arguments, "--json", "--report", out)[1]) == metrics
+    page = Page(out.read_text("utf-8"))
+    assert f"fingerprint {metrics['fingerprint']}" in page.words
+    low, high = metrics["intervals"]["auc_pr"]
+    assert f"AUC-PR {metrics['auc_pr']:.3f} {low:.3f} to {high:.3f}" in page.words
+
+
+def test_label_maps_of_the_references_are_found_beside_the_queries(evaluate):
+    page = evaluate("--tolerance-frames", 0)
+    wanted = {f"label map of {day}/{n:03d}" for day in ("monday", "friday") for n in range(6)}
+    assert described(page) <= wanted
+    assert len(described(page)) == 8
+    for picture in described(page):
+        number = int(picture[-3:])
+        np.testing.assert_array_equal(shown(page, picture), colourise(street(number), "camvid-11"))
+    assert len(page.all("table", "categories")) == 4
+
+
+def test_only_the_label_map_that_was_encoded_is_shown(evaluate, tmp_path):
+    for number in range(1, 6):
+        shutil.copy(tmp_path / "monday" / "000.png", tmp_path / "monday" / f"{number:03d}.png")
+    page = evaluate("--tolerance-frames", 0)
+    assert {name for name in described(page) if "monday" in name} <= {"label map of monday/000"}
+    assert page.words.count("no picture") >= 3
+
+
+def test_pictures_say_where_the_references_are(evaluate, tmp_path):
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "monday").rename(tmp_path / "elsewhere" / "was monday")
+    page = evaluate("--tolerance-frames", 0)
+    assert not any("monday" in name for name in described(page))
+    page = evaluate("--tolerance-frames", 0, "--pictures", tmp_path / "elsewhere" / "was monday")
+    assert sum("monday" in name for name in described(page)) == 4
+
+
+@pytest.mark.parametrize("convention", ["vpr-bench", "vpr-tutorial"])
+def test_the_convention_is_named(evaluate, convention):
+    page = evaluate("--tolerance-frames", 1, "--convention", convention)
+    assert f"Convention {convention} ." in page.words
+
+
+def test_what_was_left_out_is_told(ssrvlad, evaluate, database, tmp_path, out):
+    truth = {f"friday/{n:03d}": [f"monday/{n:03d}"] for n in (0, 2, 3)}
+    (tmp_path / "friday" / "005.png").write_text("no image")
+    code, _, err = ssrvlad(
+        "evaluate", database, tmp_path / "friday", "--report", out,
+        "--ground-truth", write_truth(tmp_path / "truth.json", truth),
+    )  # fmt: skip
+    assert (code, len(err)) == (3, 2)
+    page = Page(out.read_text("utf-8"))
+    assert "3 queries, 3 of them with a true match" in page.words
+    assert "2 of 5 queries are left out: no true matches are known" in page.words
+    assert "1 more queries were refused, the first is friday/005: " in page.words
+    assert {"label map of friday/002", "label map of friday/003"} <= described(page)
+
+
+def test_all_queries_refused(ssrvlad, database, tmp_path, out):
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "a.png").write_text("no image")
+    arguments = ("evaluate", database, tmp_path / "bad", "--tolerance-frames", 1)
+    assert ssrvlad(*arguments, "--report", out)[0] == 3
+    assert "0 queries, 0 of them with a true match" in Page(out.read_text("utf-8")).words
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """A data set with photos: a drive of CamVid, its label maps and a network's."""
+    root = tmp_path / "camvid" / "0016E5"
+    write_maps(root / "labels", range(8))
+    for number in range(8):
+        write_street(root / "predicted" / f"{number:03d}.png", number + 1)
+    write_photos(root / "images", range(8), ".jpg")
+    return root.parent
+
+
+@pytest.mark.parametrize("predicted", [False, True])
+def test_a_data_set_has_photos_too(ssrvlad, drive, tmp_path, out, predicted):
+    """Queries with a network's label maps against references with the data set's own."""
+    db, layout = tmp_path / "drive.ssrdb", ("--layout", "camvid", "--every", 2)
+    assert ssrvlad("encode", drive, "-o", db, *layout)[0] == 0
+    labels = ("--labels", "predicted", *CAMVID) if predicted else ()
+    code, _, err = ssrvlad("evaluate", db, drive, *layout, "--start", 1, *labels, "--report", out)
+    assert (code, err) == (0, [])
+    page = Page(out.read_text("utf-8"))
+    assert "no picture" not in page.words
+    frames = {name.partition(" of ")[2] for name in described(page)}
+    assert {int(frame[-3:]) % 2 for frame in frames} == {0, 1}
+    for frame in frames:
+        number = int(frame[-3:])
+        labels = colourise(street(number + (predicted and number % 2)), "camvid-11")
+        np.testing.assert_array_equal(shown(page, f"label map of {frame}"), labels)
+        image = Image.open(drive / "0016E5" / "images" / f"{number:03d}.jpg")
+        difference = np.abs(np.asarray(image, int) - shown(page, f"photo of {frame}"))
+        assert difference.mean() < 12
+
+
+def test_a_segmenter_shows_what_it_saw(ssrvlad, tmp_path, out, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    for day in ("monday", "friday"):
+        (tmp_path / day).mkdir()
+        for n in range(4):
+            Image.fromarray(photo(street(n))).save(tmp_path / day / f"{n:03d}.png")
+    write_graph(tmp_path / "net.onnx")
+    (tmp_path / "net.yaml").write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n")
+    network = ("--segmenter", tmp_path / "net.yaml")
+    db = tmp_path / "photos.ssrdb"
+    assert ssrvlad("encode", tmp_path / "monday", "-o", db, *CAMVID, *network)[0] == 0
+    arguments = (db, tmp_path / "friday", *network, "--tolerance-frames", 0)
+    assert ssrvlad("evaluate", *arguments, "--report", out)[0] == 0
+    page = Page(out.read_text("utf-8"))
+    days = {name.rpartition("/")[0] for name in described(page)}
+    kinds = ("photo", "label map")
+    assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "friday")}
+    for name in described(page):
+        if name.startswith("label map"):
+            wanted = colourise(street(int(name[-3:])), "camvid-11")
+            np.testing.assert_array_equal(shown(page, name), wanted)
+
+
+@pytest.mark.parametrize("method", ["tiny-image", "label-grid"])
+def test_another_method_has_a_page_without_categories(ssrvlad, tmp_path, out, method):
+    write = write_maps if method == "label-grid" else write_photos
+    days = [write(tmp_path / day, range(6)) for day in ("monday", "friday")]
+    labelled = CAMVID if method == "label-grid" else ()
+    code, _, err = ssrvlad(
+        "evaluate", *days, "--method", method, *labelled, "--tolerance-frames", 0, "--report", out
+    )
+    assert (code, err) == (0, [])
+    page = Page(out.read_text("utf-8"))
+    assert f"method {method}" in page.words
+    assert not page.all("table", "categories")
+    kind = "label map" if labelled else "photo"
+    assert {name.partition(" of ")[0] for name in described(page)} == {kind}
+    assert len(described(page)) == 8
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "--report none/out.html",
+            "cannot write the report none/out.html: there is no folder none",
+        ),
+        ("--report monday", "cannot write the report monday: it is a folder"),
+        ("--pictures monday", "--pictures wants a --report of a database"),
+        ("--report out.html --pictures none", "none does not exist and matches no file"),
+        ("--report out.html --pictures town.ssrdb", "town.ssrdb holds no images"),
+    ],
+)
+def test_wrong_use_is_told_before_anything_is_done(
+    ssrvlad, database, tmp_path, monkeypatch, options, message
+):
+    monkeypatch.chdir(tmp_path)
+    line = f"evaluate town.ssrdb monday --tolerance-frames 1 {options}"
+    code, out, err = ssrvlad(*line.split())
+    assert (code, out, len(err)) == (2, "", 1)
+    assert message in err[0]
+    assert not (tmp_path / "out.html").exists()
