@@ -1,0 +1,96 @@
+"""What an evaluation's page is made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from torch import Tensor
+
+from ..curves import PrecisionRecall
+from ..outcomes import Outcomes, Truth
+from .images import Pixels
+from .scores import Scores
+
+
+class Frames(Protocol):
+    """Frames, and where they were taken; a `FrameSet` is one."""
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Ids, ``<sequence>/<name>``."""
+
+    @property
+    def poses(self) -> npt.NDArray[np.float64]:
+        """``(N, 3)``, x and y in metres first, NaN where unknown."""
+
+
+class Picture(NamedTuple):
+    """What is known of how a frame looks, ``(H, W, 3)`` uint8 RGB each.
+
+    Attributes:
+        labels: its label map in colours.
+        photo: the image that was labelled.
+    """
+
+    labels: Pixels | None = None
+    photo: Pixels | None = None
+
+
+Pictures = Callable[[str], Picture]
+"""From a frame's id to its picture."""
+
+
+class Descriptors(NamedTuple):
+    """Descriptors that are made of equal blocks, one a category.
+
+    Attributes:
+        queries: ``(Q, D)`` float.
+        references: ``(R, D)`` float, as they were matched.
+        categories: names of the blocks.
+    """
+
+    queries: Tensor
+    references: Tensor
+    categories: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Report:
+    """An evaluation. All texts are shown as they are, whatever characters they hold.
+
+    Attributes:
+        title: what was evaluated.
+        metrics: from `metrics.evaluate` with intervals, and beside them ``thresholds`` from
+            `operating_points` and ``references``; what ``evaluate --json`` prints will do.
+        queries, references: the frames, Q and R of them.
+        outcomes: of the queries.
+        truth: true matches of each query.
+        candidates: how many of each query the outcomes were judged from; RecallRate@N is drawn up
+            to here.
+        curve: precision and recall by the convention of the metrics.
+        scores: of the pairs of queries and references.
+        descriptors: for the share that each category has in a score; ``None`` where descriptors
+            are not made of categories.
+        query_pictures, reference_pictures: what is known of how frames look.
+        settings: names and values that say how it was done.
+        notes: warnings, a line each.
+    """
+
+    title: str
+    metrics: Mapping[str, Any]
+    queries: Frames
+    references: Frames
+    outcomes: Outcomes
+    truth: Truth
+    candidates: int
+    curve: PrecisionRecall
+    scores: Scores
+    descriptors: Descriptors | None = None
+    query_pictures: Pictures = lambda _: Picture()
+    reference_pictures: Pictures = lambda _: Picture()
+    settings: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()

@@ -1,0 +1,45 @@
+"""RecallRate@N for every N, held to the figures of the metrics."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from reports import noisy, report_of
+
+from ssrvlad_torch.evaluation.metrics import evaluate
+from ssrvlad_torch.evaluation.outcomes import judge
+from ssrvlad_torch.evaluation.report.recall import recall_rates
+from ssrvlad_torch.matching import match
+
+
+@pytest.mark.parametrize(("convention", "of_all"), [("exact", False), ("vpr-bench", True)])
+def test_rates_and_intervals_are_those_of_the_metrics(convention, of_all):
+    queries, references = noisy(80, 90, 4.0)
+    found = match(queries.descriptors, references.descriptors, top=30)
+    scores, indices = (best.numpy() for best in found)
+    truth = [np.array([row] if row % 5 else [], np.int64) for row in range(80)]
+    n = range(1, 31)
+    wanted = evaluate(scores, indices, truth, at=n, convention=convention, resamples=70)
+    rates = recall_rates(judge(scores, indices, truth), 30, of_all, resamples=70)
+    assert rates.n.tolist() == [*n]
+    np.testing.assert_allclose(rates.rate, [wanted["recall_at"][str(k)] for k in n], atol=1e-12)
+    ends = np.array([wanted["intervals"]["recall_at"][str(k)] for k in n])
+    np.testing.assert_allclose(np.stack((rates.low, rates.high), 1), ends, atol=1e-12)
+    assert 0 < rates.rate[0] < rates.rate[-1] < 1
+
+
+def test_by_hand():
+    scores = np.zeros((4, 3))
+    indices = np.array([[0, 1, 2], [1, 0, 2], [2, 1, 0], [0, 1, 2]])
+    truth = [np.array(rows, np.int64) for rows in ([0], [0], [9], [])]
+    outcomes = judge(scores, indices, truth)
+    np.testing.assert_allclose(recall_rates(outcomes, 3).rate, np.array([1, 2, 2]) / 3)
+    np.testing.assert_allclose(recall_rates(outcomes, 3, of_all=True).rate, [0.25, 0.5, 0.5])
+
+
+@pytest.mark.parametrize("queries", [0, 2])
+def test_nothing_to_be_found_has_no_rate(queries):
+    report = report_of(*noisy(queries, 3), [[]] * queries)
+    rates = recall_rates(report.outcomes, 5)
+    assert np.isnan(rates.rate).all()
+    assert np.isnan(rates.low).all()
