@@ -4,65 +4,53 @@ A database is a folder with ``manifest.json`` and ``part-000000.parquet``, ``par
 and so on. A part holds one row a frame and is never changed once written. The manifest names the
 parts that count, so a part that a crash left behind is invisible. Both are written under a
 temporary name, flushed to the disk and renamed.
+
+A frame has one row. To replace or remove rows is to write the parts that held them anew under new
+numbers, and to name those in one new manifest. What no manifest names is deleted by the next
+writer, not at once, so that one who reads by the manifest of a moment ago finds its parts.
 """
 
 from __future__ import annotations
 
 import fcntl
-import hashlib
-import json
+import os
 import re
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import IO
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow.compute as pc
 import torch
 from torch import Tensor
 
 from .config import SSRVLADConfig
-from .files import replacing
+from .manifest import MANIFEST, Manifest, is_part_name, read_manifest
 from .matching import temporal_sum
+from .parts import (
+    Damage,
+    FrameRecord,
+    Part,
+    matrix,
+    read_intact,
+    read_part,
+    schema,
+    to_table,
+    write_part,
+)
 
-FORMAT = "ssrvlad-database"
-FORMAT_VERSION = 1
-_MANIFEST = "manifest.json"
+__all__ = ["Damage", "Database", "FrameRecord", "FrameSet", "natural_key"]
+
+DERIVED = "search-"
+"""What the names of files start with that are derived from a database and lie in its folder."""
+
 _LOCK = "lock"
-_REPETITIVE = ["sequence", "labels_as"]
-_PART_NAME = re.compile(r"part-\d{6,}\.parquet")
-
-
-class FrameRecord(NamedTuple):
-    """What is stored of a frame beside its descriptor.
-
-    Attributes:
-        sequence, name: a frame's id is ``<sequence>/<name>``.
-        labels_as: label space that the frame's ids were read in.
-        height, width: size of the label map in pixels.
-        digest: BLAKE2b-128 of the label map's bytes, in hex.
-        x, y: position in metres, NaN where unknown.
-        heading: radians, counter-clockwise from +x, NaN where unknown.
-    """
-
-    sequence: str
-    name: str
-    labels_as: str
-    height: int
-    width: int
-    digest: str
-    x: float = float("nan")
-    y: float = float("nan")
-    heading: float = float("nan")
-
-    @property
-    def frame(self) -> str:
-        """The frame's id."""
-        return f"{self.sequence}/{self.name}"
+_POSE = ["x", "y", "heading"]
+_HALF_DONE = (f".{MANIFEST}.", ".part-", f".{DERIVED}")
 
 
 @dataclass(frozen=True)
@@ -72,7 +60,8 @@ class FrameSet:
     Attributes:
         frames: ids, ``<sequence>/<name>``.
         sequences: the sequence of each frame.
-        descriptors: ``(R, D)`` float32, of references after Eq. 3 if it was asked for.
+        descriptors: ``(R, D)`` float32, of references after Eq. 3 if it was asked for; float16 if
+            that was asked for.
         poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
         empty: ``(R,)`` bool, frames whose own descriptor is zero; they match nothing.
     """
@@ -84,6 +73,23 @@ class FrameSet:
     empty: npt.NDArray[np.bool_]
 
 
+@dataclass(frozen=True)
+class KnownFrames:
+    """The frames of a database and what tells whether their files have changed.
+
+    Attributes:
+        rows: row of each frame by its id, in the order of addition.
+        digests: of each row's label map, in hex.
+        stamps: ``(R,)`` int64, of each row's file.
+        poses: ``(R, 3)`` float64, as in a `FrameSet`.
+    """
+
+    rows: dict[str, int]
+    digests: pa.ChunkedArray
+    stamps: npt.NDArray[np.int64]
+    poses: npt.NDArray[np.float64]
+
+
 class Database:
     """Descriptors of one fingerprint on disk.
 
@@ -91,22 +97,21 @@ class Database:
 
     Attributes:
         path: the folder.
-        config: the settings of every descriptor in it; ``labels_as`` is that of the first frames.
+        damage: what was left out so far, if it was opened to read on past damage.
     """
 
-    def __init__(
-        self, path: Path, config: SSRVLADConfig, parts: tuple[dict[str, Any], ...]
-    ) -> None:
+    def __init__(self, path: Path, manifest: Manifest, skip_damaged: bool = False) -> None:
         self.path = path
-        self.config = config
-        self._parts = parts
-        self._digests: dict[str, str] = {}
-        self._parts_known = 0
+        self.damage: list[Damage] = []
+        self._manifest = manifest
+        self._skip_damaged = skip_damaged
+        self._lock: IO[str] | None = None
+        self._known: tuple[tuple[Part, ...], KnownFrames] | None = None
 
     @staticmethod
     def exists(path: str | Path) -> bool:
         """Whether a folder is a database."""
-        return (Path(path) / _MANIFEST).is_file()
+        return (Path(path) / MANIFEST).is_file()
 
     @classmethod
     def create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
@@ -122,33 +127,28 @@ class Database:
         if path.is_file() or (path.is_dir() and not _is_vacant(path)):
             raise ValueError(f"{path} is there and is no database; wanted a new or an empty folder")
         path.mkdir(parents=True, exist_ok=True)
-        database = cls(path, config, ())
-        with database._locked():
+        with _locked(path):
             if cls.exists(path):
                 raise ValueError(f"{path} is a database already")
-            database._write_manifest(())
-        return database
+            Manifest(config).write(path)
+        return cls(path, Manifest(config))
 
     @classmethod
-    def open(cls, path: str | Path) -> Database:
+    def open(cls, path: str | Path, skip_damaged: bool = False) -> Database:
         """An existing database.
+
+        Args:
+            path: the folder.
+            skip_damaged: read on where a part or the manifest is damaged: row groups that are
+                not whole are left out and noted in `damage`. Such a database is not written to,
+                but for `drop_damaged`.
 
         Raises:
             ValueError: the folder is no database, its manifest is damaged or of another format, or
                 its settings give other descriptors in this version of the method.
         """
         path = Path(path)
-        manifest = _read_manifest(path)
-        try:
-            config = SSRVLADConfig.from_dict(manifest["config"])
-        except ValueError as error:
-            raise ValueError(f"{path} has settings of another version: {error}") from error
-        if config.fingerprint != manifest["fingerprint"]:
-            raise ValueError(
-                f"{path} has fingerprint {manifest['fingerprint']}, made by another version of the "
-                f"method; the same settings have {config.fingerprint} here: encode it anew"
-            )
-        return cls(path, config, tuple(manifest["parts"]))
+        return cls(path, read_manifest(path, skip_damaged), skip_damaged)
 
     @classmethod
     def open_or_create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
@@ -165,12 +165,22 @@ class Database:
         return database
 
     @property
+    def config(self) -> SSRVLADConfig:
+        """The settings of every descriptor; ``labels_as`` is that of the first frames."""
+        return self._manifest.config
+
+    @property
     def fingerprint(self) -> str:
         """Fingerprint of every descriptor in the database."""
         return self.config.fingerprint
 
+    @property
+    def content(self) -> str:
+        """64 hex digits that are others whenever a frame was added, replaced or removed."""
+        return self._manifest.checksum
+
     def __len__(self) -> int:
-        return sum(part["rows"] for part in self._parts)
+        return sum(part.rows for part in self._manifest.parts)
 
     def require(self, config: SSRVLADConfig) -> None:
         """Refuses descriptors made with other settings.
@@ -191,6 +201,42 @@ class Database:
             f"settings have {config.fingerprint} ({config.preset}): {'; '.join(differing)}"
         )
 
+    @contextmanager
+    def writing(self) -> Iterator[None]:
+        """Keeps other writers out, sees what they wrote, and deletes what they left half done.
+
+        What writes does this by itself; around several writes it makes them one writer's.
+
+        Raises:
+            ValueError: another process is writing, or the database was made anew meanwhile with
+                other settings, or it was opened to read on past damage.
+            OSError: the folder cannot be written.
+        """
+        if self._skip_damaged:
+            raise ValueError(f"{self.path} is damaged: wanted what is lost dropped before writing")
+        with self._alone():
+            yield
+
+    @contextmanager
+    def _alone(self) -> Iterator[None]:
+        if self._lock is not None:
+            yield
+            return
+        with _locked(self.path) as lock:
+            current = read_manifest(self.path, self._skip_damaged)
+            Database(self.path, current).require(self.config)
+            self._manifest, self._lock = current, lock
+            try:
+                self._sweep()
+                yield
+            finally:
+                self._lock = None
+
+    def let_go(self) -> None:
+        """In a process forked while `writing`: gives up its share of the lock."""
+        if self._lock is not None:
+            self._lock.close()
+
     def append(self, records: Sequence[FrameRecord], descriptors: Tensor) -> None:
         """Adds frames as one part; they are on the disk when it returns.
 
@@ -203,50 +249,141 @@ class Database:
                 process is writing.
             OSError: the disk refused; the database is as it was.
         """
-        if descriptors.shape != (len(records), self.config.length):
-            raise ValueError(
-                f"wanted ({len(records)}, {self.config.length}) descriptors for "
-                f"{len(records)} frames, got {tuple(descriptors.shape)}"
-            )
-        if not bool(torch.isfinite(descriptors).all()):
-            raise ValueError("descriptors hold values that are not finite")
+        self._check(records, descriptors)
         if not records:
             return
-        with self._locked():
-            current = Database.open(self.path)
-            current.require(self.config)
-            self._parts = current._parts
-            _refuse_repeated(records, self.digests(), self.path)
-            name = f"part-{len(self._parts):06d}.parquet"
-            table = _to_table(records, descriptors)
-            with replacing(self.path / name) as temporary:
-                pq.write_table(
-                    table, temporary, write_page_checksum=True, use_dictionary=_REPETITIVE
-                )
-            parts = (*self._parts, {"file": name, "rows": len(records)})
-            self._write_manifest(parts)
-            self._parts = parts
+        with self.writing():
+            known = self.known().rows
+            for record in records:
+                if record.frame in known:
+                    raise ValueError(f"frame {record.frame!r} is in {self.path} already")
+            table = to_table(records, descriptors)
+            part = write_part(self.path, self._manifest.name(), table)
+            self._commit((*self._manifest.parts, part), new=1)
+
+    def part_name(self, number: int) -> str:
+        """Name under which another process writes the part ``number`` after those that are there,
+        for `adopt`; valid while `writing`."""
+        return self._manifest.name(number)
+
+    def adopt(self, parts: Sequence[Part]) -> int:
+        """Adds parts that other processes wrote, in one commit, after reading them.
+
+        Args:
+            parts: written by `parts.write_part` in the database's folder, named by `part_name`.
+
+        Returns:
+            How many of their frames are empty.
+
+        Raises:
+            ValueError: a part is missing or damaged, or a frame is there already.
+            OSError: the disk refused; the database is as it was.
+        """
+        empty = 0
+        with self.writing():
+            seen = set(self.known().rows)
+            for part in parts:
+                table = read_part(self.path, part, self.config.length)
+                ids = _ids(table)
+                repeated = next((frame for frame in ids if frame in seen), None)
+                if repeated is not None or len(set(ids)) < len(ids):
+                    raise ValueError(f"frame {repeated or ids[0]!r} of {part.file} is there twice")
+                seen.update(ids)
+                empty += int((~matrix(table["descriptor"], self.config.length).any(axis=1)).sum())
+            if parts:
+                last = max(int(part.file[5:-8]) for part in parts)
+                new = last + 1 - self._manifest.next_part
+                self._commit((*self._manifest.parts, *parts), new)
+        return empty
+
+    def replace(self, records: Sequence[FrameRecord], descriptors: Tensor) -> None:
+        """Puts frames in the place of those with the same ids, all of them or none.
+
+        The parts that hold them are written anew. Arguments and errors as for `append`, but the
+        ids must be there.
+        """
+        self._check(records, descriptors)
+        with self.writing():
+            known = self.known().rows
+            for record in records:
+                if record.frame not in known:
+                    raise ValueError(f"frame {record.frame!r} is not in {self.path}")
+            fresh = to_table(records, descriptors)
+            row = {record.frame: number for number, record in enumerate(records)}
+            self._rewrite(row, lambda table: _renewed(table, fresh, row))
+
+    def remove(self, frames: Collection[str]) -> None:
+        """Removes frames by their ids, all of them or none; ids that are not there are passed over.
+
+        The parts that hold them are written anew without them.
+
+        Raises:
+            ValueError: another process is writing, or a part is damaged.
+            OSError: the disk refused; the database is as it was.
+        """
+        gone = set(frames)
+        with self.writing():
+            self._rewrite(
+                gone, lambda table: table.filter(pa.array([f not in gone for f in _ids(table)]))
+            )
+
+    def drop_damaged(self) -> list[Damage]:
+        """Gives up what is damaged: parts that are not whole are written anew with what is.
+
+        Encoding the same files again then brings back what was lost.
+
+        Returns:
+            What was damaged.
+
+        Raises:
+            ValueError: the database was not opened with ``skip_damaged``, or another process is
+                writing.
+            OSError: the disk refused; the database is as it was.
+        """
+        if not self._skip_damaged:
+            raise ValueError(f"{self.path} must be opened with skip_damaged")
+        with self._alone():
+            self.damage, parts, written = [], list[Part](), list[Part]()
+            for part in self._manifest.parts:
+                table, damage = read_intact(self.path, part, self.config.length)
+                self.damage += damage
+                if damage and len(table):
+                    name = self._manifest.name(len(written))
+                    written.append(write_part(self.path, name, table))
+                parts += written[-1:] if damage and len(table) else [] if damage else [part]
+            self._commit(tuple(parts), len(written))
+            damage, self.damage = self.damage, []
+            self._skip_damaged = False
+        return damage
+
+    def known(self) -> KnownFrames:
+        """The frames that are there; what was read before is not read again."""
+        parts = self._manifest.parts
+        done, known = self._known or ((), _no_frames())
+        if parts[: len(done)] != done:
+            done, known = (), _no_frames()
+        if len(done) < len(parts):
+            columns = ["sequence", "name", "digest", "stamp", *_POSE]
+            known = _with(known, [self._read(part, columns) for part in parts[len(done) :]])
+        self._known = parts, known
+        return known
 
     def digests(self) -> dict[str, str]:
         """Digest of the label map of every frame, by the frame's id."""
-        for part in self._parts[self._parts_known :]:
-            columns = self._read_part(part, ["sequence", "name", "digest"]).to_pydict()
-            rows = zip(columns["sequence"], columns["name"], columns["digest"], strict=True)
-            self._digests.update((f"{sequence}/{name}", digest) for sequence, name, digest in rows)
-            self._parts_known += 1
-        return self._digests
+        known = self.known()
+        return dict(zip(known.rows, known.digests.to_pylist(), strict=True))
 
     def table(self, columns: list[str] | None = None) -> pa.Table:
-        """The rows as they are stored, page checksums verified.
+        """The rows as they are stored, checksums verified, in the order of addition.
 
         Raises:
             ValueError: a part is missing or damaged; the message names it.
         """
-        tables = [self._read_part(part, columns) for part in self._parts]
-        return pa.concat_tables([_schema(self.config.length, columns).empty_table(), *tables])
+        tables = [self._read(part, columns) for part in self._manifest.parts]
+        return pa.concat_tables([schema(self.config.length, columns).empty_table(), *tables])
 
     def load(self, temporal: int = 0) -> FrameSet:
-        """All frames in memory.
+        """All frames in memory, the descriptors once; beyond them one part at a time.
 
         Args:
             temporal: t of Eq. 3, frames summed on either side; 0 gives the raw descriptors.
@@ -254,140 +391,216 @@ class Database:
         Raises:
             ValueError: a part is missing or damaged; the message names it.
         """
-        table = self.table()
-        columns = table.select(["sequence", "name"]).to_pydict()
-        names = list(zip(columns["sequence"], columns["name"], strict=True))
-        order = sorted(
-            range(len(names)), key=lambda row: [natural_key(part) for part in names[row]]
-        )
-        table = table.take(pa.array(order, pa.int64()))
-        sequences = tuple(names[row][0] for row in order)
-        descriptors = _matrix(table["descriptor"], self.config.length)
-        return FrameSet(
-            frames=tuple("/".join(names[row]) for row in order),
-            sequences=sequences,
-            descriptors=temporal_sum(descriptors, sequences, temporal) if temporal else descriptors,
-            poses=np.stack([table[axis].to_numpy() for axis in ("x", "y", "heading")], axis=1),
-            empty=~descriptors.any(dim=1).numpy(),
-        )
+        return self._load(lambda shape: np.empty(shape, np.float32), temporal)
 
-    def _read_part(self, part: dict[str, Any], columns: list[str] | None) -> pa.Table:
-        path = self.path / part["file"]
-        try:
-            table = pq.read_table(path, columns=columns, page_checksum_verification=True)
-            table.validate(full=True)
-        except (OSError, pa.ArrowException) as error:
-            raise ValueError(f"{path} is missing or damaged: {_one_line(error)}") from error
-        if not table.schema.equals(_schema(self.config.length, columns)):
-            raise ValueError(f"{path} is damaged: its columns are not those of a database")
-        if table.num_rows != part["rows"]:
-            raise ValueError(f"{path} has {table.num_rows} rows; the manifest wants {part['rows']}")
+    def load_into(
+        self, allocate: Callable[[tuple[int, int]], npt.NDArray[np.float32]], temporal: int = 0
+    ) -> FrameSet:
+        """All frames, their descriptors in a matrix of the caller's, for example on the disk.
+
+        Args:
+            allocate: gives an ``(R, D)`` float32 array to fill.
+            temporal: as for `load`.
+
+        Raises:
+            ValueError: as for `load`.
+        """
+        return self._load(allocate, temporal)
+
+    def frames(self) -> FrameSet:
+        """All frames as from `load`, without their descriptors: ``(R, 0)``."""
+        return self._load(None, 0)
+
+    def _load(
+        self, allocate: Callable[[tuple[int, int]], npt.NDArray[np.float32]] | None, temporal: int
+    ) -> FrameSet:
+        plain = self.table(["sequence", "name", *_POSE])
+        order = _order(plain)
+        frames, sequences = _names(plain, order)
+        poses = _poses(plain)[order]
+        empty = np.zeros(len(order), bool)
+        descriptors = np.empty((len(order), 0), np.float32)
+        if allocate is not None:
+            descriptors = allocate((len(order), self.config.length))
+            rank = np.empty_like(order)
+            rank[order] = np.arange(len(order))
+            self._fill(descriptors, empty, rank)
+        values = torch.from_numpy(descriptors)
+        if temporal and allocate is not None:
+            values = temporal_sum(values, sequences, temporal, out=values)
+        return FrameSet(frames, sequences, values, poses, empty)
+
+    def _fill(
+        self,
+        descriptors: npt.NDArray[np.float32],
+        empty: npt.NDArray[np.bool_],
+        rank: npt.NDArray[np.int64],
+    ) -> None:
+        """Reads the descriptors part by part, each row to its place."""
+        done = 0
+        for part in self._manifest.parts:
+            table = self._read(part, None)
+            rows = rank[done : done + len(table)]
+            values = matrix(table["descriptor"], self.config.length)
+            descriptors[rows] = values
+            empty[rows] = ~values.any(axis=1)
+            done += len(table)
+
+    def _check(self, records: Sequence[FrameRecord], descriptors: Tensor) -> None:
+        if descriptors.shape != (len(records), self.config.length):
+            raise ValueError(
+                f"wanted ({len(records)}, {self.config.length}) descriptors for "
+                f"{len(records)} frames, got {tuple(descriptors.shape)}"
+            )
+        if not bool(torch.isfinite(descriptors).all()):
+            raise ValueError("descriptors hold values that are not finite")
+        seen: set[str] = set()
+        for record in records:
+            if record.frame in seen:
+                raise ValueError(f"frame {record.frame!r} is in what goes into {self.path} already")
+            seen.add(record.frame)
+
+    def _read(self, part: Part, columns: list[str] | None) -> pa.Table:
+        if not self._skip_damaged:
+            return read_part(self.path, part, self.config.length, columns)
+        table, damage = read_intact(self.path, part, self.config.length, columns)
+        self.damage += [entry for entry in damage if entry not in self.damage]
         return table
 
-    def _write_manifest(self, parts: tuple[dict[str, Any], ...]) -> None:
-        manifest = {
-            "format": FORMAT,
-            "format_version": FORMAT_VERSION,
-            "fingerprint": self.fingerprint,
-            "config": self.config.to_dict(),
-            "parts": list(parts),
-        }
-        manifest["checksum"] = _checksum(manifest)
-        with replacing(self.path / _MANIFEST) as temporary:
-            temporary.write_text(json.dumps(manifest, indent=1) + "\n", encoding="utf-8")
+    def _rewrite(self, frames: Iterable[str], change: Callable[[pa.Table], pa.Table]) -> None:
+        """Writes the parts that hold some frames anew, in one commit."""
+        known, ends = self.known().rows, np.cumsum([part.rows for part in self._manifest.parts])
+        rows = [known[frame] for frame in frames if frame in known]
+        touched = set(np.searchsorted(ends, rows, side="right").tolist())
+        parts, written = list[Part](), 0
+        for number, part in enumerate(self._manifest.parts):
+            if number not in touched:
+                parts.append(part)
+                continue
+            table = change(self._read(part, None))
+            if len(table):
+                parts.append(write_part(self.path, self._manifest.name(written), table))
+                written += 1
+        if touched:
+            self._commit(tuple(parts), written)
 
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
-        with (self.path / _LOCK).open("w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError as error:
-                raise ValueError(f"{self.path} is being written by another process") from error
-            yield
+    def _commit(self, parts: tuple[Part, ...], new: int) -> None:
+        manifest = self._manifest.replaced(parts, new)
+        manifest.write(self.path)
+        self._manifest = manifest
+
+    def _sweep(self) -> None:
+        """Deletes what writers that were killed left behind, and what no manifest names."""
+        kept = {part.file for part in self._manifest.parts}
+        for entry in list(self.path.iterdir()):
+            derived = entry.name.startswith(DERIVED)
+            stale = derived and not entry.name.startswith(f"{DERIVED}{self.content[:16]}-")
+            unnamed = is_part_name(entry.name) and entry.name not in kept
+            if stale or unnamed or entry.name.startswith(_HALF_DONE):
+                entry.unlink(missing_ok=True)
 
 
-def natural_key(name: str) -> list[tuple[int, int, str]]:
+def natural_key(name: str) -> str:
     """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
-    pieces = re.split(r"(\d+)", name)
-    key = [(0, int(p), "") if p.isdecimal() else (1, 0, p) for p in pieces if p]
-    return [*key, (-1, 0, name)]
+    pieces = (piece for piece in re.split(r"(\d+)", name) if piece)
+    return "".join(map(_piece_key, pieces)) + f"\0{name}"
+
+
+def _piece_key(piece: str) -> str:
+    """The end of a name sorts before a number, that before other text; numbers by their size."""
+    if piece.isdecimal():
+        digits = str(int(piece))
+        return f"\1{chr(len(digits))}{digits}"
+    return f"\2{piece}\0"
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[IO[str]]:
+    """The lock of a database; it ends with the process, however that ends."""
+    with (path / _LOCK).open("a+", encoding="utf-8") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            file.seek(0)
+            holder = file.read(40).strip()
+            raise ValueError(
+                f"{path} is being written by another process"
+                f"{f' ({holder})' if holder else ''}; wait until it is done"
+            ) from error
+        file.truncate(0)
+        file.write(f"process {os.getpid()}")
+        file.flush()
+        yield file
 
 
 def _is_vacant(folder: Path) -> bool:
     """Whether a folder is empty but for what a `Database.create` that was killed leaves behind."""
     return all(
-        entry.name == _LOCK or entry.name.startswith(f".{_MANIFEST}.") for entry in folder.iterdir()
+        entry.name == _LOCK or entry.name.startswith(_HALF_DONE) for entry in folder.iterdir()
     )
 
 
-def _refuse_repeated(records: Sequence[FrameRecord], known: Container[str], path: Path) -> None:
-    seen: set[str] = set()
-    for record in records:
-        if record.frame in known or record.frame in seen:
-            raise ValueError(f"frame {record.frame!r} is in {path} already")
-        seen.add(record.frame)
-
-
-def _schema(length: int, columns: list[str] | None = None) -> pa.Schema:
-    text = pa.dictionary(pa.int32(), pa.string())
-    schema = pa.schema(
-        [
-            ("sequence", text),
-            ("name", pa.string()),
-            ("labels_as", text),
-            ("height", pa.int32()),
-            ("width", pa.int32()),
-            ("digest", pa.string()),
-            ("x", pa.float64()),
-            ("y", pa.float64()),
-            ("heading", pa.float64()),
-            ("descriptor", pa.list_(pa.float32(), length)),
-        ]
+def _no_frames() -> KnownFrames:
+    return KnownFrames(
+        {}, pa.chunked_array([], pa.string()), np.empty(0, np.int64), np.empty((0, 3))
     )
-    return schema if columns is None else pa.schema([schema.field(name) for name in columns])
 
 
-def _to_table(records: Sequence[FrameRecord], descriptors: Tensor) -> pa.Table:
-    schema = _schema(descriptors.shape[1])
-    columns = {name: [getattr(r, name) for r in records] for name in FrameRecord._fields}
-    flat = pa.array(descriptors.detach().cpu().float().contiguous().numpy().ravel())
-    arrays = [pa.array(columns[field.name], field.type) for field in list(schema)[:-1]]
-    arrays.append(pa.FixedSizeListArray.from_arrays(flat, descriptors.shape[1]))
-    return pa.Table.from_arrays(arrays, schema=schema)
+def _with(known: KnownFrames, tables: Sequence[pa.Table]) -> KnownFrames:
+    """More frames than those known; their dictionary of rows is shared and grows."""
+    ids = (frame for table in tables for frame in _ids(table))
+    known.rows.update((frame, row) for row, frame in enumerate(ids, len(known.rows)))
+    digests = [*known.digests.chunks, *(c for table in tables for c in table["digest"].chunks)]
+    return KnownFrames(
+        known.rows,
+        pa.chunked_array(digests, pa.string()),
+        np.concatenate([known.stamps, *(table["stamp"].to_numpy() for table in tables)]),
+        np.concatenate([known.poses, *map(_poses, tables)]),
+    )
 
 
-def _matrix(column: pa.ChunkedArray, length: int) -> Tensor:
-    flat = column.combine_chunks().flatten().to_numpy(zero_copy_only=False)
-    return torch.from_numpy(np.array(flat, np.float32).reshape(-1, length))
+def _poses(table: pa.Table) -> npt.NDArray[np.float64]:
+    return np.stack([table[axis].to_numpy() for axis in _POSE], axis=1)
 
 
-def _read_manifest(path: Path) -> dict[str, Any]:
-    file = path / _MANIFEST
-    if not Database.exists(path):
-        raise ValueError(f"{path} is not a database: it has no {_MANIFEST}")
-    try:
-        manifest = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{file} cannot be read: {_one_line(error)}") from error
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise ValueError(f"{path} is not a database: {_MANIFEST} is of another format")
-    if manifest.get("format_version") != FORMAT_VERSION:
-        raise ValueError(
-            f"{path} has database format {manifest.get('format_version')}; "
-            f"this version reads {FORMAT_VERSION}"
-        )
-    checksum = manifest.pop("checksum", None)
-    if checksum != _checksum(manifest):
-        raise ValueError(f"{file} is damaged: its checksum does not fit")
-    for part in manifest["parts"]:
-        if not _PART_NAME.fullmatch(part["file"]):
-            raise ValueError(f"{file} names a part {part['file']!r}; wanted part-NNNNNN.parquet")
-    return manifest
+def _ids(table: pa.Table) -> list[str]:
+    sequences = table["sequence"].cast(pa.string())
+    joined: list[str] = pc.binary_join_element_wise(sequences, table["name"], "/").to_pylist()
+    return joined
 
 
-def _checksum(manifest: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(manifest, sort_keys=True).encode()).hexdigest()
+def _renewed(table: pa.Table, fresh: pa.Table, row: dict[str, int]) -> pa.Table:
+    """A part's rows, those that have a fresh ``row`` replaced by it."""
+    new = np.array([row.get(frame, -1) for frame in _ids(table)], np.int64)
+    both = pa.concat_tables([table, fresh]).unify_dictionaries()
+    return both.take(pa.array(np.where(new < 0, np.arange(len(table)), len(table) + new)))
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())
+def _order(table: pa.Table) -> npt.NDArray[np.int64]:
+    """Rows by sequence and name as a person would sort them."""
+    sequences, codes = _sequences(table)
+    rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
+    ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
+    keys = [natural_key(name) for name in table["name"].to_pylist()]
+    order = sorted(range(len(keys)), key=keys.__getitem__)
+    by_name = np.array(order, np.int64)
+    return by_name[np.argsort(ranks[by_name], kind="stable")]
+
+
+def _names(
+    table: pa.Table, order: npt.NDArray[np.int64]
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Ids and sequences of rows in some order."""
+    sequences, codes = _sequences(table)
+    ids = _ids(table)
+    return tuple(ids[row] for row in order), tuple(sequences[code] for code in codes[order])
+
+
+def _sequences(table: pa.Table) -> tuple[list[str], npt.NDArray[np.int32]]:
+    """The sequences of a table, and which of them each row has."""
+    column = table.select(["sequence"]).unify_dictionaries()["sequence"].combine_chunks()
+    if isinstance(column, pa.ChunkedArray):
+        column = pa.concat_arrays(column.chunks) if column.num_chunks else None
+    if column is None:
+        return [], np.empty(0, np.int32)
+    return column.dictionary.to_pylist(), column.indices.to_numpy()

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import hashlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import islice
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from .database import Database, FrameRecord, FrameSet
-from .datasets.frame_files import FrameFile, read_ahead
+from .database import Database, FrameRecord, FrameSet, KnownFrames
+from .datasets.frame_files import FrameFile
 from .datasets.label_files import LabelMap, digest, read_label_map
 from .descriptor import SSRVLAD
+from .interruption import deferred_interruption
+from .pipeline import in_order
 from .segmentation import Segmenter
+from .taxonomy import LabelSpace
 
 BATCH = 16
+BATCHES_OF_A_CHUNK = 2
 PART_ROWS = 4096
-_READ_AHEAD = 4 * BATCH
 
 Progress = Callable[[int], None]
 """Called with the number of frames done since the last call."""
@@ -40,13 +46,32 @@ class Refusal(NamedTuple):
     reason: str
 
 
+class Unchanged(NamedTuple):
+    """A frame whose file was written anew with the label map that it had."""
+
+    frame: str
+
+
 @dataclass
 class Summary:
-    """What an encoding run did: numbers of frames, and the refused ones."""
+    """What an encoding run did.
+
+    Attributes:
+        encoded: number of frames that were added.
+        changed: number of frames whose file had changed and whose row was replaced.
+        already_there: number of frames that were left as they are.
+        empty: number of frames, of those encoded or changed, with a descriptor of zeros.
+        pruned: number of frames that were removed because their file is gone.
+        gone: ids of frames that are there and whose file is gone.
+        refused: frames that could not be encoded.
+    """
 
     encoded: int = 0
+    changed: int = 0
     already_there: int = 0
     empty: int = 0
+    pruned: int = 0
+    gone: list[str] = field(default_factory=list)
     refused: list[Refusal] = field(default_factory=list)
 
 
@@ -57,43 +82,62 @@ def encode_to_database(
     workers: int = 2,
     progress: Progress | None = None,
     segmenter: Segmenter | None = None,
+    complete: bool = False,
+    prune: bool = False,
+    refuse: Callable[[Refusal], None] | None = None,
 ) -> Summary:
-    """Encodes the frames that a database lacks and adds them to it.
+    """Encodes the frames that a database lacks, or whose file or pose has changed.
 
-    A frame that cannot be read or encoded is refused and the run goes on. Frames land in parts
-    of `PART_ROWS`; on an exception, Ctrl-C among them, those that wait for their part to fill
-    are written before it goes on its way.
+    A file has changed if its size or a time of it has, and then the label map that it holds. A
+    frame that cannot be read or encoded is refused and the run goes on. New frames land in parts
+    of `PART_ROWS`; on an exception those that wait for their part to fill are written before it
+    goes on its way. SIGINT and SIGTERM wait until the frame in hand is done; a second one does
+    not. No one else can write to the database meanwhile.
 
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
         database: where the raw descriptors go.
-        workers: threads that read and decode ahead of the encoder.
+        workers: processes; see `encode`.
         progress: told of every frame that is done.
-        segmenter: makes the label maps, of the head's label space; without, they are read.
+        segmenter: makes the label maps, of the head's label space; without, they are read. A frame
+            whose image has not changed is not segmented again, whatever the segmenter.
+        complete: the files are all that there are of their sequences, so that other frames of
+            these are known to be gone.
+        prune: with ``complete``, remove those that are gone.
+        refuse: told of every refusal at once.
 
     Raises:
-        ValueError: the fingerprints differ, or the segmenter does not fit.
-        OSError: the database cannot be written.
+        ValueError: the fingerprints differ, the segmenter does not fit, ``prune`` without
+            ``complete``, or another process writes to the database.
+        OSError: the database cannot be written, or a worker was killed.
     """
     database.require(head.config)
-    known = database.digests()
-    fresh = [file for file in files if file.frame not in known]
-    summary = Summary(already_there=len(files) - len(fresh))
+    if prune and not complete:
+        raise ValueError("prune wants to know all files of a sequence: complete")
     tell = progress or _tell_nobody
-    tell(summary.already_there)
-    waiting: list[Encoded] = []
-    try:
-        for frame in encode(head, fresh, workers, segmenter):
-            if isinstance(frame, Refusal):
-                summary.refused.append(frame)
-            else:
-                waiting.append(frame)
-            if len(waiting) == PART_ROWS:
-                _write(waiting, database, summary)
-            tell(1)
-    finally:
-        _write(waiting, database, summary)
+    with database.writing(), deferred_interruption() as check:
+        known = database.known()
+        fresh, digests = _to_do(files, known)
+        summary = Summary(already_there=len(files) - len(fresh))
+        if complete:
+            summary.gone = _gone(files, known)
+        tell(summary.already_there)
+        results = _encode(head, fresh, digests, workers, segmenter, database.let_go)
+        with _Writer(database, summary, known) as writer:
+            for result in results:
+                if isinstance(result, Refusal):
+                    summary.refused.append(result)
+                    (refuse or _tell_nobody)(result)
+                elif isinstance(result, Unchanged):
+                    summary.already_there += 1
+                else:
+                    writer.add(result)
+                tell(1)
+                check()
+        if prune:
+            database.remove(summary.gone)
+            summary.pruned, summary.gone = len(summary.gone), []
     return summary
 
 
@@ -105,19 +149,18 @@ def encode_to_memory(
     segmenter: Segmenter | None = None,
 ) -> tuple[FrameSet, list[Refusal]]:
     """Encodes frames in order; arguments as for `encode_to_database`."""
-    encoded: list[Encoded] = []
+    records: list[FrameRecord] = []
     refused: list[Refusal] = []
+    descriptors = torch.zeros(len(files), head.config.length)
     tell = progress or _tell_nobody
     for frame in encode(head, files, workers, segmenter):
         if isinstance(frame, Refusal):
             refused.append(frame)
         else:
-            encoded.append(frame)
+            descriptors[len(records)] = frame.descriptor
+            records.append(frame.record)
         tell(1)
-    descriptors = torch.zeros(len(encoded), head.config.length)
-    for row, (_, descriptor) in enumerate(encoded):
-        descriptors[row] = descriptor
-    records = [record for record, _ in encoded]
+    descriptors = descriptors[: len(records)]
     frames = FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
@@ -131,72 +174,253 @@ def encode_to_memory(
 def encode(
     head: SSRVLAD, files: Sequence[FrameFile], workers: int, segmenter: Segmenter | None = None
 ) -> Iterator[Encoded | Refusal]:
-    """Encodes frames in order, in batches of frames of like size, read ahead by threads."""
-    labelled = _label_maps(head, files, workers, segmenter)
-    while chunk := list(islice(labelled, BATCH)):
-        results: list[Encoded | Refusal | None] = [None] * len(chunk)
-        alike: dict[object, list[tuple[int, FrameFile, LabelMap]]] = {}
-        for place, (file, labels) in enumerate(chunk):
-            if isinstance(labels, ValueError):
-                results[place] = Refusal(file.frame, f"{file.path}: {labels}")
-            else:
-                alike.setdefault((labels.shape, labels.dtype), []).append((place, file, labels))
-        for members in alike.values():
-            described = _describe(head, [(file, labels) for _, file, labels in members])
-            for (place, _, _), result in zip(members, described, strict=True):
-                results[place] = result
-        yield from (result for result in results if result is not None)
+    """Encodes frames in order, in batches of frames of like size.
+
+    Each worker reads and encodes some batches at a time, so that reading and encoding, and
+    whatever is done with the results here, overlap. Where the head lies on another device than
+    the CPU, the workers read and the head encodes here. A segmenter runs here, while the workers
+    encode what it gave before. A few frames are not worth a worker.
+
+    Args:
+        head: the method. Workers run it as it is, but not what `SSRVLAD.compile` made of it:
+            with one worker, that too.
+        files: from `find_label_files`; with a segmenter, from `find_image_files`.
+        workers: number of processes; with 0 or 1 all is done here.
+        segmenter: makes the label maps; without, they are read.
+
+    Raises:
+        ValueError: the segmenter does not fit.
+        ChildProcessError: a worker was killed.
+    """
+    for result in _encode(head, files, {}, workers, segmenter):
+        if not isinstance(result, Unchanged):
+            yield result
 
 
-def _describe(
-    head: SSRVLAD, batch: Sequence[tuple[FrameFile, LabelMap]]
-) -> list[Encoded | Refusal]:
-    """Describes frames of one size and dtype; if the batch is refused, one by one."""
-    device = next(head.buffers()).device
+def stamp(file: FrameFile) -> int:
+    """A number that changes whenever a file does: of its size and the times of its last changes.
+
+    Returns:
+        An int64, 0 if there is no such file.
+    """
     try:
-        stack = torch.from_numpy(np.stack([labels for _, labels in batch])).to(device)
-        descriptors = head(stack).cpu()
-    except ValueError as error:
-        if len(batch) == 1:
-            file = batch[0][0]
-            return [Refusal(file.frame, f"{file.path}: {error}")]
-        return [result for frame in batch for result in _describe(head, [frame])]
+        status = file.path.stat()
+    except (OSError, ValueError):
+        return 0
+    text = f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns}".encode()
+    return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big", signed=True) or 1
+
+
+class _Item(NamedTuple):
+    """A frame on its way: its file, the digest that is known of it, and what was read."""
+
+    file: FrameFile
+    known: str
+    stamp: int = 0
+    labels: LabelMap | ValueError | None = None
+    digest: str = ""
+
+
+class _Described(NamedTuple):
+    """`Encoded` as a worker sends it: a tensor would take a file handle each."""
+
+    record: FrameRecord
+    descriptor: npt.NDArray[np.float32]
+
+
+_Result = _Described | Refusal | Unchanged
+
+
+class _Writer:
+    """Puts frames into a database, a part at a time; what waits at the end too."""
+
+    def __init__(self, database: Database, summary: Summary, known: KnownFrames) -> None:
+        self._database = database
+        self._summary = summary
+        self._known = known
+        self._fresh: list[Encoded] = []
+        self._changed: list[Encoded] = []
+
+    def __enter__(self) -> _Writer:
+        return self
+
+    def __exit__(self, *_exception: object) -> None:
+        with ExitStack() as both:
+            both.callback(self._write_changed)
+            both.callback(self._write_fresh)
+
+    def add(self, frame: Encoded) -> None:
+        if frame.record.frame in self._known.rows:
+            self._changed.append(frame)
+        else:
+            self._fresh.append(frame)
+        if len(self._fresh) == PART_ROWS:
+            self._write_fresh()
+        if len(self._changed) == PART_ROWS:
+            self._write_changed()
+
+    def _write_fresh(self) -> None:
+        if self._fresh:
+            self._summary.empty += _write(self._database.append, self._fresh)
+            self._summary.encoded += len(self._fresh)
+            self._fresh = []
+
+    def _write_changed(self) -> None:
+        if self._changed:
+            self._summary.empty += _write(self._database.replace, self._changed)
+            self._summary.changed += len(self._changed)
+            self._changed = []
+
+
+def _write(put: Callable[[Sequence[FrameRecord], Tensor], None], frames: Sequence[Encoded]) -> int:
+    """Writes frames; the number of empty ones."""
+    descriptors = torch.stack([frame.descriptor for frame in frames])
+    put([frame.record for frame in frames], descriptors)
+    return int((~descriptors.any(dim=1)).sum())
+
+
+def _to_do(
+    files: Sequence[FrameFile], known: KnownFrames
+) -> tuple[list[FrameFile], dict[str, str]]:
+    """Files of frames that are new or may have changed; of the latter, digests of what is there.
+
+    A frame whose pose has changed has no digest here: it must be written, whatever it holds.
+    """
+    fresh, digests = [], {}
+    for file in files:
+        row = known.rows.get(file.frame)
+        if row is not None:
+            moved = not np.isnan(file.pose[0]) and not np.array_equal(
+                file.pose, known.poses[row], equal_nan=True
+            )
+            if not moved and known.stamps[row] == stamp(file):
+                continue
+            if not moved:
+                digests[file.frame] = known.digests[row].as_py()
+        fresh.append(file)
+    return fresh, digests
+
+
+def _gone(files: Iterable[FrameFile], known: KnownFrames) -> list[str]:
+    there = {file.frame for file in files}
+    sequences = {file.sequence for file in files}
     return [
-        Encoded(_record(file, labels, head.config.labels_as), descriptor)
-        for (file, labels), descriptor in zip(batch, descriptors, strict=True)
+        frame
+        for frame in known.rows
+        if frame not in there and frame.rpartition("/")[0] in sequences
     ]
 
 
-def _record(file: FrameFile, labels: LabelMap, labels_as: str) -> FrameRecord:
-    height, width = labels.shape
-    return FrameRecord(
-        file.sequence, file.name, labels_as, height, width, digest(labels), *file.pose
-    )
+def _encode(
+    head: SSRVLAD,
+    files: Sequence[FrameFile],
+    digests: Mapping[str, str],
+    workers: int,
+    segmenter: Segmenter | None,
+    begin: Callable[[], None] | None = None,
+) -> Iterator[Encoded | Refusal | Unchanged]:
+    """`encode`, but for frames that still have a digest that was given."""
+    items = _items(head, files, digests, workers, segmenter)
+    size = BATCHES_OF_A_CHUNK * BATCH
+    chunks = iter(lambda: list(islice(items, size)), [])
+    workers = workers if len(files) > size else 0
+    read, describe = partial(_read, head.label_space), partial(_describe, head)
+    if next(head.buffers()).device.type == "cpu":
+        described = in_order(lambda chunk: describe(read(chunk)), chunks, workers, begin)
+    else:
+        described = map(describe, in_order(read, chunks, workers, begin))
+    for result in chain.from_iterable(described):
+        if isinstance(result, _Described):
+            yield Encoded(result.record, torch.from_numpy(result.descriptor))
+        else:
+            yield result
 
 
-def _label_maps(
-    head: SSRVLAD, files: Sequence[FrameFile], workers: int, segmenter: Segmenter | None
-) -> Iterator[tuple[FrameFile, LabelMap | ValueError]]:
+def _items(
+    head: SSRVLAD,
+    files: Sequence[FrameFile],
+    digests: Mapping[str, str],
+    workers: int,
+    segmenter: Segmenter | None,
+) -> Iterator[_Item]:
+    """The frames; those of a segmenter with their label maps."""
     if segmenter is None:
-        read = partial(read_label_map, space=head.label_space)
-        return read_ahead(read, files, workers, _READ_AHEAD)
+        return (_Item(file, digests.get(file.frame, "")) for file in files)
     if segmenter.label_space != head.label_space:
         raise ValueError(
             f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
             f"{head.label_space.name}"
         )
-    return segmenter.label_maps(files, workers)
+    return _segmented(files, digests, workers, segmenter)
 
 
-def _write(waiting: list[Encoded], database: Database, summary: Summary) -> None:
-    if not waiting:
-        return
-    descriptors = torch.stack([frame.descriptor for frame in waiting])
-    database.append([frame.record for frame in waiting], descriptors)
-    summary.encoded += len(waiting)
-    summary.empty += int((~descriptors.any(dim=1)).sum())
-    waiting.clear()
+def _segmented(
+    files: Sequence[FrameFile], digests: Mapping[str, str], workers: int, segmenter: Segmenter
+) -> Iterator[_Item]:
+    """Frames with label maps. Stamps are taken before any file is read."""
+    stamps = [stamp(file) for file in files]
+    for (file, labels), time in zip(segmenter.label_maps(files, workers), stamps, strict=True):
+        yield _Item(file, digests.get(file.frame, ""), time, labels)
 
 
-def _tell_nobody(done: int) -> None:
+def _read(space: LabelSpace, chunk: Sequence[_Item]) -> list[_Item]:
+    return [_read_one(space, item) for item in chunk]
+
+
+def _read_one(space: LabelSpace, item: _Item) -> _Item:
+    if item.labels is None:
+        item = item._replace(stamp=stamp(item.file))
+        try:
+            item = item._replace(labels=read_label_map(item.file, space))
+        except ValueError as error:
+            item = item._replace(labels=error)
+    if isinstance(item.labels, np.ndarray):
+        item = item._replace(digest=digest(item.labels))
+    return item
+
+
+def _describe(head: SSRVLAD, chunk: Sequence[_Item]) -> list[_Result]:
+    """Describes frames, those of like size and dtype together."""
+    results: dict[int, _Result] = {}
+    alike: dict[object, list[int]] = {}
+    for place, item in enumerate(chunk):
+        frame, labels = item.file.frame, item.labels
+        if not isinstance(labels, np.ndarray):
+            results[place] = Refusal(frame, f"{item.file.path}: {labels}")
+        elif item.digest == item.known:
+            results[place] = Unchanged(frame)
+        else:
+            alike.setdefault((labels.shape, labels.dtype), []).append(place)
+    for members in alike.values():
+        for first in range(0, len(members), BATCH):
+            places = members[first : first + BATCH]
+            batch = _describe_batch(head, [chunk[place] for place in places])
+            results.update(zip(places, batch, strict=True))
+    return [results[place] for place in range(len(chunk))]
+
+
+def _describe_batch(head: SSRVLAD, batch: Sequence[_Item]) -> list[_Result]:
+    """Describes frames of one size and dtype; if the batch is refused, one by one."""
+    device = next(head.buffers()).device
+    try:
+        stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
+        descriptors = head(stack.to(device)).cpu().numpy()
+    except ValueError as error:
+        if len(batch) == 1:
+            file = batch[0].file
+            return [Refusal(file.frame, f"{file.path}: {error}")]
+        return [result for item in batch for result in _describe_batch(head, [item])]
+    records = [_record(item, head.config.labels_as) for item in batch]
+    return [_Described(*pair) for pair in zip(records, descriptors, strict=True)]
+
+
+def _record(item: _Item, labels_as: str) -> FrameRecord:
+    height, width = np.asarray(item.labels).shape
+    size = (height, width, item.digest)
+    return FrameRecord(
+        item.file.sequence, item.file.name, labels_as, *size, *item.file.pose, item.stamp
+    )
+
+
+def _tell_nobody(_what: object) -> None:
     pass

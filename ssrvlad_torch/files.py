@@ -13,19 +13,42 @@ from pathlib import Path
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file that takes the place of ``path``, whole and on the disk, or not at all.
 
-    The file is flushed to the disk, renamed, and the folder flushed, in this order.
+    The file is flushed to the disk, renamed, and the folder flushed, in this order. Where the
+    folder cannot be flushed, what was there takes its place again. The temporary file's name
+    starts with a dot and the name of ``path``.
 
     Raises:
         OSError: the disk refused; what was at ``path`` is as it was.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
+    before = temporary.with_name(f"{temporary.name}.before")
     try:
         yield temporary
-        _flush(temporary)
+        flush(temporary)
+        if path.exists():
+            before.hardlink_to(path)
         temporary.replace(path)
-        _flush(path.parent)
+        try:
+            flush(path.parent)
+        except OSError:
+            _put_back(before, path)
+            raise
     finally:
         temporary.unlink(missing_ok=True)
+        before.unlink(missing_ok=True)
+
+
+def flush(path: Path) -> None:
+    """Has the disk take what was written to a file or a folder.
+
+    Raises:
+        OSError: the disk refused.
+    """
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def absolute_folder(folder: Path) -> Path:
@@ -37,9 +60,9 @@ def absolute_folder(folder: Path) -> Path:
     return path.resolve() if path.name == ".." else path
 
 
-def _flush(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+def _put_back(before: Path, path: Path) -> None:
+    """Undoes a rename: what was there, or nothing."""
+    if before.exists():
+        before.replace(path)
+    else:
+        path.unlink()

@@ -31,7 +31,12 @@ class Matches(NamedTuple):
 
 @torch.no_grad()
 def match(
-    queries: Vectors, references: Vectors, top: int = 5, threshold: float | None = None
+    queries: Vectors,
+    references: Vectors,
+    top: int = 5,
+    threshold: float | None = None,
+    where: Tensor | npt.NDArray[np.bool_] | None = None,
+    exclude: Tensor | npt.NDArray[np.int64] | None = None,
 ) -> Matches:
     """The references with the highest cosine (Eq. 4) to each query.
 
@@ -41,13 +46,17 @@ def match(
 
     Args:
         queries: ``(Q, D)`` float.
-        references: ``(R, D)`` float.
+        references: ``(R, D)`` float; in memory or memory-mapped, in single or half precision.
+            What is computed is computed in float32.
         top: number of candidates, at least 1.
         threshold: candidates whose score is not above it are left out.
+        where: ``(R,)`` bool, the references that may be candidates; without, all.
+        exclude: ``(Q, 2)`` int64, for each query a range of rows that are no candidates for it,
+            from the first number up to, not including, the second.
 
     Raises:
         ValueError: the vectors are not two matrices of equal width, hold values that are not
-            finite, or ``top`` is below 1.
+            finite, ``top`` is below 1, or ``where`` or ``exclude`` is of another shape.
 
     Example:
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
@@ -55,6 +64,7 @@ def match(
     """
     queries, references = torch.as_tensor(queries), torch.as_tensor(references)
     _check(queries, references, top)
+    allowed, ranges = _limits(len(queries), len(references), where, exclude)
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
     wanted = _unit(queries, "queries")
@@ -62,7 +72,14 @@ def match(
         block = _unit(references[first : first + _REFERENCE_BLOCK], "references")
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
-            _improve(scores[part], indices[part], _cosines(wanted[part], block), first)
+            cosines = _cosines(wanted[part], block)
+            if allowed is not None:
+                cosines[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
+            if ranges is not None:
+                rows = torch.arange(first, first + len(block))
+                inside = (rows >= ranges[part, :1]) & (rows < ranges[part, 1:])
+                cosines.masked_fill_(inside.to(cosines.device), -torch.inf)
+            _improve(scores[part], indices[part], cosines, first)
     above = scores > (-torch.inf if threshold is None else threshold)
     no_candidate = ~(above & wanted.any(dim=1, keepdim=True))
     return Matches(
@@ -70,7 +87,9 @@ def match(
     )
 
 
-def temporal_sum(descriptors: Vectors, sequences: Sequence[str], reach: int) -> Tensor:
+def temporal_sum(
+    descriptors: Vectors, sequences: Sequence[str], reach: int, out: Tensor | None = None
+) -> Tensor:
     """Descriptors of reference frames summed over their neighbours and normalised (Eq. 3).
 
     Frame i becomes the sum of frames i - t to i + t of its own sequence, clipped at the ends.
@@ -80,6 +99,8 @@ def temporal_sum(descriptors: Vectors, sequences: Sequence[str], reach: int) -> 
         descriptors: ``(R, D)`` float, frames of a sequence one after another in order.
         sequences: the sequence of each frame.
         reach: t of the paper, 0 for none.
+        out: ``(R, D)`` float32 that is filled and returned; it may be the descriptors themselves,
+            so that a million of them need no second place.
 
     Returns:
         ``(R, D)`` float32 of length 1, or zero.
@@ -94,14 +115,27 @@ def temporal_sum(descriptors: Vectors, sequences: Sequence[str], reach: int) -> 
         )
     if reach < 0:
         raise ValueError(f"the temporal reach must be 0 or more frames, got {reach}")
-    number = torch.from_numpy(np.unique(np.asarray(sequences, str), return_inverse=True)[1])
-    total = torch.zeros_like(single)
+    drive = torch.from_numpy(np.unique(np.asarray(sequences, str), return_inverse=True)[1])
     reach = min(reach, max(0, len(single) - 1))
-    for offset in range(-reach, reach + 1):
+    out = torch.empty_like(single) if out is None else out
+    before = single[:0]
+    for first in range(0, len(single), _REFERENCE_BLOCK):
+        last = min(first + _REFERENCE_BLOCK, len(single))
+        around = torch.cat((before, single[first : last + reach]))
+        start = first - len(before)
+        before = around[: last - start][-reach:].clone() if reach else single[:0]
+        whole = _summed(around, drive[start : start + len(around)].to(around.device), reach)
+        out[first:last] = whole[first - start : last - start]
+    return out
+
+
+def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
+    """Eq. 3 for frames whose neighbours are all among them."""
+    total = torch.zeros_like(single)
+    for offset in range(-min(reach, len(single) - 1), min(reach, len(single) - 1) + 1):
         here = slice(max(0, -offset), len(single) - max(0, offset))
         there = slice(max(0, offset), len(single) - max(0, -offset))
-        together = (number[here] == number[there]).to(single.device)
-        total[here] += single[there] * together[:, None]
+        total[here] += single[there] * (drive[here] == drive[there])[:, None]
     return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
 
 
@@ -159,6 +193,22 @@ def _merge(kept: tuple[Tensor, Tensor], found: tuple[Tensor, Tensor]) -> tuple[T
         1, scores.gather(1, by_index).argsort(dim=1, descending=True, stable=True)
     )
     return scores.gather(1, order)[:, :top], indices.gather(1, order)[:, :top]
+
+
+def _limits(
+    queries: int,
+    references: int,
+    where: Tensor | npt.NDArray[np.bool_] | None,
+    exclude: Tensor | npt.NDArray[np.int64] | None,
+) -> tuple[Tensor | None, Tensor | None]:
+    """What limits the candidates, as tensors."""
+    allowed = None if where is None else torch.as_tensor(where)
+    ranges = None if exclude is None else torch.as_tensor(exclude)
+    if allowed is not None and (allowed.shape != (references,) or allowed.dtype != torch.bool):
+        raise ValueError(f"where: wanted ({references},) bool, got {tuple(allowed.shape)}")
+    if ranges is not None and ranges.shape != (queries, 2):
+        raise ValueError(f"exclude: wanted ({queries}, 2) rows, got {tuple(ranges.shape)}")
+    return allowed, ranges
 
 
 def _check(queries: Tensor, references: Tensor, top: int) -> None:

@@ -1,6 +1,11 @@
 """Encoding: all that can be encoded is, once, in order, and what cannot is named."""
 
 import errno
+import os
+import signal
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -282,3 +287,160 @@ def test_a_stack_is_encoded_row_by_row(maps):
     assert frames.frames == tuple(f"s/s-00000{n}" for n in range(4))
     for number, descriptor in enumerate(frames.descriptors):
         assert torch.equal(descriptor, alone(street(number)))
+
+
+# ---- what has changed
+
+
+def rewrite(path, seed):
+    """Another label map in the place of one, in a file of its own."""
+    path.unlink()
+    write_street(path, seed)
+
+
+def test_a_changed_file_is_encoded_again_and_takes_the_place_of_the_old(maps):
+    maps.add("a", range(5))
+    maps.encode()
+    rewrite(maps.folder / "a" / "3.png", 99)
+    summary = maps.encode()
+    assert (summary.encoded, summary.changed, summary.already_there) == (0, 1, 4)
+    frames = maps.database().load()
+    assert frames.frames == tuple(f"a/{n}" for n in range(5))
+    assert torch.equal(frames.descriptors[3], alone(street(99)))
+    assert torch.equal(frames.descriptors[4], alone(street(4)))
+    assert maps.database().digests()["a/3"] == digest(street(99))
+    assert (maps.encode().changed, maps.encode().already_there) == (0, 5)
+
+
+def test_a_change_that_keeps_size_and_time_is_seen(maps):
+    """Its time of change is not in the user's hands."""
+    path = maps.folder / "a" / "0.npy"
+    path.parent.mkdir()
+    np.save(path, street(0))
+    maps.encode()
+    before = path.stat()
+    time.sleep(0.02)
+    np.save(path, street(1))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_size == before.st_size
+    assert maps.encode().changed == 1
+    assert torch.equal(maps.database().load().descriptors[0], alone(street(1)))
+
+
+def test_a_file_that_was_only_touched_is_read_but_not_encoded(maps, monkeypatch):
+    maps.add("a", range(3))
+    maps.encode()
+    (maps.folder / "a" / "1.png").touch()
+    monkeypatch.setattr(SSRVLAD, "forward", None)
+    summary = maps.encode()
+    assert (summary.changed, summary.already_there) == (0, 3)
+
+
+def test_a_changed_file_that_cannot_be_read_is_refused_and_its_row_stays(maps):
+    maps.add("a", range(3))
+    maps.encode()
+    (maps.folder / "a" / "1.png").write_text("no image")
+    summary = maps.encode()
+    assert counts(summary) == (0, 2, 1)
+    assert torch.equal(maps.database().load().descriptors[1], alone(street(1)))
+
+
+def test_a_changed_pose_is_taken_over(maps):
+    maps.add("a", range(3))
+    (maps.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\na/1,3,4\n")
+    maps.encode()
+    (maps.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\na/1,3,5\n")
+    summary = maps.encode()
+    assert (summary.changed, summary.already_there) == (1, 2)
+    assert maps.database().load().poses[1, :2].tolist() == [3, 5]
+
+
+def test_frames_whose_file_is_gone_are_told_and_removed_if_asked(maps):
+    maps.add("a", range(4))
+    maps.add("b", range(2))
+    maps.encode()
+    for number in (1, 3):
+        (maps.folder / "a" / f"{number}.png").unlink()
+    files = [file for file in maps.files() if file.sequence == "a"]
+    assert maps.encode().gone == [], "not all files need be given"
+    summary = encode_to_database(HEAD, files, maps.database(), complete=True)
+    assert (summary.gone, summary.pruned) == (["a/1", "a/3"], 0)
+    assert len(maps.database()) == 6
+    summary = encode_to_database(HEAD, files, maps.database(), complete=True, prune=True)
+    assert (summary.gone, summary.pruned) == ([], 2)
+    assert maps.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
+    with pytest.raises(ValueError, match="prune wants to know all files"):
+        encode_to_database(HEAD, files, maps.database(), prune=True)
+
+
+# ---- several at once
+
+
+def test_a_second_encoder_is_refused_at_once(maps):
+    maps.add("a", range(3))
+    with (
+        maps.database().writing(),
+        pytest.raises(ValueError, match="is being written by another process"),
+    ):
+        maps.encode()
+    assert counts(maps.encode()) == (3, 0, 0)
+
+
+SCRIPT = """
+import sys, time
+from ssrvlad_torch import SSRVLAD, encoding
+from ssrvlad_torch.database import Database
+from ssrvlad_torch.datasets.label_files import find_label_files
+encoding.BATCH, encoding.PART_ROWS = 1, 8
+head = SSRVLAD.from_preset("default", labels_as="camvid-11")
+database = Database.open_or_create(sys.argv[1], head.config)
+told = []
+def progress(done):
+    told.append(done)
+    if sum(told) == 10:
+        print("ready", flush=True)
+    time.sleep(0.02)
+encoding.encode_to_database(head, find_label_files([sys.argv[2]]), database, 2, progress)
+"""
+
+
+@pytest.mark.parametrize(
+    ("number", "code"),
+    [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
+)
+def test_a_signal_ends_a_run_and_its_workers_and_the_next_run_completes_it(maps, number, code):
+    """All that was told done is there; after SIGKILL all parts that were full."""
+    maps.add("a", range(60))
+    target = maps.folder / "town.ssrdb"
+    command = [sys.executable, "-c", SCRIPT, str(target), str(maps.folder / "a")]
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert running.stdout.readline() == b"ready\n"
+    running.send_signal(number)
+    assert running.wait(60) in (code, 130)
+    landed = len(Database.open(target))
+    assert landed >= (8 if number == signal.SIGKILL else 10)
+    assert landed < 60
+    assert counts(maps.encode()) == (60 - landed, landed, 0)
+    frames = maps.database().load()
+    assert frames.frames == tuple(f"a/{n}" for n in range(60))
+    for row, descriptor in enumerate(frames.descriptors):
+        assert torch.equal(descriptor, alone(street(row)))
+
+
+def test_a_killed_worker_is_an_error_and_what_was_done_stays(maps, monkeypatch):
+    monkeypatch.setattr(encoding, "BATCH", 2)
+    maps.add("a", range(40))
+    read = encoding.read_label_map
+
+    def die(file, space):
+        if file.name == "30":
+            os.kill(os.getpid(), signal.SIGKILL)
+        return read(file, space)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(encoding, "read_label_map", die)
+        with pytest.raises(ChildProcessError, match="a worker process was killed"):
+            maps.encode(workers=2)
+    landed = len(maps.database())
+    assert landed <= 30
+    assert counts(maps.encode()) == (40 - landed, landed, 0)

@@ -1,0 +1,79 @@
+"""Other forms of a database, each read back by its own library."""
+
+import numpy as np
+import pytest
+from helpers import descriptors, record
+
+from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.database import Database
+from ssrvlad_torch.exporting import export_database
+
+CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")
+FRAMES = ("a/2", "a/1", "b/straße 🚗", "a/10")
+
+
+@pytest.fixture
+def database(tmp_path):
+    made = Database.create(tmp_path / "db", CONFIG)
+    numbers = descriptors(0, len(FRAMES))
+    numbers[1] = 0
+    made.append([record(frame) for frame in FRAMES], numbers)
+    return made
+
+
+def names(file):
+    return file.with_name(f"{file.name}.frames.txt").read_text(encoding="utf-8").splitlines()
+
+
+def test_an_array_and_names(database, tmp_path):
+    file = tmp_path / "out.npy"
+    assert export_database(database, "npy", file) == [file, tmp_path / "out.npy.frames.txt"]
+    np.testing.assert_array_equal(np.load(file), database.load().descriptors.numpy())
+    assert names(file) == ["a/1", "a/2", "a/10", "b/straße 🚗"]
+
+
+def test_an_index_of_faiss_finds_each_frame(database, tmp_path):
+    faiss = pytest.importorskip("faiss", reason="needs the extra search")
+    file = tmp_path / "out.faiss"
+    export_database(database, "faiss", file)
+    index = faiss.read_index(str(file))
+    wanted = database.load().descriptors.numpy()
+    scores, rows = index.search(wanted, 1)
+    assert index.ntotal == 4
+    assert rows[1:, 0].tolist() == [1, 2, 3]
+    np.testing.assert_allclose(scores[1:, 0], 1, atol=1e-6)
+    assert names(file) == list(database.load().frames)
+
+
+def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
+    """By what its ``list_h5_names`` and ``get_descriptors`` do."""
+    h5py = pytest.importorskip("h5py", reason="needs the extra search")
+    file = tmp_path / "out.h5"
+    assert export_database(database, "hloc", file) == [file]
+    frames = database.load()
+    with h5py.File(file, "r") as stored:
+        found = set()
+        stored.visititems(
+            lambda _, thing: (
+                found.add(thing.parent.name.strip("/")) if isinstance(thing, h5py.Dataset) else None
+            )
+        )
+        assert found == set(frames.frames)
+        for frame, descriptor in zip(frames.frames, frames.descriptors.numpy(), strict=True):
+            np.testing.assert_array_equal(
+                stored[frame]["global_descriptor"].__array__(), descriptor
+            )
+
+
+@pytest.mark.parametrize("form", ["npy", "faiss", "hloc"])
+def test_an_empty_database_has_empty_forms(tmp_path, form):
+    pytest.importorskip("faiss", reason="needs the extra search")
+    pytest.importorskip("h5py", reason="needs the extra search")
+    export_database(Database.create(tmp_path / "db", CONFIG), form, tmp_path / "out")
+    assert (tmp_path / "out").is_file()
+
+
+def test_a_place_that_cannot_be_written_is_an_error_and_leaves_nothing(database, tmp_path):
+    with pytest.raises(OSError, match="missing"):
+        export_database(database, "npy", tmp_path / "missing" / "out.npy")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]

@@ -1,0 +1,93 @@
+"""Which references may answer a query."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch.database import FrameSet, natural_key
+from ssrvlad_torch.matching import match
+from ssrvlad_torch.selecting import neighbours, select
+
+
+def frame_set(*frames):
+    """Frames without descriptors, in the order of a database."""
+    ordered = sorted(frames, key=lambda f: tuple(natural_key(p) for p in f.rsplit("/", 1)))
+    return FrameSet(
+        frames=tuple(ordered),
+        sequences=tuple(frame.rpartition("/")[0] for frame in ordered),
+        descriptors=torch.zeros(len(ordered), 0),
+        poses=np.zeros((len(ordered), 3)),
+        empty=np.zeros(len(ordered), bool),
+    )
+
+
+FRAMES = frame_set("day/1", "day/2", "day/10", "night/3", "night/t1418132416", "night/x")
+
+
+def chosen(**limits):
+    return [f for f, c in zip(FRAMES.frames, select(FRAMES, **limits), strict=True) if c]
+
+
+def test_without_limits_all_are_chosen():
+    assert chosen() == list(FRAMES.frames)
+
+
+def test_sequences_are_chosen_by_name():
+    assert chosen(sequences=["night"]) == ["night/3", "night/t1418132416", "night/x"]
+    assert chosen(sequences=[]) == []
+    with pytest.raises(ValueError, match="there is no sequence 'dusk' in the database"):
+        chosen(sequences=["night", "dusk"])
+
+
+def test_a_window_takes_both_its_ends_and_no_frame_without_a_number():
+    assert chosen(first=2) == ["day/2", "day/10", "night/3", "night/t1418132416"]
+    assert chosen(last=3) == ["day/1", "day/2", "night/3"]
+    assert chosen(first=2, last=3, sequences=["day"]) == ["day/2"]
+    assert chosen(first=1418132416) == ["night/t1418132416"]
+
+
+@given(st.sets(st.integers(0, 30)), st.integers(0, 40), st.integers(0, 5))
+def test_neighbours_are_those_around_the_place_that_a_query_has(numbers, query, reach):
+    references = frame_set("a/5", "z/5", *(f"m/{number}" for number in numbers))
+    [(first, last)] = neighbours([f"m/{query}"], references, reach)
+    found = [int(frame[2:]) for frame in references.frames[first:last]]
+    below = sorted(n for n in numbers if n < query)
+    above = sorted(n for n in numbers if n > query)
+    wanted = below[len(below) - min(reach, len(below)) :] + [query] * (query in numbers)
+    assert found == wanted + above[:reach]
+
+
+def test_a_query_of_another_sequence_has_no_neighbours():
+    assert neighbours(["dusk/1"], FRAMES, 3).tolist() == [[0, 0]]
+    with pytest.raises(ValueError, match="0 or more frames, got -1"):
+        neighbours([], FRAMES, -1)
+
+
+@settings(deadline=None)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_what_is_not_allowed_is_no_candidate(seed, top):
+    """Against a search among only those that are."""
+    generator = np.random.default_rng(seed)
+    queries = generator.normal(size=(4, 8)).astype(np.float32)
+    references = generator.normal(size=(30, 8)).astype(np.float32)
+    where = generator.random(30) < 0.6
+    ranges = np.sort(generator.integers(0, 31, (4, 2)), axis=1)
+    found = match(queries, references, top, where=where, exclude=ranges)
+    for number, query in enumerate(queries):
+        allowed = where.copy()
+        allowed[slice(*ranges[number])] = False
+        rows = np.flatnonzero(allowed)
+        scores, places = match(query[None], references[rows], top)
+        indices = [int(rows[place]) if place >= 0 else -1 for place in places[0]]
+        assert found.indices[number].tolist() == indices
+        torch.testing.assert_close(found.scores[number], scores[0])
+
+
+def test_limits_of_another_shape_are_refused():
+    eye = torch.eye(3)
+    with pytest.raises(ValueError, match=r"where: wanted \(3,\) bool, got \(2,\)"):
+        match(eye, eye, where=np.ones(2, bool))
+    with pytest.raises(ValueError, match=r"exclude: wanted \(3, 2\) rows, got \(3,\)"):
+        match(eye, eye, exclude=np.zeros(3, int))
