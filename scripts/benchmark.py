@@ -31,7 +31,7 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
 from ssrvlad_torch import descriptor as method
-from ssrvlad_torch.bench import Timing, heads, threads, time_in_turn
+from ssrvlad_torch.bench import Timing, heads, onnx_head, threads, time_in_turn
 from ssrvlad_torch.config import CATEGORY_COUNT
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.taxonomy import label_space
@@ -130,6 +130,7 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
         ways["OpenCV, layer by layer"] = partial(opencv_describe, image, config)
     for name, head in heads(config).items():
         ways[f"module, {name}"] = partial(head, labels[:1])
+    ways["ONNX Runtime"] = partial(onnx_head(config), labels[:1])
     if torch.cuda.is_available():
         ways["module, CUDA"] = partial(SSRVLAD(config).to("cuda"), labels[:1].to("cuda"))
     answers = {name: np.ravel(torch.as_tensor(way()).cpu()) for name, way in ways.items()}
@@ -157,24 +158,30 @@ def size_section(maps: Maps, repetitions: int) -> Iterator[str]:
 def bars_section(maps: Maps, repetitions: int) -> Iterator[str]:
     """The default preset against the reference at native size."""
     yield "Preset `default` against the reference at native size (preset `paper`), one image of"
-    yield f"{by(LARGE)}, and against the reference at the same working size, by the image:\n"
+    yield f"{by(LARGE)}, against the reference at the same working size, and against the paper's"
+    yield "residuals at that size, as the module has them, eager, by the image:\n"
     labels = maps.batch(LARGE, BATCH)
     image, config = labels[0].numpy(), maps.config("default")
     modules = heads(config)
+    paper = replace(maps.config("paper"), working_size=config.working_size)
+    residuals = SSRVLAD(paper)
     ways: dict[str, Callable[[], object]] = {
         "reference, native": partial(reference.describe, image, maps.config("paper")),
         "reference, working size": partial(reference.describe, image, config),
+        "module, eager, residuals": partial(residuals, labels[:1]),
+        "ONNX Runtime": partial(onnx_head(config), labels[:1]),
     }
     for name, head in modules.items():
         head(labels)
         ways[f"module, {name}"] = partial(head, labels[:1])
         ways[f"module, {name}, batch of {BATCH}"] = partial(head, labels)
     timings = time_in_turn(ways, repetitions, warm_up=False)
-    yield from head_row("way", "ms an image", "against native", "against working size")
+    columns = ("against native", "against working size", "against residuals")
+    yield from head_row("way", "ms an image", *columns)
     for name, timing in timings.items():
         share = BATCH if "batch" in name else 1
         each = Timing(tuple(second / share for second in timing.seconds))
-        ratios = [span(each.times_faster_than(timings[other]), 2) for other in list(ways)[:2]]
+        ratios = [span(each.times_faster_than(timings[other]), 2) for other in list(ways)[:3]]
         yield line(name, span(each.milliseconds, 2), *ratios)
     yield ""
 
@@ -246,6 +253,7 @@ def stage_seconds(head: SSRVLAD, labels: Tensor) -> dict[str, float]:
     stages = ["categorise", "reduce_by_majority", "split", "open_and_close", "fill_holes"]
     stages += ["drop_regions", "end_points", "intersections", "points", "centroids"]
     stages += ["log_polar_bins", "shape_contexts", "aggregate"]
+    stages += ["vistas", "shares", "soft_histograms", "amounts"]
     taken = dict.fromkeys(["thin", *stages], 0.0)
 
     def timed(name: str, stage: Callable[..., Any], *arguments: Any) -> Any:

@@ -13,7 +13,7 @@ from torch import Tensor
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.bitplanes import count_points, points
 from ssrvlad_torch.stages.aggregation import aggregate
-from ssrvlad_torch.stages.canvas import ROWS, shares
+from ssrvlad_torch.stages.canvas import CELLS, ROWS, shares
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.harmonics import (
     amounts,
@@ -103,7 +103,7 @@ def waves_over_the_picture(masks: Masks) -> Tensor:
 
 def plain_bins(masks: Masks) -> Tensor:
     """Square-rooted soft bins themselves, 5 x 12 of them, without harmonics."""
-    bins = bin_table(5, 12, DEFAULT.radius, DEFAULT.inner_radius)
+    bins = bin_table(CELLS, 5, 12, DEFAULT.radius, DEFAULT.inner_radius)
     area, _ = _cells(masks, vistas(masks.clean))
     return F.normalize((area.flatten(2) @ bins.T).sqrt().flatten(1)).float()
 
@@ -124,7 +124,7 @@ REJECTED: dict[str, Describe] = {
 
 def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
     return (
-        bin_table(config.rings, config.sectors, config.radius, config.inner_radius),
+        bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
         pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening),
     )
 

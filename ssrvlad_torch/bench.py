@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
 from statistics import median
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from .config import PRESETS, SSRVLADConfig
 from .datasets.synthetic_city import SyntheticCity
@@ -81,12 +82,35 @@ def heads(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
     return {"eager": SSRVLAD(config), "compiled": compiled}
 
 
+def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
+    """The exported head in ONNX Runtime, one thread.
+
+    Raises:
+        ImportError: the extra ``onnx`` is not installed.
+    """
+    from .deployment.export import head_model
+
+    model = head_model(config).SerializeToString()
+    from onnxruntime import InferenceSession, SessionOptions
+
+    options = SessionOptions()
+    options.intra_op_num_threads = 1
+    session = InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+    def describe(labels: Tensor) -> Tensor:
+        (descriptor,) = session.run(["descriptor"], {"labels": labels.numpy()})
+        return torch.from_numpy(descriptor)
+
+    return describe
+
+
 def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
     """The table of ``ssrvlad bench``: both presets on frames of the synthetic city, one thread.
 
     Returns:
         a row for each preset, batch and way, with milliseconds an image and, where the reference
-        ran (one image), how many times faster than it.
+        ran (one image), how many times faster than it. ONNX Runtime is there with the extra
+        ``onnx``.
 
     Raises:
         ImportError: the extra ``eval``, which the reference needs, is not installed.
@@ -99,7 +123,9 @@ def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
     with threads(1):
         for preset in PRESETS:
             config = SSRVLADConfig.from_preset(preset, labels_as=LABELS_AS)
-            modules = heads(config)
+            modules: dict[str, Callable[[Tensor], Tensor]] = {**heads(config)}
+            with suppress(ImportError):
+                modules["ONNX Runtime"] = onnx_head(config)
             for count in (1, BATCH):
                 ways: dict[str, Callable[[], object]] = {
                     name: partial(head, batch[:count]) for name, head in modules.items()

@@ -11,13 +11,19 @@ group and then in raster order. `by_image` turns a value per group into a value 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .graph import Symbol
+
 LAYERS = 8
+
+Bits = TypeVar("Bits", Tensor, Symbol)
+"""Integers of any shape and width, each bit a pixel of some layer: a tensor, or a symbol of a
+graph. What takes either has Python's operators only."""
 
 
 class Points(NamedTuple):
@@ -61,12 +67,30 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
     return tuple(padded[:, y : y + height, x : x + width] for y, x in offsets)
 
 
-def two_or_more(planes: Sequence[Tensor]) -> Tensor:
+def two_or_more(planes: Sequence[Bits]) -> Bits:
     """Bits that are set in at least two of the planes, of which there are two or more."""
     seen, again = planes[0] | planes[1], planes[0] & planes[1]
     for plane in planes[2:]:
         seen, again = seen | plane, again | (seen & plane)
     return again
+
+
+def steps_around(ring: tuple[Bits, ...]) -> list[Bits]:
+    """The 0 -> 1 steps around every pixel, in four planes: how many are set is the crossing number.
+
+    From N over NE to E, and in each of the other quarters, there is at most one step. A plane less
+    a part of it is what the part leaves.
+
+    Args:
+        ring: the eight `neighbours`.
+    """
+    n, ne, e, se, s, sw, w, nw = ring
+    return [
+        (ne | e) - (n & ne),
+        (se | s) - (e & se),
+        (sw | w) - (s & sw),
+        (nw | n) - (w & nw),
+    ]
 
 
 def points(planes: Tensor) -> Points:

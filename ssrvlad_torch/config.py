@@ -73,7 +73,8 @@ class SSRVLADConfig:
         skeleton_weight: weight of the skeleton's length beside the layer's area.
         harmonics: numbers of each layer, the amounts of the smoothest patterns over the bins.
         sharpening: exponent by which finer patterns weigh more.
-        power: to which every number's size is raised, its sign kept.
+        power: to which every number's size is raised, its sign kept; 0.5 to 1. Below, what should
+            be zero and is rounded would be raised to something.
 
     Raises:
         ValueError: a setting is outside its range; the message names it, what was got and what
@@ -120,7 +121,7 @@ class SSRVLADConfig:
         _check_choice("anchor", self.anchor, ANCHORS)
         _check_fraction("skeleton_weight", self.skeleton_weight, 100.0)
         _check_fraction("sharpening", self.sharpening, 4.0)
-        _check_fraction("power", self.power, 1.0, above_zero=True)
+        _check_fraction("power", self.power, 1.0, lowest=0.5)
         _check_integer("harmonics", self.harmonics, 1, 1 << 12)
         most = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
         if self.aggregation == "harmonics" and self.harmonics > most:
@@ -240,11 +241,13 @@ def _check_integer(name: str, value: object, lowest: int, highest: int) -> None:
         raise ValueError(f"{name} must be an integer from {lowest} to {highest}, got {value!r}")
 
 
-def _check_fraction(name: str, value: object, highest: float, above_zero: bool = False) -> None:
+def _check_fraction(
+    name: str, value: object, highest: float, above_zero: bool = False, lowest: float = 0.0
+) -> None:
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not number or not 0 <= value <= highest or (above_zero and value == 0):  # type: ignore[operator]
-        lowest = "above 0" if above_zero else "from 0"
-        raise ValueError(f"{name} must be a fraction {lowest} to {highest}, got {value!r}")
+    if not number or not lowest <= value <= highest or (above_zero and value == 0):  # type: ignore[operator]
+        least = "above 0" if above_zero else f"from {lowest:g}"
+        raise ValueError(f"{name} must be a fraction {least} to {highest}, got {value!r}")
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:

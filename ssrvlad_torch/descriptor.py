@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from .bitplanes import count_points, points, unpack
 from .config import SSRVLADConfig
 from .stages.aggregation import aggregate
-from .stages.canvas import ROWS, shares
+from .stages.canvas import CELLS, ROWS, shares
 from .stages.centroid import centre_table, centroids
 from .stages.components import drop_regions, fill_holes
 from .stages.harmonics import amounts, bin_table, pattern_table, soft_histograms
@@ -219,7 +219,7 @@ class Explanation:
 
 def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
     """Soft bins and patterns. They are no buffers: ``head.half()`` must not round them."""
-    bins = bin_table(config.rings, config.sectors, config.radius, config.inner_radius)
+    bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
     patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
     return bins, patterns
 

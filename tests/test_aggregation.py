@@ -1,7 +1,23 @@
 import numpy as np
 import torch
+from graphs import run
 
-from ssrvlad_torch.stages.aggregation import aggregate
+from ssrvlad_torch.stages import aggregation
+from ssrvlad_torch.stages.aggregation import aggregate_in_graph
+
+
+def in_graph(graph, sums, centres, counts):
+    return [aggregate_in_graph(graph, sums, centres, counts)]
+
+
+def aggregate(sums, centres, counts):
+    """On tensors and in a graph, which must agree."""
+    descriptor = aggregation.aggregate(sums, centres, counts)
+    (got,) = run(in_graph, sums, centres, counts)
+    assert got.dtype == descriptor.dtype
+    torch.testing.assert_close(got, descriptor, rtol=0, atol=1e-7)
+    assert torch.equal(got == 0, descriptor == 0)
+    return descriptor
 
 
 def random_histograms(seed: int = 0):

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from ssrvlad_torch import SSRVLADConfig, bench
-from ssrvlad_torch.bench import Timing, bench_this_machine, heads, threads, time_in_turn
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, bench
+from ssrvlad_torch.bench import Timing, bench_this_machine, heads, onnx_head, threads, time_in_turn
 
 
 def test_ways_are_timed_in_turn():
@@ -38,6 +38,14 @@ def test_both_heads_have_the_settings():
     }
 
 
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_the_onnx_head_is_the_head(preset):
+    config = SSRVLADConfig.from_preset(preset, labels_as="camvid-11")
+    labels = torch.randint(0, 12, (2, 37, 53), dtype=torch.uint8)
+    found, wanted = onnx_head(config)(labels), SSRVLAD(config)(labels)
+    torch.testing.assert_close(found, wanted, rtol=0, atol=1e-6)
+
+
 def test_the_table_has_a_row_for_every_way(monkeypatch):
     monkeypatch.setattr(bench, "SIZE", (48, 64))
     monkeypatch.setattr(bench, "BATCH", 2)
@@ -49,8 +57,10 @@ def test_the_table_has_a_row_for_every_way(monkeypatch):
             (1, "reference"),
             (1, "eager"),
             (1, "compiled"),
+            (1, "ONNX Runtime"),
             (2, "eager"),
             (2, "compiled"),
+            (2, "ONNX Runtime"),
         )
     ]
     for row in rows:

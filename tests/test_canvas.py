@@ -3,12 +3,25 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
-from ssrvlad_torch.stages.canvas import COLUMNS, ROWS, overlaps, shares
+from ssrvlad_torch.stages import canvas
+from ssrvlad_torch.stages.canvas import COLUMNS, ROWS, overlaps, shares_in_graph
+
+
+def in_graph(graph, words, shift):
+    return [shares_in_graph(graph, words, shift)]
+
+
+def shares(planes, shift):
+    """On tensors and in a graph, which must agree."""
+    cells = canvas.shares(planes, shift)
+    assert torch.equal(run_on_planes(in_graph, planes, shift)[0], cells)
+    return cells
 
 
 @given(

@@ -2,22 +2,43 @@ import numpy as np
 import pytest
 import torch
 from drawings import HOLES, MASKS, SPECKS, SPIRAL, blobs, mask, planes
+from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack, unpack
-from ssrvlad_torch.stages.components import drop_regions, fill_holes
+from ssrvlad_torch.stages import components
+from ssrvlad_torch.stages.components import drop_regions_in_graph, fill_holes_in_graph
+
+
+def graph_with_area(graph, words, area):
+    return [build(graph, words, area) for build in (fill_holes_in_graph, drop_regions_in_graph)]
+
+
+def fill_holes(some, area):
+    """By bit-planes and in a graph, which must agree."""
+    filled = components.fill_holes(some, area)
+    assert torch.equal(run_on_planes(graph_with_area, some, area)[0], filled)
+    return filled
+
+
+def drop_regions(some, area):
+    """By bit-planes and in a graph, which must agree."""
+    kept = components.drop_regions(some, area)
+    assert torch.equal(run_on_planes(graph_with_area, some, area)[1], kept)
+    return kept
 
 
 def assert_like_reference(some: torch.Tensor, area: int) -> None:
+    all_filled, all_kept = unpack(fill_holes(some, area)), unpack(drop_regions(some, area))
     for b, layers in enumerate(unpack(some).numpy()):
         for k, layer in enumerate(layers):
             filled = layer | reference.small_holes(layer, area)
-            np.testing.assert_array_equal(unpack(fill_holes(some, area))[b, k], filled)
+            np.testing.assert_array_equal(all_filled[b, k], filled)
             kept = layer & ~reference.small_regions(layer, area)
-            np.testing.assert_array_equal(unpack(drop_regions(some, area))[b, k], kept)
+            np.testing.assert_array_equal(all_kept[b, k], kept)
 
 
 @pytest.mark.parametrize("area", [0, 1, 2, 3, 5, 1000])
@@ -73,5 +94,5 @@ def test_rows_do_not_touch_around_the_edge():
 
 def test_planes_of_no_interest_are_returned_as_they_are():
     some = random_planes()
-    assert fill_holes(some, 1) is some
-    assert drop_regions(some, 1) is some
+    assert components.fill_holes(some, 1) is some
+    assert components.drop_regions(some, 1) is some

@@ -67,7 +67,7 @@ def with_few_harmonics(harmonics: int, rings: int, sectors: int, **settings) -> 
         skeleton_weight=st.sampled_from([0.0, 0.1, 2.0]),
         harmonics=st.integers(1, 60),
         sharpening=st.floats(0, 2),
-        power=st.floats(0.3, 1.0),
+        power=st.floats(0.5, 1.0),
     ),
 )
 def test_equals_the_reference_on_blobs_with_any_settings(seed, height, width, grain, config):

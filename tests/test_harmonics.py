@@ -6,14 +6,17 @@ import math
 import numpy as np
 import pytest
 import torch
+from graphs import run
 
 from ssrvlad_torch import SSRVLADConfig, reference
-from ssrvlad_torch.stages.canvas import COLUMNS, ROWS
+from ssrvlad_torch.stages.canvas import CELLS, COLUMNS, ROWS
 from ssrvlad_torch.stages.harmonics import (
     amounts,
+    amounts_in_graph,
     bin_table,
     pattern_table,
     soft_histograms,
+    soft_histograms_in_graph,
     waves,
 )
 
@@ -29,7 +32,7 @@ each_config = pytest.mark.parametrize("config", CONFIGS, ids=range(len(CONFIGS))
 
 def tables(config: SSRVLADConfig) -> tuple[torch.Tensor, torch.Tensor]:
     return (
-        bin_table(config.rings, config.sectors, config.radius, config.inner_radius),
+        bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
         pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening),
     )
 
@@ -108,3 +111,21 @@ def test_power_keeps_signs_and_order():
     found = amounts(held, patterns, 0.5)
     expected = torch.tensor([-2.0, -1.0, 0.0, 3.0]) / math.sqrt(14)
     torch.testing.assert_close(found[0], expected)
+
+
+@each_config
+def test_the_same_in_a_graph(config):
+    bins, patterns = tables(config)
+
+    def in_graph(graph, area, lengths):
+        found = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
+        return [found, amounts_in_graph(graph, found, patterns, config.power)]
+
+    area, lengths = torch.rand(2, 3, 8, ROWS, COLUMNS, dtype=torch.float64)
+    area[1], lengths[1], area[0, 3] = 0, 0, 0
+    histograms, descriptor = run(in_graph, area, lengths)
+    expected = soft_histograms(area, lengths, config.skeleton_weight, bins)
+    torch.testing.assert_close(histograms, expected, rtol=1e-12, atol=1e-15)
+    expected = amounts(expected, patterns, config.power)
+    torch.testing.assert_close(descriptor, expected, rtol=0, atol=1e-7)
+    assert not descriptor[1].any()

@@ -2,13 +2,33 @@ import numpy as np
 import pytest
 import torch
 from drawings import CROSS, CROWDED_CROSSING, DIAGONAL, DOT, EMPTY, LINE, MASKS, TEE, mask, planes
+from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import unpack
-from ssrvlad_torch.stages.keypoints import end_points, intersections
+from ssrvlad_torch.stages import keypoints
+from ssrvlad_torch.stages.keypoints import end_points_in_graph, intersections_in_graph
+
+
+def both_in_graph(graph, words):
+    return [find(graph, words) for find in (end_points_in_graph, intersections_in_graph)]
+
+
+def end_points(some):
+    """By bit-planes and in a graph, which must agree."""
+    found = keypoints.end_points(some)
+    assert torch.equal(run_on_planes(both_in_graph, some)[0], found)
+    return found
+
+
+def intersections(some):
+    """By bit-planes and in a graph, which must agree."""
+    found = keypoints.intersections(some)
+    assert torch.equal(run_on_planes(both_in_graph, some)[1], found)
+    return found
 
 
 def positions(some: torch.Tensor) -> list[list[int]]:

@@ -1,14 +1,22 @@
+from functools import cache
+
 import pytest
 import torch
+from graphs import run, to_planes
+from test_bitplanes import random_planes
 
 from ssrvlad_torch.stages.layers import (
     UNKNOWN,
     categorise,
+    categorise_in_graph,
     category_table,
+    entries_in_graph,
     refuse_unknown,
     split,
+    split_in_graph,
 )
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
+from ssrvlad_torch.words import grid_of
 
 INTEGER_DTYPES = [
     torch.uint8,
@@ -72,3 +80,43 @@ def test_several_unknown_ids():
 def test_split_sets_one_bit_a_pixel():
     categories = torch.tensor([[[0, 1, 2, 3, 4, 5, 6, 7, NO_LAYER]]], dtype=torch.uint8)
     assert split(categories).tolist() == [[[1, 2, 4, 8, 16, 32, 64, 128, 0]]]
+
+
+@cache
+def categorised_as(name):
+    table, origin = category_table(label_space(name))
+
+    def build(graph, labels):
+        entries, own_table = entries_in_graph(graph, labels, table, origin)
+        size = (graph.Shape(labels)[0], graph.Shape(labels)[1])
+        return categorise_in_graph(graph, entries, own_table, size)
+
+    return build
+
+
+@pytest.mark.parametrize("name", label_space_names())
+def test_categories_in_a_graph(name):
+    """All bytes, and ids around those of the space and far from them."""
+    table, origin = category_table(label_space(name))
+    labels = torch.arange(256).view(16, 16)
+    wide = torch.cat([labels - 40, labels * 3, torch.full((2, 16), -(2**62)), labels + 2**62])
+    for some in (labels.to(torch.uint8), wide):
+        expected = categorise(some[None], table, origin)[0]
+        categories, unknown = run(categorised_as(name), some)
+        assert torch.equal(categories, expected)
+        assert unknown.item() == (expected == UNKNOWN).sum() > 0
+
+
+def split_categories(graph, categories):
+    grid = grid_of(*(graph.Shape(categories)[axis] for axis in range(3)))
+    return [split_in_graph(graph, categories, grid).line]
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 7), (2, 5, 8), (1, 4, 65)])
+def test_split_in_a_graph(shape):
+    categories = random_planes(0, shape) % (NO_LAYER + 1)
+    (line,) = run(split_categories, categories)
+    assert torch.equal(to_planes(line, shape), split(categories))
+    categories[0, 0, 0] = UNKNOWN
+    (line,) = run(split_categories, categories)
+    assert to_planes(line, shape)[0, 0, 0] == 0

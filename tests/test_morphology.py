@@ -3,13 +3,33 @@ import numpy as np
 import pytest
 import torch
 from drawings import MASKS, mask
+from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import unpack
-from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
+from ssrvlad_torch.stages import morphology
+from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close_in_graph
+
+
+def in_graph(graph, words, opening, closing):
+    return [
+        open_and_close_in_graph(graph, words, opening, closing),
+        open_and_close_in_graph(graph, words, 0, closing),
+        open_and_close_in_graph(graph, words, opening, 0),
+    ]
+
+
+def open_and_close(planes, opening, closing):
+    """By bit-planes and in a graph, which must agree, also where a radius is always 0."""
+    done = morphology.open_and_close(planes, opening, closing)
+    both, only_closed, only_opened = run_on_planes(in_graph, planes, opening, closing)
+    assert torch.equal(both, done)
+    assert torch.equal(only_closed, morphology.open_and_close(planes, 0, closing))
+    assert torch.equal(only_opened, morphology.open_and_close(planes, opening, 0))
+    return done
 
 
 @given(
@@ -24,6 +44,22 @@ def test_equal_to_the_reference_on_every_layer(seed, height, width, radius):
     for fast, plain in ((dilate, reference.dilate), (erode, reference.erode)):
         expected = np.stack([plain(layer, reference.square(radius)) for layer in layers])
         np.testing.assert_array_equal(unpack(fast(planes, radius))[0], expected)
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    height=st.integers(1, 23),
+    width=st.integers(1, 23),
+    radii=st.tuples(st.integers(0, 5), st.integers(0, 5)),
+)
+def test_opening_and_closing_equal_the_reference(seed, height, width, radii):
+    planes = random_planes(seed, (2, height, width)) & random_planes(seed + 1, (2, height, width))
+    done = unpack(open_and_close(planes, *radii))
+    opening, closing = map(reference.square, radii)
+    for got, layer in zip(done.flatten(0, 1), unpack(planes).flatten(0, 1).numpy(), strict=True):
+        opened = reference.dilate(reference.erode(layer, opening), opening)
+        closed = reference.erode(reference.dilate(opened, closing), closing)
+        np.testing.assert_array_equal(got, closed)
 
 
 @pytest.mark.parametrize("radius", [1, 2, 3])

@@ -1,10 +1,36 @@
 import numpy as np
+import pytest
 import torch
+from graphs import run
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.stages.reduction import reduce_by_majority
+from ssrvlad_torch.stages import reduction
+from ssrvlad_torch.stages.reduction import reduce_by_majority_in_graph
+from ssrvlad_torch.taxonomy import NO_LAYER
+
+UNKNOWN = NO_LAYER + 1
+
+
+def in_graph(graph, image, size):
+    """The categories themselves are the entries of a table of all of them."""
+    table = np.arange(UNKNOWN + 1, dtype=np.uint8)
+    entries = image.to("int32").reshape(-1)
+    grid = (size[0], size[1])
+    return reduce_by_majority_in_graph(
+        graph, entries, table, (graph.Shape(image)[0], graph.Shape(image)[1]), grid
+    )
+
+
+def reduce_by_majority(categories, grid):
+    """In a pass over the batch and in a graph, which must agree; also at native size."""
+    reduced = reduction.reduce_by_majority(categories, grid)
+    for image, expected in zip(categories, reduced, strict=True):
+        got, unknown = run(in_graph, image, torch.tensor(grid))
+        assert torch.equal(got, expected)
+        assert unknown == 0
+    return reduced
 
 
 @given(
@@ -42,4 +68,14 @@ def test_a_pole_of_half_a_cell_stays():
 
 def test_native_size_is_untouched():
     categories = torch.zeros(1, 5, 6, dtype=torch.uint8)
-    assert reduce_by_majority(categories, (5, 6)) is categories
+    assert reduction.reduce_by_majority(categories, (5, 6)) is categories
+    assert torch.equal(reduce_by_majority(categories, (5, 6)), categories)
+
+
+@pytest.mark.parametrize("grid", [(1, 1), (4, 5), (9, 7), (30, 40)])
+def test_unknown_ids_are_counted_and_vote_for_no_layer(grid):
+    maps = torch.from_numpy(np.random.default_rng(3).choice([0, 3, NO_LAYER, UNKNOWN], (30, 40)))
+    got, unknown = run(in_graph, maps.to(torch.uint8), torch.tensor(grid))
+    known = maps.clamp_max(NO_LAYER).to(torch.uint8)
+    assert torch.equal(got, reduction.reduce_by_majority(known[None], grid)[0])
+    assert unknown == (maps == UNKNOWN).sum()

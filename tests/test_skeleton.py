@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from drawings import BLOCK, CROSS, MASKS, blobs, mask, planes
+from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
@@ -12,14 +13,26 @@ from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.config import THINNINGS
 from ssrvlad_torch.stages import skeleton
-from ssrvlad_torch.stages.skeleton import RULES, sweep_into, thin_by_sweeps, zhang_suen
+from ssrvlad_torch.stages.skeleton import (
+    RULES,
+    sweep_into,
+    thin_by_sweeps,
+    thin_in_graph,
+    zhang_suen,
+)
+
+
+def thin_by_each_rule(graph, words):
+    return [thin_in_graph(graph, words, rule) for rule in RULES.values()]
 
 
 def thin(planes, variant):
-    """The skeleton, by frontier and by sweeps, which must agree."""
+    """The skeleton, by frontier, by sweeps and in a graph, which must agree."""
     rule = RULES[variant]
     by_frontier = skeleton.thin(planes, rule)
     assert torch.equal(thin_by_sweeps(planes, partial(sweep_into, rule)), by_frontier)
+    in_graph = dict(zip(RULES, run_on_planes(thin_by_each_rule, planes), strict=True))
+    assert torch.equal(in_graph[variant], by_frontier)
     return by_frontier
 
 

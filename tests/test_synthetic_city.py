@@ -13,13 +13,21 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from ssrvlad_torch.datasets.city.streets import camera_poses
+from ssrvlad_torch.datasets.poses import read_poses
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import (
+    LEFT,
     QUERY,
     REFERENCE,
+    RIGHT,
+    STRAIGHT,
+    TOUR,
+    TOUR_ESTATES,
     Conditions,
     SyntheticCity,
     write_city,
+    write_tour,
 )
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space, palette
 
@@ -148,6 +156,82 @@ def test_frames_are_spaced_in_metres_and_the_route_turns(long_drive):
     assert steps.min() > 2.0
     assert steps.max() < 4.0
     assert np.ptp(poses[:, 2]) == pytest.approx(math.pi / 2)
+
+
+def poses_of(turns, seed=0):
+    return np.array(list(camera_poses(seed, Conditions(), turns)))
+
+
+def test_a_route_turn_by_turn_ends_where_its_turns_do():
+    shorter, longer = poses_of([LEFT]), poses_of([LEFT, STRAIGHT])
+    assert len(shorter) < len(longer) < len(poses_of([LEFT, STRAIGHT, RIGHT]))
+    np.testing.assert_array_equal(longer[: len(shorter)], shorter)
+    frames = list(SyntheticCity(0).traverse(500, size=(16, 16), turns=[LEFT]))
+    np.testing.assert_array_equal([frame.pose for frame in frames], shorter)
+
+
+@pytest.mark.parametrize("turn", [LEFT, RIGHT])
+def test_four_turns_lead_round_a_block_to_the_beginning(turn):
+    """Left round a block; to the right the first street is crossed where the drive began."""
+    poses = poses_of([turn] * 5)
+    near = np.hypot(*(poses[20:] - poses[0])[:, :2].T) < 3
+    again = poses[20:][near]
+    assert len(again)
+    assert np.cos(again[:, 2]).max() > 0.99
+    assert np.ptp(np.unwrap(poses[:, 2])) > 1.9 * math.pi
+
+
+def test_the_tour_comes_back_in_both_directions():
+    poses = poses_of(TOUR, seed=1)
+    apart = np.hypot(*(poses[:, None, :2] - poses[None, :, :2]).transpose(2, 0, 1))
+    turned = np.cos(poses[:, None, 2] - poses[None, :, 2])
+    earlier = np.tri(len(poses), k=-50, dtype=bool)
+    same, opposite = (
+        (earlier & (apart < 6) & facing).any(axis=1) for facing in (turned > 0.9, turned < -0.9)
+    )
+    assert 1000 < len(poses) < 1250
+    assert 250 < same.sum() < 400
+    assert 200 < (opposite & ~same).sum() < 400
+
+
+def test_every_block_of_an_estate_looks_like_the_next():
+    """Frames at the same place of two blocks agree as frames of other streets do not."""
+
+    def best_agreement(estates):
+        city = SyntheticCity(3, estates)
+        frames = city.traverse(160, Conditions(traffic=0), SIZE, "cityscapes-ids", [STRAIGHT] * 6)
+        labels = stack(list(frames))[:, ::2, ::2]
+        return np.array(
+            [(labels[row] == labels[: row - 60]).mean((1, 2)).max() for row in (90, 120, 150)]
+        )
+
+    assert (best_agreement((0,)) > best_agreement(()) + 0.02).all()
+
+
+def test_only_the_streets_of_an_estate_change():
+    def drive_along(street, estates):
+        """East on the first street, or up to the next one and along it."""
+        turns = [LEFT, RIGHT] * street + [STRAIGHT] * 3
+        return stack(SyntheticCity(5, estates).traverse(110, size=SIZE, turns=turns))
+
+    plain, changed = (drive_along(0, estates) for estates in ((), (0,)))
+    assert (plain != changed).mean() > 0.02
+    far, alike = (drive_along(0, estates) for estates in ((), (9,)))
+    np.testing.assert_array_equal(far, alike)
+    upper, changed = (drive_along(1, estates)[-30:] for estates in ((), (1,)))
+    assert (upper != changed).mean() > 0.02
+
+
+def test_a_written_tour_has_its_poses_beside_it(tmp_path):
+    calls = []
+    folder = write_tour(tmp_path, 7, seed=2, size=SIZE, progress=calls.append)
+    frames = list(SyntheticCity(2, TOUR_ESTATES).traverse(7, size=SIZE, turns=TOUR))
+    assert sorted(path.name for path in folder.iterdir()) == [f"{f.name}.png" for f in frames]
+    poses = read_poses(tmp_path / "poses.csv")
+    assert poses == {f"tour/{frame.name}": frame.pose for frame in frames}
+    with Image.open(folder / "000006.png") as image:
+        assert np.array_equal(np.asarray(image), frames[6].labels)
+    assert calls == [1] * 7
 
 
 def test_offsets_move_and_turn_the_camera():

@@ -3,14 +3,27 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
+from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
-from ssrvlad_torch.stages.vista import LEVELS, ONE, POWER, vistas
+from ssrvlad_torch.stages import vista
+from ssrvlad_torch.stages.vista import LEVELS, ONE, POWER, vistas_in_graph
 
 SKY, GROUND, BUILDING = 5, 0, 2
+
+
+def in_graph(graph, words):
+    return [vistas_in_graph(graph, words)]
+
+
+def vistas(planes):
+    """On tensors and in a graph, which must agree."""
+    found = vista.vistas(planes)
+    assert torch.equal(run_on_planes(in_graph, planes)[0], found)
+    return found
 
 
 def street(column: int, height: int = 40, width: int = 60) -> torch.Tensor:

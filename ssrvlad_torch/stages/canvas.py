@@ -10,7 +10,7 @@ from ..bitplanes import LAYERS, unpack
 from ..graph import Graph, Symbol
 from ..words import Words, planes_of
 
-ROWS, COLUMNS = 24, 32
+CELLS = ROWS, COLUMNS = 24, 32
 """Cells of the canvas. They are square: any image is seen as one of 4:3."""
 
 _PIXELS_AT_ONCE = 1 << 20

@@ -14,7 +14,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..graph import Graph, Symbol
-from .canvas import COLUMNS, ROWS
 
 _SAMPLES = 4
 """Points on each side of a cell at which the bins are evaluated."""
@@ -28,7 +27,7 @@ def soft_histograms(area: Tensor, skeleton: Tensor, skeleton_weight: float, bins
     much of a layer must not drown little of another.
 
     Args:
-        area: ``(B, 8, ROWS, COLUMNS)`` float64, `canvas.shares` of the layers.
+        area: ``(B, 8, rows, columns)`` float64, the share of each cell that a layer covers.
         skeleton: likewise, lengths of their skeletons.
         skeleton_weight: 0 or more.
         bins: `bin_table`.
@@ -56,27 +55,28 @@ def amounts(histogram: Tensor, patterns: Tensor, power: float) -> Tensor:
     return F.normalize(damped, dim=1).float()
 
 
-def bin_table(rings: int, sectors: int, radius: float, inner_radius: float) -> Tensor:
-    """The mean over each bin as a matrix over the cells of the canvas.
+def bin_table(
+    cells: tuple[int, int], rings: int, sectors: int, radius: float, inner_radius: float
+) -> Tensor:
+    """The mean over each bin as a matrix over rows and columns of cells.
 
-    Ring ``n`` is centred on ``radius * inner_radius ** (1 - n / (N - 1))`` of the canvas's
+    Ring ``n`` is centred on ``radius * inner_radius ** (1 - n / (N - 1))`` of the
     diagonal, sector ``m`` on the angle ``2 pi m / M`` from +x towards +y. Between two centres,
     on the logarithmic scale and the angular, a cell counts in both, linearly. What is nearer
     than the first ring counts in it; what is farther than ``radius`` is not counted.
 
     Returns:
-        ``(N * M, ROWS * COLUMNS)`` float64; a row sums to 1, or to 0 for a bin without cells.
+        ``(N * M, rows * columns)`` float64; a row sums to 1, or to 0 for a bin without cells.
     """
-    y = (torch.arange(ROWS * _SAMPLES).double() + 0.5) / _SAMPLES - ROWS / 2
-    x = (torch.arange(COLUMNS * _SAMPLES).double() + 0.5) / _SAMPLES - COLUMNS / 2
-    distance = torch.hypot(y[:, None], x[None]) / math.hypot(ROWS, COLUMNS)
+    y, x = ((torch.arange(n * _SAMPLES).double() + 0.5) / _SAMPLES - n / 2 for n in cells)
+    distance = torch.hypot(y[:, None], x[None]) / math.hypot(*cells)
     turn = torch.atan2(y[:, None], x[None]) / (2 * math.pi)
     steps = torch.log(distance / radius) / math.log(1 / inner_radius) if inner_radius < 1 else -1
     ring = torch.as_tensor((rings - 1) * (1 + steps)).expand_as(distance).clamp(0, rings - 1)
     weight = _tents(ring, rings, False)[:, None] * _tents(turn % 1 * sectors, sectors, True)[None]
     weight = (weight * (distance <= radius)).flatten(0, 1)
-    cells = weight.unflatten(1, (ROWS, _SAMPLES)).unflatten(3, (COLUMNS, _SAMPLES)).sum((2, 4))
-    return F.normalize(cells.flatten(1), p=1, dim=1)
+    samples = weight.unflatten(2, (cells[1], _SAMPLES)).unflatten(1, (cells[0], _SAMPLES))
+    return F.normalize(samples.sum((2, 4)).flatten(1), p=1, dim=1)
 
 
 def pattern_table(rings: int, sectors: int, harmonics: int, sharpening: float) -> Tensor:
@@ -113,10 +113,10 @@ def _tents(position: Tensor, count: int, around: bool) -> Tensor:
     return tents + (1 - (count - distance)).clamp(min=0) if around else tents
 
 
-def histograms_in_graph(
+def soft_histograms_in_graph(
     graph: Graph, area: Symbol, skeleton: Symbol, skeleton_weight: float, bins: Tensor
 ) -> Symbol:
-    """`histograms` in a graph."""
+    """`soft_histograms` in a graph."""
     table = graph.sparse_constant(bins.T.numpy())
     shares, lengths = (
         graph.Sqrt(graph.MatMul(cells.reshape(0, 0, -1), table)) for cells in (area, skeleton)
@@ -124,8 +124,8 @@ def histograms_in_graph(
     return shares + lengths * skeleton_weight
 
 
-def describe_in_graph(graph: Graph, histogram: Symbol, patterns: Tensor, power: float) -> Symbol:
-    """`describe` in a graph."""
-    amounts = graph.MatMul(histogram, graph.constant(patterns.T.numpy().copy()))
-    damped = graph.Sign(amounts) * graph.Pow(graph.Abs(amounts), power)
+def amounts_in_graph(graph: Graph, histogram: Symbol, patterns: Tensor, power: float) -> Symbol:
+    """`amounts` in a graph."""
+    held = graph.MatMul(histogram, graph.constant(patterns.T.numpy().copy()))
+    damped = graph.Sign(held) * graph.Pow(graph.Abs(held), power)
     return graph.normalised(graph.Flatten(damped)).to("float32")

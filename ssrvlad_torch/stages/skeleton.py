@@ -17,27 +17,33 @@ over the whole line is one fused loop, looking at all costs less than finding ou
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
-from ..bitplanes import two_or_more
-
-PIXELS = 8
-"""Pixels in a word."""
+from ..bitplanes import Bits, steps_around, two_or_more
+from ..graph import Graph, Symbol
+from ..words import PIXELS, Grid, Words, neighbourhood, shifted
 
 CPU_PIXELS_AT_ONCE = 1 << 21
 """Pixels that compiled sweeps go over at a time on a CPU, as many bytes in each of two lines."""
 
 Ring = tuple[Tensor, ...]
-Rule = Callable[[Tensor, Ring, bool], Tensor]
-"""``(pixels, neighbours, first) ->`` the pixels that a sub-iteration leaves."""
 
 Sweep = Callable[[Tensor, Tensor, int, bool], None]
 """``(target, line, pitch, first)``: puts what a sub-iteration leaves of the line into target."""
 
 _ALL_BUT_TOP_BYTE = (1 << 56) - 1
+
+
+class Rule(Protocol):
+    """A variant of thinning."""
+
+    def __call__(self, pixels: Bits, ring: tuple[Bits, ...], first: bool, /) -> Bits:
+        """The pixels that a sub-iteration leaves, the first of the two or not."""
 
 
 def thin(planes: Tensor, rule: Rule) -> Tensor:
@@ -120,39 +126,77 @@ def sweep_into(rule: Rule, target: Tensor, line: Tensor, pitch: int, first: bool
     target.copy_(rule(*_neighbourhood(line, pitch), first))
 
 
-def zhang_suen(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
+def thin_in_graph(graph: Graph, words: Words, rule: Rule) -> Words:
+    """The skeleton of every layer, in a graph; by frontier, as `thin`.
+
+    The frontier begins around the words with a border pixel, one with an off pixel N, E, S or W
+    of it: no rule deletes another. Later a word to the left or right of one that changed is in it
+    only if the pixel beside it changed. `_near` has what carries this from step to step.
+    """
+    grid, margin = words.grid, words.grid.pitch + 1
+    centre, (north, _, east, _, south, _, west, _) = neighbourhood(graph, words)
+    border = centre & ~(north & east & south & west)
+    rows = graph.Concat(*(graph.vector(row) for row in (0, grid.pitch, grid.pitch * 2)), axis=0)
+    around = rows.reshape(1, -1, 1) + graph.constant(np.arange(3)[:, None, None])
+
+    def sub_iteration(line: Symbol, *recent: Symbol, first: bool) -> tuple[Symbol, Symbol, Symbol]:
+        frontier = graph.NonZero(_near(recent[0] | recent[1], grid).to("uint8")).reshape(-1)
+        nine = line.take((frontier + around).reshape(-1)).reshape(3, 3, -1)
+        before, here, after = graph.split(nine, 3, axis=0)
+        west, east = shifted(before, here, after)
+        (n, centre, s), (nw, w, sw), (ne, e, se) = (
+            graph.split(part, 3, axis=1) for part in (here, west, east)
+        )
+        left = rule(centre, (n, ne, e, se, s, sw, w, nw), first)
+        place, gone = frontier + margin, (centre ^ left).reshape(-1)
+        line = graph.ScatterElements(line, place, left.reshape(-1), axis=0)
+        return line, _flags(graph, place, gone, graph.Size(line)), gone
+
+    def iteration(_: Symbol, line: Symbol, *recent: Symbol) -> Sequence[Symbol]:
+        line, one, gone = sub_iteration(line, *recent, first=True)
+        line, other, also_gone = sub_iteration(line, recent[1], one, first=False)
+        return graph.any(graph.Concat(gone, also_gone, axis=0).to("bool")), line, one, other
+
+    line, start = (graph.Pad(part, graph.vector(margin, margin)) for part in (centre, border))
+    start = start.to("bool")
+    line, *_ = graph.repeat_while(iteration, line, start, start)
+    return words.with_line(line[margin : grid.words + margin])
+
+
+def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     """One sub-iteration of Zhang & Suen, CACM 27(3), 1984.
 
     `thin` with it equals ``cv2.ximgproc.thinning(THINNING_ZHANGSUEN)`` on an image padded with
     background (OpenCV never touches border pixels). ``skimage.morphology.skeletonize`` differs:
     its table deletes further patterns.
 
-    The conditions are A(P) = 1 (one 0 -> 1 step around the pixel) and 2 <= B(P) <= 6 (neighbours
-    that are on), and two products that are zero. Given A = 1 the neighbours that are on form one
-    arc, so B >= 2 says that two in a row are on, and B <= 6 that two in a row are off.
+    The conditions are A(P) = 1 (one 0 -> 1 step around the pixel), 2 <= B(P) <= 6 (neighbours that
+    are on), and two products that are zero. Given A = 1 the neighbours that are on form one arc,
+    in which corners and others alternate, and B need not be counted: B >= 2 if the arc has one
+    of either kind. B = 7, given the products too, leaves two places for the neighbour that is off:
+    E or S in the first sub-iteration, W or N in the second, with both its corners on.
 
     Args:
-        pixels: integers of any shape and width, each bit a pixel of some layer.
+        pixels: `Bits`, tensors or symbols of a graph.
         ring: p2 ... p9, likewise.
         first: which of the two sub-iterations.
 
     Returns:
         the pixels that are left.
     """
-    around = list(zip(ring, ring[1:] + ring[:1], strict=True))
-    pairs = [here & there for here, there in around]
-    steps = [there ^ pair for (_, there), pair in zip(around, pairs, strict=True)]
-    two_on = _any(pairs)
-    two_off = ~_all([here | there for here, there in around])
-    north, _, east, _, south, _, west, _ = ring
+    n, ne, e, se, s, sw, w, nw = ring
+    north_west, south_east = n | w, e | s
+    two_on = (north_west | south_east) & (ne | se | sw | nw)
     if first:
-        kept = east & south & (north | west)  # p2 p4 p6 = 0 and p4 p6 p8 = 0
+        kept = e & s & north_west  # p2 p4 p6 or p4 p6 p8
+        seven_on = se & (ne & ~e | sw & ~s)
     else:
-        kept = north & west & (east | south)  # p2 p4 p8 = 0 and p2 p6 p8 = 0
-    return pixels & ~(_any(steps) & ~two_or_more(steps) & two_on & two_off & ~kept)
+        kept = n & w & south_east  # p2 p4 p8 or p2 p6 p8
+        seven_on = nw & (sw & ~w | ne & ~n)
+    return pixels & ~(_exactly_one(steps_around(ring)) & two_on & ~(kept | seven_on))
 
 
-def guo_hall(pixels: Tensor, ring: Ring, first: bool) -> Tensor:
+def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     """One sub-iteration of algorithm A1 of Guo & Hall, CACM 32(3), 1989.
 
     `thin` with it equals ``skimage.morphology.thin``. OpenCV's ``THINNING_GUOHALL`` differs: it
@@ -226,6 +270,20 @@ def _shifted(before: Tensor, here: Tensor, after: Tensor) -> tuple[Tensor, Tenso
     return west, east
 
 
+def _flags(graph: Graph, place: Symbol, gone: Symbol, length: Symbol) -> Symbol:
+    """``(length,)`` bool, at the places of words of which pixels are gone, and at those to the
+    right and left whose neighbours are gone."""
+    places = graph.Concat(place, place + 1, place - 1, axis=0)
+    pixels = graph.Concat(gone, gone & ~_ALL_BUT_TOP_BYTE, gone & 255, axis=0)
+    return graph.sums(places, pixels.to("bool").to("uint8"), length).to("bool")
+
+
+def _near(flags: Symbol, grid: Grid) -> Symbol:
+    """``(grid.words,)`` bool from flags on the line with margins: one at, above or below."""
+    above, here = flags[1 : grid.words + 1], flags[grid.pitch + 1 : grid.words + grid.pitch + 1]
+    return above | here | flags[grid.pitch * 2 + 1 : -1]
+
+
 def _around(changed: Tensor, line: Tensor, pitch: int) -> Tensor:
     """Index of the words at and around those that changed, each once, in order."""
     near = torch.zeros_like(line, dtype=torch.bool)
@@ -235,14 +293,20 @@ def _around(changed: Tensor, line: Tensor, pitch: int) -> Tensor:
     return _within_margins(near, pitch).nonzero()[:, 0] + pitch + 1
 
 
-def _any(planes: list[Tensor]) -> Tensor:
+def _exactly_one(planes: Sequence[Bits]) -> Bits:
+    """Bits that are set in exactly one of four planes."""
+    a, b, c, d = planes
+    return (a | b | c | d) & ~(a & b | c & d | (a | b) & (c | d))
+
+
+def _any(planes: Sequence[Bits]) -> Bits:
     result = planes[0]
     for plane in planes[1:]:
         result = result | plane
     return result
 
 
-def _all(planes: list[Tensor]) -> Tensor:
+def _all(planes: Sequence[Bits]) -> Bits:
     result = planes[0]
     for plane in planes[1:]:
         result = result & plane

@@ -1,0 +1,106 @@
+"""Export: the head as one ONNX file of standard operators, exact and of any size."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..config import CATEGORY_COUNT, SSRVLADConfig
+from ..descriptor import SSRVLAD
+from ..files import replacing
+from ..graph import OPSET, Form, Graph
+from ..taxonomy import LabelSpace
+from .golden import golden_pair
+from .head_graph import describe_in_graph
+from .metadata import Metadata
+
+if TYPE_CHECKING:
+    import onnx
+
+INPUTS = ("labels", "logits")
+DTYPES = ("uint8", "int64")
+
+
+def export_head(
+    config: SSRVLADConfig, path: str | Path, input: str = "labels", dtype: str = "uint8"
+) -> None:
+    """Writes the head as one ONNX file: label ids or class scores to descriptors.
+
+    The file runs on the CPU in ONNX Runtime 1.15 or newer, with nothing else. Key-point counts
+    are those of `SSRVLAD`, descriptors differ by less than 1e-6. A graph cannot refuse an id
+    outside the label space: such pixels belong to no layer, and the output ``unknown`` counts
+    them. It does not notice NaN scores.
+
+    Shape:
+        - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the largest wins, the
+          first of equals), all axes dynamic.
+        - outputs: ``descriptor (B, config.length)`` float32, ``keypoints (B, 8)`` int64, how many
+          each layer has, and ``unknown (B,)`` int64.
+
+    Args:
+        config: the settings.
+        path: the file; what was there is replaced, whole or not at all.
+        input: ``"labels"`` or ``"logits"``.
+        dtype: of the labels, ``"uint8"`` or ``"int64"``.
+
+    Raises:
+        ValueError: an unknown input, dtype or label space, or class scores for a label space
+            whose ids have gaps.
+        ImportError: the extra ``onnx`` is not installed.
+        OSError: the file cannot be written.
+    """
+    path = Path(path)
+    if not path.absolute().parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
+    content = head_model(config, input, dtype).SerializeToString()
+    with replacing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def head_model(
+    config: SSRVLADConfig, input: str = "labels", dtype: str = "uint8"
+) -> onnx.ModelProto:
+    """What `export_head` writes; arguments and errors as there."""
+    head = SSRVLAD(config)
+    inputs = _inputs(head.label_space, input, dtype)
+    outputs: dict[str, Form] = {
+        "descriptor": ("float32", ["B", config.length]),
+        "keypoints": ("int64", ["B", CATEGORY_COUNT]),
+        "unknown": ("int64", ["B"]),
+    }
+    graph = Graph(inputs)
+    (given,) = graph.inputs
+    labels = graph.ArgMax(given, axis=1, keepdims=0) if input == "logits" else given
+    described = describe_in_graph(graph, labels, config)._asdict()
+    model = graph.model({name: (described[name], outputs[name]) for name in outputs})
+    interface = {"opset": OPSET, "inputs": _as_json(inputs), "outputs": _as_json(outputs)}
+    metadata = Metadata.of(config, head.label_space, interface, golden_pair(head, input, dtype))
+    _label(model, metadata)
+    return model
+
+
+def _inputs(space: LabelSpace, input: str, dtype: str) -> dict[str, Form]:
+    if input not in INPUTS:
+        raise ValueError(f"input must be one of {', '.join(INPUTS)}, got {input!r}")
+    if dtype not in DTYPES:
+        raise ValueError(f"dtype must be one of {', '.join(DTYPES)}, got {dtype!r}")
+    if input == "labels":
+        return {"labels": (dtype, ["B", "H", "W"])}
+    if not space.channel_counts:
+        raise ValueError(f"label space {space.name} has no class scores, its ids have gaps")
+    return {"logits": ("float32", ["B", "C", "H", "W"])}
+
+
+def _as_json(forms: Mapping[str, Form]) -> dict[str, Any]:
+    return {name: {"dtype": dtype, "shape": shape} for name, (dtype, shape) in forms.items()}
+
+
+def _label(model: onnx.ModelProto, metadata: Metadata) -> None:
+    """Writes into a model who made it and what it is."""
+    import onnx
+
+    model.producer_name = "ssrvlad_torch"
+    model.producer_version = metadata.version
+    model.doc_string = "SSR-VLAD (arXiv 2202.03677): segmentation label maps to place descriptors"
+    onnx.helper.set_model_props(model, metadata.to_properties())

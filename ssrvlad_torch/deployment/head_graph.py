@@ -1,0 +1,145 @@
+"""The method as a graph: what `SSRVLAD.forward` does, stage by stage, in ONNX operators."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from ..config import SSRVLADConfig
+from ..graph import Graph, Symbol
+from ..stages.aggregation import aggregate_in_graph
+from ..stages.canvas import CELLS, ROWS, shares_in_graph
+from ..stages.centroid import centroids_in_graph
+from ..stages.components import drop_regions_in_graph, fill_holes_in_graph
+from ..stages.harmonics import (
+    amounts_in_graph,
+    bin_table,
+    pattern_table,
+    soft_histograms_in_graph,
+)
+from ..stages.keypoints import end_points_in_graph, intersections_in_graph
+from ..stages.layers import (
+    categorise_in_graph,
+    category_table,
+    entries_in_graph,
+    split_in_graph,
+)
+from ..stages.morphology import open_and_close_in_graph
+from ..stages.reduction import reduce_by_majority_in_graph
+from ..stages.shape_context import log_polar_bins_in_graph, shape_contexts_in_graph
+from ..stages.skeleton import RULES, thin_in_graph
+from ..stages.vista import vistas_in_graph
+from ..taxonomy import label_space
+from ..words import GraphPoints, Words, count_points_in_graph, grid_of, points_of
+from .geometry import area_pixels, radius_pixels, ring_limits, working_grid
+
+
+class Described(NamedTuple):
+    """What the graph gives for a batch: ``(B, 480)`` float32, ``(B, 8)`` int64, ``(B,)`` int64."""
+
+    descriptor: Symbol
+    keypoints: Symbol
+    unknown: Symbol
+
+
+def describe_in_graph(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> Described:
+    """`SSRVLAD.forward` in a graph.
+
+    Args:
+        graph: where the nodes go.
+        labels: ``(B, H, W)`` uint8 or int64 label ids, any of the sizes dynamic.
+        config: the settings.
+    """
+    with graph.stage("layers"):
+        categories, unknown = _categories(graph, labels, config)
+        images, height, width = (graph.Shape(categories)[axis] for axis in range(3))
+        grid = grid_of(images, height, width)
+        layers = split_in_graph(graph, categories, grid)  # Table II
+    clean = _cleaned(graph, config, layers)
+    with graph.stage("skeleton"):
+        skeleton = thin_in_graph(graph, clean, RULES[config.thinning])
+    with graph.stage("keypoints"):
+        ends = end_points_in_graph(graph, skeleton)
+        crossings = intersections_in_graph(graph, skeleton)
+        keypoints = points_of(graph, skeleton.with_line(ends.line | crossings.line))
+        counts = count_points_in_graph(graph, keypoints, images)
+    if config.aggregation == "residuals":
+        descriptor = _residuals(graph, config, clean, skeleton, keypoints, counts)
+    else:
+        descriptor = _harmonics(graph, config, layers, clean, skeleton)
+    return Described(descriptor, counts, unknown)
+
+
+def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words) -> Words:
+    """The layers after morphology, without small holes and regions."""
+    grid = layers.grid
+    with graph.stage("morphology"):
+        opening = radius_pixels(graph, config, config.opening, grid)
+        closing = radius_pixels(graph, config, config.closing, grid)
+        clean = open_and_close_in_graph(graph, layers, opening, closing)
+    with graph.stage("holes"):
+        if config.hole_area:
+            clean = fill_holes_in_graph(graph, clean, area_pixels(config, config.hole_area, grid))
+    with graph.stage("regions"):
+        if config.region_area:
+            area = area_pixels(config, config.region_area, grid)
+            clean = drop_regions_in_graph(graph, clean, area)
+    return clean
+
+
+def _residuals(
+    graph: Graph,
+    config: SSRVLADConfig,
+    clean: Words,
+    skeleton: Words,
+    keypoints: GraphPoints,
+    counts: Symbol,
+) -> Symbol:
+    """The paper's descriptor."""
+    grid = clean.grid
+    with graph.stage("centroid"):
+        centres = centroids_in_graph(graph, clean)  # Eq. 1
+    with graph.stage("shape_context"):
+        context = points_of(graph, skeleton) if config.context == "skeleton" else keypoints
+        limits = ring_limits(config, grid)
+        bins = log_polar_bins_in_graph(graph, grid.height, grid.width, limits, config.sectors)
+        point_sums = shape_contexts_in_graph(graph, keypoints, context, bins, grid.images)
+        centre_counts = shape_contexts_in_graph(graph, centres, context, bins, grid.images)
+    with graph.stage("aggregation"):
+        return aggregate_in_graph(graph, point_sums, centre_counts, counts)  # Eq. 2
+
+
+def _harmonics(
+    graph: Graph, config: SSRVLADConfig, layers: Words, clean: Words, skeleton: Words
+) -> Symbol:
+    """The descriptor around the vista."""
+    grid = layers.grid
+    with graph.stage("vista"):
+        vista = graph.full([grid.images], 0, "int64")
+        if config.anchor == "vista":
+            vista = vistas_in_graph(graph, clean)
+    with graph.stage("canvas"):
+        side = graph.Min(grid.height, grid.width).to("float64") / ROWS
+        area = shares_in_graph(graph, layers, vista)
+        lengths = shares_in_graph(graph, skeleton, vista) * side
+    with graph.stage("harmonics"):
+        bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
+        patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
+        histogram = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
+        return amounts_in_graph(graph, histogram, patterns, config.power)
+
+
+def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:
+    """``(B, h, w)`` uint8 categories on the working grid and ``(B,)`` int64 unknown ids, an image
+    at a time so that memory stays bounded."""
+    table, origin = category_table(label_space(config.labels_as))
+    images, height, width = (graph.Shape(labels)[axis] for axis in range(3))
+
+    def one_image(step: Symbol) -> tuple[Symbol, Symbol]:
+        entries, own_table = entries_in_graph(graph, labels[step], table, origin)
+        if config.working_size is None:
+            return categorise_in_graph(graph, entries, own_table, (height, width))
+        grid = working_grid(graph, config.working_size, height, width)
+        return reduce_by_majority_in_graph(graph, entries, own_table, (height, width), grid)
+
+    categories, unknown = graph.stacked(images, one_image, 2)
+    return categories, unknown

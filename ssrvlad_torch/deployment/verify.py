@@ -1,0 +1,315 @@
+"""Verify: an exported or fused ONNX file against the PyTorch module."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from .. import __version__
+from ..config import SSRVLADConfig
+from ..datasets.label_files import LabelFile, LabelMap, read_label_map
+from ..descriptor import SSRVLAD
+from .fuse import (
+    DIGEST,
+    HEAD_GOLDEN,
+    MOST_OTHER_PIXELS,
+    NETWORK,
+    FusedNetwork,
+    run_by_name,
+)
+from .metadata import PREFIX, Metadata
+from .model_file import CPU, graph_digest, load_model, open_session
+
+if TYPE_CHECKING:
+    import onnx
+
+Arrays = Mapping[str, npt.NDArray[Any]]
+
+TOLERANCE = 1e-6
+"""Largest difference of a number of a descriptor; counts must be equal."""
+
+_OUTPUTS = ("descriptor", "keypoints", "unknown")
+
+
+class Check(NamedTuple):
+    """One comparison.
+
+    Attributes:
+        name: what was compared: ``"golden pair"``, ``"module"``, ``"golden image"``, or the id of
+            a frame.
+        difference: the largest between two descriptors; NaN and another shape count as infinite.
+        problem: what is wrong, or ``""``.
+    """
+
+    name: str
+    difference: float
+    problem: str
+
+
+@dataclass(frozen=True)
+class Verification:
+    """What was found out about a file.
+
+    Attributes:
+        version: of the package that wrote it.
+        fingerprint, labels_as: of its settings.
+        network: name of the file of the network in it, ``None`` for the head alone.
+        warnings: what is odd about it but no fault.
+        problems: what is wrong with it as a whole.
+        checks: the comparisons.
+        refused: frames that could not be compared, and why.
+    """
+
+    version: str
+    fingerprint: str
+    labels_as: str
+    network: str | None
+    warnings: list[str] = field(default_factory=list)
+    problems: list[str] = field(default_factory=list)
+    checks: list[Check] = field(default_factory=list)
+    refused: list[tuple[str, str]] = field(default_factory=list)
+
+    @property
+    def difference(self) -> float:
+        """The largest between two descriptors."""
+        return max((check.difference for check in self.checks), default=0.0)
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.problems and not any(check.problem for check in self.checks)
+
+
+def verify(
+    path: str | Path,
+    labels: Sequence[LabelFile] = (),
+    provider: str = CPU,
+    progress: Callable[[int], None] | None = None,
+) -> Verification:
+    """Runs a file of `export_head` or `fuse` in ONNX Runtime and compares.
+
+    The head is run on its golden pair, as is the module; then on the label maps, each against the
+    module. Of a fused file the head is cut out for this, and the whole is run on its golden
+    image: at most 1 % of the pixels may get another label than was recorded, for a network is not
+    computed alike everywhere, and the head must agree with the module on the labels it was given.
+
+    Args:
+        path: the file.
+        labels: label maps in the file's label space. A file that takes class scores is given 1
+            for a pixel's class and 0 for others; an id without scores is 0 everywhere.
+        provider: execution provider of ONNX Runtime.
+        progress: called with the number of frames done since the last call.
+
+    Raises:
+        ValueError: the file is damaged, is none of `export_head` and `fuse`, was written by a
+            version with other settings, or cannot be run.
+        ImportError: the extra ``onnx`` is not installed.
+    """
+    path = Path(path)
+    model = load_model(path)
+    try:
+        return _verify(path, model, labels, provider, progress)
+    except (ValueError, zlib.error, KeyError, TypeError) as error:
+        reason = f"metadata lacks {error}" if isinstance(error, KeyError) else str(error)
+        named = reason.startswith(str(path))
+        raise ValueError(reason if named else f"{path}: {reason}") from error
+
+
+def _verify(
+    path: Path,
+    model: onnx.ModelProto,
+    labels: Sequence[LabelFile],
+    provider: str,
+    progress: Callable[[int], None] | None,
+) -> Verification:
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    metadata = Metadata.from_properties(properties)
+    config = _config(metadata)
+    fused = FusedNetwork(**json.loads(properties[NETWORK])) if NETWORK in properties else None
+    found = Verification(
+        metadata.version,
+        metadata.fingerprint,
+        metadata.label_space["name"],
+        fused.name if fused else None,
+    )
+    _compare_words(found, metadata, config, properties, model)
+    head = _module(config, metadata)
+    golden = metadata.golden_arrays()
+    if fused:
+        whole = open_session(path, path, provider)
+        alone = json.loads(properties[HEAD_GOLDEN])
+        if whole.get_inputs()[0].name in golden:
+            found.checks.append(_check_whole(whole, fused, golden, head))
+        golden = replace(metadata, golden=alone).golden_arrays()
+        model = cut_head(model, fused)
+    run = _Head(open_session(model.SerializeToString(), path, provider), head)
+    found.checks.extend(_check_golden(run, golden))
+    for file in labels:
+        _check_frame(found, run, file)
+        if progress:
+            progress(1)
+    return found
+
+
+def cut_head(model: onnx.ModelProto, fused: FusedNetwork) -> onnx.ModelProto:
+    """The head of a fused file alone: labels in, ``descriptor``, ``keypoints``, ``unknown`` out."""
+    from onnx import helper
+
+    given = f"{fused.prefix}labels"
+    steps = (given, f"{given}_")
+    nodes = [
+        node
+        for node in model.graph.node
+        if node.name.startswith(fused.prefix) and not _is_step(node.name, *steps)
+    ]
+    tables = [t for t in model.graph.initializer if t.name.startswith(fused.prefix)]
+    inputs = [value for value in model.graph.value_info if value.name == given]
+    outputs = [v for v in model.graph.output if v.name in fused.heads.values()]
+    graph = helper.make_graph(nodes, "ssrvlad", inputs, outputs, tables)
+    return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
+
+
+class _Head:
+    """The head of a file, and the module that it is compared with."""
+
+    def __init__(self, session: Any, module: SSRVLAD) -> None:
+        self.session = session
+        self.module = module
+        (self.input,) = session.get_inputs()
+        self.outputs = [value.name for value in session.get_outputs()]
+        if len(self.outputs) != len(_OUTPUTS):
+            raise ValueError(f"gives {', '.join(self.outputs)}; wanted {', '.join(_OUTPUTS)}")
+
+    def run(self, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+        found = self.session.run(None, {self.input.name: given})
+        return dict(zip(_OUTPUTS, found, strict=True))
+
+    def form_of(self, labels: LabelMap) -> npt.NDArray[Any]:
+        """A label map as the head takes it: ``(1, H, W)`` ids or ``(1, C, H, W)`` scores.
+
+        Raises:
+            ValueError: an id that its input cannot hold.
+        """
+        if self.input.type == "tensor(float)":
+            ids = np.arange(self.module.label_space.channel_counts[-1])
+            return np.equal(labels, ids[:, None, None])[None].astype(np.float32)
+        if self.input.type == "tensor(uint8)" and (labels.min() < 0 or labels.max() > 255):
+            wrong = labels.min() if labels.min() < 0 else labels.max()
+            raise ValueError(f"label id {wrong} is no uint8, which the file takes")
+        return labels[None].astype(np.uint8 if "uint8" in self.input.type else np.int64)
+
+
+def _check_golden(head: _Head, golden: dict[str, npt.NDArray[Any]]) -> list[Check]:
+    """The file, and the module of this version, against what was recorded."""
+    (name,) = golden.keys() - {*_OUTPUTS}
+    given = golden.pop(name)
+    return [
+        compare("golden pair", head.run(given), golden),
+        compare("module", described(head.module, given), golden),
+    ]
+
+
+def _check_whole(session: Any, fused: FusedNetwork, golden: Arrays, head: SSRVLAD) -> Check:
+    """The whole of a fused file on its golden image."""
+    given = session.get_inputs()[0].name
+    outputs = run_by_name(session, {given: golden[given]})
+    labels = fused.label_output().labels(outputs[fused.output])
+    recorded = golden[f"{fused.prefix}labels"]
+    got = {name: outputs[fused.heads[name]] for name in _OUTPUTS}
+    check = compare("golden image", got, described(head, labels))
+    if labels.shape != recorded.shape:
+        return check._replace(problem=f"labels are {labels.shape}, not {recorded.shape}")
+    share = float((labels != recorded).mean())
+    if share > MOST_OTHER_PIXELS:
+        return check._replace(problem=f"{share:.1%} of the pixels have another label")
+    if share == 0 and not check.problem:
+        expected = {name: golden[fused.heads[name]] for name in _OUTPUTS}
+        return compare("golden image", got, expected)
+    return check
+
+
+def _check_frame(found: Verification, head: _Head, file: LabelFile) -> None:
+    try:
+        given = head.form_of(read_label_map(file, head.module.label_space))
+        expected = described(head.module, given)
+    except ValueError as error:
+        found.refused.append((file.frame, str(error)))
+        return
+    found.checks.append(compare(file.frame, head.run(given), expected))
+
+
+def described(head: SSRVLAD, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    """What the module makes of labels or class scores, by the names of a file's outputs."""
+    view = head.explain(torch.from_numpy(given))
+    return {
+        "descriptor": view.descriptor.numpy(),
+        "keypoints": view.keypoints.sum((2, 3)).numpy(),
+        "unknown": np.zeros(len(given), np.int64),
+    }
+
+
+def compare(name: str, got: Arrays, expected: Arrays) -> Check:
+    """Outputs against what they are to be: counts equal, descriptors within `TOLERANCE`."""
+    for output in _OUTPUTS:
+        if got[output].shape != expected[output].shape:
+            shapes = f"{got[output].shape}, not {expected[output].shape}"
+            return Check(name, np.inf, f"{output} is {shapes}")
+    steps = np.abs(got["descriptor"].astype(np.float64) - expected["descriptor"])
+    difference = float(np.nan_to_num(steps, nan=np.inf).max(initial=0))
+    other = [output for output in _OUTPUTS[1:] if not np.array_equal(got[output], expected[output])]
+    problems = [f"{output} differ" for output in other]
+    if difference > TOLERANCE:
+        problems.insert(0, f"descriptors differ by {difference:.2g}")
+    return Check(name, difference, ", ".join(problems))
+
+
+def _compare_words(
+    found: Verification,
+    metadata: Metadata,
+    config: SSRVLADConfig,
+    properties: Mapping[str, str],
+    model: onnx.ModelProto,
+) -> None:
+    """What the file says about itself against what it is."""
+    if metadata.version != __version__:
+        found.warnings.append(
+            f"written by version {metadata.version} of ssrvlad_torch, this is {__version__}"
+        )
+    if DIGEST in properties and properties[DIGEST] != graph_digest(model):
+        found.problems.append("the graph was edited after it was written")
+    if config.fingerprint != metadata.fingerprint:
+        found.problems.append(
+            f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
+            f"{config.fingerprint}"
+        )
+
+
+def _config(metadata: Metadata) -> SSRVLADConfig:
+    try:
+        return SSRVLADConfig.from_dict(metadata.config)
+    except (ValueError, TypeError) as error:
+        raise ValueError(
+            f"the settings of version {metadata.version} are not those of {__version__}: {error}"
+        ) from error
+
+
+def _module(config: SSRVLADConfig, metadata: Metadata) -> SSRVLAD:
+    """The module with the label space that the file holds, wherever it came from."""
+    with TemporaryDirectory() as folder:
+        space = Path(folder) / "space.yaml"
+        space.write_text(json.dumps({"source": PREFIX, **metadata.label_space}))
+        return SSRVLAD(replace(config, labels_as=str(space)))
+
+
+def _is_step(name: str, labels: str, numbered: str) -> bool:
+    """Whether a node makes the labels of the network's output."""
+    return name == labels or name.startswith(numbered)

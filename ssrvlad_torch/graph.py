@@ -1,0 +1,366 @@
+"""A graph of ONNX operators under construction: expressions on symbols become its nodes.
+
+A `Symbol` stands for a tensor, a `Graph` for the operators: ``graph.CumSum(x, 0)`` adds a node and
+gives the symbol of its output, and so do the operators of Python, ``x & ~y``. What is written with
+Python's operators only, as the thinning rules are, therefore runs on tensors and in a graph alike.
+The extra ``onnx`` is needed only once a graph is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    import onnx
+    import onnx_ir as ir
+
+Form = tuple[str, Sequence[int | str]]
+"""Dtype and shape of an input or output; an axis that has a name is dynamic."""
+
+OPSET = 18
+"""The first opset with bitwise operators."""
+
+
+class Symbol:
+    """A tensor of a `Graph`. Numbers beside it take its dtype; ``//`` and ``%`` are those of C, so
+    numerators must not be negative, and ``>>`` moves in zeros. ``depth`` is the number of loops
+    that it is inside of."""
+
+    __slots__ = ("depth", "graph", "value")
+
+    def __init__(self, graph: Graph, value: ir.Value, depth: int = 0) -> None:
+        self.graph = graph
+        self.value = value
+        self.depth = depth
+
+    @property
+    def dtype(self) -> str:
+        """Name of the dtype as NumPy spells it: ``"uint64"``."""
+        assert self.value.dtype is not None, f"{self.value.name} has no dtype"
+        return str(self.value.dtype.numpy().name)
+
+    def to(self, dtype: str) -> Symbol:
+        """The same numbers in another dtype."""
+        return self if self.dtype == dtype else self.graph.Cast(self, to=_data_type(dtype))
+
+    def reshape(self, *sizes: Symbol | int) -> Symbol:
+        """The same numbers in another shape; a size may be -1."""
+        return self.graph.Reshape(self, self.graph.vector(*sizes))
+
+    def take(self, index: Symbol) -> Symbol:
+        """The entries of a ``(T,)`` table at the places of an ``(n,)`` index."""
+        return self.graph.GatherElements(self, index, axis=0)
+
+    def __getitem__(self, part: Symbol | int | slice) -> Symbol:
+        if not isinstance(part, slice):
+            return self.graph.Gather(self, part, axis=0)
+        begin = 0 if part.start is None else part.start
+        end = np.iinfo(np.int64).max if part.stop is None else part.stop
+        return self.graph.Slice(self, self.graph.vector(begin), self.graph.vector(end), [0])
+
+    def __bool__(self) -> bool:
+        raise TypeError(f"{self.value.name} has no value before the graph runs")
+
+    def __and__(self, other: Symbol | int) -> Symbol:
+        return self._bitwise("And", other)
+
+    def __or__(self, other: Symbol | int) -> Symbol:
+        return self._bitwise("Or", other)
+
+    def __xor__(self, other: Symbol | int) -> Symbol:
+        return self._bitwise("Xor", other)
+
+    def __invert__(self) -> Symbol:
+        return self._bitwise("Not")
+
+    def __lshift__(self, bits: Symbol | int) -> Symbol:
+        if self.dtype == "int64" and isinstance(bits, int):
+            return self * (1 << bits)
+        return self._shifted(bits, "LEFT")
+
+    def __rshift__(self, bits: Symbol | int) -> Symbol:
+        return self._shifted(bits, "RIGHT")
+
+    def __add__(self, other: Symbol | float) -> Symbol:
+        return self.graph.Add(self, other)
+
+    def __radd__(self, other: float) -> Symbol:
+        return self.graph.Add(other, self)
+
+    def __sub__(self, other: Symbol | float) -> Symbol:
+        return self.graph.Sub(self, other)
+
+    def __rsub__(self, other: float) -> Symbol:
+        return self.graph.Sub(other, self)
+
+    def __mul__(self, other: Symbol | float) -> Symbol:
+        return self.graph.Mul(self, other)
+
+    def __rmul__(self, other: float) -> Symbol:
+        return self.graph.Mul(other, self)
+
+    def __floordiv__(self, other: Symbol | int) -> Symbol:
+        return self.graph.Div(self, other)
+
+    def __truediv__(self, other: Symbol | float) -> Symbol:
+        return self.graph.Div(self, other)
+
+    def __rfloordiv__(self, other: int) -> Symbol:
+        return self.graph.Div(other, self)
+
+    def __mod__(self, other: Symbol | int) -> Symbol:
+        return self.graph.Mod(self, other)
+
+    def __lt__(self, other: Symbol | int) -> Symbol:
+        return self.graph.Less(self, other)
+
+    def __le__(self, other: Symbol | int) -> Symbol:
+        return self.graph.LessOrEqual(self, other)
+
+    def __gt__(self, other: Symbol | int) -> Symbol:
+        return self.graph.Greater(self, other)
+
+    def __ge__(self, other: Symbol | int) -> Symbol:
+        return self.graph.GreaterOrEqual(self, other)
+
+    def equals(self, other: Symbol | int) -> Symbol:
+        """Where both are equal, bool."""
+        return self.graph.Equal(self, other)
+
+    def _shifted(self, bits: Symbol | int, direction: str) -> Symbol:
+        if self.dtype != "int64":
+            return self.graph.BitShift(self, bits, direction=direction)
+        amount = bits.to("uint64") if isinstance(bits, Symbol) else bits
+        return self.graph.BitShift(self.to("uint64"), amount, direction=direction).to("int64")
+
+    def _bitwise(self, operator: str, *others: Symbol | int) -> Symbol:
+        prefix = "" if self.dtype == "bool" else "Bitwise"
+        return self.graph.node(prefix + operator, self, *others)
+
+
+class Graph:
+    """ONNX operators as methods: ``graph.Slice(x, [0], [9])`` is the symbol of a new node's output.
+
+    Args:
+        inputs: the inputs by name.
+
+    Raises:
+        ImportError: the extra ``onnx`` is not installed.
+    """
+
+    def __init__(self, inputs: Mapping[str, Form]) -> None:
+        try:
+            import onnx_ir as ir
+            import onnxscript
+        except ImportError as error:
+            raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
+        values = [
+            ir.val(name, dtype=_data_type(dtype), shape=shape)
+            for name, (dtype, shape) in inputs.items()
+        ]
+        self.inputs = [Symbol(self, value) for value in values]
+        self._graph = ir.Graph(values, [], nodes=[], opset_imports={"": OPSET}, name="ssrvlad")
+        self._builders = [onnxscript.GraphBuilder(self._graph)]
+        self._tables: dict[tuple[Any, ...], Symbol] = {}
+        self._loops = 0
+
+    def __getattr__(self, operator: str) -> Callable[..., Symbol]:
+        if not operator[0].isupper():
+            raise AttributeError(operator)
+        return partial(self.node, operator)
+
+    def node(self, operator: str, *arguments: Any, **attributes: Any) -> Symbol:
+        """Adds a node and gives its only output.
+
+        What is the same in every step of a loop is computed before the loop.
+        """
+        return self._nodes(_depth(arguments), operator, 1, *arguments, **attributes)[0]
+
+    def split(self, symbol: Symbol, parts: int, axis: int = 0) -> list[Symbol]:
+        """Equal parts along an axis."""
+        return self._nodes(symbol.depth, "Split", parts, symbol, axis=axis, num_outputs=parts)
+
+    def _nodes(
+        self, depth: int, operator: str, outputs: int, *arguments: Any, **attributes: Any
+    ) -> list[Symbol]:
+        plain = [given.value if isinstance(given, Symbol) else given for given in arguments]
+        made: Any = self._builders[depth].call_op(
+            operator, plain, attributes, version=OPSET, outputs=outputs
+        )
+        return [Symbol(self, value, depth) for value in (made if outputs > 1 else [made])]
+
+    def constant(self, array: npt.NDArray[Any]) -> Symbol:
+        """A table that is part of the graph; equal tables are stored once."""
+        import onnx_ir as ir
+
+        key = (array.dtype.str, array.shape, array.tobytes())
+        if key not in self._tables:
+            name = f"table_{len(self._tables)}"
+            value = self._builders[0].initializer(ir.tensor(array, name=name), name, qualify=False)
+            self._tables[key] = Symbol(self, value)
+        return self._tables[key]
+
+    def sparse_constant(self, table: npt.NDArray[Any]) -> Symbol:
+        """A table of mostly zeros, of which the graph stores the others only."""
+        places = np.flatnonzero(table)
+        zeros = self.full([table.size], 0, table.dtype.name)
+        entries = self.constant(places), self.constant(table.ravel()[places])
+        return self.ScatterElements(zeros, *entries, axis=0).reshape(*table.shape)
+
+    def vector(self, *numbers: Symbol | int) -> Symbol:
+        """``(n,)`` int64 of numbers and of ``()`` or ``(m,)`` symbols, one after another."""
+        if all(isinstance(number, int) for number in numbers):
+            return self.constant(np.array(numbers, np.int64))
+        parts = [
+            self.vector(number) if isinstance(number, int) else self.Reshape(number, [-1])
+            for number in numbers
+        ]
+        return parts[0] if len(parts) == 1 else self.Concat(*parts, axis=0)
+
+    def arange(self, stop: Symbol | int) -> Symbol:
+        """``(stop,)`` int64, 0, 1, ..."""
+        return self.Range(0, stop, 1)
+
+    def full(self, sizes: Sequence[Symbol | int], number: int, dtype: str) -> Symbol:
+        """A tensor of one number."""
+        import onnx_ir as ir
+
+        fill = ir.tensor(np.array([number], dtype))
+        return self.ConstantOfShape(self.vector(*sizes), value=fill)
+
+    def like(self, other: Symbol, number: int, dtype: str) -> Symbol:
+        """A tensor of one number, of the shape of another."""
+        return self.full([self.Shape(other)], number, dtype)
+
+    def any(self, flags: Symbol) -> Symbol:
+        """``()`` bool, whether any of the ``(n,)`` flags is set, of which there may be none."""
+        padded = self.Pad(flags.to("float32"), [0, 1])
+        return self.ReduceSum(padded, keepdims=0) > 0
+
+    def normalised(self, vectors: Symbol) -> Symbol:
+        """Vectors along the last axis divided by their L2 norm; zeros stay zeros."""
+        norms = self.Sqrt(self.ReduceSum(vectors * vectors, [-1]))
+        return vectors / self.Max(norms, 1e-12)
+
+    def sums(self, index: Symbol, amounts: Symbol, count: Symbol | int) -> Symbol:
+        """``(count,)``, the sum of the amounts that share an index."""
+        zeros = self.full([count], 0, amounts.dtype)
+        return self.ScatterElements(zeros, index, amounts, axis=0, reduction="add")
+
+    def counts(self, index: Symbol, count: Symbol | int) -> Symbol:
+        """``(count,)`` int64, how often each number is in the index."""
+        return self.sums(index, self.like(index, 1, "int64"), count)
+
+    def before(self, amounts: Symbol) -> Symbol:
+        """``(n,)`` int64, the sum of all amounts before each."""
+        return self.CumSum(amounts, 0, exclusive=1)
+
+    def repeated(self, times: Symbol) -> tuple[Symbol, Symbol]:
+        """``(m,)`` int64 each: the numbers from 0, each as often as ``times`` says, and for each
+        entry how many entries of its number are before it."""
+        begin = self.before(self.Pad(times, [0, 1]))
+        begin, total = begin[:-1], begin[-1]
+        later = begin[1:]
+        starts = self.sums(later, self.like(later, 1, "int64"), total + 1)
+        number = self.CumSum(starts[:total], 0)
+        return number, self.arange(total) - begin.take(number)
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Puts a name before the names of all nodes that are added inside."""
+        for builder in self._builders:
+            builder.push_module(name)
+        yield
+        for builder in self._builders:
+            builder.pop_module()
+
+    def repeat(
+        self, trips: Symbol | int, body: Callable[..., Sequence[Symbol]], *carried: Symbol
+    ) -> list[Symbol]:
+        """``carried = body(step, *carried)`` so many times."""
+        return self._loop(trips, body, carried, len(carried), going=False)
+
+    def repeat_while(self, body: Callable[..., Sequence[Symbol]], *carried: Symbol) -> list[Symbol]:
+        """``going, *carried = body(step, *carried)`` once, and as long as ``going`` is true."""
+        return self._loop(None, body, carried, len(carried), going=True)
+
+    def stacked(
+        self, trips: Symbol | int, body: Callable[[Symbol], Sequence[Symbol]], outputs: int = 1
+    ) -> list[Symbol]:
+        """What ``body(step)`` gives, step after step, stacked along a new first axis."""
+        return self._loop(trips, body, (), outputs, going=False)
+
+    def model(self, outputs: Mapping[str, tuple[Symbol, Form]]) -> onnx.ModelProto:
+        """The finished graph.
+
+        Args:
+            outputs: symbol and form of each output by its name.
+        """
+        import onnx_ir as ir
+        from onnx_ir.passes import common
+
+        for name, (symbol, (dtype, shape)) in outputs.items():
+            output = self.node("Identity", symbol.to(dtype)).value
+            output.name, output.shape = name, ir.Shape(shape)
+            self._graph.outputs.append(output)
+        model = ir.Model(self._graph, ir_version=8)
+        passes = (
+            common.CommonSubexpressionEliminationPass(),
+            common.RemoveUnusedNodesPass(),
+            common.ClearMetadataAndDocStringPass(),
+        )
+        for tidy in passes:
+            tidy(model)
+        return ir.to_proto(model)
+
+    def _loop(
+        self,
+        trips: Symbol | int | None,
+        body: Callable[..., Sequence[Symbol]],
+        carried: Sequence[Symbol],
+        outputs: int,
+        going: bool,
+    ) -> list[Symbol]:
+        import onnx_ir as ir
+        import onnxscript
+
+        self._loops += 1
+        name, depth = f"loop_{self._loops}", len(self._builders)
+        kept = (_data_type(symbol.dtype) for symbol in carried)
+        declared = [
+            ir.val(f"{name}.step", ir.DataType.INT64, []),
+            ir.val(f"{name}.going", ir.DataType.BOOL, []),
+            *(ir.val(f"{name}.carried_{number}", dtype) for number, dtype in enumerate(kept)),
+        ]
+        inside = ir.Graph(declared, [], nodes=[], opset_imports={"": OPSET}, name=name)
+        self._builders.append(onnxscript.GraphBuilder(inside, parent=self._builders[-1]))
+        self._builders[-1].push_module(name)
+        step, on, *state = (Symbol(self, value, depth) for value in declared)
+        results = list(body(step, *state))
+        if not going:
+            results.insert(0, on)
+        for result in results:
+            made_here = result.depth == depth and result.value.producer() is not None
+            output = result if made_here else self._nodes(depth, "Identity", 1, result)[0]
+            inside.outputs.append(output.value)
+        self._builders.pop()
+        symbols = self._nodes(depth - 1, "Loop", outputs, trips, True, *carried, body=inside)
+        for symbol, result in zip(symbols, results[1:], strict=True):
+            symbol.value.dtype = _data_type(result.dtype)
+        return symbols
+
+
+def _depth(arguments: Sequence[Any]) -> int:
+    return max((given.depth for given in arguments if isinstance(given, Symbol)), default=0)
+
+
+def _data_type(dtype: str) -> ir.DataType:
+    import onnx_ir as ir
+
+    return ir.DataType.from_numpy(np.dtype(dtype))

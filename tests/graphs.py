@@ -1,0 +1,100 @@
+"""Parts of the method in a graph, run by ONNX Runtime on tensors; shared by the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import onnxruntime
+import torch
+from hypothesis import settings
+from torch import Tensor
+
+from ssrvlad_torch.graph import Graph, Symbol
+from ssrvlad_torch.words import PIXELS, Words, grid_of
+
+settings.register_profile("untimed", deadline=None)  # the first run of a graph builds it
+settings.load_profile("untimed")
+
+Build = Callable[..., Sequence[Symbol | Words]]
+Forms = tuple[tuple[str, int], ...]
+
+
+def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
+    """A session of one thread on the CPU that warns of nothing."""
+    settings = onnxruntime.SessionOptions()
+    settings.intra_op_num_threads = 1
+    settings.log_severity_level = 3
+    for name, value in options.items():
+        setattr(settings, name, value)
+    return onnxruntime.InferenceSession(content, settings, ["CPUExecutionProvider"])
+
+
+def run(build: Build, *given: Tensor | int) -> list[Tensor]:
+    """What ``build(graph, *symbols)`` gives for these tensors; a graph is made once."""
+    return [result for result, _ in _results(build, given)]
+
+
+def run_on_planes(build: Build, planes: Tensor, *given: Tensor | int) -> list[Tensor]:
+    """`run`, where ``build(graph, words, *symbols)`` takes the bit-planes as words; what it gives
+    as words comes as bit-planes."""
+    shape = planes.shape
+    results = _results(_with_words(build), (to_line(planes), torch.tensor(shape), *given))
+    return [to_planes(result, shape) if is_words else result for result, is_words in results]
+
+
+def to_line(planes: Tensor) -> Tensor:
+    """``(B, H, W)`` bit-planes -> the line of `words.Words`."""
+    count, height, width = planes.shape
+    rows = torch.zeros(count, height + 1, (width // PIXELS + 1) * PIXELS, dtype=torch.uint8)
+    rows[:, :height, :width] = planes
+    return rows.flatten().view(torch.int64)
+
+
+def to_planes(line: Tensor, shape: Sequence[int]) -> Tensor:
+    """The inverse of `to_line`; the margins must be background."""
+    count, height, width = shape
+    rows = line.view(torch.uint8).view(count, height + 1, -1)
+    planes = rows[:, :height, :width].contiguous()
+    assert torch.equal(to_line(planes), line), "pixels in the margins"
+    return planes
+
+
+@cache
+def _with_words(build: Build) -> Build:
+    def with_words(
+        graph: Graph, line: Symbol, shape: Symbol, *more: Symbol
+    ) -> Sequence[Symbol | Words]:
+        return build(graph, Words(line, grid_of(shape[0], shape[1], shape[2])), *more)
+
+    return with_words
+
+
+def _results(build: Build, given: Sequence[Tensor | int]) -> list[tuple[Tensor, bool]]:
+    """Every result, and whether it is a line of words."""
+    arrays = [np.asarray(one) for one in given]
+    session, are_words = _session(build, tuple((one.dtype.name, one.ndim) for one in arrays))
+    used = {node.name for node in session.get_inputs()}
+    fed = {f"in_{number}": array for number, array in enumerate(arrays)}
+    found = session.run(None, {name: array for name, array in fed.items() if name in used})
+    results = zip(found[::2], found[1::2], are_words, strict=True)
+    return [(torch.from_numpy(flat.reshape(shape)), is_words) for flat, shape, is_words in results]
+
+
+@cache
+def _session(build: Build, forms: Forms) -> tuple[onnxruntime.InferenceSession, list[bool]]:
+    graph = Graph(
+        {
+            f"in_{number}": (dtype, [f"n_{number}_{axis}" for axis in range(rank)])
+            for number, (dtype, rank) in enumerate(forms)
+        }
+    )
+    outputs, results = {}, build(graph, *graph.inputs)
+    for number, result in enumerate(results):
+        symbol = result.line if isinstance(result, Words) else result
+        outputs[f"out_{number}"] = (symbol.reshape(-1), (symbol.dtype, [f"m_{number}"]))
+        outputs[f"shape_{number}"] = (graph.Shape(symbol), ("int64", [f"r_{number}"]))
+    are_words = [isinstance(result, Words) for result in results]
+    return session(graph.model(outputs).SerializeToString()), are_words

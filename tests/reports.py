@@ -1,0 +1,122 @@
+"""Evaluations to report, and the page that comes of them, taken apart; shared by the tests."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html.parser import HTMLParser
+
+import numpy as np
+import torch
+from helpers import descriptors
+
+from ssrvlad_torch.database import FrameSet
+from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
+from ssrvlad_torch.evaluation.outcomes import judge
+from ssrvlad_torch.evaluation.report import Descriptors, Report, cosine_scores
+from ssrvlad_torch.evaluation.thresholds import operating_points
+from ssrvlad_torch.matching import match
+from ssrvlad_torch.taxonomy import CATEGORIES
+
+VOID = {"meta", "link", "img", "input", "br"}
+
+
+def frame_set(vectors: torch.Tensor, sequence: str = "drive") -> FrameSet:
+    """Frames of one sequence, ten metres apart on a line."""
+    count = len(vectors)
+    poses = np.stack([np.arange(count) * 10.0, np.zeros(count), np.zeros(count)], 1)
+    return FrameSet(
+        frames=tuple(f"{sequence}/{row:04d}" for row in range(count)),
+        sequences=(sequence,) * count,
+        descriptors=vectors,
+        poses=poses,
+        empty=~vectors.any(dim=1).numpy(),
+    )
+
+
+def noisy(queries: int, references: int, noise: float = 2.0, seed: int = 0, length: int = 24):
+    """Queries and references; query n looks like reference n, the more noise the less."""
+    there = descriptors(seed, references, length)
+    here = there[torch.arange(queries) % max(references, 1)] if references else there[:0]
+    wander = descriptors(seed + 1, len(here), length)
+    amount = torch.linspace(0, noise, len(here))[:, None]
+    return frame_set(here + amount * wander, "query"), frame_set(there, "reference")
+
+
+def report_of(
+    queries: FrameSet,
+    references: FrameSet,
+    truth: Sequence[Sequence[int]],
+    convention: Convention = "exact",
+    top: int = 10,
+    **fields: object,
+) -> Report:
+    """The report of matching by cosine, as the command line makes it."""
+    truth = [np.array(rows, np.int64) for rows in truth]
+    found = match(queries.descriptors, references.descriptors, top)
+    scores, rows = (best.numpy() for best in found)
+    pairs = (queries.descriptors @ references.descriptors.T).numpy()
+    metrics = evaluate(scores, rows, truth, convention=convention, similarity=pairs, resamples=50)
+    outcomes = judge(scores, rows, truth)
+    metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, truth))
+    metrics["references"] = len(references.frames)
+    vectors = queries.descriptors, references.descriptors
+    plain = {
+        "title": "town.ssrdb",
+        "descriptors": Descriptors(*vectors, CATEGORIES),
+        "settings": {"preset": "default"},
+    }
+    return Report(
+        metrics=metrics,
+        queries=queries,
+        references=references,
+        outcomes=outcomes,
+        truth=truth,
+        candidates=top,
+        curve=precision_recall_curve(outcomes, truth, convention, pairs),
+        scores=cosine_scores(*vectors),
+        **{**plain, **fields},  # type: ignore[arg-type]
+    )
+
+
+class Page(HTMLParser):
+    """A page taken apart; elements that are not closed where they should be are an error.
+
+    Attributes:
+        tags: ``(name, attributes)`` in order.
+        texts: ``(names of the elements around, text)`` in order, without blank ones.
+    """
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str]]] = []
+        self.texts: list[tuple[tuple[str, ...], str]] = []
+        self._open: list[str] = []
+        self.feed(html)
+        self.close()
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag, f"{tag} closed inside another element"
+
+    def handle_data(self, data):
+        if data.strip():
+            self.texts.append((tuple(self._open), data))
+
+    def all(self, tag: str, kind: str | None = None) -> list[dict[str, str]]:
+        """Attributes of the elements of a name, and of a class."""
+        found = (attributes for name, attributes in self.tags if name == tag)
+        return [a for a in found if kind is None or kind in a.get("class", "").split()]
+
+    @property
+    def words(self) -> str:
+        """All that is read, in order."""
+        shown = (text for around, text in self.texts if not {"style", "script"} & {*around})
+        return " ".join(" ".join(shown).split())

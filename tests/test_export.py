@@ -1,0 +1,359 @@
+"""The exported file against the module: what it computes, what it says, and how it is written."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+import pytest
+import torch
+from cases import camvid_labels, degenerate, hand_drawn, needs_camvid
+from drawings import SPACE, VOID, blobs
+from graphs import session
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.deployment import Metadata, export_head
+from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.graph import OPSET
+
+Maps = npt.NDArray[Any]
+PRESETS = ("paper", "default")
+presets = pytest.mark.parametrize("preset", PRESETS)
+
+CUSTOM: dict[str, dict[str, Any]] = {
+    "few bins": {"preset": "paper", "rings": 3, "sectors": 8},
+    "one ring, odd sectors": {"preset": "paper", "rings": 1, "sectors": 5, "radius": 1.0},
+    "key-points as context": {"preset": "paper", "context": "keypoints"},
+    "guo-hall": {"preset": "paper", "thinning": "guo-hall", "working_size": 50},
+    "opening and closing": {"preset": "paper", "opening": 0.02, "closing": 0.03},
+    "nothing cleaned": {"preset": "paper", "closing": 0.0, "hole_area": 0.0, "region_area": 0.0},
+    "much cleaned": {"preset": "paper", "hole_area": 0.2, "region_area": 0.1},
+    "residuals on a grid": {"preset": "paper", "working_size": 31},
+    "one row of cells": {"preset": "default", "working_size": 1},
+    "harmonics at native size": {"preset": "default", "working_size": None},
+    "around the middle": {"preset": "default", "anchor": "middle", "skeleton_weight": 0.0},
+    "other harmonics": {
+        "preset": "default",
+        "thinning": "guo-hall",
+        "rings": 4,
+        "sectors": 7,
+        "harmonics": 9,
+        "power": 1.0,
+        "sharpening": 0.0,
+    },
+}
+
+
+def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:
+    return SSRVLADConfig.from_preset(preset, **{"labels_as": SPACE, **settings})
+
+
+@cache
+def run_of(config: SSRVLADConfig, given: str = "labels", dtype: str = "uint8") -> Any:
+    """The exported head as a function of a batch."""
+    head = session(head_model(config, given, dtype).SerializeToString())
+    return lambda batch: head.run(None, {given: batch})
+
+
+def assert_parity(batch: Maps, config: SSRVLADConfig, given: str = "labels") -> None:
+    """The file and the module agree on a batch."""
+    dtype = "uint8" if batch.dtype == np.uint8 else "int64"
+    descriptor, keypoints, unknown = run_of(config, given, dtype)(batch)
+    view = SSRVLAD(config).explain(torch.tensor(batch))
+    np.testing.assert_array_equal(keypoints, view.keypoints.sum((2, 3)))
+    np.testing.assert_allclose(descriptor, view.descriptor, rtol=0, atol=1e-6)
+    assert descriptor.dtype == np.float32
+    assert not unknown.any()
+
+
+def noise(seed: int) -> Maps:
+    """Regions as winding as they get, on a map of any shape."""
+    rng = np.random.default_rng(seed)
+    size = rng.integers(1, 80, 2)
+    return rng.choice(rng.permutation(12)[: rng.integers(2, 5)], size).astype(np.uint8)
+
+
+def random_blobs(seed: int) -> Maps:
+    height, width = np.random.default_rng(seed).integers(8, 260, 2).tolist()
+    return blobs(seed, height, width, 3 + seed % 29)
+
+
+def city(frames: int, seed: int, size: tuple[int, int]) -> Iterator[Maps]:
+    """Frames of the synthetic city, in ``cityscapes-trainids``."""
+    for frame in SyntheticCity(seed=seed).traverse(
+        frames, size=size, labels_as="cityscapes-trainids"
+    ):
+        yield frame.labels.astype(np.uint8)
+
+
+@presets
+@pytest.mark.parametrize("name", [*degenerate(), *hand_drawn()])
+def test_degenerate_and_hand_drawn_maps(name, preset):
+    assert_parity({**degenerate(), **hand_drawn()}[name][None], of_preset(preset))
+
+
+@presets
+def test_blobs_and_noise(preset):
+    maps = [random_blobs(seed) for seed in range(6)] + [noise(seed) for seed in range(6)]
+    for labels in maps:
+        assert_parity(labels[None], of_preset(preset))
+
+
+@presets
+def test_the_synthetic_city(preset):
+    config = of_preset(preset, labels_as="cityscapes-trainids")
+    for labels in (*city(2, 3, (90, 121)), *city(1, 4, (300, 400))):
+        assert_parity(labels[None], config)
+
+
+@needs_camvid
+@presets
+def test_camvid(preset):
+    for labels in camvid_labels(100):
+        assert_parity(labels[None], of_preset(preset))
+
+
+@pytest.mark.slow
+@presets
+def test_hundreds_of_label_maps(preset):
+    """What the quick tests sample, at length: more than 300 without CamVid."""
+    maps = [random_blobs(seed) for seed in range(100, 240)] + [noise(s) for s in range(100, 180)]
+    maps += [*degenerate().values(), *hand_drawn().values()]
+    streets = []
+    for seed, size in ((5, (60, 81)), (6, (121, 160)), (7, (240, 320)), (8, (303, 211))):
+        streets += city(20, seed, size)
+    assert len(maps) + len(streets) >= 300
+    for labels in [*maps, *camvid_labels(4)]:
+        assert_parity(labels[None], of_preset(preset))
+    for labels in streets:
+        assert_parity(labels[None], of_preset(preset, labels_as="cityscapes-trainids"))
+
+
+@pytest.mark.parametrize("name", CUSTOM)
+def test_other_settings(name):
+    config = of_preset(**CUSTOM[name])
+    for labels in (random_blobs(0), random_blobs(3), noise(2), degenerate()["one pixel"]):
+        assert_parity(labels[None], config)
+
+
+@presets
+def test_a_batch_equals_its_images_one_by_one(preset):
+    run = run_of(of_preset(preset))
+    batch = np.stack([blobs(seed, 133, 171, 9 + 4 * seed) for seed in range(5)])
+    batch[3] = VOID
+    together = run(batch)
+    for number, image in enumerate(batch):
+        for all_of_them, alone in zip(together, run(image[None]), strict=True):
+            np.testing.assert_array_equal(all_of_them[number], alone[0])
+    assert not together[0][3].any()
+    assert_parity(batch, of_preset(preset))
+
+
+def test_wide_ids_and_ids_below_zero():
+    config = of_preset("default", labels_as="cityscapes-ids")
+    ids = np.arange(-1, 34)
+    labels = ids[blobs(3, 140, 150, 8) * 2 + 3]
+    labels[:9, :9] = -1
+    assert_parity(labels[None], config)
+
+
+@pytest.mark.parametrize("given", ["uint8", "int64"])
+@presets
+def test_ids_outside_the_label_space_are_counted_and_belong_to_no_layer(preset, given):
+    labels = np.stack([blobs(seed, 150, 131, 20) for seed in range(3)]).astype(given)
+    void, far = labels.copy(), 200 if given == "uint8" else -(2**40)
+    void[0, :40, 9:50], void[2, ::7, ::3] = VOID, VOID
+    labels[0, :40, 9:50], labels[2, ::7, ::3] = 12, far
+    run = run_of(of_preset(preset), dtype=given)
+    descriptor, keypoints, unknown = run(labels)
+    expected, expected_keypoints, none = run(void)
+    assert unknown.tolist() == [40 * 41, 0, 22 * 44]
+    assert not none.any()
+    np.testing.assert_array_equal(keypoints, expected_keypoints)
+    np.testing.assert_array_equal(descriptor, expected)
+
+
+@presets
+def test_class_scores(preset):
+    rng = np.random.default_rng(0)
+    scores = rng.normal(size=(2, 12, 61, 83)).astype(np.float32)
+    scores += 4 * np.eye(12, dtype=np.float32)[:, blobs(1, 61, 83, 9)]
+    assert_parity(scores, of_preset(preset), "logits")
+
+
+def test_the_first_of_equal_scores_wins():
+    scores = np.random.default_rng(1).integers(0, 3, (1, 12, 40, 50)).astype(np.float32)
+    assert_parity(scores, of_preset("default", working_size=None), "logits")
+
+
+@presets
+def test_the_answer_is_that_of_the_unoptimised_graph(preset):
+    from onnxruntime import GraphOptimizationLevel
+
+    plainly = session(
+        head_model(of_preset(preset)).SerializeToString(),
+        graph_optimization_level=GraphOptimizationLevel.ORT_DISABLE_ALL,
+    )
+    batch = blobs(5, 144, 171, 17)[None]
+    for plain, got in zip(
+        plainly.run(None, {"labels": batch}), run_of(of_preset(preset))(batch), strict=True
+    ):
+        np.testing.assert_allclose(plain, got, rtol=0, atol=1e-7)
+
+
+@presets
+@pytest.mark.parametrize("given", ["labels", "logits"])
+def test_the_interface(preset, given):
+    model = head_model(of_preset(preset), given)
+    onnx.checker.check_model(model, full_check=True)
+    assert [(one.domain, one.version) for one in model.opset_import] == [("", OPSET)]
+    assert not model.functions
+    forms = {
+        value.name: (
+            onnx.helper.tensor_dtype_to_np_dtype(value.type.tensor_type.elem_type).name,
+            [axis.dim_param or axis.dim_value for axis in value.type.tensor_type.shape.dim],
+        )
+        for value in (*model.graph.input, *model.graph.output)
+    }
+    assert forms == {
+        **({"labels": ("uint8", ["B", "H", "W"])} if given == "labels" else {}),
+        **({"logits": ("float32", ["B", "C", "H", "W"])} if given == "logits" else {}),
+        "descriptor": ("float32", ["B", 480]),
+        "keypoints": ("int64", ["B", 8]),
+        "unknown": ("int64", ["B"]),
+    }
+    assert sum(1 for _ in all_nodes(model.graph)) < 2000, "loops are loops"
+    assert len(model.SerializeToString()) < 1 << 19
+
+
+def all_nodes(graph: onnx.GraphProto) -> Iterator[tuple[onnx.NodeProto, dict[str, int]]]:
+    """Every node, also of loops, with the dtypes that are known where it stands."""
+    known = {
+        value.name: value.type.tensor_type.elem_type
+        for value in (*graph.input, *graph.output, *graph.value_info)
+    }
+    known |= {table.name: table.data_type for table in graph.initializer}
+    for node in graph.node:
+        yield node, known
+        for attribute in node.attribute:
+            if attribute.g.node:
+                yield from all_nodes(attribute.g)
+
+
+@presets
+def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
+    """ONNX Runtime 1.15, for one, cannot add uint64 nor compare uint8."""
+    kinds = onnx.TensorProto
+    anywhere = {kinds.INT32, kinds.INT64, kinds.FLOAT, kinds.DOUBLE}
+    operators = {"Add", "Sub", "Mul", "Div", "Mod", "Min", "Max", "Abs", "Equal", "Less", "Greater"}
+    seen = set()
+    for node, known in all_nodes(head_model(of_preset(preset)).graph):
+        if node.op_type in operators or node.op_type.startswith(("Reduce", "Arg")):
+            dtypes = {known[name] for name in node.input[:1] if name in known}
+            assert dtypes <= anywhere, node.name
+            seen |= {node.op_type} if dtypes else set()
+    assert len(seen & operators) > 8
+
+
+@presets
+@pytest.mark.parametrize(("given", "dtype"), [("labels", "int64"), ("logits", "uint8")])
+def test_the_metadata_and_the_golden_pair(preset, given, dtype, tmp_path):
+    config = of_preset(preset, labels_as="cityscapes-trainids")
+    export_head(config, tmp_path / "head.onnx", given, dtype)
+    head = session(tmp_path.joinpath("head.onnx").read_bytes())
+    metadata = Metadata.from_properties(head.get_modelmeta().custom_metadata_map)
+    assert SSRVLADConfig.from_dict(metadata.config) == config
+    assert metadata.fingerprint == config.fingerprint
+    assert metadata.label_space["name"] == "cityscapes-trainids"
+    assert list(metadata.interface["inputs"]) == [given]
+    assert metadata.interface["opset"] == OPSET
+    golden = metadata.golden_arrays()
+    results = head.run(None, {given: golden.pop(given)})
+    for (name, expected), got in zip(golden.items(), results, strict=True):
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6, err_msg=name)
+    assert (golden["keypoints"].sum(1) > 20).all()
+
+
+def test_the_same_settings_give_the_same_bytes(tmp_path):
+    for name in ("one.onnx", "other.onnx"):
+        export_head(of_preset("default"), tmp_path / name)
+    one, other = (tmp_path.joinpath(name).read_bytes() for name in ("one.onnx", "other.onnx"))
+    assert one == other
+    assert [path.name for path in sorted(tmp_path.iterdir())] == ["one.onnx", "other.onnx"]
+
+
+def write_space(path: Path, *ids: int) -> Path:
+    rows = "\n".join(f"  - {{id: {one}, name: c{one}, category: ground}}" for one in ids)
+    path.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("ids", "arguments", "message"),
+    [
+        ([0], {"input": "pixels"}, "input must be one of labels, logits, got 'pixels'"),
+        ([0], {"dtype": "int8"}, "dtype must be one of uint8, int64, got 'int8'"),
+        ([3], {"input": "logits"}, "own has no class scores, its ids have gaps"),
+        ([300, -4], {}, "own has no id from 0 to 255; wanted dtype int64"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused_before_anything_is_written(
+    ids, arguments, message, tmp_path
+):
+    space = write_space(tmp_path / "own.yaml", *ids)
+    file = tmp_path / "head.onnx"
+    file.write_text("before")
+    with pytest.raises(ValueError, match=message):
+        export_head(of_preset("default", labels_as=str(space)), file, **arguments)
+    assert file.read_text() == "before"
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"there is no folder .*nowhere"):
+        export_head(of_preset("default"), tmp_path / "nowhere" / "head.onnx")
+
+
+def test_a_missing_extra_is_named(tmp_path):
+    code = (
+        "import sys; sys.modules['onnxscript'] = None; from ssrvlad_torch import SSRVLADConfig;"
+        "from ssrvlad_torch.deployment import export_head; export_head(SSRVLADConfig(), 'x.onnx')"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False
+    )
+    assert "pip install ssrvlad-torch[onnx]" in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_and_the_script_write_what_the_function_writes(ssrvlad, tmp_path):
+    export_head(of_preset("paper"), tmp_path / "head.onnx", "logits")
+    options = ["--labels-as", SPACE, "--input", "logits", "--preset", "paper"]
+    code, out, _ = ssrvlad("export", "-o", tmp_path / "command.onnx", *options)
+    assert code == 0
+    assert of_preset("paper").fingerprint in out
+    script = Path(__file__).parents[1] / "export" / "to_onnx.py"
+    subprocess.run([sys.executable, script, tmp_path / "script.onnx", *options], check=True)
+    contents = [path.read_bytes() for path in tmp_path.iterdir()]
+    assert len(contents) == 3
+    assert len(set(contents)) == 1
+
+
+def test_the_command_says_in_a_line_what_is_wrong(ssrvlad, tmp_path):
+    for options, message in (
+        (["--labels-as", "mars"], "unknown label space 'mars'"),
+        (["--labels-as", SPACE, "--dtype", "int8"], "dtype must be one of uint8, int64"),
+        (["--labels-as", SPACE, "--preset", "best"], "preset must be one of paper, default"),
+    ):
+        code, _, (line,) = ssrvlad("export", "-o", tmp_path / "head.onnx", *options)
+        assert code == 2
+        assert message in line
+    assert not list(tmp_path.iterdir())

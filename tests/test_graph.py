@@ -1,0 +1,160 @@
+import subprocess
+import sys
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from graphs import run
+
+from ssrvlad_torch.graph import OPSET, Graph, Symbol
+
+
+def arithmetic(graph: Graph, x: Symbol, y: Symbol) -> list[Symbol]:
+    return [x + y, x - 3, 7 - x, x * y, 2 * x, x // y, 100 // y, x % y, 1 + x]
+
+
+def test_arithmetic_on_whole_numbers():
+    x, y = torch.tensor([9, 40, 7]), torch.tensor([2, 7, 9])
+    expected = [x + y, x - 3, 7 - x, x * y, 2 * x, x // y, 100 // y, x % y, 1 + x]
+    for got, wanted in zip(run(arithmetic, x, y), expected, strict=True):
+        assert torch.equal(got, wanted)
+
+
+def bitwise(graph: Graph, x: Symbol, y: Symbol, bits: Symbol) -> list[Symbol]:
+    small = x.to("uint8")
+    moved = [x << 8, x << bits, x >> 56, x >> bits, small << 3, small >> 3]
+    return [x & y, x | y, x ^ y, ~x, x & 255, small & 7, *moved]
+
+
+def test_bits_of_words():
+    """A word is eight bytes without a sign, whatever its dtype says."""
+    x, y, bits = torch.tensor([[1, -(2**63) + 5, -1], [3, -(2**63), 6], [56, 0, 9]])
+    words, small = x.numpy().view(np.uint64), (x & 255).numpy().astype(np.uint8)
+    moved = (words << 8, words << bits.numpy().view(np.uint64), words >> 56)
+    moved = (*moved, words >> bits.numpy().view(np.uint64), small << 3, small >> 3)
+    expected = [x & y, x | y, x ^ y, ~x, x & 255, small & 7, *moved]
+    for got, wanted in zip(run(bitwise, x, y, bits), expected, strict=True):
+        np.testing.assert_array_equal(got, np.asarray(wanted).view(got.numpy().dtype))
+
+
+def compared(graph: Graph, x: Symbol, y: Symbol) -> list[Symbol]:
+    less, equal = x < y, x.equals(y)
+    return [less, x <= y, x > y, x >= 2, equal, less | equal, less & ~equal, less ^ equal]
+
+
+def test_comparisons_and_truth():
+    x, y = torch.tensor([1, 2, 3]), torch.tensor([2, 2, 2])
+    less, equal = x < y, x == y
+    expected = [less, x <= y, x > y, x >= 2, equal, less | equal, less & ~equal, less ^ equal]
+    for got, wanted in zip(run(compared, x, y), expected, strict=True):
+        assert torch.equal(got, wanted)
+
+
+def lists(graph: Graph, values: Symbol, index: Symbol, times: Symbol) -> list[Symbol]:
+    number, how_many_before = graph.repeated(times)
+    return [
+        values.take(index),
+        values[1:],
+        values[:-1],
+        values[0],
+        graph.sums(index, values, 9),
+        graph.counts(index, graph.Size(index)),
+        graph.before(values),
+        number,
+        how_many_before,
+        graph.any(values > 100),
+        graph.any(values[:0] > 0),
+        graph.arange(values[0]),
+        graph.full([2, values[0]], 7, "uint8"),
+        graph.like(values, 4, "int64"),
+    ]
+
+
+def test_lists():
+    values, index = torch.tensor([5, 1, 4, 101]), torch.tensor([2, 0, 0, 3])
+    got = run(lists, values, index, torch.tensor([0, 2, 0, 3, 0]))
+    expected = [
+        [4, 5, 5, 101],
+        [1, 4, 101],
+        [5, 1, 4],
+        5,
+        [5, 0, 5, 101, 0, 0, 0, 0, 0],
+        [2, 0, 1, 1],
+        [0, 5, 6, 10],
+        [1, 1, 3, 3, 3],
+        [0, 1, 0, 1, 2],
+        True,
+        False,
+        [0, 1, 2, 3, 4],
+        [[7] * 5] * 2,
+        [4] * 4,
+    ]
+    assert [x.tolist() for x in got] == expected
+
+
+@pytest.mark.parametrize("times", [[], [0], [0, 0]])
+def test_nothing_is_repeated(times):
+    got = run(lists, torch.tensor([5]), torch.tensor([0]), torch.tensor(times, dtype=torch.int64))
+    assert got[7].tolist() == got[8].tolist() == []
+
+
+def test_loops():
+    def nested(graph: Graph, start: Symbol, trips: Symbol) -> list[Symbol]:
+        def row(step: Symbol) -> list[Symbol]:
+            return graph.repeat(step + 1, lambda _, x: [x + start * trips], start)
+
+        doubled = graph.repeat(trips, lambda step, x: [x * 2 + step], start)
+        halved = graph.repeat_while(lambda _, x, n: (x > 3, x // 2, n + 1), start, start * 0)
+        return [*doubled, *halved, *graph.stacked(trips, row)]
+
+    got = run(nested, torch.tensor(5), torch.tensor(3))
+    assert [x.tolist() for x in got] == [44, 1, 2, [20, 35, 50]]
+    got = run(nested, torch.tensor(5), torch.tensor(0))
+    assert [x.tolist() for x in got[:3]] == [5, 1, 2]
+
+
+def model(build, **forms) -> onnx.ModelProto:
+    graph = Graph(forms)
+    return graph.model({"out": (build(graph, *graph.inputs), ("int64", ["N"]))})
+
+
+def test_what_a_loop_does_not_change_is_computed_before_it():
+    def build(graph: Graph, x: Symbol) -> Symbol:
+        return graph.repeat(9, lambda step, y: [y + x * x % 7 + step], x)[0]
+
+    made = model(build, x=("int64", ["N"]))
+    (loop,) = (node for node in made.graph.node if node.op_type == "Loop")
+    assert {node.op_type for node in loop.attribute[0].g.node} == {"Add", "Identity"}
+    assert {"Mul", "Mod"} <= {node.op_type for node in made.graph.node}
+
+
+def test_a_model_is_valid_and_has_no_names_of_python():
+    made = model(lambda graph, x: x + 1 + (x + 1), x=("int64", ["N"]))
+    onnx.checker.check_model(made, full_check=True)
+    assert [(one.domain, one.version) for one in made.opset_import] == [("", OPSET)]
+    assert sum(node.op_type == "Add" for node in made.graph.node) == 2, "x + 1 stands once"
+    assert not any(node.metadata_props for node in made.graph.node)
+
+
+def test_equal_tables_are_stored_once():
+    def build(graph: Graph, x: Symbol) -> Symbol:
+        table = np.arange(5)
+        return graph.constant(table).take(x) + graph.constant(table.copy()).take(x + 1)
+
+    made = model(build, x=("int64", ["N"]))
+    assert [len(one.dims) for one in made.graph.initializer].count(1) == 1
+
+
+def test_a_symbol_has_no_truth():
+    with pytest.raises(TypeError, match="no value before the graph runs"):
+        bool(Graph({"x": ("bool", [])}).inputs[0])
+
+
+def test_a_missing_extra_is_named():
+    code = (
+        "import sys; sys.modules['onnxscript'] = None;"
+        "from ssrvlad_torch.graph import Graph; Graph({})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "pip install ssrvlad-torch[onnx]" in done.stderr

@@ -1,0 +1,255 @@
+"""Loops over files, in Python and as a user of ``ssrvlad loops`` meets them."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from contextlib import closing
+
+import pytest
+from helpers import street, write_street
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, Database, cli, loop_stream
+from ssrvlad_torch.encoding import Refusal
+from ssrvlad_torch.loop_closure import LoopConfig, LoopDetector
+from ssrvlad_torch.loop_stream import detect_loops, encode_as_they_come, encode_files, open_detector
+
+SEEDS = (*range(20), *range(2, 9))
+"""A drive of twenty places that comes back to seven of them."""
+SETTINGS = ("--exclude", 5, "--absolute", "--threshold", 0.95, "--temporal", 0)
+LOOPS = {f"drive/{n:02d}": f"drive/{n - 18:02d}" for n in (24, 25, 26)}
+"""The first four of the seven wait for confirmation."""
+
+
+@pytest.fixture
+def drive(tmp_path):
+    """A folder of label maps with poses."""
+    folder = tmp_path / "drive"
+    for number, seed in enumerate(SEEDS):
+        write_street(folder / f"{number:02d}.png", seed)
+    lines = [f"drive/{n:02d},{10 * seed},0,0" for n, seed in enumerate(SEEDS)]
+    (folder / "poses.csv").write_text("\n".join(["frame,x,y,heading", *lines]) + "\n")
+    return folder
+
+
+@pytest.fixture
+def loops(monkeypatch, capsys):
+    """Runs the command; returns exit code, stdout and the lines of stderr."""
+
+    def run(*arguments, stdin=b"", settings=SETTINGS):
+        words = ["loops", *arguments, "--labels-as", "camvid-11", *settings]
+        monkeypatch.setattr("sys.argv", ["ssrvlad", *map(str, words)])
+        monkeypatch.setattr("sys.stdin", io.TextIOWrapper(io.BytesIO(stdin)))
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+        out, err = capsys.readouterr()
+        return end.value.code or 0, out, err.splitlines()
+
+    return run
+
+
+def objects(out):
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def accepted(lines):
+    return {line["frame"]: line["candidate"] for line in lines if line["reason"] == "accepted"}
+
+
+def test_a_line_of_json_for_every_frame(loops, drive):
+    code, out, err = loops(drive, "--json")
+    lines = objects(out)
+    assert (code, err) == (0, [])
+    assert [line["frame"] for line in lines] == [f"drive/{n:02d}" for n in range(27)]
+    assert [*lines[0].values()] == ["drive/00", "no_candidate", None, None, None]
+    assert {line["reason"] for line in lines[1:6]} == {"too_recent"}
+    assert accepted(lines) == LOOPS
+    assert lines[-1]["score"] == pytest.approx(1)
+
+
+def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
+    code, out, _ = loops(drive)
+    assert code == 0
+    assert out.splitlines()[:3] == [f"{frame}: {there} 1.0000" for frame, there in LOOPS.items()]
+    assert out.splitlines()[3].startswith("27 frames: 3 accepted, ")
+    assert "5 too_recent" in out
+    assert len(out.splitlines()) == 4
+
+
+def test_precision_and_recall_by_poses(loops, drive):
+    _, out, _ = loops(drive, "--tolerance-metres", 5)
+    assert out.splitlines()[-1] == (
+        "precision 1.000 (3 of 3 loops are right), recall 0.429 (3 of 7 revisits)"
+    )
+    _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
+    *frames, told = objects(out)
+    assert len(frames) == 27
+    assert (told["frames"], told["reasons"]["accepted"], told["precision"]) == (27, 3, 1)
+    assert (told["revisits"], told["recognised"]) == (7, 3)
+    assert told["recall"] == pytest.approx(3 / 7)
+
+
+def test_poses_may_say_that_a_loop_is_wrong(loops, drive):
+    text = (drive / "poses.csv").read_text().replace("drive/25,70", "drive/25,90")
+    (drive / "poses.csv").write_text(text)
+    _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
+    told = objects(out)[-1]
+    assert (told["accepted"], told["right"]) == (3, 2)
+
+
+def test_without_poses_nothing_can_be_judged(loops, drive):
+    (drive / "poses.csv").unlink()
+    code, out, err = loops(drive, "--tolerance-metres", 5, "--json")
+    assert code == 2
+    assert len(objects(out)) == 27
+    assert len(err) == 1
+    assert "none of 27 frames has a pose" in err[0]
+    _, out, _ = loops(drive)
+    assert "3 accepted" in out
+
+
+def test_names_on_stdin_are_the_same_stream(loops, drive):
+    names = "".join(f"{path}\n" for path in sorted(drive.glob("*.png")))
+    by_folder = loops(drive, "--json", "--tolerance-metres", 5)
+    assert loops("-", "--json", "--tolerance-metres", 5, stdin=names.encode()) == by_folder
+    spaced = names.replace("\n", "\r\n\n").encode()
+    assert loops("-", "--json", "--tolerance-metres", 5, stdin=spaced) == by_folder
+
+
+def test_a_bad_frame_is_refused_and_the_stream_goes_on(loops, drive):
+    """Damaged, no picture, an unknown id, missing, a folder, and one that was there before."""
+    paths = sorted(map(str, drive.glob("*.png")))
+    (drive / "damaged.png").write_bytes((drive / "03.png").read_bytes()[:60])
+    (drive / "text.png").write_text("no picture")
+    Image.fromarray(street(0) + 100).save(drive / "strange.png")
+    bad = [f"{drive}/{name}" for name in ("damaged.png", "text.png", "strange.png", "gone.png")]
+    names = [*paths[:8], *bad, str(drive), paths[0], *paths[8:]]
+    code, out, err = loops("-", "--json", stdin="\n".join(names).encode())
+    assert code == 3, err
+    assert accepted(objects(out)) == LOOPS
+    assert len(objects(out)) == 27
+    refused = [line.split(": ")[1] for line in err]
+    assert refused[:4] == [
+        f"refused drive/{name}" for name in ("damaged", "text", "strange", "gone")
+    ]
+    assert refused[5] == "refused drive/00"
+    assert "was there before" in err[5]
+    assert len(refused) == 6
+
+
+def test_a_damaged_poses_file_refuses_its_frames(loops, drive):
+    (drive / "poses.csv").write_text("frame,x,y\ndrive/00,here,0\n")
+    code, out, err = loops("-", "--json", stdin=f"{drive / '00.png'}\n".encode())
+    assert (code, out, len(err)) == (3, "", 1)
+    assert "poses.csv line 2" in err[0]
+    assert loops(drive)[0] == 2
+
+
+def test_each_frame_of_a_live_pipe_is_answered_at_once(drive):
+    """The next name is written only once the answer to the last one is read. The last name is no
+    text, and its file is not there."""
+    command = [sys.executable, "-m", "ssrvlad_torch", "loops", "-", "--labels-as", "camvid-11"]
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    with subprocess.Popen([*command, "--json"], **pipes) as process:
+        for path in sorted(drive.glob("*.png"))[:4]:
+            process.stdin.write(os.fsencode(path) + b"\n")
+            process.stdin.flush()
+            assert json.loads(process.stdout.readline())["frame"] == f"drive/{path.stem}"
+        out, err = process.communicate(os.fsencode(drive) + b"/\xff.png\n")
+    assert (process.returncode, out) == (3, b"")
+    assert err.startswith(b"ssrvlad: refused drive/")
+    assert err.count(b"\n") == 1
+
+
+def test_a_memory_is_gone_on_from(loops, drive, tmp_path):
+    whole = objects(loops(drive, "--json")[1])
+    memory = tmp_path / "drive.ssrdb"
+    moved = {path: path.rename(path.with_suffix(".later")) for path in sorted(drive.glob("2*.png"))}
+    first = objects(loops(drive, "--json", "--memory", memory)[1])
+    for path, later in moved.items():
+        later.rename(path)
+    second = objects(loops(drive, "--json", "--memory", memory, "--tolerance-metres", 5)[1])
+    assert [*first, *second[:-1]] == whole
+    assert (second[-1]["frames"], second[-1]["recall"]) == (7, pytest.approx(3 / 7))
+    assert loops(drive, "--json", "--memory", memory)[:2] == (0, "")
+    stored = Database.open(memory).load()
+    assert stored.frames == tuple(f"drive/{n:02d}" for n in range(27))
+    assert stored.poses[:, 0].tolist() == [10 * seed for seed in SEEDS]
+
+
+def test_a_memory_of_another_preset_is_refused(loops, drive, tmp_path):
+    memory = tmp_path / "drive.ssrdb"
+    assert loops(drive, "--memory", memory, "--preset", "paper")[0] == 0
+    assert Database.open(memory).config.preset == "paper"
+    assert loops(drive, "--memory", memory)[0] == 0
+    code, _, err = loops(drive, "--memory", memory, "--preset", "default")
+    assert code == 2
+    assert "has fingerprint" in err[0]
+
+
+def test_a_stream_that_breaks_off_is_saved(drive, tmp_path, monkeypatch):
+    """Every few frames there is a checkpoint, and one at the end, however it comes."""
+    monkeypatch.setattr(loop_stream, "CHECKPOINT_FRAMES", 4)
+    config = LoopConfig(exclude=5)
+    detector, database = open_detector(config, tmp_path / "db", None, "camvid-11")
+    names = [f"{path}\n" for path in sorted(drive.glob("*.png"))]
+    saved = []
+    with closing(detect_loops(detector, encode_as_they_come(detector, names), database)) as stream:
+        for _ in range(10):
+            next(stream)
+            saved.append(len(Database.open(database.path)))
+    assert saved == [0, 0, 0, 0, 4, 4, 4, 4, 8, 8]
+    assert len(Database.open(database.path)) == 10
+
+    def broken():
+        yield from encode_as_they_come(detector, names[10:12])
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        list(detect_loops(detector, broken(), database))
+    assert len(Database.open(database.path)) == 12
+
+
+def test_what_a_detector_refuses_is_a_refusal(drive):
+    detector = LoopDetector(LoopConfig(), SSRVLAD.from_preset("default", labels_as="camvid-11"))
+    names = [str(drive / "00.png")]
+    results = list(detect_loops(detector, encode_as_they_come(detector, [*names, *names])))
+    assert [isinstance(result, Refusal) for result in results] == [False, True]
+    assert list(encode_as_they_come(detector, names)) == []
+    assert list(encode_files(detector, [])) == []
+
+
+@pytest.mark.parametrize("poses", [True, False])
+def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
+    if not poses:
+        (drive / "poses.csv").unlink()
+    picture = tmp_path / "loops.png"
+    assert loops(drive, "--picture", picture)[0] == 0
+    with Image.open(picture) as image:
+        assert image.width == (1430 if poses else 715)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["-", "other"], "stands alone"),
+        (["-", "--every", 2], "stands alone"),
+        (["nowhere"], "nowhere does not exist"),
+        (["-", "--segmenter-cache", "x"], "--segmenter-cache wants a --segmenter"),
+        (["-", "--preset", "best"], "preset must be one of"),
+        (["-", "--threshold", "nan"], "threshold must be a finite number"),
+        (["-", "--exclude", "-1"], "greater than or equal to 0"),
+    ],
+)
+def test_wrong_use_is_one_line(loops, arguments, message):
+    code, out, err = loops(*arguments, settings=())
+    assert (code, out, len(err)) == (2, "", 1)
+    assert message in err[0]
+
+
+def test_nothing_on_stdin_is_no_error(loops):
+    assert loops("-") == (0, "0 frames: nothing\n", [])

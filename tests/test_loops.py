@@ -1,0 +1,89 @@
+"""Precision and recall of loops: worked by hand, and against a plain count."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from ssrvlad_torch.evaluation.loops import LoopScore, score_loops
+
+EAST, WEST = 0.0, math.pi
+
+
+def drive(*places):
+    """Poses of ``(x, heading)`` on a line."""
+    return np.array([(x, 0.0, heading) for x, heading in places])
+
+
+def test_a_drive_worked_by_hand():
+    """Out over four places, a turn, back over them the other way, and out once more."""
+    poses = drive(*((x, EAST) for x in (0, 10, 20, 30)), *((x, WEST) for x in (30, 20, 10, 0)))
+    poses = np.concatenate((poses, drive((1, EAST), (11, EAST), (21, EAST), (31, EAST))))
+    loops = np.array([-1] * 5 + [2, 3, -1] + [0, 6, -1, 1])
+    score = score_loops(loops, poses, exclude=1, metres=2)
+    assert score == LoopScore(accepted=5, right=3, revisits=4, recognised=2)
+    assert (score.precision, score.recall) == (3 / 5, 2 / 4)
+
+
+def test_a_frame_too_recent_makes_no_revisit():
+    poses = drive((0, EAST), (0, EAST), (0, EAST), (0, EAST))
+    loops = np.full(4, -1)
+    assert [score_loops(loops, poses, n, 1).revisits for n in (0, 1, 2, 3)] == [3, 2, 1, 0]
+
+
+def test_a_distance_equal_to_the_tolerance_is_near():
+    poses = drive((0, EAST), (5, EAST))
+    assert score_loops(np.array([-1, 0]), poses, 0, 5.0) == (1, 1, 1, 1)
+    assert score_loops(np.array([-1, 0]), poses, 0, 4.9) == (1, 0, 0, 0)
+
+
+def test_an_unknown_heading_fits_any():
+    poses = drive((0, EAST), (0, WEST), (0, math.nan))
+    assert score_loops(np.array([-1, -1, -1]), poses[:2], 0, 1).revisits == 0
+    assert score_loops(np.array([-1, -1, 0]), poses, 0, 1) == (1, 1, 1, 1)
+
+
+def test_frames_without_a_position_are_left_out():
+    poses = drive((0, EAST), (math.nan, EAST), (0, EAST), (0, EAST))
+    loops = np.array([-1, 0, 1, 0])
+    assert score_loops(loops, poses, 0, 1) == (1, 1, 2, 1)
+
+
+def test_frames_before_the_first_are_candidates_only():
+    poses = drive((0, EAST), (0, EAST), (0, EAST))
+    assert score_loops(np.array([-1, 0, 1]), poses, 0, 1, first=2) == (1, 1, 1, 1)
+
+
+def test_where_there_is_nothing_the_shares_are_not_numbers():
+    score = score_loops(np.array([-1, -1]), drive((0, EAST), (99, EAST)), 0, 1)
+    assert math.isnan(score.precision)
+    assert math.isnan(score.recall)
+
+
+def test_wrong_arguments_are_refused():
+    with pytest.raises(ValueError, match="0 metres or more, got -1"):
+        score_loops(np.array([-1]), drive((0, EAST)), 0, -1)
+    with pytest.raises(ValueError, match=r"none of 2 frames has a pose.*poses\.csv"):
+        score_loops(np.array([-1, 0]), np.full((2, 3), np.nan), 0, 5)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 30), st.integers(0, 5), st.floats(0, 4), st.integers(0, 2**31))
+def test_the_counts_equal_a_plain_count(length, exclude, metres, seed):
+    rng = np.random.default_rng(seed)
+    poses = np.column_stack((rng.integers(0, 5, (length, 2)), rng.uniform(-9, 9, length)))
+    loops = np.array([rng.integers(-1, max(1, row)) for row in range(length)])
+    accepted = right = revisits = recognised = 0
+    for row in range(length):
+        earlier = [
+            other
+            for other in range(row - exclude)
+            if math.dist(poses[row, :2], poses[other, :2]) <= metres
+            and abs(math.remainder(poses[row, 2] - poses[other, 2], math.tau)) < math.pi / 4
+        ]
+        good = loops[row] >= 0 and math.dist(poses[row, :2], poses[loops[row], :2]) <= metres
+        accepted, right = accepted + (loops[row] >= 0), right + good
+        revisits, recognised = revisits + bool(earlier), recognised + bool(earlier and good)
+    assert score_loops(loops, poses, exclude, metres) == (accepted, right, revisits, recognised)

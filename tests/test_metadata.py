@@ -1,0 +1,54 @@
+import numpy as np
+import pytest
+
+import ssrvlad_torch
+from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
+from ssrvlad_torch.taxonomy import label_space
+
+ARRAYS = {
+    "labels": np.arange(6, dtype=np.uint8).reshape(1, 2, 3),
+    "descriptor": np.linspace(-1, 1, 7, dtype=np.float32)[None],
+    "unknown": np.array([-(2**40)]),
+}
+
+
+def metadata() -> Metadata:
+    interface = {"opset": 18, "inputs": {}, "outputs": {}}
+    return Metadata.of(SSRVLADConfig(), label_space("camvid-11"), interface, ARRAYS)
+
+
+def test_properties_are_text_and_come_back():
+    properties = metadata().to_properties()
+    assert all(isinstance(value, str) for value in properties.values())
+    assert Metadata.from_properties({"other": "tool", **properties}) == metadata()
+    assert properties[PREFIX + "version"] == ssrvlad_torch.__version__
+    assert properties[PREFIX + "fingerprint"] == SSRVLADConfig().fingerprint
+
+
+def test_golden_arrays_come_back_bit_by_bit():
+    back = Metadata.from_properties(metadata().to_properties()).golden_arrays()
+    assert list(back) == sorted(ARRAYS)
+    for name, array in ARRAYS.items():
+        assert back[name].dtype == array.dtype
+        np.testing.assert_array_equal(back[name], array)
+
+
+def test_the_label_space_is_whole():
+    space = metadata().label_space
+    assert space["name"] == "camvid-11"
+    assert space["classes"][2] == {"id": 2, "name": "pole", "category": "pole"}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda p: p.pop(PREFIX + "golden"), r"no metadata ssrvlad\.golden: .*`ssrvlad export`"),
+        (lambda p: p.update({PREFIX + "config": "{"}), r"metadata ssrvlad\.config is not JSON"),
+    ],
+)
+def test_what_is_not_ours_is_named(change, message):
+    properties = metadata().to_properties()
+    change(properties)
+    with pytest.raises(ValueError, match=message):
+        Metadata.from_properties(properties)

@@ -1,0 +1,157 @@
+"""Shifted skeletons: unshifted they are the head's, shifted they are what the reference counts."""
+
+import numpy as np
+import pytest
+import torch
+from cases import degenerate
+from drawings import SPACE
+from helpers import street
+
+from ssrvlad_torch import SSRVLAD, reference
+from ssrvlad_torch.skeleton_noise import SkeletonPoints
+
+SIZE = (60, 84)
+
+
+def head(preset, **settings):
+    return SSRVLAD.from_preset(preset, labels_as=SPACE, **settings)
+
+
+def streets(count, size=SIZE):
+    return torch.stack([torch.from_numpy(street(seed, *size)) for seed in range(count)])
+
+
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
+
+
+def by_layer(points, images):
+    """``(n, 2)`` rows and columns of the points of each layer of each image."""
+    yx = torch.stack((points.y, points.x), 1).numpy()
+    group = points.group.numpy()
+    return [[yx[group == k * images + b] for k in range(8)] for b in range(images)]
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+@pytest.mark.parametrize("settings", [{}, {"working_size": 40}, {"context": "keypoints"}])
+def test_points_that_were_not_shifted_are_described_as_the_head_does(preset, settings):
+    module, labels = head(preset, **settings), streets(3)
+    points = SkeletonPoints.of(module, labels)
+    wanted = module(labels)
+    assert torch.equal(points.descriptors(), wanted)
+    for nodes_only in (False, True):
+        still = points.shifted(0, generator(), nodes_only)
+        assert torch.equal(still.descriptors(), wanted)
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+@pytest.mark.parametrize("name", degenerate())
+def test_images_at_the_edge_of_what_there_is(preset, name):
+    module, labels = head(preset), torch.from_numpy(degenerate()[name])[None]
+    points = SkeletonPoints.of(module, labels)
+    assert torch.equal(points.descriptors(), module(labels))
+    assert points.shifted(7, generator()).descriptors().isfinite().all()
+
+
+def test_every_shift_is_drawn_alone_and_all_are_equally_likely():
+    points = SkeletonPoints.of(head("paper"), streets(8))
+    moved = points.shifted(3, generator())
+    dy, dx = moved.skeleton.y - points.skeleton.y, moved.skeleton.x - points.skeleton.x
+    assert torch.equal(moved.skeleton.group, points.skeleton.group)
+    counts = torch.bincount(7 * (dy + 3) + dx + 3, minlength=49).double()
+    assert len(counts) == 49
+    expected = len(dy) / 49
+    chi_squared = float(((counts - expected) ** 2 / expected).sum())
+    assert chi_squared < 84  # 0.999 of 48 degrees of freedom
+
+
+def test_a_key_point_goes_with_its_skeleton_pixel():
+    points = SkeletonPoints.of(head("paper"), streets(2))
+    moved = points.shifted(5, generator())
+    rows = points.node_rows
+    for before, after, part in zip(points.nodes, moved.nodes, moved.skeleton, strict=True):
+        assert len(before) == len(after)
+        assert torch.equal(after, part[rows])
+
+
+def test_nodes_alone_leave_the_skeleton():
+    points = SkeletonPoints.of(head("paper"), streets(2))
+    moved = points.shifted(5, generator(), nodes_only=True)
+    assert moved.skeleton is points.skeleton
+    assert not torch.equal(moved.nodes.y, points.nodes.y)
+    assert torch.equal(moved.nodes.y, points.shifted(5, generator()).nodes.y)
+
+
+def test_shifts_shrink_with_the_grid():
+    points = SkeletonPoints.of(head("paper", working_size=20), streets(4))
+    moved = points.shifted(9, generator())
+    shift = moved.skeleton.y - points.skeleton.y
+    assert (int(shift.min()), int(shift.max())) == (-3, 3)
+
+
+def test_the_same_generator_gives_the_same_numbers_and_another_does_not():
+    points = SkeletonPoints.of(head("paper"), streets(2))
+    first, again, other = (points.shifted(4, generator(s)).descriptors() for s in (1, 1, 2))
+    assert torch.equal(first, again)
+    assert not torch.equal(first, other)
+
+
+@pytest.mark.parametrize("nodes_only", [False, True])
+@pytest.mark.parametrize("context", ["skeleton", "keypoints"])
+def test_the_paper_counts_as_the_reference_does(nodes_only, context):
+    module, labels = head("paper", context=context), streets(2)
+    config = module.config
+    moved = SkeletonPoints.of(module, labels).shifted(30, generator(), nodes_only)
+    listed = [by_layer(part, 2) for part in (moved.skeleton, moved.nodes, moved.centres)]
+    assert min(int(moved.nodes.y.min()), int(moved.nodes.x.min())) < 0  # some are outside
+    for image, got in enumerate(moved.descriptors()):
+        vectors = []
+        for skeleton, nodes, centre in zip(*(part[image] for part in listed), strict=True):
+            seen = skeleton if context == "skeleton" else nodes
+            rules = (config.ring_limits(*SIZE), config.sectors)
+            residual = np.zeros((config.rings, config.sectors))
+            for point in nodes:
+                residual += reference.shape_context(point, seen, *rules)
+                residual -= reference.shape_context(centre[0], seen, *rules)
+            vectors.append(reference.normalise(residual.ravel()))
+        wanted = reference.normalise(np.concatenate(vectors))
+        np.testing.assert_allclose(got.numpy(), wanted, atol=1e-6)
+
+
+def test_the_harmonics_are_those_of_the_reference():
+    module, labels = head("default"), streets(1)
+    config = module.config
+    moved = SkeletonPoints.of(module, labels).shifted(10, generator())
+    view = module.explain(labels)
+    vectors = []
+    for layer, points in zip(view.layers[0].numpy(), by_layer(moved.skeleton, 1)[0], strict=True):
+        drawn = np.zeros(SIZE, bool)
+        for y, x in points:
+            if 0 <= y < SIZE[0] and 0 <= x < SIZE[1]:
+                drawn[y, x] = True
+        lengths = reference.canvas(drawn, int(view.vista[0])) * (SIZE[0] / 24)
+        area = np.sqrt(
+            reference.soft_histogram(reference.canvas(layer, int(view.vista[0])), config)
+        )
+        histogram = area + config.skeleton_weight * np.sqrt(
+            reference.soft_histogram(lengths, config)
+        )
+        held = np.array([(pattern * histogram).sum() for pattern in reference.patterns(config)])
+        vectors.append(np.sign(held) * np.abs(held) ** config.power)
+    wanted = reference.normalise(np.concatenate(vectors))
+    np.testing.assert_allclose(moved.descriptors()[0].numpy(), wanted, atol=1e-6)
+
+
+def test_harmonics_see_no_skeleton_outside_the_image():
+    module, labels = head("default"), streets(1)
+    points = SkeletonPoints.of(module, labels)
+    gone = points.shifted(0, generator())
+    gone.skeleton.y.add_(1000)
+    without = head("default", skeleton_weight=0.0)
+    assert torch.equal(gone.descriptors(), without(labels))
+
+
+def test_a_negative_shift_is_refused():
+    points = SkeletonPoints.of(head("paper"), streets(1))
+    with pytest.raises(ValueError, match="0 pixels or more, got -1"):
+        points.shifted(-1, generator())
