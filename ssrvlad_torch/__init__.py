@@ -3,7 +3,8 @@
 from .config import SSRVLADConfig
 from .database import Database
 from .descriptor import SSRVLAD
+from .loop_closure import LoopConfig, LoopDetector
 from .matching import match
 
-__all__ = ["SSRVLAD", "Database", "SSRVLADConfig", "match"]
+__all__ = ["SSRVLAD", "Database", "LoopConfig", "LoopDetector", "SSRVLADConfig", "match"]
 __version__ = "0.1.0"

@@ -4,7 +4,7 @@ The city is an endless grid of streets at irregular distances. Between the stree
 side of a block has its own style of building, kerb, trees, lamps and signs, drawn from a random
 generator of its own, so any part of the city can be made without making the rest. The route goes
 east, north or south and never back: it crosses itself nowhere, and a longer drive begins like a
-shorter one.
+shorter one. Where it is given turn by turn it goes anywhere, and `TOUR` comes back to its streets.
 
 Everything that stands is a convex body of eight corners, and its picture is the convex hull of the
 corners' pictures; ground patches are bodies without height. A frame is painted far to near.
@@ -20,7 +20,8 @@ import io
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterator
+import sys
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -55,6 +56,19 @@ QUERY = Conditions(
     seed=1,
 )
 
+LEFT, STRAIGHT, RIGHT = 1, 0, -1
+TOUR = (
+    *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, STRAIGHT, LEFT),
+    *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, STRAIGHT, LEFT),
+    *(STRAIGHT, STRAIGHT, LEFT, STRAIGHT, RIGHT, STRAIGHT, RIGHT, STRAIGHT, RIGHT),
+    *(STRAIGHT, STRAIGHT, STRAIGHT, RIGHT, STRAIGHT, LEFT, LEFT, STRAIGHT, LEFT),
+    *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, LEFT, STRAIGHT, STRAIGHT, STRAIGHT),
+)
+"""Turns of a drive of 3.3 km that closes loops: round ten blocks, then along some of these streets
+again, in the same direction and in the opposite one."""
+TOUR_ESTATES = (2,)
+"""The estate of the tour: 400 m of street that look alike all along."""
+
 
 class Frame(NamedTuple):
     """One picture of a traverse: (H, W) uint8 label ids, the camera's pose, and ``"000000"``..."""
@@ -68,6 +82,12 @@ class Frame(NamedTuple):
 class SyntheticCity:
     """A city and a route through it; equal seeds (>= 0) give equal frames.
 
+    Attributes:
+        seed: another one is another city.
+        estates: numbers of the east-west streets, the first that is driven being 0, along which
+            every block has the same houses, kerbs, lamps and trees, so that its stretches look
+            alike.
+
     Example:
         >>> frame = next(SyntheticCity(seed=0).traverse(frames=1))
         >>> frame.labels.shape, frame.name
@@ -75,6 +95,7 @@ class SyntheticCity:
     """
 
     seed: int = 0
+    estates: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         require(self.seed >= 0, "seed", self.seed, "an integer >= 0")
@@ -85,28 +106,36 @@ class SyntheticCity:
         conditions: Conditions = REFERENCE,
         size: tuple[int, int] = (240, 320),
         labels_as: str = "cityscapes-trainids",
+        turns: Iterable[int] | None = None,
     ) -> Iterator[Frame]:
         """Drive the route and label what the camera sees, lazily.
 
         A frame depends on its number, not on how many are asked for.
 
         Args:
-            frames: number of frames (>= 1); the route has no end.
+            frames: number of frames (>= 1); fewer if the route ends before.
             conditions: how the streets are driven.
             size: height and width in pixels, each >= 16. The view is 85 degrees wide.
             labels_as: "cityscapes-trainids", where 255 is every class without a train id (guard
                 rail, parking, ground, pole group), or "cityscapes-ids".
+            turns: the route from its start eastwards, at each junction 1 for left, 0 for straight
+                on and -1 for right; without, an endless route that never comes back.
         """
         require(frames >= 1, "frames", frames, "at least 1")
         require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
         require(labels_as in LABEL_SPACES, "labels_as", labels_as, f"one of {LABEL_SPACES}")
-        return itertools.islice(self._drive(conditions, size, labels_as), frames)
+        poses = camera_poses(self.seed, conditions, turns)
+        return itertools.islice(self._drive(poses, conditions, size, labels_as), frames)
 
     def _drive(
-        self, conditions: Conditions, size: tuple[int, int], labels_as: str
+        self,
+        poses: Iterable[Pose],
+        conditions: Conditions,
+        size: tuple[int, int],
+        labels_as: str,
     ) -> Iterator[Frame]:
-        block = functools.lru_cache(maxsize=64)(functools.partial(_block, self.seed, conditions))
-        for index, pose in enumerate(camera_poses(self.seed, conditions)):
+        block = functools.lru_cache(maxsize=64)(functools.partial(self._block, conditions))
+        for index, pose in enumerate(poses):
             seconds = index * FRAME_SECONDS
             bodies = [block(*corner) for corner in nearby(pose)]
             bodies.append(pack(vehicles(self.seed, conditions, pose, seconds)))
@@ -115,6 +144,13 @@ class SyntheticCity:
                 rng = generator(conditions.seed, "noise", self.seed, index)
                 labels = conditions.noise.apply(labels, rng)
             yield Frame(_convert(labels, labels_as), pose, f"{index:06d}")
+
+    def _block(self, conditions: Conditions, column: int, row: int) -> Bodies:
+        """Everything between streets `column` and `column + 1`, `row` and `row + 1`."""
+        sides = block_sides(self.seed, column, row, self.estates)
+        passing = (passers_by(self.seed, side, conditions) for side in sides)
+        stands = standing(self.seed, sides, conditions.season)
+        return pack(itertools.chain(stands, *passing))
 
 
 class CityFiles(NamedTuple):
@@ -163,24 +199,60 @@ def write_city(
     poses: dict[str, dict[str, Pose]] = {}
     for folder, conditions in ((files.reference, REFERENCE), (files.query, query)):
         traverse = city.traverse(frames, conditions, size, labels_as)
-        folder.mkdir(parents=True, exist_ok=True)
-        poses[folder.name] = {}
-        for frame in traverse:
-            _write(folder / f"{frame.name}.png", _palette_png(frame.labels, colours))
-            poses[folder.name][f"{folder.name}/{frame.name}"] = frame.pose
-            if progress:
-                progress(1)
+        poses[folder.name] = _write_frames(folder, traverse, colours, progress)
     places = _same_places(poses["query"], poses["reference"], radius)
     _write(files.poses, _poses_csv(poses["reference"] | poses["query"]))
     _write(files.ground_truth, json.dumps(places, indent=1).encode())
     return files
 
 
-def _block(seed: int, conditions: Conditions, column: int, row: int) -> Bodies:
-    """Everything between streets `column` and `column + 1`, `row` and `row + 1`."""
-    sides = block_sides(seed, column, row)
-    passing = (passers_by(seed, side, conditions) for side in sides)
-    return pack(itertools.chain(standing(seed, sides, conditions.season), *passing))
+def write_tour(
+    out: str | Path,
+    frames: int | None = None,
+    seed: int = 0,
+    size: tuple[int, int] = (240, 320),
+    conditions: Conditions = REFERENCE,
+    labels_as: str = "cityscapes-trainids",
+    progress: Callable[[int], None] | None = None,
+) -> Path:
+    """Write one drive along `TOUR`, which closes loops: label PNGs and their ``poses.csv``.
+
+    The files are as `write_city` writes them.
+
+    Args:
+        out: folder, made if missing, that gets ``poses.csv`` and the folder ``tour``.
+        frames: number of frames; without, the whole tour, about 1100.
+        seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
+        conditions: of the drive.
+        progress: told of every frame that is written, 1 at a time.
+
+    Returns:
+        the folder of the label PNGs.
+    """
+    folder = Path(out) / "tour"
+    city = SyntheticCity(seed, TOUR_ESTATES)
+    length = sys.maxsize if frames is None else frames
+    traverse = city.traverse(length, conditions, size, labels_as, TOUR)
+    poses = _write_frames(folder, traverse, palette(labels_as), progress)
+    _write(Path(out) / "poses.csv", _poses_csv(poses))
+    return folder
+
+
+def _write_frames(
+    folder: Path,
+    frames: Iterable[Frame],
+    colours: NDArray[np.uint8],
+    progress: Callable[[int], None] | None,
+) -> dict[str, Pose]:
+    """Writes frames as label PNGs; gives their poses by id."""
+    folder.mkdir(parents=True, exist_ok=True)
+    poses = {}
+    for frame in frames:
+        _write(folder / f"{frame.name}.png", _palette_png(frame.labels, colours))
+        poses[f"{folder.name}/{frame.name}"] = frame.pose
+        if progress:
+            progress(1)
+    return poses
 
 
 def _convert(labels: NDArray[np.uint8], labels_as: str) -> NDArray[np.uint8]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -56,6 +56,7 @@ _STYLES = (
     _Style((16, 26), (5, 10), (5.5, 7), 1.0, 0.3, 0.1, WALL, PARKING),  # works
     _Style((12, 24), (4, 6), (6, 7), 4.0, 0.8, 0.5, FENCE, TERRAIN),  # park
 )
+_ESTATE = 2
 
 
 class Side(NamedTuple):
@@ -79,8 +80,11 @@ def standing(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
         yield from _street_trees(seed, side, season)
 
 
-def block_sides(seed: int, column: int, row: int) -> list[Side]:
-    """South, east, north and west side, counter-clockwise."""
+def block_sides(seed: int, column: int, row: int, estates: Collection[int] = ()) -> list[Side]:
+    """South, east, north and west side, counter-clockwise.
+
+    A side on an east-west street of the `estates` is what it is in every block along the street.
+    """
     west, east = (street(seed, 0, k) for k in (column, column + 1))
     south, north = (street(seed, 1, k) for k in (row, row + 1))
     x0, x1 = west.position + west.width / 2, east.position - east.width / 2
@@ -88,12 +92,15 @@ def block_sides(seed: int, column: int, row: int) -> list[Side]:
     axes = (Axis(x0, y0, 1, 0), Axis(x1, y0, 0, 1), Axis(x1, y1, -1, 0), Axis(x0, y1, 0, -1))
     sides = []
     for number, axis in enumerate(axes):
-        rng = generator(seed, "side", column, row, number)
+        alike = {0: row, 2: row + 1}.get(number) in estates
+        key = (0 if alike else column, row, number)
+        rng = generator(seed, "side", *key)
         style = _STYLES[rng.choice(len(_STYLES), p=(0.3, 0.25, 0.2, 0.15, 0.1))]
+        style = _STYLES[_ESTATE] if alike else style
         kerb = int(rng.choice((PARKING, TERRAIN, SIDEWALK), p=(0.4, 0.3, 0.3)))
         length = (x1 - x0, y1 - y0)[number % 2]
         walk = KERB_STRIP + rng.uniform(1.5, 3.5)
-        sides.append(Side(axis, length, style, kerb, walk, (column, row, number)))
+        sides.append(Side(axis, length, style, kerb, walk, key))
     return sides
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from ..poses import Pose
@@ -15,6 +15,7 @@ PITCH = 80.0  # mean distance of neighbouring streets
 PITCH_JITTER = 16.0
 TURN_RADIUS = 8.0
 LANE = 2.0  # the camera drives this far right of the street's centre line
+_AHEAD = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 class Street(NamedTuple):
@@ -55,16 +56,25 @@ class _Piece(NamedTuple):
         return Pose(self.x + x, self.y + y, end)
 
 
-def _route(seed: int) -> Iterator[_Piece]:
-    """The centre line of the streets driven: from junction to junction, with rounded turns."""
+def _wander(seed: int) -> Iterator[int]:
+    """Turns at the junctions, without end: north, east and south, never back."""
     rng = generator(seed, "route")
-    node, heading = (0, 0), 0  # heading: quarter turns, -1 south, 0 east, 1 north
-    x, y = street(seed, 0, 0).position + TURN_RADIUS, street(seed, 1, 0).position
+    heading = 0  # quarter turns, -1 south, 0 east, 1 north
     while True:
-        node = (node[0] + (heading == 0), node[1] + heading)
+        turn = int(rng.choice((-1, 0, 0, 1) if heading == 0 else (0, -heading)))
+        yield turn
+        heading += turn
+
+
+def _route(seed: int, turns: Iterable[int]) -> Iterator[_Piece]:
+    """The centre line of the streets driven: from junction to junction, with rounded turns."""
+    node, heading = (0, 0), 0  # heading: quarter turns to the left of east
+    x, y = street(seed, 0, 0).position + TURN_RADIUS, street(seed, 1, 0).position
+    for turn in turns:
+        east, north = _AHEAD[heading % 4]
+        node = (node[0] + east, node[1] + north)
         junction = (street(seed, 0, node[0]).position, street(seed, 1, node[1]).position)
         straight = math.dist((x, y), junction) - TURN_RADIUS
-        turn = int(rng.choice((-1, 0, 0, 1) if heading == 0 else (0, -heading)))
         arc = TURN_RADIUS * (math.pi / 2 if turn else 2)
         approach = _Piece(x, y, heading * math.pi / 2, straight, 0.0)
         crossing = _Piece(*approach.at(straight), arc, turn / TURN_RADIUS)
@@ -73,12 +83,14 @@ def _route(seed: int) -> Iterator[_Piece]:
         heading += turn
 
 
-def camera_poses(seed: int, conditions: Conditions) -> Iterator[Pose]:
-    """Camera poses, `conditions.spacing` metres apart along the route, without end."""
+def camera_poses(
+    seed: int, conditions: Conditions, turns: Iterable[int] | None = None
+) -> Iterator[Pose]:
+    """Camera poses, `conditions.spacing` metres apart along the route, to its end if it has one."""
     phases = generator(conditions.seed, "sway", seed).uniform(0, math.tau, 2).tolist()
     left = conditions.lateral_offset - LANE
     travelled, begin = 0.0, 0.0
-    for piece in _route(seed):
+    for piece in _route(seed, _wander(seed) if turns is None else turns):
         while travelled < begin + piece.length:
             x, y, course = piece.at(travelled - begin)
             sway = math.sin(travelled / 17 + phases[0]) + math.sin(travelled / 5 + phases[1])

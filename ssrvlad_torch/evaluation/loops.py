@@ -1,0 +1,87 @@
+"""Precision and recall of loop closures in one stream, by the poses of its frames."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from .outcomes import Floats, Rows
+
+FACING = math.radians(45)
+"""Frames whose headings differ by less look the same way."""
+
+
+class LoopScore(NamedTuple):
+    """Counts of frames.
+
+    Attributes:
+        accepted: frames that close a loop.
+        right: those of them whose candidate is near.
+        revisits: frames at whose place another frame looked the same way before.
+        recognised: those of them that close a loop with a candidate that is near.
+    """
+
+    accepted: int
+    right: int
+    revisits: int
+    recognised: int
+
+    @property
+    def precision(self) -> float:
+        """Right / accepted; NaN if no loop was accepted."""
+        return self.right / self.accepted if self.accepted else math.nan
+
+    @property
+    def recall(self) -> float:
+        """Recognised / revisits; NaN if nothing was there to be recognised."""
+        return self.recognised / self.revisits if self.revisits else math.nan
+
+
+def score_loops(
+    candidates: Rows, poses: Floats, exclude: int, metres: float, first: int = 0
+) -> LoopScore:
+    """Holds the loops of a stream against the poses of its frames.
+
+    A loop is right if its two frames are near each other, whichever way they look. A frame is a
+    revisit if an earlier one, too long ago to be excluded, is near and looks the same way; where
+    a heading is unknown, any way. Frames without a position are left out.
+
+    Args:
+        candidates: ``(N,)`` int64, row of the candidate of each frame that closes a loop, else -1.
+        poses: ``(N, 3)`` x and y in metres and heading in radians, NaN where unknown.
+        exclude: so many frames before a frame are too recent.
+        metres: frames are near at this distance or less.
+        first: row of the first frame that is counted.
+
+    Raises:
+        ValueError: the distance is negative, or no frame has a position.
+    """
+    if not metres >= 0:
+        raise ValueError(f"the tolerance must be 0 metres or more, got {metres}")
+    if np.isnan(poses[:, :2]).any(axis=1).all():
+        raise ValueError(
+            f"none of {len(poses)} frames has a pose; a tolerance in metres wants a poses.csv "
+            "(frame,x,y,heading) in or beside their folder"
+        )
+    counts = np.zeros(4, np.int64)
+    for row in range(first, len(poses)):
+        if np.isnan(poses[row, :2]).any():
+            continue
+        near, facing = _near(poses[row], poses[: max(0, row - exclude)], metres)
+        candidate = candidates[row]
+        accepted = candidate >= 0 and not np.isnan(poses[candidate, :2]).any()
+        right = accepted and math.dist(poses[row, :2], poses[candidate, :2]) <= metres
+        revisit = bool((near & facing).any())
+        counts += (accepted, right, revisit, right and revisit)
+    return LoopScore(*counts.tolist())
+
+
+def _near(
+    pose: Floats, others: Floats, metres: float
+) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    """Which poses are near one, and which look the same way."""
+    x, y, turn = (others - pose).T
+    return np.hypot(x, y) <= metres, np.isnan(turn) | (np.cos(turn) > math.cos(FACING))
