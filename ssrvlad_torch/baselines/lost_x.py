@@ -56,6 +56,12 @@ class LoSTEncodings:
             self.features[part],
         )
 
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all tensors."""
+        whole = (self.descriptors, self.places, self.labels, self.columns, self.widths)
+        return sum(tensor.nbytes for tensor in (*whole, *self.features))
+
 
 class LoSTX:
     """Descriptors of features by class; the best ten are ranked again by their key-points.

@@ -1,0 +1,82 @@
+"""The figure of precision over recall, a column for each condition."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from _problems import IMAGES, LABELS, Problem
+from _trials import Outcomes, Trial
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ssrvlad_torch.evaluation.metrics import Convention
+from ssrvlad_torch.files import replacing
+
+COLOURS = (
+    *("#8c564b", "#7f7f7f", "#bcbd22", "#17becf", "#d62728", "#ff9896"),
+    *("#1f77b4", "#aec7e8", "#2ca02c", "#9467bd", "#e377c2"),
+)
+Panel = tuple[str, dict[str, Trial]]
+"""Title, and what the methods found."""
+
+
+def draw(
+    problems: Sequence[Problem],
+    outcomes: Outcomes,
+    names: Sequence[str],
+    convention: Convention,
+    path: Path,
+) -> None:
+    """Curves above, areas below; methods that see images stand beside those that see labels.
+
+    Args:
+        problems: a column for each that has label maps, and for images that have no such other.
+        outcomes: what the methods found.
+        names: methods that are drawn, in order.
+        convention: of the curve.
+        path: a PNG.
+    """
+    panels = _panels(problems, outcomes, names)
+    colours = dict(zip(names, COLOURS, strict=True))
+    figure = Figure(figsize=(4.2 * len(panels), 7.4), layout="constrained")
+    axes = figure.subplots(2, len(panels), squeeze=False, height_ratios=(3, 2))
+    for column, (title, found) in enumerate(panels):
+        curves = {name: trial.curve(convention) for name, trial in found.items()}
+        for name, curve in curves.items():
+            recall = np.concatenate((0 * curve.recall[:1], curve.recall))
+            precision = np.concatenate((curve.precision[:1], curve.precision))
+            axes[0, column].plot(recall, precision, color=colours[name], label=name, lw=1.4)
+        _frame(axes[0, column], title)
+        areas = [float(curve.auc) for curve in curves.values()]
+        places = np.arange(len(curves))
+        axes[1, column].barh(places, areas, color=[colours[name] for name in curves])
+        axes[1, column].set_yticks(places, list(curves), fontsize=8)
+        axes[1, column].set(xlim=(0, 1), xlabel="AUC")
+        axes[1, column].invert_yaxis()
+    shown = {name for _, found in panels for name in found}
+    lines = [axes[0, 0].plot([], color=colours[n], label=n)[0] for n in names if n in shown]
+    figure.legend(handles=lines, loc="outside upper center", ncols=4, fontsize=9, frameon=False)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+
+
+def _frame(axes: Axes, title: str) -> None:
+    axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
+    axes.set_title(title, fontsize=10)
+    axes.grid(lw=0.3)
+
+
+def _panels(problems: Sequence[Problem], outcomes: Outcomes, names: Sequence[str]) -> list[Panel]:
+    panels = []
+    labelled = {problem.dataset for problem in problems if problem.gives == LABELS}
+    for problem in problems:
+        if problem.gives == IMAGES and problem.dataset in labelled:
+            continue
+        beside = [p for p in problems if p.dataset == problem.dataset and p.gives == IMAGES]
+        keys = [(p.name, name) for name in names for p in {problem, *beside}]
+        found = {key[1]: outcomes[key] for key in keys if isinstance(outcomes.get(key), Trial)}
+        panels.append((f"{problem.dataset}\n{problem.condition}", found))
+    return panels

@@ -1,0 +1,64 @@
+"""What the pages that are written by scripts have in common: tables, figures, the machine."""
+
+from __future__ import annotations
+
+import math
+import platform
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from statistics import median
+
+import torch
+
+from ssrvlad_torch.files import replacing
+
+
+def head_row(*cells: str) -> Iterator[str]:
+    """The first two lines of a table."""
+    yield row(*cells)
+    yield row(*["---"] * len(cells))
+
+
+def row(*cells: str) -> str:
+    """A line of a table."""
+    return f"| {' | '.join(cells)} |"
+
+
+def interval(value: float, ends: Sequence[float], digits: int = 3) -> str:
+    """``0.738 [0.682, 0.799]``; a dash for a figure without a meaning."""
+    if math.isnan(value):
+        return "-"
+    return f"{value:.{digits}f} [{ends[0]:.{digits}f}, {ends[1]:.{digits}f}]"
+
+
+def largest_mean_smallest(values: Sequence[float]) -> str:
+    """``max/average/min`` with three significant digits."""
+    three = (max(values), sum(values) / len(values), min(values))
+    return "/".join(significant(value) for value in three)
+
+
+def median_low_high(values: Sequence[float]) -> str:
+    """``median [min, max]`` with three significant digits."""
+    low, high = significant(min(values)), significant(max(values))
+    return f"{significant(median(values))} [{low}, {high}]"
+
+
+def significant(value: float, digits: int = 3) -> str:
+    """A number of at least 0 with so many significant digits, without an exponent."""
+    if value == 0:
+        return "0"
+    places = max(0, digits - 1 - math.floor(math.log10(value)))
+    return f"{value:.{places}f}"
+
+
+def processor() -> str:
+    """The class of the processor, and what computes on it."""
+    return f"one thread of an {platform.machine()} processor, torch {torch.__version__}"
+
+
+def write(path: Path, page: str) -> None:
+    """Writes a page; its folder is made."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_text(page, encoding="utf-8")
+    print(path)

@@ -1,0 +1,136 @@
+"""Table III of the paper: what a frame of 1024 x 1024 costs, by every method."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import partial
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import _paper
+import numpy as np
+from _costs import ENCODED, Cost, measure
+from _markdown import head_row, largest_mean_smallest, processor, row
+from _problems import IMAGES, LABELS, CityDrive, camvid_problems
+from _trials import TRAINED, Cache, Rival
+from PIL import Image
+
+from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.datasets.synthetic_city import REFERENCE
+from ssrvlad_torch.taxonomy import colourise
+
+SIZE = (1024, 1024)
+REFERENCES = 191
+ROUNDS, ROUNDS_OF_NETWORKS = 24, 4
+PICTURES = 8
+EVERY = 26
+
+RIVALS = (
+    Rival(_paper.COHOG, "cohog", IMAGES),
+    Rival(_paper.REGION_VLAD, "region-vlad", IMAGES),
+    Rival(_paper.NETVLAD, "netvlad", IMAGES),
+    Rival(_paper.LOST_X, "lost-x", IMAGES),
+    Rival.ssrvlad(_paper.SSR_VLAD, "paper", temporal=3),
+    Rival("SSR-VLAD, paper, eager", "ssr-vlad", LABELS, {"preset": "paper"}),
+    Rival.ssrvlad("SSR-VLAD, default", "default", temporal=3),
+    Rival("SSR-VLAD, default, eager", "ssr-vlad", LABELS, {"preset": "default"}),
+    Rival("label grid", "label-grid", LABELS),
+    Rival("HOG", "hog", IMAGES),
+    Rival("tiny image", "tiny-image", IMAGES),
+)
+
+INTRODUCTION = """## Table III: cost
+
+Milliseconds of a frame of {height} x {width} pixels, max/average/min, on {processor}; the paper: 16
+cores of an i7-10700KF, SSR-VLAD in C++, the others in Python. {frames} All methods take turns on
+the same frames, {rounds} of them ({network_rounds} for the three networks). Extraction goes from
+the label map to skeletons, key-points and centres, encoding from there to the descriptor; where
+there is one number, the two are one step. SSR-VLAD has its thinning compiled where nothing else is
+said. Matching is one query against {references} references (RobotCar's number), divided by them;
+LoST-X and tiny image are matched with {encoded}. What a segmentation network costs is not in it,
+nor in the paper's. Some of the paper's cells have a maximum below the minimum; they stand as
+printed.
+"""
+
+
+def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
+    """The lines of Table III."""
+    origin = ("costs", _stamp(options.camvid), [rival.stamp(options.weights) for rival in RIVALS])
+    costs = {
+        name: Cost(**cost) for name, cost in kept.get(origin, partial(_measured, options)).items()
+    }
+    frames = (
+        "The frames are those of CamVid, enlarged."
+        if options.camvid
+        else "The frames are those of the synthetic city, its label maps in colours for images."
+    )
+    yield INTRODUCTION.format(
+        height=SIZE[0],
+        width=SIZE[1],
+        processor=processor(),
+        frames=frames,
+        rounds=ROUNDS,
+        network_rounds=ROUNDS_OF_NETWORKS,
+        references=REFERENCES,
+        encoded=ENCODED,
+    )
+    steps = ("extraction", "encoding", "matching a pair")
+    yield from head_row("method", *steps, *(f"the paper: {step}" for step in steps))
+    for rival in RIVALS:
+        cost = costs[rival.name]
+        name = f"{rival.name} (random weights)" if "random" in cost.method else rival.name
+        yield row(name, *_cells(cost), *_paper.TABLE_III.get(rival.name, ("",) * 3))
+    embedded = "SSR-VLAD on a TDA4VM"
+    yield row(f"{embedded} (the paper)", "", "", "", *_paper.TABLE_III[embedded])
+    yield ""
+
+
+def _measured(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    pictures = {LABELS: [], IMAGES: []}
+    for labels, image in islice(_pictures(options.camvid), PICTURES):
+        pictures[LABELS].append(labels)
+        pictures[IMAGES].append(image)
+    methods = {rival.name: partial(rival.make, options.weights, True) for rival in RIVALS}
+    frames = {rival.name: pictures[rival.sees] for rival in RIVALS}
+    rounds = {
+        rival.name: ROUNDS_OF_NETWORKS if rival.method in TRAINED else ROUNDS for rival in RIVALS
+    }
+    costs = measure(methods, frames, REFERENCES, rounds)
+    return {name: asdict(cost) for name, cost in costs.items()}
+
+
+def _pictures(camvid: Path | None) -> Iterator[tuple[Frame, Frame]]:
+    """Label map and image of the same frame."""
+    if camvid is None:
+        for frame in CityDrive(0, REFERENCE, PICTURES, SIZE):
+            yield frame, Frame(frame.frame, image=colourise(frame.labels, frame.labels_as))
+        return
+    drives = {
+        p.gives: p.searches[0].queries for p in camvid_problems(camvid) if "esp" not in p.name
+    }
+    for labels, image in islice(zip(drives[LABELS], drives[IMAGES], strict=True), 0, None, EVERY):
+        yield (
+            Frame(labels.frame, enlarged(labels.labels, SIZE, False), labels.labels_as),
+            Frame(image.frame, image=enlarged(image.image, SIZE, True)),
+        )
+
+
+def enlarged(pixels: np.ndarray, size: tuple[int, int], smooth: bool) -> np.ndarray:
+    """A picture or a label map at another size."""
+    way = Image.Resampling.BILINEAR if smooth else Image.Resampling.NEAREST
+    return np.asarray(Image.fromarray(pixels).resize(size[::-1], way))
+
+
+def _stamp(camvid: Path | None) -> str:
+    if camvid is None:
+        return "the city"
+    return " ".join(problem.stamp for problem in camvid_problems(camvid))
+
+
+def _cells(cost: Cost) -> list[str]:
+    pair = [milliseconds / cost.references for milliseconds in cost.match]
+    encoding = largest_mean_smallest(cost.aggregate) if cost.aggregate else ""
+    return [largest_mean_smallest(cost.extract), encoding, largest_mean_smallest(pair)]

@@ -1,0 +1,50 @@
+"""Ctrl-C and termination that wait until the work in hand is safe."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+@contextmanager
+def deferred_interruption() -> Iterator[Callable[[], None]]:
+    """Defers SIGINT and SIGTERM to where the body calls what it is given.
+
+    The first signal is kept until then; a second one acts at once. Outside the main thread, where
+    Python handles no signals, nothing is deferred.
+
+    Yields:
+        A function that raises KeyboardInterrupt after a SIGINT, and SystemExit with code 143 after
+        a SIGTERM.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: None
+        return
+    received: list[int] = []
+    earlier = {number: signal.getsignal(number) for number in _SIGNALS}
+
+    def restore() -> None:
+        for number, handler in earlier.items():
+            signal.signal(number, handler)
+
+    def keep(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+        restore()
+
+    def check() -> None:
+        if signal.SIGINT in received:
+            raise KeyboardInterrupt
+        if received:
+            raise SystemExit(128 + received[0])
+
+    for number in _SIGNALS:
+        signal.signal(number, keep)
+    try:
+        yield check
+    finally:
+        restore()
