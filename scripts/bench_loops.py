@@ -18,7 +18,8 @@ import torch
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.bench import threads
 from ssrvlad_torch.database import FrameRecord
-from ssrvlad_torch.loop_closure import LoopConfig, LoopDetector
+from ssrvlad_torch.loop_closure import LoopDetector
+from ssrvlad_torch.loop_config import LoopConfig
 
 FRAMES = 100_000
 LENGTH = 480

@@ -32,12 +32,12 @@ from ssrvlad_torch.evaluation.thresholds import suggested
 from ssrvlad_torch.loop_closure import (
     GeometricCheck,
     KeyPoints,
-    LoopConfig,
     LoopDetector,
     LoopResult,
     PoseGate,
     Reason,
 )
+from ssrvlad_torch.loop_config import LoopConfig
 from ssrvlad_torch.loop_geometry import SharedKeypoints
 from ssrvlad_torch.loop_stream import loops_of
 

@@ -340,11 +340,11 @@ def on_paper(frames: int, results: dict[str, dict[str, Any]]) -> list[str]:
 
 
 def amount(size: float) -> str:
-    for unit in ("B", "kB", "MB", "GB", "TB"):
-        if size < 1000:
-            break
+    units = ["B", "kB", "MB", "GB", "TB"]
+    while size >= 1000 and len(units) > 1:
         size /= 1000
-    return f"{size:.3g} {unit}"
+        del units[0]
+    return f"{size:.3g} {units[0]}"
 
 
 if __name__ == "__main__":

@@ -3,7 +3,8 @@
 from .config import SSRVLADConfig
 from .database import Database
 from .descriptor import SSRVLAD
-from .loop_closure import LoopConfig, LoopDetector
+from .loop_closure import LoopDetector
+from .loop_config import LoopConfig
 from .matching import match
 
 __all__ = ["SSRVLAD", "Database", "LoopConfig", "LoopDetector", "SSRVLADConfig", "match"]

@@ -211,7 +211,17 @@ def stamp(file: FrameFile) -> int:
     return int.from_bytes(hashlib.blake2b(text, digest_size=8).digest(), "big", signed=True) or 1
 
 
-class _Item(NamedTuple):
+def read_only(head: SSRVLAD, files: Sequence[FrameFile]) -> list[Item]:
+    """The first half of `encode`: label maps and their digests, in memory."""
+    return _read(head.label_space, [Item(file, "") for file in files])
+
+
+def describe_only(head: SSRVLAD, items: Sequence[Item]) -> list[_Result]:
+    """The second half of `encode`, of what `read_only` read."""
+    return _describe(head, items)
+
+
+class Item(NamedTuple):
     """A frame on its way: its file, the digest that is known of it, and what was read."""
 
     file: FrameFile
@@ -342,10 +352,10 @@ def _items(
     digests: Mapping[str, str],
     workers: int,
     segmenter: Segmenter | None,
-) -> Iterator[_Item]:
+) -> Iterator[Item]:
     """The frames; those of a segmenter with their label maps."""
     if segmenter is None:
-        return (_Item(file, digests.get(file.frame, "")) for file in files)
+        return (Item(file, digests.get(file.frame, "")) for file in files)
     if segmenter.label_space != head.label_space:
         raise ValueError(
             f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
@@ -356,18 +366,18 @@ def _items(
 
 def _segmented(
     files: Sequence[FrameFile], digests: Mapping[str, str], workers: int, segmenter: Segmenter
-) -> Iterator[_Item]:
+) -> Iterator[Item]:
     """Frames with label maps. Stamps are taken before any file is read."""
     stamps = [stamp(file) for file in files]
     for (file, labels), time in zip(segmenter.label_maps(files, workers), stamps, strict=True):
-        yield _Item(file, digests.get(file.frame, ""), time, labels)
+        yield Item(file, digests.get(file.frame, ""), time, labels)
 
 
-def _read(space: LabelSpace, chunk: Sequence[_Item]) -> list[_Item]:
+def _read(space: LabelSpace, chunk: Sequence[Item]) -> list[Item]:
     return [_read_one(space, item) for item in chunk]
 
 
-def _read_one(space: LabelSpace, item: _Item) -> _Item:
+def _read_one(space: LabelSpace, item: Item) -> Item:
     if item.labels is None:
         item = item._replace(stamp=stamp(item.file))
         try:
@@ -379,7 +389,7 @@ def _read_one(space: LabelSpace, item: _Item) -> _Item:
     return item
 
 
-def _describe(head: SSRVLAD, chunk: Sequence[_Item]) -> list[_Result]:
+def _describe(head: SSRVLAD, chunk: Sequence[Item]) -> list[_Result]:
     """Describes frames, those of like size and dtype together."""
     results: dict[int, _Result] = {}
     alike: dict[object, list[int]] = {}
@@ -399,7 +409,7 @@ def _describe(head: SSRVLAD, chunk: Sequence[_Item]) -> list[_Result]:
     return [results[place] for place in range(len(chunk))]
 
 
-def _describe_batch(head: SSRVLAD, batch: Sequence[_Item]) -> list[_Result]:
+def _describe_batch(head: SSRVLAD, batch: Sequence[Item]) -> list[_Result]:
     """Describes frames of one size and dtype; if the batch is refused, one by one."""
     device = next(head.buffers()).device
     try:
@@ -414,7 +424,7 @@ def _describe_batch(head: SSRVLAD, batch: Sequence[_Item]) -> list[_Result]:
     return [_Described(*pair) for pair in zip(records, descriptors, strict=True)]
 
 
-def _record(item: _Item, labels_as: str) -> FrameRecord:
+def _record(item: Item, labels_as: str) -> FrameRecord:
     height, width = np.asarray(item.labels).shape
     size = (height, width, item.digest)
     return FrameRecord(

@@ -20,7 +20,8 @@ from .encoding import Encoded, Refusal, encode
 from .evaluation.loops import score_loops
 from .evaluation.outcomes import Rows
 from .files import absolute_folder
-from .loop_closure import LoopConfig, LoopDetector, LoopResult
+from .loop_closure import LoopDetector, LoopResult
+from .loop_config import LoopConfig
 from .segmentation import Segmenter
 
 CHECKPOINT_FRAMES = 500

@@ -60,7 +60,16 @@ def encode_with_ray(
             {"part": database.part_name(number), "files": pickle.dumps(fresh[first : first + size])}
             for number, first in enumerate(range(0, len(fresh), size))
         ]
-        parts = _run(ray.data.from_items(rows, override_num_blocks=len(rows)), config, database.path, workers) if rows else []
+        parts = (
+            _run(
+                ray.data.from_items(rows, override_num_blocks=len(rows)),
+                config,
+                database.path,
+                workers,
+            )
+            if rows
+            else []
+        )
         empty = database.adopt(parts)
         summary = encode_to_database(SSRVLAD(config), files, database, workers)
     added = sum(part.rows for part in parts)

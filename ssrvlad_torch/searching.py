@@ -197,7 +197,7 @@ def _build(faiss: Any, references: Tensor) -> Any:
     index.own_fields = True
     quantiser.this.disown()
     index.nprobe = max(1, lists // 16)
-    wanted = min(rows, max(_LEAST_ROWS, 64 * lists))
+    wanted = min(rows, max(_LEAST_ROWS, _TRAINING_ROWS_OF_A_LIST * lists))
     sample = np.sort(np.random.default_rng(0).choice(rows, wanted, replace=False))
     index.train(_units(references[torch.from_numpy(sample)]))
     for first in range(0, rows, _BLOCK):

@@ -130,7 +130,16 @@ def test_stages_import_no_other_stage():
 
 def test_the_package_loads_without_the_extras():
     """Core stays light: neither scikit-image, scipy, matplotlib nor kornia comes with an import."""
-    heavy = ("skimage", "scipy", "matplotlib", "kornia", "onnx", "onnxruntime", "sklearn")
+    heavy = (
+        "skimage",
+        "scipy",
+        "matplotlib",
+        "kornia",
+        "onnx",
+        "onnxscript",
+        "onnxruntime",
+        "sklearn",
+    )
     code = (
         "import sys, ssrvlad_torch, ssrvlad_torch.cli, ssrvlad_torch.demo, ssrvlad_torch.show;"
         f"print([m for m in {heavy!r} if m in sys.modules])"

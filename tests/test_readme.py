@@ -45,9 +45,9 @@ def maps(tmp_path_factory):
 @pytest.fixture(scope="module")
 def photos(maps):
     """``photos/monday`` and ``photos/today``, what a camera sees of the first frames of ``maps``,
-    the data set ``town`` of both, and weights that were never trained."""
+    the data set ``town`` of both, a network, and weights that were never trained."""
     for day, role in (("monday", "reference"), ("today", "query")):
-        for label_map in sorted((maps / "maps" / day).iterdir())[:8]:
+        for label_map in sorted((maps / "maps" / day).iterdir())[:4]:
             picture = Image.fromarray(
                 colourise(np.asarray(Image.open(label_map)), "cityscapes-ids")
             )
@@ -59,10 +59,11 @@ def photos(maps):
                 shutil.copy(file, maps / "town" / role / kind)
     shutil.copy(maps / "maps" / "poses.csv", maps / "photos")
     shutil.copy(maps / "city" / "poses.csv", maps / "town")
-    truth = {f"query/{n:06d}": [f"reference/{n:06d}"] for n in range(8)}
+    truth = {f"query/{n:06d}": [f"reference/{n:06d}"] for n in range(4)}
     (maps / "town" / "ground_truth.json").write_text(json.dumps(truth))
     weights = random_network(AlexNetPlaces365).state_dict()
     torch.save(weights, maps / "alexnet_places365.caffemodel")
+    write_graph(maps / "seg.onnx", labels=True)
     return maps
 
 
@@ -129,6 +130,8 @@ def test_every_command_is_in_the_table(command):
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "bench"])
 def test_help_examples(command, run, photos, tmp_path):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
+    if command == "verify":
+        run("ssrvlad fuse seg.onnx -o place.onnx --labels-as camvid-11")
     text = " ".join(run(f"ssrvlad {command} --help").replace("\\\n", " ").split())
     text = re.split(r"(?:Arguments|Options):", text)[0]
     examples = re.findall(r"Example: (ssrvlad .*?)(?= Example:|\s*$)", text)

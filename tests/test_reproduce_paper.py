@@ -180,7 +180,7 @@ def test_the_papers_numbers_are_those_of_its_source(monkeypatch):
     first, costs = text[text.index("label{table1}") :].split("label{table3}")
     first = re.sub(r"\\textbf\{([^}]*)\}", r"\1", first)
     lines = re.findall(r"\{(?:Recall@100\\%Precision|RecallRate@1|AUC)\}(.*?)\\\\", first, re.S)
-    cells = [re.findall(r"[{ ](-|\d+\.\d+)(?=\}| |$)", line) for line in lines]
+    cells = [re.findall(r"(?:\{c\|\}\{|&\s*)([\d.]+|-)(?=\}|\s*$)", line) for line in lines]
     printed = [list(zip(*cells[n : n + 3], strict=True)) for n in (0, 3, 6)]
     assert printed == [list(methods.values()) for methods in paper.TABLE_I.values()]
     cells = re.findall(r"\d[\d.]*/\d[\d.]*/\d[\d.]*", costs[: costs.index("section{Results}")])

@@ -159,6 +159,12 @@ std::vector<std::string> load_frames(const std::string& path, std::size_t count)
   return frames;
 }
 
+std::size_t number(const std::string& text) {
+  if (text.empty() || text.size() > 9 || text.find_first_not_of("0123456789") != text.npos)
+    throw std::runtime_error("TOP: wanted a number, got " + text);
+  return std::stoul(text);
+}
+
 void run(const std::vector<std::string>& arguments) {
   Head head(arguments[0]);
   auto map = load_labels(arguments[1]);
@@ -174,7 +180,7 @@ void run(const std::vector<std::string>& arguments) {
   if (arguments.size() < 3) return;
   const auto database = load_database(arguments[2], head, descriptor.size());
   const auto frames = load_frames(arguments[2] + ".frames.txt", database.shape[0]);
-  const std::size_t top = arguments.size() > 3 ? std::stoul(arguments[3]) : 5;
+  const std::size_t top = arguments.size() > 3 ? number(arguments[3]) : 5;
   for (const auto& [score, row] : search(database, descriptor, top))
     std::printf("%s %.6f\n", frames[row].c_str(), static_cast<double>(score));
 }

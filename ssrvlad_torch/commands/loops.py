@@ -12,7 +12,8 @@ from typing import Annotated, Any
 import typer
 
 from ..encoding import Encoded, Refusal
-from ..loop_closure import LoopConfig, LoopDetector, LoopResult
+from ..loop_closure import LoopDetector, LoopResult
+from ..loop_config import LoopConfig
 from ..loop_stream import (
     detect_loops,
     encode_as_they_come,

@@ -1,0 +1,77 @@
+// Label ids of a PNG. A canvas would give colours: a palette's instead of its indices, and gray
+// values that colour profiles, or a browser that guards against fingerprinting, have changed.
+
+const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
+const [GRAY, PALETTE] = [0, 3];
+
+/** ``{labels, height, width}``; labels are a Uint8Array, or a Uint16Array of a 16-bit file. */
+export async function readLabels(file) {
+  const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
+  if (SIGNATURE.some((byte, at) => file[at] !== byte)) throw new Error("wanted a PNG");
+  const parts = [];
+  let header = null;
+  for (let at = 8; at + 12 <= file.length; ) {
+    const length = view.getUint32(at);
+    const kind = String.fromCharCode(...file.subarray(at + 4, at + 8));
+    if (at + 12 + length > file.length) throw new Error("the PNG is cut short");
+    if (kind === "IHDR") header = headerOf(view, at + 8);
+    if (kind === "IDAT") parts.push(file.subarray(at + 8, at + 8 + length));
+    at += 12 + length;
+  }
+  if (!header) throw new Error("the PNG has no header");
+  const rows = unfiltered(await inflated(parts), header);
+  return { ...header, labels: unpacked(rows, header) };
+}
+
+export async function inflated(parts) {
+  const stream = new Blob(parts).stream().pipeThrough(new DecompressionStream("deflate"));
+  return new Uint8Array(await new Response(stream).arrayBuffer());
+}
+
+function headerOf(view, at) {
+  const [width, height] = [view.getUint32(at), view.getUint32(at + 4)];
+  const [bits, colour, , , interlaced] = Array.from({ length: 5 }, (_, i) => view.getUint8(at + 8 + i));
+  const readable = colour === PALETTE || (colour === GRAY && bits >= 8);
+  if (!readable) throw new Error("wanted a PNG of gray of 8 or 16 bits, or of a palette");
+  if (interlaced) throw new Error("wanted a PNG that is not interlaced");
+  return { width, height, bits };
+}
+
+/** The bytes of all rows, each predicted from its left, upper and upper left neighbours. */
+function unfiltered(content, { width, height, bits }) {
+  const length = Math.ceil((width * bits) / 8);
+  const step = Math.max(1, bits / 8);
+  if (content.length < height * (length + 1)) throw new Error("the PNG is cut short");
+  const rows = new Uint8Array(height * length);
+  for (let y = 0; y < height; y++) {
+    const filter = content[y * (length + 1)];
+    for (let x = 0; x < length; x++) {
+      const at = y * length + x;
+      const left = x >= step ? rows[at - step] : 0;
+      const up = y ? rows[at - length] : 0;
+      const corner = y && x >= step ? rows[at - length - step] : 0;
+      rows[at] = content[y * (length + 1) + 1 + x] + prediction(filter, left, up, corner);
+    }
+  }
+  return rows;
+}
+
+function prediction(filter, left, up, corner) {
+  if (filter < 4) return [0, left, up, (left + up) >> 1][filter];
+  const [a, b, c] = [up - corner, left - corner, left + up - 2 * corner].map(Math.abs);
+  return a <= b && a <= c ? left : b <= c ? up : corner;
+}
+
+function unpacked(rows, { width, height, bits }) {
+  if (bits === 8) return rows;
+  if (bits === 16) {
+    const view = new DataView(rows.buffer);
+    return Uint16Array.from({ length: width * height }, (_, at) => view.getUint16(2 * at));
+  }
+  const length = Math.ceil((width * bits) / 8);
+  return Uint8Array.from({ length: width * height }, (_, at) => {
+    const bit = (at % width) * bits;
+    const byte = rows[Math.floor(at / width) * length + (bit >> 3)];
+    return (byte >> (8 - bits - (bit & 7))) & ((1 << bits) - 1);
+  });
+}

@@ -1,0 +1,106 @@
+// A file of `ssrvlad export`, run by onnxruntime-web on the CPU.
+
+import * as ort from "./node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
+import { inflated } from "./label_png.js";
+import { metadataOf, skeletonTensor, withOutput } from "./onnx_file.js";
+
+ort.env.wasm.numThreads = 1;
+
+const OUTPUTS = ["descriptor", "keypoints", "unknown"];
+const ARRAYS = {
+  uint8: Uint8Array,
+  int64: BigInt64Array,
+  float32: Float32Array,
+};
+
+export class Model {
+  /** The model in the bytes of a file. */
+  static async load(file) {
+    const metadata = metadataOf(file);
+    for (const name of ["fingerprint", "config", "label_space", "golden", "interface"])
+      if (!metadata[name]) throw new Error(`no metadata ssrvlad.${name}: no file of ssrvlad export`);
+    const skeleton = skeletonTensor(file);
+    const bytes = skeleton ? withOutput(file, skeleton) : file;
+    const session = await ort.InferenceSession.create(bytes, { logSeverityLevel: 3 });
+    return new Model(session, metadata, skeleton);
+  }
+
+  constructor(session, metadata, skeleton) {
+    this.session = session;
+    this.skeleton = skeleton;
+    this.fingerprint = metadata.fingerprint;
+    this.config = JSON.parse(metadata.config);
+    this.space = JSON.parse(metadata.label_space);
+    this.golden = JSON.parse(metadata.golden);
+    [this.input] = session.inputNames;
+    this.dtype = JSON.parse(metadata.interface).inputs[this.input]?.dtype;
+  }
+
+  /** Of an image of ids: descriptor, key-point counts and `skeleton`, see `unpackedSkeleton`. */
+  async describe({ labels, height, width }) {
+    if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
+    const ids = this.dtype === "int64" ? BigInt64Array.from(labels, BigInt) : Uint8Array.from(labels);
+    if (this.dtype === "uint8" && labels.some((id) => id > 255))
+      throw new Error("the file takes ids up to 255");
+    const found = await this.#run(new ort.Tensor(this.dtype, ids, [1, height, width]));
+    if (found.unknown[0])
+      throw new Error(`${found.unknown[0]} pixels have an id outside label space ${this.space.name}`);
+    const grid = workingGrid(this.config.working_size, height, width);
+    return { ...found, ...grid, skeleton: found.skeleton && unpackedSkeleton(found.skeleton, grid) };
+  }
+
+  /** Largest difference of the descriptors of the golden pair; infinite if a count differs. */
+  async goldenDifference() {
+    const [given, ...wanted] = await Promise.all([this.input, ...OUTPUTS].map((n) => this.#array(n)));
+    const found = await this.#run(new ort.Tensor(given.dtype, given.values, given.shape));
+    const differences = OUTPUTS.map((name, i) => largestDifference(found[name], wanted[i].values));
+    return differences[1] || differences[2] ? Infinity : differences[0];
+  }
+
+  async #run(input) {
+    const found = await this.session.run({ [this.input]: input });
+    const { descriptor, keypoints, unknown } = found;
+    return {
+      descriptor: descriptor.data,
+      keypoints: Array.from(keypoints.data, Number),
+      unknown: Array.from(unknown.data, Number),
+      skeleton: this.skeleton && found[this.skeleton].data,
+    };
+  }
+
+  async #array(name) {
+    const entry = this.golden[name];
+    if (!entry) throw new Error(`the golden pair has no ${name}; see ssrvlad verify`);
+    const bytes = Uint8Array.from(atob(entry.data), (letter) => letter.charCodeAt(0));
+    const { buffer } = await inflated([bytes]);
+    return { ...entry, values: new ARRAYS[entry.dtype](buffer) };
+  }
+}
+
+function largestDifference(found, wanted) {
+  if (found.length !== wanted.length) return Infinity;
+  return wanted.reduce((most, value, at) => Math.max(most, Math.abs(found[at] - Number(value))), 0);
+}
+
+/** The rule of `SSRVLADConfig.grid`. */
+function workingGrid(size, height, width) {
+  const shorter = Math.min(height, width);
+  if (size === null || size >= shorter) return { rows: height, columns: width };
+  const rounded = (side) => Math.floor((2 * side * size + shorter) / (2 * shorter));
+  return { rows: rounded(height), columns: rounded(width) };
+}
+
+/**
+ * ``rows * columns`` bytes, bit k is layer k. In the graph a row is ``pitch`` words of eight pixels,
+ * and the line begins with a margin of ``pitch + 1`` words.
+ */
+function unpackedSkeleton(line, { rows, columns }) {
+  const pitch = Math.floor(columns / 8) + 1;
+  if (line.length !== (rows + 1) * pitch + 2 * (pitch + 1))
+    throw new Error("the skeleton in the graph is of another layout");
+  const bytes = new Uint8Array(line.buffer, line.byteOffset, line.byteLength);
+  return Uint8Array.from({ length: rows * columns }, (_, at) => {
+    const [y, x] = [Math.floor(at / columns), at % columns];
+    return bytes[8 * (pitch + 1 + y * pitch) + x];
+  });
+}

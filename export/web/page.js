@@ -1,0 +1,179 @@
+// The page: files in, pictures and a table out. `?model=&database=&labels=` opens files by address.
+
+import { Database } from "./database.js";
+import { readLabels } from "./label_png.js";
+import { Model } from "./model.js";
+import { drawTarget, targetOf } from "./targets.js";
+
+const CATEGORIES = {
+  ground: "#b58bb5",
+  sidewalk: "#f5a3ee",
+  building: "#a9a9a9",
+  pole: "#e3c770",
+  vegetation: "#a9c97b",
+  sky: "#9cc4e4",
+  "guard-rail": "#cdbccd",
+  parking: "#fac8be",
+};
+const NO_LAYER = "#f4f4f4";
+const TOP = 5;
+const TOLERANCE = 1e-6;
+
+const open = { model: null, database: null, labels: null };
+const element = (id) => document.getElementById(id);
+const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
+
+/** Opens files, ``{name: bytes}``, by what their names end in, and describes what is there. */
+async function openFiles(files) {
+  const named = (ending) => Object.keys(files).find((name) => name.endsWith(ending));
+  const [model, array, labels] = [".onnx", ".npy", ".png"].map(named);
+  if (model) {
+    say("Loading the model …");
+    open.model = await Model.load(files[model]);
+    element("check").disabled = false;
+    element("golden").value = "";
+  }
+  if (array) {
+    const [frames, fingerprint] = ["frames", "fingerprint"].map((what) =>
+      textOf(files[`${array}.${what}.txt`]),
+    );
+    if (frames === undefined) throw new Error(`choose ${array}.frames.txt together with ${array}`);
+    open.database = new Database(files[array], frames, fingerprint);
+  }
+  if (labels) open.labels = { ...(await readLabels(files[labels])), name: labels };
+  if (!model && !array && !labels) throw new Error("wanted .onnx, .npy with .txt, or .png files");
+  await describe();
+}
+
+async function describe() {
+  const { model, database, labels } = open;
+  element("result").hidden = true;
+  if (!model) return say("Choose a model.");
+  const own = database?.fingerprint;
+  if (own && own !== model.fingerprint)
+    throw new Error(`the database has fingerprint ${own}, the model ${model.fingerprint}`);
+  if (!labels) return say(`Labels of ${model.space.name}: choose a label map.`);
+  const start = performance.now();
+  const described = await model.describe(labels);
+  const taken = Math.round(performance.now() - start);
+  element("result").hidden = false;
+  drawMap(model, labels, described);
+  drawTargets(model, described);
+  listMatches(database?.search(described.descriptor, TOP) ?? []);
+  const unchecked = database && !own ? " The database carries no fingerprint." : "";
+  say(`${labels.name}: ${labels.height} x ${labels.width}, ${taken} ms.${unchecked}`);
+}
+
+function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
+  const colours = Object.fromEntries(space.classes.map(({ id, category }) => [id, CATEGORIES[category]]));
+  const canvas = element("map");
+  [canvas.height, canvas.width] = [height, width];
+  const context = canvas.getContext("2d");
+  const picture = context.createImageData(width, height);
+  const pixels = new Uint32Array(picture.data.buffer);
+  const packed = (colour) => {
+    const [red, green, blue] = [1, 3, 5].map((at) => parseInt(colour.slice(at, at + 2), 16));
+    return ((255 << 24) | (blue << 16) | (green << 8) | red) >>> 0;
+  };
+  labels.forEach((id, at) => (pixels[at] = packed(colours[id] ?? NO_LAYER)));
+  context.putImageData(picture, 0, 0);
+  context.fillStyle = "#000";
+  const [tall, wide] = [height / rows, width / columns];
+  skeleton?.forEach((layers, at) => {
+    const [y, x] = [Math.floor(at / columns), at % columns];
+    if (layers) context.fillRect(x * wide + wide / 4, y * tall + tall / 4, wide / 2, tall / 2);
+  });
+}
+
+function drawTargets({ config }, { descriptor, keypoints }) {
+  element("legend").textContent =
+    config.aggregation === "residuals"
+      ? "Rings by distance, sectors by direction: red where the key-points of a category see more " +
+        "skeleton than its centre does, blue where they see less."
+      : "Rings by distance from the point where the view opens, sectors by direction: what the " +
+        "numbers of a category say about where it stands. Red is much, white nothing, " +
+        "pale blue what the smooth patterns leave over.";
+  const targets = Object.entries(CATEGORIES).map(([name, colour], k) => {
+    const target = document.createElement("div");
+    target.className = "target";
+    target.innerHTML =
+      '<canvas width="320" height="320" role="img"></canvas>' +
+      "<p><i></i> <b></b><br><small></small></p>";
+    target.querySelector("canvas").setAttribute("aria-label", `target of ${name}`);
+    target.querySelector("i").style.background = colour;
+    target.querySelector("b").textContent = name;
+    target.querySelector("small").textContent = `${keypoints[k]} key-points`;
+    drawTarget(target.querySelector("canvas"), targetOf(config, descriptor, k));
+    return target;
+  });
+  element("targets").replaceChildren(...targets);
+}
+
+function listMatches(candidates) {
+  const body = element("matches").tBodies[0];
+  body.replaceChildren();
+  if (!candidates.length) {
+    const nothing = open.database ? "nothing is like it" : "choose a database";
+    candidates = [{ frame: nothing, score: null }];
+  }
+  for (const { frame, score } of candidates) {
+    const row = body.insertRow();
+    row.insertCell().textContent = frame;
+    row.insertCell().textContent = score === null ? "" : score.toFixed(4);
+  }
+}
+
+async function checkGoldenPair() {
+  const difference = await open.model.goldenDifference();
+  const verdict = difference <= TOLERANCE ? "equal" : "NOT equal";
+  element("golden").value = `${verdict}, largest difference ${difference.toExponential(2)}`;
+}
+
+function say(text, error = false) {
+  element("status").textContent = text;
+  element("status").classList.toggle("error", error);
+}
+
+/** Does a job; what goes wrong stands in the status line. Jobs wait for each other. */
+let last = Promise.resolve();
+function attempt(job) {
+  last = last.then(job).catch((error) => {
+    element("result").hidden = true;
+    say(error.message, true);
+  });
+  return last;
+}
+
+async function bytesOf(list) {
+  const entries = Array.from(list, async (file) => [file.name, new Uint8Array(await file.arrayBuffer())]);
+  return Object.fromEntries(await Promise.all(entries));
+}
+
+/** The files of an address and, of an array, the texts beside it. */
+async function fetched(address) {
+  const files = {};
+  const texts = address.endsWith(".npy") ? [".frames.txt", ".fingerprint.txt"] : [];
+  for (const ending of ["", ...texts]) {
+    const response = await fetch(address + ending);
+    if (response.ok) files[(address + ending).split("/").pop()] = new Uint8Array(await response.arrayBuffer());
+    else if (!ending) throw new Error(`${address}: ${response.status} ${response.statusText}`);
+  }
+  return files;
+}
+
+for (const name of ["model", "database", "labels"]) {
+  const input = element(`${name}-file`);
+  input.addEventListener("change", () => attempt(async () => openFiles(await bytesOf(input.files))));
+  const address = new URLSearchParams(location.search).get(name);
+  if (address) attempt(async () => openFiles(await fetched(address)));
+}
+element("check").addEventListener("click", () => attempt(checkGoldenPair));
+for (const kind of ["dragover", "dragleave", "drop"])
+  document.addEventListener(kind, (event) => {
+    event.preventDefault();
+    document.body.classList.toggle("dropping", kind === "dragover");
+  });
+document.addEventListener("drop", ({ dataTransfer }) => {
+  const files = Array.from(dataTransfer.files);
+  attempt(async () => openFiles(await bytesOf(files)));
+});

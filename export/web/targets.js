@@ -1,0 +1,71 @@
+// What the numbers of a layer say, as the target that they are: rings by distance, sectors by
+// direction.
+
+/** ``{rings, sectors, values, turned}`` of layer k; ring after ring. A soft sector lies around its
+ * angle, so the target is turned back by half a sector. */
+export function targetOf(config, descriptor, k) {
+  const { rings, sectors } = config;
+  const length = descriptor.length / 8;
+  const numbers = descriptor.subarray(k * length, (k + 1) * length);
+  if (config.aggregation === "residuals") return { rings, sectors, values: numbers, turned: 0 };
+  return { rings, sectors, values: histogramOf(config, numbers), turned: 0.5 };
+}
+
+/** The smooth part of the histogram whose amounts of patterns the numbers are, of any scale. */
+function histogramOf({ rings, sectors, power, sharpening }, numbers) {
+  const values = new Float64Array(rings * sectors);
+  wavesOf(rings, sectors)
+    .slice(0, numbers.length)
+    .forEach(({ u, v, phase }, i) => {
+      const amount = Math.sign(numbers[i]) * Math.abs(numbers[i]) ** (1 / power);
+      const wave = values.map((_, bin) => {
+        const [ring, sector] = [Math.floor(bin / sectors), bin % sectors];
+        const outward = Math.cos((Math.PI * u * (ring + 0.5)) / rings);
+        return outward * Math.cos((2 * Math.PI * v * sector) / sectors - phase);
+      });
+      const weight = (1 + u * u + v * v) ** (sharpening / 2);
+      wave.forEach((height, bin) => (values[bin] += (amount * height) / weight / Math.hypot(...wave)));
+    });
+  return values;
+}
+
+/** Patterns in the order of `stages.harmonics.waves`. */
+function wavesOf(rings, sectors) {
+  const waves = [];
+  for (let u = 0; u < rings; u++)
+    for (let v = 0; v < (sectors + 1) >> 1; v++)
+      for (const phase of v ? [0, Math.PI / 2] : [0]) waves.push({ u, v, phase });
+  const frequency = ({ u, v }) => u * u + v * v;
+  return waves.sort(
+    (a, b) => frequency(a) - frequency(b) || a.u - b.u || a.v - b.v || a.phase - b.phase,
+  );
+}
+
+/** Draws a target: red above zero, blue below, white zero. */
+export function drawTarget(canvas, { rings, sectors, values, turned }) {
+  const context = canvas.getContext("2d");
+  const middle = canvas.width / 2;
+  const most = values.reduce((high, value) => Math.max(high, Math.abs(value)), 0);
+  context.clearRect(0, 0, canvas.width, canvas.height);
+  for (let ring = rings - 1; ring >= 0; ring--) {
+    for (let sector = 0; sector < sectors; sector++) {
+      const value = values[ring * sectors + sector];
+      const angles = [0, 1].map((end) => (2 * Math.PI * (sector - turned + end)) / sectors);
+      context.beginPath();
+      context.moveTo(middle, middle);
+      context.arc(middle, middle, ((middle - 1) * (ring + 1)) / rings, ...angles);
+      context.closePath();
+      context.fillStyle = colourOf(most ? value / most : 0);
+      context.fill();
+      context.strokeStyle = "#8886";
+      context.lineWidth = 0.5;
+      context.stroke();
+    }
+  }
+}
+
+function colourOf(share) {
+  const end = share > 0 ? [178, 24, 43] : [33, 102, 172];
+  const parts = end.map((part) => Math.round(255 + (part - 255) * Math.abs(share)));
+  return `rgb(${parts.join(" ")})`;
+}

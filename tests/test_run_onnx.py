@@ -1,0 +1,300 @@
+"""The script without torch against the command line with it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from drives import write_maps
+from helpers import COLOUR, GRAY, flip_byte, write_png
+from onnx import TensorProto, helper
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch.deployment.export import head_model
+
+SCRIPT = Path(__file__).parents[1] / "export" / "run_onnx.py"
+CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11", working_size=40)
+
+WITHOUT = """
+import runpy, sys
+for name in {blocked!r}:
+    sys.modules[name] = None
+sys.argv = {arguments!r}
+runpy.run_path(sys.argv[0], run_name="__main__")
+assert not {{"torch", "ssrvlad_torch"}} & {{n for n, m in sys.modules.items() if m}}
+"""
+
+
+def load_script():
+    spec = importlib.util.spec_from_file_location("run_onnx", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+script = load_script()
+
+
+def alone(*arguments, blocked=("torch", "ssrvlad_torch")):
+    """The script in a process of its own that cannot import these."""
+    code = WITHOUT.format(blocked=blocked, arguments=[str(SCRIPT), *map(str, arguments)])
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    path = tmp_path_factory.mktemp("heads") / "head.onnx"
+    export_head(CONFIG, path)
+    return path
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """The script in this process; returns exit code, stdout and the lines of stderr."""
+
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["run_onnx.py", *map(str, arguments)])
+        try:
+            code = script.main()
+        except SystemExit as end:
+            code = end.code
+        out, err = capsys.readouterr()
+        return code, out, err.splitlines()
+
+    return call
+
+
+@pytest.fixture
+def town(head, maps, tmp_path, run):
+    """A database that the script wrote."""
+    assert run(head, maps, "--save-descriptors", tmp_path / "town.npy")[0] == 0
+    return tmp_path / "town.npy"
+
+
+def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, maps, tmp_path):
+    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "head.onnx")
+    queries = write_maps(tmp_path / "tuesday", range(4, 9))
+    assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
+    wanted = ssrvlad("query", database, queries, "--temporal", 0, "--top", 3, "--json")[1]
+    ran = alone(
+        tmp_path / "head.onnx", queries, "--database", tmp_path / "t.npy", "--top", 3, "--json"
+    )
+    assert ran.returncode == 0, ran.stderr
+    for line, own in zip(wanted.splitlines(), ran.stdout.splitlines(), strict=True):
+        expected, found = json.loads(line), json.loads(own)
+        assert found["query"] == expected["query"]
+        pairs = zip(found["candidates"], expected["candidates"], strict=True)
+        for candidate, other in pairs:
+            assert candidate["frame"] == other["frame"]
+            assert candidate["score"] == pytest.approx(other["score"], abs=1e-5)
+
+
+def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
+    labels = np.asarray(Image.open(next(iter(sorted(maps.iterdir())))))
+    np.save(tmp_path / "map.npy", labels)
+    blocked = ("torch", "ssrvlad_torch", "PIL")
+    assert alone(head, tmp_path / "map.npy", blocked=blocked).returncode == 0
+    refused = alone(head, maps, blocked=blocked)
+    assert refused.returncode == 2
+    assert refused.stderr.splitlines()[-1].endswith("pip install pillow; or give .npy arrays")
+
+
+def test_descriptors_and_counts_are_those_of_the_module(head, maps, town, run):
+    files = sorted(maps.iterdir())
+    view = SSRVLAD(CONFIG).explain(np.stack([np.asarray(Image.open(file)) for file in files]))
+    np.testing.assert_allclose(np.load(town), view.descriptor.numpy(), atol=1e-6)
+    lines = [json.loads(line) for line in run(head, maps, "--json")[1].splitlines()]
+    assert [line["keypoints"] for line in lines] == view.keypoints.sum((2, 3)).tolist()
+    names = [f"{file.parent.name}/{file.stem}" for file in files]
+    assert Path(f"{town}.frames.txt").read_text().splitlines() == names
+    assert Path(f"{town}.fingerprint.txt").read_text().strip() == CONFIG.fingerprint
+
+
+def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
+    marker = Path(f"{town}.fingerprint.txt")
+    marker.write_text("0123456789abcdef\n")
+    code, out, (error,) = run(head, maps, "--database", town)
+    assert (code, out) == (2, "")
+    assert "0123456789abcdef" in error
+    assert CONFIG.fingerprint in error
+    marker.unlink()
+    code, _, (warning,) = run(head, maps, "--database", town)
+    assert code == 0
+    assert "carries no fingerprint" in warning
+
+
+def test_unknown_ids_are_counted_and_refused(head, maps, tmp_path, run):
+    labels = np.zeros((20, 30), np.uint8)
+    labels[3, :7] = 200
+    Image.fromarray(labels).save(maps / "strange.png")
+    code, out, errors = run(head, maps, "--save-descriptors", tmp_path / "out.npy")
+    assert code == 3
+    assert errors[0].endswith("7 of 600 pixels have an id outside label space camvid-11")
+    assert errors[1] == "refused 1 of 7 frames"
+    assert "strange" not in out + Path(f"{tmp_path / 'out.npy'}.frames.txt").read_text()
+    assert len(np.load(tmp_path / "out.npy")) == 6
+
+
+@pytest.mark.parametrize(
+    ("labels", "message"),
+    [
+        (np.full((5, 6), -1), "30 of 30 pixels have an id that is no uint8"),
+        (np.full((5, 6), 256), "30 of 30 pixels have an id that is no uint8"),
+        (np.zeros((5, 6), np.float32), "wanted an (H, W) label map, got (5, 6) float32"),
+        (np.zeros((2, 5, 6), int), "wanted an (H, W) label map, got (2, 5, 6) int64"),
+        (np.zeros((0, 6), int), "wanted an (H, W) label map, got (0, 6) int64"),
+    ],
+)
+def test_arrays_that_are_no_label_map(head, tmp_path, run, labels, message):
+    np.save(tmp_path / "map.npy", labels)
+    code, _, errors = run(head, tmp_path / "map.npy")
+    assert (code, errors[0]) == (3, f"{tmp_path / 'map.npy'}: {message}")
+
+
+def test_pictures_that_are_no_label_map(head, tmp_path, run):
+    write_png(tmp_path / "a.png", np.zeros((5, 6, 3), int), COLOUR, 8)
+    write_png(tmp_path / "b.png", np.zeros((5, 6), int), GRAY, 4)
+    write_png(tmp_path / "c.png", np.zeros((5, 6), int), GRAY, 16)
+    (tmp_path / "d.png").write_bytes((tmp_path / "c.png").read_bytes()[:40])
+    code, out, errors = run(head, tmp_path / "a.png", *(tmp_path / f"{n}.png" for n in "bcd"))
+    assert (code, len(out.splitlines()), errors[-1]) == (3, 1, "refused 3 of 4 frames")
+    assert "got RGB" in errors[0]
+    assert "got L L;4" in errors[1]
+
+
+def test_a_palette_gives_its_indices(head, tmp_path, run):
+    labels = np.arange(12, dtype=np.uint8).repeat(20).reshape(12, 20)
+    image = Image.fromarray(labels, "P")
+    image.putpalette(list(range(255, 255 - 36, -1)))
+    image.save(tmp_path / "a.png")
+    np.save(tmp_path / "b.npy", labels)
+    assert run(head, tmp_path / "a.png", tmp_path / "b.npy", "--save-descriptors",
+               tmp_path / "o.npy")[0] == 0  # fmt: skip
+    one, other = np.load(tmp_path / "o.npy")
+    assert one.any()
+    np.testing.assert_array_equal(one, other)
+
+
+def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path, run):
+    Image.fromarray(np.full((9, 9), 11, np.uint8)).save(maps / "void.png")
+    out = tmp_path / "out.npy"
+    assert run(head, maps, "--save-descriptors", out)[0] == 0
+    lines = [
+        json.loads(line)
+        for line in run(head, maps, "--database", out, "--top", 9, "--json")[1].splitlines()
+    ]
+    assert {line["query"]: line["empty"] for line in lines}["monday/void"]
+    assert all(len(line["candidates"]) == (0 if line["empty"] else 6) for line in lines)
+
+
+def test_equal_scores_go_to_the_earlier_frame_across_blocks(tmp_path, monkeypatch):
+    monkeypatch.setattr(script, "_BLOCK", 3)
+    rng = np.random.default_rng(0)
+    vectors = rng.integers(-1, 2, (20, 4)).astype(np.float32)
+    frames = [f"s/{row}" for row in range(20)]
+    script.save(tmp_path / "d.npy", list(vectors), frames, "f")
+    database = script.Database(tmp_path / "d.npy", "f")
+    query = np.array([1, 0, 0, 0], np.float32)
+    scores = {}
+    for frame, vector in zip(frames, vectors, strict=True):
+        if vector.any():
+            scores[frame] = vector[0] / np.linalg.norm(vector)
+    best = sorted(scores, key=lambda frame: -scores[frame])[:7]
+    assert [frame for frame, _ in database.search(query, 7)] == best
+
+
+def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
+    code, out, _ = run(head, "--check")
+    assert code == 0
+    assert float(out.split()[-1]) <= 1e-6
+    model = head_model(CONFIG)
+    golden = json.loads(model.metadata_props[-1].value)
+    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
+    golden = json.loads(entry.value)
+    golden["unknown"] = {**golden["keypoints"], "shape": [2, 8]}
+    entry.value = json.dumps(golden)
+    onnx.save(model, tmp_path / "edited.onnx")
+    assert run(tmp_path / "edited.onnx", "--check")[:2] == (
+        1,
+        "largest difference for the golden pair: inf\n",
+    )
+
+
+def test_class_scores_and_wide_labels(maps, tmp_path, run):
+    file = sorted(maps.iterdir())[0]
+    labels = np.asarray(Image.open(file))
+    np.save(tmp_path / "scores.npy", np.eye(12, dtype=np.float32)[labels].transpose(2, 0, 1))
+    np.save(tmp_path / "map.npy", labels.astype(np.int64))
+    found = []
+    for name, settings in (("map", {"dtype": "int64"}), ("scores", {"input": "logits"})):
+        export_head(CONFIG, tmp_path / "head.onnx", **settings)
+        out = tmp_path / f"{name}.out.npy"
+        given = tmp_path / f"{name}.npy"
+        assert run(tmp_path / "head.onnx", given, "--save-descriptors", out)[0] == 0
+        assert run(tmp_path / "head.onnx", "--check")[0] == 0
+        found.append(np.load(out))
+    np.testing.assert_array_equal(*found)
+
+
+def test_an_image_goes_through_a_network_as_it_wants_it(tmp_path, run):
+    """A network of one convolution, whose scores depend on the colours as normalised."""
+    weights = np.random.default_rng(1).normal(size=(11, 3, 1, 1)).astype(np.float32)
+    model = head_model(CONFIG, "logits")
+    del model.graph.input[:]
+    model.graph.input.append(
+        helper.make_tensor_value_info("image", TensorProto.FLOAT, ["B", 3, "H", "W"])
+    )
+    model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "weights"))
+    model.graph.node.insert(0, helper.make_node("Conv", ["image", "weights"], ["logits"]))
+    onnx.save(model, tmp_path / "place.onnx")
+    pixels = np.random.default_rng(2).integers(0, 256, (30, 40, 3), np.uint8)
+    blocks = np.kron(pixels[::10, ::10], np.ones((10, 10, 1), np.uint8))
+    Image.fromarray(blocks).save(tmp_path / "a.png")
+    np.save(tmp_path / "b.npy", blocks)
+    mean, std = (0.5, 0.4, 0.3), (0.1, 0.2, 0.3)
+    scores = np.einsum("ok,yxk->oyx", weights[..., 0, 0], (blocks / 255 - mean) / std)
+    wanted = SSRVLAD(CONFIG)(scores.argmax(0)[None]).numpy()
+    out = tmp_path / "out.npy"
+    frames = (tmp_path / "a.png", tmp_path / "b.npy")
+    colours = ("--mean", *mean, "--std", *std)
+    assert run(tmp_path / "place.onnx", *frames, *colours, "--save-descriptors", out)[0] == 0
+    np.testing.assert_allclose(np.load(out), wanted.repeat(2, axis=0), atol=1e-6)
+    assert run(tmp_path / "place.onnx", tmp_path / "a.png", "--size", 15, 20)[0] == 0
+
+
+def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
+    other = tmp_path / "other.onnx"
+    node = helper.make_node("Identity", ["x"], ["y"])
+    forms = [helper.make_tensor_value_info(name, TensorProto.FLOAT, [1]) for name in "xy"]
+    graph = helper.make_graph([node], "g", forms[:1], forms[1:])
+    opset = [helper.make_opsetid("", 18)]
+    onnx.save(helper.make_model(graph, opset_imports=opset, ir_version=8), other)
+    cut = tmp_path / "cut.onnx"
+    cut.write_bytes(head.read_bytes()[:1000])
+    damaged = tmp_path / "damaged.npy"
+    damaged.write_bytes(town.read_bytes())
+    Path(f"{damaged}.frames.txt").write_text("a/1\n")
+    flip_byte(damaged, 0)
+    for arguments, message in [
+        ((tmp_path / "none.onnx", maps), "No such file"),
+        ((other, maps), "no metadata ssrvlad.*"),
+        ((cut, maps), str(cut)),
+        ((head, tmp_path / "nowhere"), "holds no frames"),
+        ((head, maps, "--database", damaged), ""),
+        ((head, maps, maps), "is a second frame monday/"),
+    ]:
+        code, _, errors = run(*arguments)
+        assert code == 2, arguments
+        assert len(errors) == 1, errors
+        assert message in errors[0]
+    Path(f"{town}.frames.txt").write_text("a/1\n")
+    assert run(head, maps, "--database", town)[2][0].endswith("for 1 frames")
+    assert run(head)[0] == run(head, maps, "--check")[0] == run(head, maps, "--top", 0)[0] == 2
