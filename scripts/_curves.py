@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +11,7 @@ from _trials import Outcomes, Trial
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.metrics import Convention
 from ssrvlad_torch.files import replacing
 
@@ -18,6 +19,7 @@ COLOURS = (
     *("#8c564b", "#7f7f7f", "#bcbd22", "#17becf", "#d62728", "#ff9896"),
     *("#1f77b4", "#aec7e8", "#2ca02c", "#9467bd", "#e377c2"),
 )
+Curves = Mapping[str, PrecisionRecall]
 Panel = tuple[str, dict[str, Trial]]
 """Title, and what the methods found."""
 
@@ -40,21 +42,13 @@ def draw(
     """
     panels = _panels(problems, outcomes, names)
     colours = dict(zip(names, COLOURS, strict=True))
-    figure = Figure(figsize=(4.2 * len(panels), 7.4), layout="constrained")
+    figure = Figure(figsize=(4 * len(panels), 6.6), layout="constrained")
     axes = figure.subplots(2, len(panels), squeeze=False, height_ratios=(3, 2))
-    for column, (title, found) in enumerate(panels):
+    for (title, found), (above, below) in zip(panels, axes.T, strict=True):
+        above.set_title(title, fontsize=10)
         curves = {name: trial.curve(convention) for name, trial in found.items()}
-        for name, curve in curves.items():
-            recall = np.concatenate((0 * curve.recall[:1], curve.recall))
-            precision = np.concatenate((curve.precision[:1], curve.precision))
-            axes[0, column].plot(recall, precision, color=colours[name], label=name, lw=1.4)
-        _frame(axes[0, column], title)
-        areas = [float(curve.auc) for curve in curves.values()]
-        places = np.arange(len(curves))
-        axes[1, column].barh(places, areas, color=[colours[name] for name in curves])
-        axes[1, column].set_yticks(places, list(curves), fontsize=8)
-        axes[1, column].set(xlim=(0, 1), xlabel="AUC")
-        axes[1, column].invert_yaxis()
+        _draw_curves(above, curves, colours)
+        _draw_areas(below, curves, colours)
     shown = {name for _, found in panels for name in found}
     lines = [axes[0, 0].plot([], color=colours[n], label=n)[0] for n in names if n in shown]
     figure.legend(handles=lines, loc="outside upper center", ncols=4, fontsize=9, frameon=False)
@@ -63,10 +57,21 @@ def draw(
         figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
 
 
-def _frame(axes: Axes, title: str) -> None:
+def _draw_curves(axes: Axes, curves: Curves, colours: Mapping[str, str]) -> None:
+    for name, curve in curves.items():
+        recall = np.concatenate((0 * curve.recall[:1], curve.recall))
+        precision = np.concatenate((curve.precision[:1], curve.precision))
+        axes.plot(recall, precision, color=colours[name], lw=1.4)
     axes.set(xlim=(0, 1), ylim=(0, 1.02), xlabel="recall", ylabel="precision")
-    axes.set_title(title, fontsize=10)
     axes.grid(lw=0.3)
+
+
+def _draw_areas(axes: Axes, curves: Curves, colours: Mapping[str, str]) -> None:
+    areas = [float(curve.auc) for curve in curves.values()]
+    bars = axes.barh(np.arange(len(areas)), areas, color=[colours[name] for name in curves])
+    axes.bar_label(bars, fmt="%.3f", padding=3, fontsize=8)
+    axes.set(xlim=(0, 1.15), xticks=np.arange(6) / 5, yticks=[], xlabel="AUC")
+    axes.invert_yaxis()
 
 
 def _panels(problems: Sequence[Problem], outcomes: Outcomes, names: Sequence[str]) -> list[Panel]:

@@ -7,10 +7,16 @@ import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import median
+from textwrap import fill
 
 import torch
 
 from ssrvlad_torch.files import replacing
+
+
+def paragraph(text: str) -> str:
+    """Text in lines of at most 100 letters, and an empty line after it."""
+    return fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n"
 
 
 def head_row(*cells: str) -> Iterator[str]:
@@ -52,8 +58,16 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def processor() -> str:
-    """The class of the processor, and what computes on it."""
-    return f"one thread of an {platform.machine()} processor, torch {torch.__version__}"
+    """What computes: the class of the processor, threads, torch."""
+    return f"one thread of a processor {_model()} ({platform.machine()}), torch {torch.__version__}"
+
+
+def _model() -> str:
+    """As the system calls it, where it says."""
+    about = Path("/proc/cpuinfo")
+    lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
 
 
 def write(path: Path, page: str) -> None:

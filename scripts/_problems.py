@@ -165,6 +165,12 @@ class Search:
     said: GroundTruth
 
     @property
+    def stamp(self) -> str:
+        """Text that changes with the frames and the ground truth."""
+        file = self.said.file and stamp_of(self.said.file)
+        return f"{self.queries.stamp} {self.references.stamp} {self.said} {file}"
+
+    @property
     def truth(self) -> list[Rows]:
         """Rows of the references that are true matches, for each query.
 
@@ -202,8 +208,8 @@ class Problem:
     @property
     def stamp(self) -> str:
         """A digest that changes with the frames and the ground truth."""
-        told = [(s.queries.stamp, s.references.stamp, s.said) for s in self.searches]
-        return hashlib.blake2b(repr(told).encode(), digest_size=16).hexdigest()
+        told = "\n".join(search.stamp for search in self.searches)
+        return hashlib.blake2b(told.encode(), digest_size=16).hexdigest()
 
 
 def camvid_problems(folder: Path) -> list[Problem]:

@@ -20,7 +20,7 @@ from itertools import islice
 from pathlib import Path
 
 from _costs import ENCODED, Cost, measure
-from _markdown import head_row, interval, median_low_high, processor, row, write
+from _markdown import head_row, interval, median_low_high, paragraph, processor, row, write
 from _problems import (
     CITY,
     CITY_CONDITIONS,
@@ -75,13 +75,10 @@ which there are no images, {CITY_FRAMES} queries a drive, another traffic and 0.
 every condition; a true match is within 5 m.
 """
 
-COSTS = f"""## Cost
-
-On {{processor}}; median [min, max] of {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for the three networks)
-on which all methods of a table take turns. Matching is one query against all references, without
-ranking them; LoST-X and tiny image are matched with {ENCODED} only. What a segmentation network
-costs is not in it. SSR-VLAD has its thinning compiled.
-"""
+COSTS = f"""On {{processor}}; median [min, max] of {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for the
+networks with random weights) on which all methods of a table take turns. Matching is one query
+against all references, without ranking them; LoST-X and tiny image are matched with {ENCODED} only.
+What a segmentation network costs is not in it. SSR-VLAD has its thinning compiled."""
 
 
 def main() -> None:
@@ -99,7 +96,8 @@ def main() -> None:
             HEAD,
             *in_short(problems, outcomes),
             *(line for problem in problems for line in section(problem, outcomes)),
-            COSTS.format(processor=processor()),
+            "## Cost\n",
+            paragraph(COSTS.format(processor=processor())),
             *(line for same in by_dataset(problems) for line in costs(same, kept, options.weights)),
             *missing(options, outcomes),
         ]

@@ -36,7 +36,7 @@ from ssrvlad_torch.searching import Ivfpq, load_mapped
 from ssrvlad_torch.verification import verify
 
 LABELS_AS = "cityscapes-trainids"
-SEEDS, FRAMES_OF_A_SEED = 8, 64
+SEEDS, FRAMES_OF_A_SEED = 4, 64
 FRAMES_OF_A_SEQUENCE = 10_000
 QUERIES = 1000
 NOISE = 0.15
@@ -57,6 +57,7 @@ def main() -> None:
         print(json.dumps(measured(STEPS[given.step], given)))
         return
     folder = given.folder or Path(tempfile.mkdtemp())
+    folder.mkdir(parents=True, exist_ok=True)
     shutil.rmtree(folder / "db", ignore_errors=True)
     results = {}
     for step in STEPS:
@@ -84,14 +85,18 @@ def measured(step: Callable[[argparse.Namespace], dict[str, Any]], given: Any) -
     return {**report, "peak": peak, "load": os.getloadavg()[0]}
 
 
-def seeds() -> torch.Tensor:
-    """``(S, D)`` descriptors of frames of some synthetic cities."""
+def seeds(given: argparse.Namespace) -> torch.Tensor:
+    """``(S, D)`` descriptors of frames of some synthetic cities, made once."""
+    file = given.folder / "seeds.npy"
+    if file.exists():
+        return torch.from_numpy(np.load(file))
     head = SSRVLAD.from_preset("default", labels_as=LABELS_AS)
     found = []
     for seed in range(SEEDS):
         frames = SyntheticCity(seed).traverse(FRAMES_OF_A_SEED, labels_as=LABELS_AS)
         labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
         found += [head(batch) for batch in labels.split(16)]
+    np.save(file, torch.cat(found).numpy())
     return torch.cat(found)
 
 
@@ -121,7 +126,7 @@ def records(first: int, count: int) -> list[FrameRecord]:
 
 def write(given: argparse.Namespace) -> dict[str, Any]:
     """A million frames, part by part, each on the disk before the next."""
-    basis = seeds()
+    basis = seeds(given)
     config = SSRVLADConfig.from_preset("default", labels_as=LABELS_AS)
     database = Database.create(given.folder / "db", config)
     seconds = spent = 0.0
@@ -151,13 +156,13 @@ def load(given: argparse.Namespace) -> dict[str, Any]:
     return {"frames": len(Database.open(given.folder / "db").load(TEMPORAL).frames)}
 
 
-def queries() -> torch.Tensor:
-    return varied(0, QUERIES, seeds().flip(0))
+def queries(given: argparse.Namespace) -> torch.Tensor:
+    return varied(0, QUERIES, seeds(given).flip(0))
 
 
 def exact(given: argparse.Namespace, kind: str) -> dict[str, Any]:
     """Times the search alone; writes what it found for the steps that follow."""
-    database, wanted = Database.open(given.folder / "db"), queries()
+    database, wanted = Database.open(given.folder / "db"), queries(given)
     began = time.perf_counter()
     if kind == "memory":
         references = database.load(TEMPORAL).descriptors
@@ -191,7 +196,7 @@ def build(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def approximate(given: argparse.Namespace) -> dict[str, Any]:
-    database, wanted = Database.open(given.folder / "db"), queries()
+    database, wanted = Database.open(given.folder / "db"), queries(given)
     index = Ivfpq.of(database, load_mapped(database, TEMPORAL).descriptors, TEMPORAL)
     began, spent = time.perf_counter(), time.process_time()
     found = index.match(wanted, 10).indices[:, 0].numpy()
@@ -246,7 +251,8 @@ def page(frames: int, results: dict[str, dict[str, Any]]) -> str:
         "# A million frames, and more",
         "",
         f"Written by `scripts/scale.py` on {platform.machine()}, {os.cpu_count()} cores, torch "
-        f"{torch.__version__}, {frames:,} frames of the preset `default`, synthetic: descriptors "
+        f"{torch.__version__}, {torch.get_num_threads()} thread(s), {frames:,} frames of the preset "
+        "`default`, synthetic: descriptors "
         "of label maps of the synthetic city, varied. Each step is a process of its own; its peak "
         "counts all that it holds, torch among it, and of a memory-mapped matrix the pages that "
         "the system keeps for it. `CPU` is the time that the processor worked: where it is far "

@@ -18,7 +18,7 @@ from .pipeline import in_order
 def encoding_rates(
     head: SSRVLAD, files: Sequence[FrameFile], workers: int, repetitions: int = 5
 ) -> dict[str, Timing]:
-    """Times three ways in turn over the same files with the same workers.
+    """Times the halves and the whole in turn, over the same files with the same workers.
 
     Args:
         head: on the CPU.
@@ -28,7 +28,8 @@ def encoding_rates(
 
     Returns:
         ``"decode"``, reading and digesting label maps; ``"encode"``, describing those that lie in
-        memory; ``"all"``, what `encode_to_database` does, writing and flushing among it.
+        memory; ``"encode, one process"``, the same without workers; ``"all"``, what
+        `encode_to_database` does, writing and flushing among it.
     """
     size = BATCH * BATCHES_OF_A_CHUNK
     chunks = [files[first : first + size] for first in range(0, len(files), size)]
@@ -40,6 +41,7 @@ def encoding_rates(
     ways: dict[str, Callable[[], object]] = {
         "decode": lambda: sum(in_order(lambda c: len(read_only(head, c)), chunks, workers)),
         "encode": lambda: sum(in_order(describe, range(len(chunks)), workers)),
+        "encode, one process": lambda: sum(map(describe, range(len(chunks)))),
         "all": partial(_all, head, files, workers),
     }
     return time_in_turn(ways, repetitions)

@@ -159,6 +159,7 @@ def interrupt(folder: Path, begun: str, *arguments: str) -> tuple[int, str]:
         while not any(folder.glob(begun)):
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.01)
+        time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         return process.wait(), process.stderr.read().decode()
 

@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from torch.nn.functional import interpolate, relu
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment import Metadata, export_head, model_file
+from ssrvlad_torch.deployment.export import head_model
 from ssrvlad_torch.deployment.fuse import DIGEST, NETWORK, fuse
 from ssrvlad_torch.deployment.model_file import graph_digest, load_model
 from ssrvlad_torch.deployment.verify import verify
@@ -30,6 +32,21 @@ from ssrvlad_torch.deployment.verify import verify
 HEADS = ("descriptor", "keypoints", "unknown")
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 Images = npt.NDArray[Any]
+
+
+@cache
+def built(config: SSRVLADConfig, dtype: str) -> bytes:
+    return head_model(config, "labels", dtype).SerializeToString()
+
+
+@pytest.fixture(autouse=True)
+def heads_are_built_once(monkeypatch):
+    """Most of the time of fusing a tiny network goes into the head."""
+
+    def model(config: SSRVLADConfig, _: str, dtype: str) -> onnx.ModelProto:
+        return onnx.load_from_string(built(config, dtype))
+
+    monkeypatch.setattr(sys.modules[fuse.__module__], "head_model", model)
 
 
 class UNet(nn.Module):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+import torch
 from drives import write_maps
 from helpers import COLOUR, GRAY, flip_byte, write_png
 from onnx import TensorProto, helper
@@ -109,7 +110,9 @@ def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
 
 def test_descriptors_and_counts_are_those_of_the_module(head, maps, town, run):
     files = sorted(maps.iterdir())
-    view = SSRVLAD(CONFIG).explain(np.stack([np.asarray(Image.open(file)) for file in files]))
+    view = SSRVLAD(CONFIG).explain(
+        torch.from_numpy(np.stack([np.asarray(Image.open(file)) for file in files]))
+    )
     np.testing.assert_allclose(np.load(town), view.descriptor.numpy(), atol=1e-6)
     lines = [json.loads(line) for line in run(head, maps, "--json")[1].splitlines()]
     assert [line["keypoints"] for line in lines] == view.keypoints.sum((2, 3)).tolist()
@@ -216,7 +219,6 @@ def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
     assert code == 0
     assert float(out.split()[-1]) <= 1e-6
     model = head_model(CONFIG)
-    golden = json.loads(model.metadata_props[-1].value)
     entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
     golden = json.loads(entry.value)
     golden["unknown"] = {**golden["keypoints"], "shape": [2, 8]}
@@ -261,7 +263,7 @@ def test_an_image_goes_through_a_network_as_it_wants_it(tmp_path, run):
     np.save(tmp_path / "b.npy", blocks)
     mean, std = (0.5, 0.4, 0.3), (0.1, 0.2, 0.3)
     scores = np.einsum("ok,yxk->oyx", weights[..., 0, 0], (blocks / 255 - mean) / std)
-    wanted = SSRVLAD(CONFIG)(scores.argmax(0)[None]).numpy()
+    wanted = SSRVLAD(CONFIG)(torch.from_numpy(scores.argmax(0)[None])).numpy()
     out = tmp_path / "out.npy"
     frames = (tmp_path / "a.png", tmp_path / "b.npy")
     colours = ("--mean", *mean, "--std", *std)

@@ -153,9 +153,12 @@ def evaluate(
     if page:
         names = shortened([Path(place).name or place for place in source])
         title = f"{names} against {database.name or database}"
-        told = {"references": database, "queries": shortened(source), "true matches": truth.words}
-        summed = {} if rival.name else {"temporal sum": f"{t} frames on each side"}
-        page.write(recognition, matches, metrics, title, {**told, **summed})
+        told = {"references": str(database), "queries": shortened(source)}
+        told["true matches"] = truth.words
+        if rival.name is None:
+            told["preset"] = Database.open(database).config.preset
+            told["temporal sum"] = f"{t} frames on each side"
+        page.write(recognition, matches, metrics, title, told)
         if not as_json:
             print(f"report: {page.path}")
     finish(recognition.refused)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from .. import __version__
 from ..evaluation.ground_truth_files import Known, of_known
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
@@ -79,7 +80,7 @@ class Page:
             truth=truth,
             candidates=min(scores.shape[1], len(recognition.references.frames)),
             curve=precision_recall_curve(outcomes, truth, metrics["convention"], pairs),
-            settings=_in_words({**settings, **recognition.told}),
+            settings=_in_words({**settings, **recognition.told, "ssrvlad-torch": __version__}),
             notes=_notes(recognition, matches),
             **_scores(recognition, known, pairs),
             **_pictures(recognition),

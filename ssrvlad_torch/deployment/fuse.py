@@ -149,7 +149,8 @@ def _names(
         value.name: f"{prefix}{value.name}" if value.name in used else value.name
         for value in head.graph.output
     }
-    digest = hashlib.sha256(network.read_bytes()).hexdigest()
+    with network.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
     return FusedNetwork(
         network.name, digest, taken.name, taken.kind, taken.axis, taken.dtype, prefix, heads
     )
@@ -209,15 +210,22 @@ def _golden(
     share = float((labels != old).mean())
     if share > MOST_OTHER_PIXELS:
         raise ValueError(f"labels {share:.1%} of a golden image otherwise once it is fused")
-    view = head.explain(torch.from_numpy(labels))
-    counts = view.keypoints.sum((2, 3)).numpy()
-    result = {"descriptor": view.descriptor.numpy(), "keypoints": counts}
-    result["unknown"] = np.zeros(len(labels), np.int64)
+    result = described(head, labels)
     for name, array in result.items():
         if not np.allclose(outputs[fused.heads[name]], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
     named = {fused.heads[name]: array for name, array in result.items()}
     return {given: images, f"{fused.prefix}labels": labels, **named}
+
+
+def described(head: SSRVLAD, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
+    """What the module makes of labels or class scores, by the names of a file's outputs."""
+    view = head.explain(torch.from_numpy(given))
+    return {
+        "descriptor": view.descriptor.numpy(),
+        "keypoints": view.keypoints.sum((2, 3)).numpy(),
+        "unknown": np.zeros(len(given), np.int64),
+    }
 
 
 def run_by_name(session: Any, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from .. import __version__
 from ..config import SSRVLADConfig
@@ -24,6 +23,7 @@ from .fuse import (
     MOST_OTHER_PIXELS,
     NETWORK,
     FusedNetwork,
+    described,
     run_by_name,
 )
 from .metadata import PREFIX, Metadata
@@ -245,16 +245,6 @@ def _check_frame(found: Verification, head: _Head, file: LabelFile) -> None:
         found.refused.append((file.frame, str(error)))
         return
     found.checks.append(compare(file.frame, head.run(given), expected))
-
-
-def described(head: SSRVLAD, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-    """What the module makes of labels or class scores, by the names of a file's outputs."""
-    view = head.explain(torch.from_numpy(given))
-    return {
-        "descriptor": view.descriptor.numpy(),
-        "keypoints": view.keypoints.sum((2, 3)).numpy(),
-        "unknown": np.zeros(len(given), np.int64),
-    }
 
 
 def compare(name: str, got: Arrays, expected: Arrays) -> Check:

@@ -1,0 +1,244 @@
+"""What `verify` finds in files that are as they should be, and in those that are not."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+from drawings import SPACE
+from helpers import write_street
+from networks import write_graph
+from onnx import numpy_helper
+from PIL import Image
+
+import ssrvlad_torch
+from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch.deployment.fuse import DIGEST, fuse
+from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
+from ssrvlad_torch.deployment.verify import compare, verify
+
+CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
+GOLDEN = ["golden pair", "module"]
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory) -> dict[str, Path]:
+    """A head for labels, one for class scores, and a fused file; not to be changed."""
+    folder = tmp_path_factory.mktemp("files")
+    made = {name: folder / f"{name}.onnx" for name in ("labels", "logits", "fused")}
+    export_head(CONFIG, made["labels"])
+    export_head(CONFIG, made["logits"], "logits")
+    fuse(write_graph(folder / "seg.onnx"), CONFIG, made["fused"])
+    return made
+
+
+@pytest.fixture
+def streets(tmp_path) -> Path:
+    for seed in range(2):
+        write_street(tmp_path / "maps" / f"{seed}.png", seed, 90, 120)
+    return tmp_path / "maps"
+
+
+def changed(file: Path, target: Path, change: Callable[[onnx.ModelProto], None]) -> Path:
+    model = onnx.load(file)
+    change(model)
+    onnx.save(model, target)
+    return target
+
+
+def with_property(name: str, value: Callable[[str], str]) -> Callable[[onnx.ModelProto], None]:
+    def change(model: onnx.ModelProto) -> None:
+        for entry in model.metadata_props:
+            if entry.key == PREFIX + name:
+                entry.value = value(entry.value)
+
+    return change
+
+
+def edit_table(model: onnx.ModelProto) -> None:
+    """Doubles the harmonics' patterns: the largest table of floats."""
+    tables = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.DOUBLE]
+    table = max(tables, key=lambda one: np.prod(one.dims))
+    array = numpy_helper.to_array(table).copy()
+    array.flat[::2] *= 2
+    table.CopyFrom(numpy_helper.from_array(array, table.name))
+
+
+@pytest.mark.parametrize("kind", ["labels", "logits", "fused"])
+def test_a_file_that_is_as_it_should_be(kind, files, streets):
+    found = verify(files[kind], find_label_files([str(streets)]))
+    names = [check.name for check in found.checks]
+    assert names == ["golden image"] * (kind == "fused") + [*GOLDEN, "maps/0", "maps/1"]
+    assert found.passed
+    assert found.difference < 1e-6
+    assert (found.problems, found.warnings, found.refused) == ([], [], [])
+    assert found.version == ssrvlad_torch.__version__
+    assert found.fingerprint == CONFIG.fingerprint
+    assert found.network == ("seg.onnx" if kind == "fused" else None)
+
+
+def test_an_edited_table_is_found_by_the_golden_pair(files, ssrvlad, tmp_path):
+    file = changed(files["labels"], tmp_path / "edited.onnx", edit_table)
+    code, out, err = ssrvlad("verify", file)
+    assert (code, err) == (1, [])
+    assert "NOT as it should be" in out
+    assert "descriptors differ by" in out
+
+
+def test_an_edited_network_is_found_by_its_digest(files, tmp_path):
+    def edit(model: onnx.ModelProto) -> None:
+        (bias,) = (t for t in model.graph.initializer if t.name == "bias")
+        bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias) + 1e-6, "bias"))
+
+    found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit))
+    assert found.problems == ["the graph was edited after it was written"]
+    assert not found.passed
+
+
+def test_a_network_that_labels_otherwise_is_found(files, tmp_path):
+    def edit(model: onnx.ModelProto) -> None:
+        (bias,) = (t for t in model.graph.initializer if t.name == "bias")
+        bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias)[::-1].copy(), "bias"))
+        kept = [entry for entry in model.metadata_props if entry.key != DIGEST]
+        del model.metadata_props[:]
+        model.metadata_props.extend(kept)
+
+    found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit))
+    assert not found.problems
+    (problem,) = (check.problem for check in found.checks if check.problem)
+    assert "of the pixels have another label" in problem
+
+
+def test_another_version_is_named(files, ssrvlad, tmp_path):
+    change = with_property("version", lambda _: "0.0.1")
+    code, _, err = ssrvlad("verify", changed(files["labels"], tmp_path / "old.onnx", change))
+    assert code == 0
+    assert len(err) == 1
+    assert (
+        f"written by version 0.0.1 of ssrvlad_torch, this is {ssrvlad_torch.__version__}"
+        in (err[0])
+    )
+
+
+def test_another_fingerprint_is_a_mismatch(files, tmp_path):
+    change = with_property("fingerprint", lambda _: "0" * 16)
+    found = verify(changed(files["labels"], tmp_path / "other.onnx", change))
+    assert found.problems[0].startswith("fingerprint 0000000000000000 is not that of its settings")
+    assert not found.passed
+
+
+def without_metadata(model: onnx.ModelProto) -> None:
+    del model.metadata_props[:]
+
+
+def more_settings(text: str) -> str:
+    return json.dumps({**json.loads(text), "colour": 1})
+
+
+NOT_OURS: dict[str, tuple[Callable[[Any], None], str]] = {
+    "no metadata": (without_metadata, "this is no file of `ssrvlad export`"),
+    "later settings": (with_property("config", more_settings), "unknown setting 'colour'"),
+    "no JSON": (with_property("config", lambda _: "{"), "ssrvlad.config is not JSON"),
+    "golden": (with_property("golden", lambda text: text.replace('"data": "e', '"data": "f')), ""),
+    "label space": (with_property("label_space", lambda _: "{}"), "metadata lacks 'name'"),
+}
+
+
+@pytest.mark.parametrize("kind", NOT_OURS)
+def test_a_file_that_is_not_ours_is_one_line(kind, files, ssrvlad, tmp_path):
+    change, message = NOT_OURS[kind]
+    code, out, err = ssrvlad("verify", changed(files["labels"], tmp_path / "x.onnx", change))
+    assert (code, out, len(err)) == (2, "", 1)
+    assert "x.onnx" in err[0]
+    assert message in err[0]
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", None])
+def test_a_damaged_file_is_one_line(content, files, ssrvlad, tmp_path):
+    file = tmp_path / "x.onnx"
+    whole = files["labels"].read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if content is None else content)
+    code, out, err = ssrvlad("verify", file)
+    assert (code, out, len(err)) == (2, "", 1)
+    assert "x.onnx" in err[0]
+
+
+def test_an_unknown_provider_is_named(files, ssrvlad):
+    code, _, err = ssrvlad("verify", files["labels"], "--provider", "Abacus")
+    assert (code, len(err)) == (2, 1)
+    assert "no execution provider 'Abacus'; wanted one of" in err[0]
+
+
+def test_label_maps_that_cannot_be_compared_are_refused(files, ssrvlad, streets):
+    unknown = np.full((9, 9), 200, np.uint8)
+    Image.fromarray(unknown).save(streets / "unknown.png")
+    np.save(streets / "wide.npy", np.full((9, 9), 300))
+    code, out, err = ssrvlad("verify", files["labels"], "--labels", streets, "--json")
+    report = json.loads(out)
+    assert code == 3
+    assert report["passed"]
+    assert [check["name"] for check in report["checks"]] == [*GOLDEN, "maps/0", "maps/1"]
+    reasons = {one["frame"]: one["reason"] for one in report["refused"]}
+    assert "label id 200" in reasons["maps/unknown"]
+    assert "label id 300 is no uint8, which the file takes" in reasons["maps/wide"]
+    assert len(err) == 2
+
+
+def test_every_kind_of_difference_is_a_problem():
+    right = {
+        "descriptor": np.full((2, 3), 0.5, np.float32),
+        "keypoints": np.ones((2, 8), np.int64),
+        "unknown": np.zeros(2, np.int64),
+    }
+    assert compare("x", right, right) == ("x", 0.0, "")
+    near = {**right, "descriptor": right["descriptor"] + np.float32(9e-7)}
+    assert not compare("x", near, right).problem
+    far = {**right, "descriptor": right["descriptor"] + np.float32(1e-5)}
+    assert "descriptors differ by 1e-05" in compare("x", far, right).problem
+    lost = {**right, "descriptor": right["descriptor"] * np.nan}
+    assert compare("x", lost, right).difference == np.inf
+    assert compare("x", {**right, "keypoints": right["keypoints"] + 1}, right).problem
+    assert compare("x", {**right, "unknown": right["unknown"] + 1}, right).problem
+    short = {**right, "descriptor": right["descriptor"][:, :2]}
+    assert "(2, 2), not (2, 3)" in compare("x", short, right).problem
+
+
+def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
+    space = tmp_path / "own.yaml"
+    rows = "\n".join(
+        f"  - {{id: {n}, name: c{n}, category: {kind}}}"
+        for n, kind in enumerate(("ground", "sky", "building"))
+    )
+    space.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
+    export_head(SSRVLADConfig.from_preset("default", labels_as=str(space)), tmp_path / "x.onnx")
+    space.unlink()
+    found = verify(tmp_path / "x.onnx")
+    assert found.passed
+    assert found.labels_as == "own"
+
+
+def test_the_script(files, streets):
+    script = Path(__file__).parents[1] / "export" / "verify.py"
+    command = [sys.executable, script, files["labels"], "--labels", streets]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
+        *GOLDEN,
+        "maps/0",
+        "maps/1",
+    ]
+
+
+def test_the_golden_arrays_of_a_fused_file_are_those_of_its_image(files):
+    properties = {e.key: e.value for e in onnx.load(files["fused"]).metadata_props}
+    golden = Metadata.from_properties(properties).golden_arrays()
+    assert golden.keys() == {"images", "ssrvlad/labels", "descriptor", "keypoints", "unknown"}
+    assert len(np.unique(golden["ssrvlad/labels"])) > 3
