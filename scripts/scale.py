@@ -251,7 +251,7 @@ def page(frames: int, results: dict[str, dict[str, Any]]) -> str:
         "# A million frames, and more",
         "",
         f"Written by `scripts/scale.py` on {platform.machine()}, {os.cpu_count()} cores, torch "
-        f"{torch.__version__}, {torch.get_num_threads()} thread(s), {frames:,} frames of the preset "
+        f"{torch.__version__}, {torch.get_num_threads()} thread(s), {frames:,} frames of the preset "  # noqa: E501
         "`default`, synthetic: descriptors "
         "of label maps of the synthetic city, varied. Each step is a process of its own; its peak "
         "counts all that it holds, torch among it, and of a memory-mapped matrix the pages that "
