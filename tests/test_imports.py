@@ -51,7 +51,14 @@ ALLOWED = {
     "ray_engine": {"config", "database", "datasets", "descriptor", "encoding", "parts"},
     "online_memory": {"matching"},
     "loop_log": {"files", "online_memory"},
-    "loop_closure": {"database", "datasets", "descriptor", "loop_log", "online_memory"},
+    "loop_closure": {
+        "database",
+        "datasets",
+        "descriptor",
+        "loop_config",
+        "loop_log",
+        "online_memory",
+    },
     "loop_geometry": {"config", "loop_closure"},
     "loop_stream": {
         "config",
@@ -62,6 +69,7 @@ ALLOWED = {
         "evaluation",
         "files",
         "loop_closure",
+        "loop_config",
         "segmentation",
     },
     "trajectory": {"evaluation", "files"},
