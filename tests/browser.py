@@ -48,12 +48,14 @@ class Page:
                 return answer["result"]
 
     def open(self, address: str, ready: str) -> None:
-        """Goes to an address and waits for an expression to hold."""
-        self.call("Page.navigate", url=address)
-        self.wait_for(ready)
+        """Goes to an address anew and waits for an expression to hold once it is loaded."""
+        for place in ("about:blank", address):
+            self.call("Page.navigate", url=place)
+            self.wait_for(f"location.href === {json.dumps(place)}")
+        self.wait_for(f"document.readyState === 'complete' && ({ready})")
 
     def wait_for(self, expression: str) -> None:
-        """Waits for an expression to hold; only asks between navigations that are through."""
+        """Waits for an expression to hold."""
         self.run(_WAIT % (expression, json.dumps(expression)))
 
     def run(self, script: str) -> Any:

@@ -157,7 +157,7 @@ def test_an_interrupted_run_goes_on_where_it_was(run, monkeypatch, capsys, tmp_p
     capsys.readouterr()
     run(tmp_path, "--only", "table1")
     printed = capsys.readouterr().out
-    assert len(table(printed, "### Synthetic city")) == 1 + 14 + 5
+    assert len(table(printed, "### Synthetic city")) == 1 + 14 + 4
     assert "- CamVid, odd against even, labels and images: no --camvid; mi.eng.cam" in printed
 
 

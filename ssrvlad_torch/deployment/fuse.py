@@ -180,9 +180,9 @@ def _join(model: onnx.ModelProto, head: onnx.ModelProto, fused: FusedNetwork, gi
     version = opset(model)
     ours = head if version == OPSET else version_converter.convert_version(head, version)
     rename(ours.graph, lambda name: fused.heads.get(name, f"{fused.prefix}{name}"))
-    nodes, table = fused.label_output().nodes(fused.prefix, given)
+    nodes, tables = fused.label_output().nodes(fused.prefix, given)
     model.graph.node.extend([*nodes, *ours.graph.node])
-    model.graph.initializer.extend([table, *ours.graph.initializer])
+    model.graph.initializer.extend([*tables, *ours.graph.initializer])
     labels = ours.graph.input[0].type.tensor_type.elem_type
     model.graph.value_info.append(
         helper.make_tensor_value_info(f"{fused.prefix}labels", labels, [None] * 3)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from ..network_outputs import Form, choose_output
 from ..taxonomy import LabelSpace
+from .golden_image import BFLOAT16
 
 if TYPE_CHECKING:
     import onnx
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 _FLOATS = ("tensor(float)", "tensor(float16)", "tensor(double)")
-_BFLOAT16 = "tensor(bfloat16)"
 
 
 class LabelOutput(NamedTuple):
@@ -48,11 +48,13 @@ class LabelOutput(NamedTuple):
         ids = output if self.axis is None else output.squeeze(self.axis)
         return ids.astype(self.dtype)
 
-    def nodes(self, prefix: str, given: str) -> tuple[list[onnx.NodeProto], onnx.TensorProto]:
-        """The nodes that make ``{prefix}labels`` of the output, and the table that they read.
+    def nodes(self, prefix: str, given: str) -> tuple[list[onnx.NodeProto], list[onnx.TensorProto]]:
+        """The nodes that make ``{prefix}labels`` of the output, and the tables that they read.
 
         Scores of half precision are cast to float32, which changes none; the largest wins, the
-        first of equals.
+        first of equals. A cast at once behind a network that ONNX Runtime computes in float32
+        would be dropped, and with it the rounding to half precision that makes scores equal: so
+        an axis is put on before it.
 
         Args:
             prefix: of all new names.
@@ -61,21 +63,30 @@ class LabelOutput(NamedTuple):
         from onnx import helper, numpy_helper
 
         last, nodes = self.name, []
-        steps: list[tuple[str, dict[str, Any]]] = []
-        if given == "tensor(float16)":
-            steps.append(("Cast", {"to": _data_type("float32")}))
-        if self.kind == "scores":
-            steps.append(("ArgMax", {"axis": self.axis, "keepdims": 0}))
-        elif self.axis is not None:
-            steps.append(("Squeeze", {}))
-        steps.append(("Cast", {"to": _data_type(self.dtype)}))
+        steps = self._steps(half=given == "tensor(float16)")
         for number, (operator, attributes) in enumerate(steps, 1):
             made = f"{prefix}labels" if number == len(steps) else f"{prefix}labels_{number}"
-            inputs = [last, f"{prefix}axis"] if operator == "Squeeze" else [last]
+            inputs = [last, f"{prefix}axis"] if operator in ("Squeeze", "Unsqueeze") else [last]
             nodes.append(helper.make_node(operator, inputs, [made], name=made, **attributes))
             last = made
-        axis = np.array([self.axis or 0], np.int64)
-        return nodes, numpy_helper.from_array(axis, f"{prefix}axis")
+        axis = (self.axis or 0) if self.kind == "ids" else 0
+        table = numpy_helper.from_array(np.array([axis], np.int64), f"{prefix}axis")
+        return nodes, [table] if any(table.name in node.input for node in nodes) else []
+
+    def _steps(self, half: bool) -> list[tuple[str, dict[str, Any]]]:
+        to_labels: tuple[str, dict[str, Any]] = ("Cast", {"to": _data_type(self.dtype)})
+        if self.kind == "ids":
+            return [to_labels] if self.axis is None else [("Squeeze", {}), to_labels]
+        assert self.axis is not None
+        if not half:
+            return [("ArgMax", {"axis": self.axis, "keepdims": 0}), to_labels]
+        return [
+            ("Unsqueeze", {}),
+            ("Cast", {"to": _data_type("float32")}),
+            ("ArgMax", {"axis": self.axis + 1, "keepdims": 0}),
+            ("Squeeze", {}),
+            to_labels,
+        ]
 
 
 def find_label_output(
@@ -114,7 +125,7 @@ def _dtype(form: Form) -> str:
 
 
 def _form(value: Any, outputs: Arrays | None) -> Form:
-    if value.type == _BFLOAT16:
+    if value.type == BFLOAT16:
         raise ValueError(
             f"output {value.name} is bfloat16, which ONNX Runtime cannot give; "
             "wanted float32 or float16"

@@ -1,0 +1,239 @@
+"""The page in a headless Chromium against the module; needs Chromium and npm."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from browser import CHROMIUM, browser, served
+from drives import write_maps
+from helpers import COLOUR, GRAY, write_png
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
+from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch.stages.harmonics import pattern_table
+
+ROOT = Path(__file__).parents[1]
+SOURCE = ROOT / "export" / "web"
+CONFIGS = {
+    "default": SSRVLADConfig(labels_as="camvid-11", working_size=20),
+    "paper": SSRVLADConfig.from_preset("paper", labels_as="camvid-11"),
+}
+presets = pytest.mark.parametrize("preset", CONFIGS)
+SHOWN = "!document.getElementById('result').hidden"
+FAILED = "document.querySelector('#status.error')"
+
+
+def runtime() -> Path:
+    """A ``node_modules`` with what the lock file says, kept for the next run."""
+    if (SOURCE / "node_modules").is_dir():
+        return SOURCE / "node_modules"
+    lock = (SOURCE / "package-lock.json").read_bytes()
+    kept = ROOT / ".cache" / f"web-{hashlib.sha256(lock).hexdigest()[:16]}"
+    if not kept.is_dir():
+        if not shutil.which("npm"):
+            pytest.skip("npm is not installed")
+        kept.parent.mkdir(exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=kept.parent) as folder:
+            for name in ("package.json", "package-lock.json"):
+                shutil.copy(SOURCE / name, folder)
+            command = ["npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund"]
+            if subprocess.run(command, cwd=folder, capture_output=True, check=False).returncode:
+                pytest.skip("npm cannot install onnxruntime-web here")
+            with contextlib.suppress(OSError):  # another process was faster
+                (Path(folder) / "node_modules").rename(kept)
+    return kept
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A folder with the page, a head of each preset, six label maps and a database of them."""
+    if not CHROMIUM:
+        pytest.skip("Chromium is not installed")
+    folder = tmp_path_factory.mktemp("site") / "web"
+    shutil.copytree(SOURCE, folder, ignore=shutil.ignore_patterns("node_modules"))
+    (folder / "node_modules").symlink_to(runtime())
+    write_maps(folder / "maps", range(6))
+    for preset, config in CONFIGS.items():
+        export_head(config, folder / f"{preset}.onnx")
+        base = folder / f"{preset}.npy"
+        np.save(base, view_of(folder, preset).descriptor.numpy())
+        names = "".join(f"maps/{file.stem}\n" for file in files_of(folder))
+        Path(f"{base}.frames.txt").write_text(names)
+        Path(f"{base}.fingerprint.txt").write_text(f"{config.fingerprint}\n")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def page(site, tmp_path_factory):
+    """A tab, and the address that the page has in it."""
+    profile = tmp_path_factory.mktemp("profile")
+    with browser(profile) as tab, served(site) as address:
+        tab.address = f"{address}/index.html"
+        yield tab
+
+
+def files_of(site):
+    return sorted((site / "maps").iterdir())
+
+
+def view_of(site, preset):
+    labels = np.stack([np.asarray(Image.open(file)) for file in files_of(site)])
+    return SSRVLAD(CONFIGS[preset]).explain(torch.from_numpy(labels))
+
+
+def open_page(page, query="", ready="true"):
+    page.open(f"{page.address}{query}", ready)
+
+
+def described(page, site, preset, file):
+    """What the page's own module says about a label map."""
+    return page.run(f"""(async () => {{
+        const {{ Model }} = await import('./model.js');
+        const {{ readLabels }} = await import('./label_png.js');
+        const {{ targetOf }} = await import('./targets.js');
+        const bytes = async (a) => new Uint8Array(await (await fetch(a)).arrayBuffer());
+        const model = await Model.load(await bytes('{preset}.onnx'));
+        const found = await model.describe(await readLabels(await bytes('maps/{file.name}')));
+        const target = (k) => Array.from(targetOf(model.config, found.descriptor, k).values);
+        return {{ ...found, descriptor: Array.from(found.descriptor),
+          skeleton: Array.from(found.skeleton),
+          targets: Array.from({{ length: 8 }}, (_, k) => target(k)) }};
+    }})()""")
+
+
+@presets
+def test_the_golden_pair_and_the_matches(page, site, preset):
+    labels = files_of(site)[2]
+    query = f"?model={preset}.onnx&database={preset}.npy&labels=maps/{labels.name}"
+    open_page(page, query, f"{SHOWN} || {FAILED}")
+    assert page.run(FAILED) is None
+    page.run("document.getElementById('check').click()")
+    page.wait_for("document.getElementById('golden').value")
+    verdict = page.run("document.getElementById('golden').value")
+    print(f"golden pair, {preset} preset in onnxruntime-web: {verdict}")
+    assert verdict.startswith("equal, largest difference ")
+    assert float(verdict.split()[-1]) <= 1e-6
+    descriptors = view_of(site, preset).descriptor
+    scores, rows = (part[0].tolist() for part in match(descriptors[2:3], descriptors, 5))
+    rows_shown = page.run(
+        "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
+    )
+    shown = [row.split() for row in rows_shown]
+    assert [frame for frame, _ in shown] == [f"maps/{files_of(site)[row].stem}" for row in rows]
+    assert [float(score) for _, score in shown] == pytest.approx(scores, abs=1e-4)
+
+
+@presets
+def test_what_is_drawn_is_what_the_module_finds(page, site, preset):
+    open_page(page)
+    number = 4
+    found = described(page, site, preset, files_of(site)[number])
+    view = view_of(site, preset)
+    np.testing.assert_allclose(found["descriptor"], view.descriptor[number], atol=1e-6)
+    assert found["keypoints"] == view.keypoints[number].sum((1, 2)).tolist()
+    rows, columns = view.skeleton.shape[2:]
+    assert (found["rows"], found["columns"]) == (rows, columns)
+    layers = np.array(found["skeleton"], np.uint8).reshape(rows, columns)
+    skeleton = layers >> np.arange(8)[:, None, None] & 1
+    np.testing.assert_array_equal(skeleton, view.skeleton[number].numpy())
+    assert skeleton.any()
+    check = smooth_parts if preset == "default" else residuals
+    check(np.array(found["targets"]), view, number)
+
+
+def smooth_parts(targets, view, number):
+    """Each target is the projection of the histogram on the patterns, of one scale for all."""
+    config = CONFIGS["default"]
+    patterns = pattern_table(config.rings, config.sectors, config.harmonics, 0.0)
+    wanted = (view.vista_histograms[number].flatten(1) @ patterns.T @ patterns).numpy()
+    scale = np.linalg.norm(wanted) / np.linalg.norm(targets)
+    np.testing.assert_allclose(targets * scale, wanted, atol=1e-5)
+
+
+def residuals(targets, view, number):
+    np.testing.assert_allclose(targets.ravel(), view.descriptor[number].numpy(), atol=1e-6, rtol=0)
+
+
+def test_files_are_chosen_and_what_is_wrong_is_said(page, site):
+    open_page(page)
+    labels, base = files_of(site)[0], site / "paper.npy"
+    page.wait_for("document.getElementById('status')")
+    page.choose("#model-file", site / "paper.onnx")
+    page.wait_for("!document.getElementById('check').disabled")
+    page.choose("#labels-file", labels)
+    page.wait_for(SHOWN)
+    page.choose("#database-file", base)
+    page.wait_for(FAILED)
+    assert "paper.npy.frames.txt together" in page.run(f"{FAILED}.textContent")
+    page.choose("#database-file", base, *site.glob("paper.npy.*.txt"))
+    page.wait_for(f"{SHOWN} && document.querySelectorAll('#matches tbody tr').length === 5")
+    page.choose("#database-file", site / "default.npy", *site.glob("default.npy.*.txt"))
+    page.wait_for(FAILED)
+    assert CONFIGS["default"].fingerprint in page.run(f"{FAILED}.textContent")
+
+
+def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
+    strange = np.full((6, 9), 11, np.uint8)
+    strange[0, :4] = 99
+    Image.fromarray(strange).save(tmp_path / "strange.png")
+    (tmp_path / "other.onnx").write_bytes((site / "paper.onnx").read_bytes()[:500])
+    open_page(page, "?model=paper.onnx", "!document.getElementById('check').disabled")
+    page.choose("#labels-file", tmp_path / "strange.png")
+    page.wait_for(FAILED)
+    assert page.run(f"{FAILED}.textContent").startswith("4 pixels have an id outside")
+    page.choose("#model-file", tmp_path / "other.onnx")
+    page.wait_for(f"{FAILED} && {FAILED}.textContent.includes('cut short')")
+
+
+def test_label_pictures_are_read_bit_by_bit(page, site):
+    """Every depth, every filter of PNG, and palettes, against Pillow or the pixels written."""
+    rng = np.random.default_rng(0)
+    pictures = {}
+    for bits in (8, 16):
+        pixels = rng.integers(0, 1 << bits, (7, 13))
+        write_png(site / f"gray{bits}.png", pixels, GRAY, bits)
+        pictures[f"gray{bits}"] = pixels
+    for bits in (1, 2, 4, 8):
+        pixels = rng.integers(0, 1 << bits, (5, 11)).astype(np.uint8)
+        image = Image.fromarray(pixels, "P")
+        image.putpalette(rng.permutation(768).astype(np.uint8).tolist())
+        image.save(site / f"palette{bits}.png", bits=bits)
+        pictures[f"palette{bits}"] = pixels
+    smooth = np.add.outer(np.arange(60), np.arange(80)).astype(np.uint8)
+    smooth[::7] = rng.integers(0, 256, smooth[::7].shape)
+    Image.fromarray(smooth).save(site / "filtered.png", optimize=True)
+    pictures["filtered"] = smooth
+    open_page(page)
+    for name, pixels in pictures.items():
+        found = page.run(reading(name))
+        np.testing.assert_array_equal(np.array(found).reshape(pixels.shape), pixels, name)
+    write_png(site / "colour.png", np.zeros((2, 2, 3), int), COLOUR, 8)
+    with pytest.raises(AssertionError, match="wanted a PNG of gray"):
+        page.run(reading("colour"))
+
+
+def reading(name):
+    return f"""(async () => {{
+        const {{ readLabels }} = await import('./label_png.js');
+        const file = await (await fetch({json.dumps(name + ".png")})).arrayBuffer();
+        return Array.from((await readLabels(new Uint8Array(file))).labels);
+    }})()"""
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_wider_than_the_window(page, site, tmp_path, width):
+    query = f"?model=default.onnx&database=default.npy&labels=maps/{files_of(site)[1].name}"
+    open_page(page, query, SHOWN)
+    page.screenshot(tmp_path / "page.png", width)
+    assert Image.open(tmp_path / "page.png").height > 900
+    assert page.run("document.documentElement.scrollWidth <= innerWidth")
