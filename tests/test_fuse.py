@@ -178,11 +178,12 @@ def test_a_mapping_with_an_auxiliary_output(tmp_path):
 
 
 def test_segformer_with_random_weights(tmp_path):
-    transformers = pytest.importorskip("transformers", reason="transformers is not installed")
-    config = transformers.SegformerConfig(
+    from transformers import SegformerConfig, SegformerForSemanticSegmentation
+
+    config = SegformerConfig(
         num_labels=CLASSES, depths=[1] * 4, hidden_sizes=[8, 16, 24, 32], decoder_hidden_size=16
     )
-    network = transformers.SegformerForSemanticSegmentation(config).eval()
+    network = SegformerForSemanticSegmentation(config).eval()
     file = tmp_path / "seg.onnx"
     torch.onnx.export(
         network, (torch.rand(1, 3, 128, 160),), file, output_names=["logits"], dynamo=True

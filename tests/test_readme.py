@@ -115,6 +115,11 @@ def test_the_commands_on_data_sets(run, photos):
         assert run(line.removeprefix("$ "))
 
 
+def test_the_commands_on_onnx_files(run, photos):
+    for line in next(block for block in CONSOLE if "fuse" in block).splitlines():
+        assert run(line.removeprefix("$ "))
+
+
 @pytest.mark.parametrize("block", range(len(PYTHON)))
 def test_python(block, run, maps, monkeypatch):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
@@ -141,5 +146,8 @@ def test_help_examples(command, run, photos, tmp_path):
 
 
 def test_links_lead_somewhere():
-    for target in re.findall(r"\]\((?!https?:)([^)]+)\)", README):
-        assert (Path(__file__).parents[1] / target).exists(), target
+    root = Path(__file__).parents[1]
+    for folder in (root, root / "export"):
+        text = (folder / "README.md").read_text(encoding="utf-8")
+        for target in re.findall(r"\]\((?!https?:)([^)]+)\)", text):
+            assert (folder / target).exists(), target
