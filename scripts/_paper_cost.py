@@ -57,7 +57,7 @@ def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
     """The lines of Table III."""
     origin = ("costs", _stamp(options.camvid), [rival.stamp(options.weights) for rival in RIVALS])
     costs = {
-        name: Cost(**cost) for name, cost in kept.get(origin, partial(_measured, options)).items()
+        name: Cost(**cost) for name, cost in kept.get(origin, partial(_records, options)).items()
     }
     frames = (
         "The frames are those of CamVid, enlarged."
@@ -70,25 +70,34 @@ def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
     yield from head_row("method", *steps, *(f"the paper: {step}" for step in steps))
     for rival in RIVALS:
         cost = costs[rival.name]
-        name = f"{rival.name} (random weights)" if "random" in cost.method else rival.name
-        yield row(name, *_cells(cost), *_paper.TABLE_III.get(rival.name, ("",) * 3))
+        yield row(shown(rival, cost), *_cells(cost), *_paper.TABLE_III.get(rival.name, ("",) * 3))
     embedded = "SSR-VLAD on a TDA4VM"
     yield row(f"{embedded} (the paper)", "", "", "", *_paper.TABLE_III[embedded])
     yield ""
 
 
-def _measured(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+def _records(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    costs = measure_all(options.camvid, options.weights)
+    return {name: asdict(cost) for name, cost in costs.items()}
+
+
+def shown(rival: Rival, cost: Cost) -> str:
+    """The method's name in a table of costs."""
+    return f"{rival.name} (random weights)" if "random" in cost.method else rival.name
+
+
+def measure_all(camvid: Path | None, weights: Path | None) -> dict[str, Cost]:
+    """What each of `RIVALS` costs, by its name; networks without weights get random ones."""
     pictures = {LABELS: [], IMAGES: []}
-    for labels, image in islice(_pictures(options.camvid), PICTURES):
+    for labels, image in islice(_pictures(camvid), PICTURES):
         pictures[LABELS].append(labels)
         pictures[IMAGES].append(image)
-    methods = {rival.name: partial(rival.make, options.weights, True) for rival in RIVALS}
+    methods = {rival.name: partial(rival.make, weights, True) for rival in RIVALS}
     frames = {rival.name: pictures[rival.sees] for rival in RIVALS}
     rounds = {
         rival.name: ROUNDS_OF_NETWORKS if rival.method in TRAINED else ROUNDS for rival in RIVALS
     }
-    costs = measure(methods, frames, REFERENCES, rounds)
-    return {name: asdict(cost) for name, cost in costs.items()}
+    return measure(methods, frames, REFERENCES, rounds)
 
 
 def _pictures(camvid: Path | None) -> Iterator[tuple[Frame, Frame]]:

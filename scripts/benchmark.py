@@ -16,6 +16,7 @@ import platform
 import resource
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -23,9 +24,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import _paper_cost
 import cv2
 import numpy as np
 import torch
+from _costs import ENCODED
+from _markdown import head_row, largest_mean_smallest, paragraph, row
 from PIL import Image
 from torch import Tensor
 
@@ -33,13 +37,16 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
 from ssrvlad_torch import descriptor as method
 from ssrvlad_torch.bench import Timing, heads, onnx_head, threads, time_in_turn
 from ssrvlad_torch.config import CATEGORY_COUNT
+from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.encoding_rates import encoding_rates
 from ssrvlad_torch.taxonomy import label_space
 
 SIZES = [(256, 256), (512, 512), (1024, 1024), (1024, 2048)]
 LARGE = (1024, 1024)
 BATCH = 16
 EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
+FRAMES_OF_A_RUN = 1000
 SPECKS = [0, 100, 1000, 10_000]
 
 
@@ -151,7 +158,7 @@ def size_section(maps: Maps, repetitions: int) -> Iterator[str]:
             timings = time_in_turn(ways_of(maps, preset, maps.batch(size, 1)), slow, warm_up=False)
             for name, timing in timings.items():
                 ratio = span(timing.times_faster_than(timings["reference"]), 1)
-                yield line(by(size), name, span(timing.milliseconds, 1), ratio)
+                yield row(by(size), name, span(timing.milliseconds, 1), ratio)
         yield ""
 
 
@@ -182,7 +189,7 @@ def bars_section(maps: Maps, repetitions: int) -> Iterator[str]:
         share = BATCH if "batch" in name else 1
         each = Timing(tuple(second / share for second in timing.seconds))
         ratios = [span(each.times_faster_than(timings[other]), 2) for other in list(ways)[:3]]
-        yield line(name, span(each.milliseconds, 2), *ratios)
+        yield row(name, span(each.milliseconds, 2), *ratios)
     yield ""
 
 
@@ -202,7 +209,7 @@ def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
                     for n in (1, 2)
                 ]
                 ratio = span(timings[2].times_faster_than(timings[1]), 2)
-                yield line(preset, name, str(count), *each, ratio)
+                yield row(preset, name, str(count), *each, ratio)
     yield ""
 
 
@@ -222,7 +229,7 @@ def thread_section(maps: Maps) -> Iterator[str]:
             measured[preset, count] = {k: np.median([run[k] for run in runs]) for k in runs[0]}
     yield from head_row("stage", *(f"{preset}, {n} threads" for preset, n in measured))
     for stage in measured["paper", 1]:
-        yield line(stage, *(f"{1e3 * taken[stage]:.1f}" for taken in measured.values()))
+        yield row(stage, *(f"{1e3 * taken[stage]:.1f}" for taken in measured.values()))
     yield ""
 
 
@@ -244,7 +251,7 @@ def stage_section(maps: Maps) -> Iterator[str]:
         measured[preset, name] = {key: np.median([run[key] for run in runs]) for key in runs[0]}
     yield from head_row("stage", *(f"{preset}, {name}" for preset, name in columns))
     for stage in measured[columns[0]]:
-        yield line(stage, *(f"{1e3 * measured[column][stage]:.2f}" for column in columns))
+        yield row(stage, *(f"{1e3 * measured[column][stage]:.2f}" for column in columns))
     yield ""
 
 
@@ -300,7 +307,7 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
                 plain, timing = timings[str(SPECKS[0])], timings[str(count)]
                 cost = plain.times_faster_than(timing)["median"]
                 cells.append(f"{span(timing.milliseconds, 1)}, {cost:.1f} x plain")
-            yield line(str(count), name, *cells)
+            yield row(str(count), name, *cells)
     yield ""
 
 
@@ -333,7 +340,7 @@ def memory_section(options: argparse.Namespace) -> Iterator[str]:
                     text=True,
                     env={**os.environ, **EVERY_BUFFER_GIVEN_BACK},
                 )
-                yield line(preset, name, by(size), str(count), done.stdout.strip())
+                yield row(preset, name, by(size), str(count), done.stdout.strip())
     yield ""
 
 
@@ -352,6 +359,51 @@ def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
 def status_bytes(field: str) -> int:
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
+
+
+def methods_section(options: argparse.Namespace) -> Iterator[str]:
+    yield "## Every method\n"
+    yield paragraph(
+        f"Milliseconds of a frame of {by(_paper_cost.SIZE)}, max/average/min, one thread; all "
+        f"methods take turns on the same frames. Matching is one query against "
+        f"{_paper_cost.REFERENCES} references, divided by them; LoST-X and tiny image are matched "
+        f"with {ENCODED}. SSR-VLAD has its thinning compiled where nothing else is said. What a "
+        "segmentation network costs is not in it."
+    )
+    yield from head_row("method", "bytes a reference", "encoding", "matching a pair")
+    costs = _paper_cost.measure_all(options.camvid, None)
+    for rival in _paper_cost.RIVALS:
+        cost = costs[rival.name]
+        pair = [milliseconds / cost.references for milliseconds in cost.match]
+        times = map(largest_mean_smallest, (cost.encode, pair))
+        yield row(_paper_cost.shown(rival, cost), f"{cost.bytes_a_reference:.0f}", *times)
+    yield ""
+
+
+def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
+    """What `encode` takes beside the larger of its halves, files and workers being the same."""
+    workers = os.cpu_count() or 1
+    with tempfile.TemporaryDirectory() as folder:
+        for number, labels in enumerate(maps.batch((360, 480), BATCH)):
+            for copy in range(number, FRAMES_OF_A_RUN, BATCH):
+                Image.fromarray(labels.numpy()).save(f"{folder}/{copy}.png")
+        head, files = SSRVLAD(maps.config("default")), find_label_files([folder])
+        timings = encoding_rates(head, files, workers, repetitions)
+    halves = [*zip(timings["decode"].seconds, timings["encode"].seconds, strict=True)]
+    others = [Timing(tuple(map(of, halves))) for of in (max, sum)]
+    yield "## Encoding\n"
+    yield paragraph(
+        f"{FRAMES_OF_A_RUN} PNGs of 360 x 480 into a database, preset `default`, {workers} workers "
+        f"on {os.cpu_count()} cores. Where both halves want every core, neither can hide behind "
+        "the other: their sum is then the least that the whole can take."
+    )
+    yield from head_row("way", "ms a frame", "over the larger half", "over the sum of the halves")
+    names = {"decode": "read only", "encode": "encode only", "all": "`ssrvlad encode`"}
+    for way, name in names.items():
+        each = Timing(tuple(seconds / FRAMES_OF_A_RUN for seconds in timings[way].seconds))
+        ratios = [span(other.times_faster_than(timings[way]), 2) for other in others]
+        yield row(name, span(each.milliseconds, 2), *ratios)
+    yield ""
 
 
 def matching_section(references: int) -> Iterator[str]:
@@ -383,18 +435,9 @@ def matching_section(references: int) -> Iterator[str]:
     for name, timing in timings.items():
         seconds = {k: v / 1e3 for k, v in timing.milliseconds.items()}
         slower = timings["faiss.IndexFlatIP"].times_faster_than(timing)
-        yield line(name, span(seconds, 2), span(slower, 2))
+        yield row(name, span(seconds, 2), span(slower, 2))
     yield f"\nThe same candidates: {same:.4%}. Peak memory of `match` beyond its arguments:"
     yield f"{extra:.0f} MB.\n"
-
-
-def head_row(*cells: str) -> Iterator[str]:
-    yield line(*cells)
-    yield line(*["---"] * len(cells))
-
-
-def line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
 
 
 def span(values: dict[str, float], digits: int) -> str:
@@ -434,6 +477,8 @@ def main() -> None:
         partial(stage_section, maps),
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),
+        partial(methods_section, options),
+        partial(encoding_section, maps, options.repetitions),
         partial(matching_section, options.references),
     ]
     with threads(1):

@@ -5,9 +5,9 @@
         --corridor ../shared/data/vprbench/corridor
 
 Neither data set is part of this project: for CamVid see `_problems.py`, `corridor` is laid out by
-VPR-Bench (`query`, `ref`, and its ground truth in the folder or beside it). Without them only the
-synthetic city is measured. Results are kept in `--cache`, and an interrupted run goes on where it
-was.
+VPR-Bench (`query`, `ref`, and its ground truth in the folder or beside it, where its stored results
+are looked for too, see `_stored.py`). Without them only the synthetic city is measured. Results are
+kept in `--cache`, and an interrupted run goes on where it was.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from _problems import (
     city_problems,
     image_problem,
 )
-from _trials import RESAMPLES, TRAINED, Cache, Outcome, Outcomes, Rival, try_all
+from _stored import stored_trials
+from _trials import RESAMPLES, TRAINED, Cache, Outcome, Outcomes, Rival, Trial, try_all
 
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.bench import threads
@@ -75,6 +76,9 @@ which there are no images, {CITY_FRAMES} queries a drive, another traffic and 0.
 every condition; a true match is within 5 m.
 """
 
+STORED = """The results that its authors publish with the data set, through the same metrics: a
+check of CoHOG, and what Region-VLAD reaches with its published weights, which are not here."""
+
 COSTS = f"""On {{processor}}; median [min, max] of {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for the
 networks with random weights) on which all methods of a table take turns. Matching is one query
 against all references, without ranking them; LoST-X and tiny image are matched with {ENCODED} only.
@@ -96,6 +100,7 @@ def main() -> None:
             HEAD,
             *in_short(problems, outcomes),
             *(line for problem in problems for line in section(problem, outcomes)),
+            *(stored_section(options.corridor, problems, outcomes) if options.corridor else ()),
             "## Cost\n",
             paragraph(COSTS.format(processor=processor())),
             *(line for same in by_dataset(problems) for line in costs(same, kept, options.weights)),
@@ -137,6 +142,23 @@ def section(problem: Problem, outcomes: Outcomes) -> Iterator[str]:
     for rival in RIVALS:
         if rival.sees == problem.gives:
             yield row(rival.name, *figures(outcomes[problem.name, rival.name]))
+    yield ""
+
+
+def stored_section(
+    corridor: Path, problems: Sequence[Problem], outcomes: Outcomes
+) -> Iterator[str]:
+    """What VPR-Bench stored for the corridor, and how far our methods do the same."""
+    yield f"## {CORRIDOR}: what VPR-Bench stored\n"
+    yield paragraph(STORED)
+    yield from head_row("technique", *COLUMNS, "same best match as ours")
+    (problem,) = (problem for problem in problems if problem.dataset == CORRIDOR)
+    for name, stored in stored_trials(corridor).items():
+        ours = outcomes.get((problem.name, name), "")
+        same = reason(ours) if isinstance(ours, str) else ""
+        if isinstance(ours, Trial):
+            same = f"{(ours.indices[:, 0] == stored.indices[:, 0]).mean():.1%}"
+        yield row(name, *figures(stored), same)
     yield ""
 
 

@@ -37,6 +37,9 @@ def page(patch, tmp_path_factory):
         "--weights": home,
         "--output": home / "docs" / "methods.md",
     }
+    likeness = np.eye(4)[[0, 1, 3, 2]]
+    truth = {"gt_flat": np.arange(4), "gt_off": np.arange(5)}
+    np.savez(home / "corridor_CoHOG.npz", sim=likeness, **truth)
     patch.setattr(
         "sys.argv", ["methods.py", *(str(part) for pair in told.items() for part in pair)]
     )
@@ -61,9 +64,15 @@ def test_figures_have_intervals(page):
         value, low, high = map(float, re.fullmatch(r"(.+) \[(.+), (.+)\]", cell).groups())
         assert 0 <= low <= value <= high <= 1
     assert "HOG" not in rows
-    corridor = {cells[0]: cells[1:] for cells in table(page, "## Corridor")}
+    corridor = {cells[0]: cells[1:] for cells in table(page, "## Corridor: images -> images")}
     assert corridor["HOG"][0] == "1.000 [1.000, 1.000]"
     assert corridor["Region-VLAD"] == ["weights not here"] * 4
+
+
+def test_stored_results_stand_beside_ours(page):
+    (_, cells) = table(page, "## Corridor: what VPR-Bench stored")
+    assert cells[:2] == ["CoHOG", "0.500 [0.000, 1.000]"]
+    assert cells[-1] == "50.0%"
 
 
 def test_costs_stand_for_every_data_set(page):
