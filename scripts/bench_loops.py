@@ -8,23 +8,24 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import torch
+from _markdown import head_row, paragraph, row
 
-from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.bench import threads
 from ssrvlad_torch.database import FrameRecord
-from ssrvlad_torch.loop_closure import LoopDetector
 from ssrvlad_torch.loop_config import LoopConfig
 
-FRAMES = 100_000
-LENGTH = 480
+SIZES = (1_000, 10_000, 66_000, 100_000)
+"""The last updates up to 66,000 pass 65,536, where what doubles its room doubles it."""
 LAST = 500
-"""The median is over so many updates."""
 SLOW = 5
 """Updates that are timed of a way that copies or visits the whole map in Python."""
 EXCLUDE = LoopConfig.exclude
@@ -34,64 +35,68 @@ Update = Callable[[int, Floats], object]
 """Takes a frame's number and descriptor."""
 
 
-def loops_section(frames: int = FRAMES) -> Iterator[str]:
+def loops_section(sizes: Sequence[int] = SIZES) -> Iterator[str]:
     """Lines of the section, in Markdown."""
-    stream = drive(frames)
-    sizes = [frames // 100, frames // 10, frames]
+    stream = drive(sizes[-1])
     yield "## Loop closures, online\n"
-    yield f"A stream of {frames} descriptors, every place seen five times; milliseconds an update,"
-    yield f"one thread: median of the {LAST} updates up to a size, and the slowest of all updates"
-    yield "since the size before. A plain loop keeps the best score only; the detector sums over"
-    yield "time, checks the candidate and remembers the frame. Where the whole map is copied or"
-    yield f"visited in Python, {SLOW} updates stand for all.\n"
-    columns = ["way", *(f"{size} frames: {kind}" for size in sizes for kind in ("median", "worst"))]
-    yield line(*columns)
-    yield line(*["---"] * len(columns))
+    yield paragraph(
+        f"A stream of {sizes[-1]} descriptors, every place seen five times; milliseconds an "
+        f"update, one thread: median and slowest of the {LAST} updates up to a size. The frames "
+        "before them were taken in at once: the detector is loaded from a database of them. A "
+        "plain loop keeps the best score only; the detector sums over time, checks the candidate "
+        "and remembers the frame. Where the whole map is copied or visited in Python, "
+        f"{SLOW} updates stand for all."
+    )
+    kinds = [f"{size} frames: {kind}" for size in sizes for kind in ("median", "worst")]
+    yield from head_row("way", *kinds)
     for name, make in {"LoopDetector": detector, "NumPy, array that doubles": doubling}.items():
-        yield line(name, *figures(seconds(make(), stream), sizes))
+        yield row(name, *(cell for size in sizes for cell in figures(make, stream[:size])))
     for name, update in {"NumPy, list stacked": stacked, "NumPy, row by row": row_by_row}.items():
-        cells: list[str] = []
-        for size in sizes:
-            seen = list(stream[:size])
-            taken = [timed(partial(update, seen, stream[-1])) for _ in range(SLOW)]
-            cells += [milliseconds(median(taken)), milliseconds(max(taken))]
-        yield line(name, *cells)
+        yield row(name, *(cell for size in sizes for cell in few(update, stream[:size])))
     yield ""
 
 
 def drive(frames: int) -> Floats:
-    """``(frames, LENGTH)`` unit vectors: the same places five times, a little different."""
-    rng = np.random.default_rng(0)
-    places = rng.standard_normal((-(-frames // 5), LENGTH), dtype=np.float32)
+    """``(frames, D)`` unit vectors: the same places five times, a little different."""
+    rng, length = np.random.default_rng(0), SSRVLAD().config.length
+    places = rng.standard_normal((-(-frames // 5), length), dtype=np.float32)
     stream = np.concatenate([places] * 5)[:frames]
     for begin in range(0, frames, 1000):
-        stream[begin : begin + 1000] += 0.3 * rng.standard_normal((1, LENGTH), dtype=np.float32)
-    return stream / np.linalg.norm(stream, axis=1, keepdims=True)
+        stream[begin : begin + 1000] += 0.3 * rng.standard_normal((1, length), dtype=np.float32)
+    stream /= np.linalg.norm(stream, axis=1, keepdims=True)
+    return stream
 
 
-def detector() -> Update:
-    loops = LoopDetector(head=SSRVLAD())
+def record(number: int) -> FrameRecord:
+    return FrameRecord("drive", f"{number}", "cityscapes-trainids", 0, 0, "")
+
+
+def detector(seen: Floats) -> Update:
+    head = SSRVLAD()
+    with TemporaryDirectory() as folder:
+        database = Database.create(Path(folder) / "db", head.config)
+        database.append([record(number) for number in range(len(seen))], torch.from_numpy(seen))
+        loops = LoopDetector.load(database, head=head)
 
     def update(number: int, descriptor: Floats) -> object:
-        record = FrameRecord("drive", str(number), "cityscapes-trainids", 0, 0, "")
-        return loops.observe(record, torch.from_numpy(descriptor))
+        return loops.observe(record(number), torch.from_numpy(descriptor))
 
     return update
 
 
-def doubling() -> Update:
+def doubling(seen: Floats) -> Update:
     """What one writes who knows how to: a matrix with room to spare, copied when it is full."""
-    seen = np.empty((1, LENGTH), np.float32)
+    room = np.empty((1 << (len(seen) - 1).bit_length(), seen.shape[1]), np.float32)
+    room[: len(seen)] = seen
 
     def update(number: int, descriptor: Floats) -> object:
-        nonlocal seen
-        old = number - EXCLUDE
-        best = int((seen[:old] @ descriptor).argmax()) if old > 0 else -1
-        if number == len(seen):
-            wider = np.empty((2 * number, LENGTH), np.float32)
-            wider[:number] = seen
-            seen = wider
-        seen[number] = descriptor
+        nonlocal room
+        best = int((room[: number - EXCLUDE] @ descriptor).argmax())
+        if number == len(room):
+            wider = np.empty((2 * number, len(descriptor)), np.float32)
+            wider[:number] = room
+            room = wider
+        room[number] = descriptor
         return best
 
     return update
@@ -105,8 +110,16 @@ def row_by_row(seen: list[Floats], descriptor: Floats) -> int:
     return max(range(len(seen)), key=lambda row: seen[row] @ descriptor)
 
 
-def seconds(update: Update, stream: Floats) -> list[float]:
-    return [timed(partial(update, *frame)) for frame in enumerate(stream)]
+def figures(make: Callable[[Floats], Update], stream: Floats) -> list[str]:
+    """Median and worst of the last updates of a stream."""
+    first = len(stream) - LAST
+    update = make(stream[:first])
+    return cells([timed(partial(update, *frame)) for frame in enumerate(stream[first:], first)])
+
+
+def few(update: Callable[[list[Floats], Floats], int], stream: Floats) -> list[str]:
+    seen = list(stream)
+    return cells([timed(partial(update, seen, stream[-1])) for _ in range(SLOW)])
 
 
 def timed(work: Callable[[], object]) -> float:
@@ -115,26 +128,12 @@ def timed(work: Callable[[], object]) -> float:
     return time.perf_counter() - begin
 
 
-def figures(taken: list[float], sizes: list[int]) -> list[str]:
-    cells, before = [], 0
-    for size in sizes:
-        cells.append(milliseconds(median(taken[max(0, size - LAST) : size])))
-        cells.append(milliseconds(max(taken[before:size])))
-        before = size
-    return cells
-
-
-def milliseconds(taken: float) -> str:
-    return f"{1e3 * taken:.2f}"
-
-
-def line(*cells: str) -> str:
-    return f"| {' | '.join(cells)} |"
+def cells(seconds: list[float]) -> list[str]:
+    return [f"{1e3 * taken:.2f}" for taken in (median(seconds), max(seconds))]
 
 
 if __name__ == "__main__":
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--frames", type=int, default=FRAMES)
+    argparse.ArgumentParser(description=__doc__).parse_args()
     with threads(1):
-        for text in loops_section(arguments.parse_args().frames):
+        for text in loops_section():
             print(text, flush=True)

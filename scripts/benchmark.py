@@ -30,6 +30,7 @@ import numpy as np
 import torch
 from _costs import ENCODED
 from _markdown import head_row, largest_mean_smallest, paragraph, row
+from bench_loops import loops_section
 from PIL import Image
 from torch import Tensor
 
@@ -478,6 +479,7 @@ def main() -> None:
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),
         partial(methods_section, options),
+        partial(loops_section),
         partial(encoding_section, maps, options.repetitions),
         partial(matching_section, options.references),
     ]

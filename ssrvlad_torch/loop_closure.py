@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Sequence
-from enum import StrEnum
-from typing import Any, NamedTuple
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,90 +16,14 @@ from .database import Database, FrameRecord
 from .datasets.label_files import digest
 from .descriptor import SSRVLAD
 from .loop_config import LoopConfig
+from .loop_judge import LoopJudge
 from .loop_log import LoopLog, read_state, write_state
+from .loop_result import LoopResult
+from .loop_sighting import GeometricCheck, KeyPoints, PoseGate, Sighting
 from .online_memory import Floats, OnlineMemory, Snapshot
 
 STATE_FILE = "loops.npz"
 """Stands beside the parts of the database; see `LoopDetector.save`."""
-
-_LEAST_SPREAD = 1e-6
-_ROUNDING = 1e-6
-"""Cosines of 480 float32 products are no more exact than this."""
-
-KeyPoints = npt.NDArray[np.int16]
-"""``(P, 3)``: category, row and column of each key-point on the working grid."""
-
-
-class Reason(StrEnum):
-    """Why a frame closes a loop or does not; see `LoopResult`."""
-
-    ACCEPTED = "accepted"
-    EMPTY_FRAME = "empty_frame"
-    NO_CANDIDATE = "no_candidate"
-    TOO_RECENT = "too_recent"
-    IMPLAUSIBLE = "implausible"
-    BELOW_THRESHOLD = "below_threshold"
-    AMBIGUOUS = "ambiguous"
-    INCONSISTENT = "inconsistent"
-    DISPROVED = "disproved"
-
-
-class LoopResult(NamedTuple):
-    """What became of a frame.
-
-    Attributes:
-        frame: its id.
-        reason: ``accepted`` if all checks are passed, else the first that is not:
-
-            - ``empty_frame``: its descriptor is zero.
-            - ``no_candidate``: no frame came before, or none but empty ones.
-            - ``too_recent``: all earlier frames are too recent to be candidates.
-            - ``implausible``: the pose gate lets no candidate pass.
-            - ``below_threshold``: the best candidate is not alike enough.
-            - ``too_recent`` again, with a candidate: its place has not been left since.
-            - ``ambiguous``: another place is nearly as much alike.
-            - ``inconsistent``: the candidates of the frames before were elsewhere.
-            - ``disproved``: the geometric check said no.
-        candidate: id of the best candidate, ``None`` if there is none.
-        score: its cosine, or ``None``.
-        strength: what was held against the threshold, see `LoopConfig`, or ``None``.
-    """
-
-    frame: str
-    reason: Reason
-    candidate: str | None = None
-    score: float | None = None
-    strength: float | None = None
-
-    @property
-    def accepted(self) -> bool:
-        """Whether the frame closes a loop."""
-        return self.reason is Reason.ACCEPTED
-
-
-class Sighting(NamedTuple):
-    """What a geometric check is told of a frame.
-
-    Attributes:
-        frame: its id.
-        pose: ``(3,)`` x and y in metres and heading in radians, NaN where unknown.
-        stamp: seconds, -inf where unknown.
-        keypoints: ``(P, 3)`` int16, category, row and column on the working grid; ``None`` for a
-            frame that came as a descriptor or from a database.
-    """
-
-    frame: str
-    pose: npt.NDArray[np.float64]
-    stamp: float
-    keypoints: KeyPoints | None
-
-
-PoseGate = Callable[[npt.NDArray[np.float64], npt.NDArray[np.float64]], npt.NDArray[np.bool_]]
-"""``gate(pose, poses)``: a frame's ``(3,)`` pose and the ``(N, 3)`` poses of earlier ones, as in
-`Sighting` -> ``(N,)`` bool, whether each can be the same place."""
-
-GeometricCheck = Callable[[Sighting, Sighting], bool]
-"""``check(here, there)``: whether a frame and its candidate can be the same place."""
 
 
 class LoopDetector:
@@ -110,7 +33,8 @@ class LoopDetector:
     and goes into the memory. The search is exact. The best candidate must pass the checks that
     `LoopResult` lists.
 
-    One thread updates. Others may read `snapshot` meanwhile, and another may `save`.
+    One thread updates. Others may read `snapshot` meanwhile, and another may `save`. Until it is
+    saved, a frame is held twice, summed for the map and raw for the checkpoint.
 
     Args:
         config: the settings; without, the defaults.
@@ -137,7 +61,7 @@ class LoopDetector:
         self._pose_gate, self._geometry = pose_gate, geometry
         self._memory = OnlineMemory(self.head.config.length, self.config.temporal)
         self._log = LoopLog()
-        self._keypoints: dict[int, KeyPoints | None] = {}
+        self._judge = LoopJudge(self.config, self._log, pose_gate, geometry)
         self._unsaved: list[tuple[FrameRecord, Floats]] = []
         self._updating, self._saving = threading.Lock(), threading.Lock()
 
@@ -202,20 +126,21 @@ class LoopDetector:
         vector = self._vector(descriptor, record.frame)
         with self._updating:
             here = self._sighting(record, stamp, keypoints)
-            found = self._find(here, vector)
-            if isinstance(found, Reason):
-                result = LoopResult(here.frame, found)
-            else:
-                result = self._judge(found)
-            self._remember(here, vector)
+            result, found = self._judge.judge(here, vector, self.snapshot)
+            self._log.append(here)
+            self._memory.append(here.frame, vector)
             self._unsaved.append((record, vector))
-            if isinstance(found, _Found):
+            if found is not None:
                 confirmed = self.config.confirmations if result.accepted else 0
                 self._log.conclude(found.candidate, found.own_strength, found.moments, confirmed)
         return result
 
     def end_sequence(self) -> None:
-        """Takes the last ``temporal`` frames into the map: none will follow in their sequence."""
+        """Takes the last ``temporal`` frames into the map: none will follow in their sequence.
+
+        A checkpoint does not hold this: a detector that is loaded waits for more of its last
+        sequence.
+        """
         with self._updating:
             self._memory.end_sequence()
 
@@ -329,155 +254,6 @@ class LoopDetector:
         if self._pose_gate and not np.isfinite(pose[:2]).all():
             raise ValueError(f"frame {frame!r} has no pose, which the pose gate wants")
         return Sighting(frame, pose, -math.inf if stamp is None else stamp, keypoints)
-
-    def _find(self, here: Sighting, vector: Floats) -> _Found | Reason:
-        """The best candidate, or why there is none."""
-        if not vector.any():
-            return Reason.EMPTY_FRAME
-        if not len(self):
-            return Reason.NO_CANDIDATE
-        scores = self.snapshot.scores(vector / np.linalg.norm(vector))
-        old = self._old(here, len(scores))
-        compared = scores[:old][~self.snapshot.empty[:old]]
-        if not len(compared):
-            return Reason.NO_CANDIDATE if old else Reason.TOO_RECENT
-        self._close_gate(here, scores)
-        candidate = int(scores[:old].argmax())
-        if scores[candidate] == -np.inf:
-            return Reason.IMPLAUSIBLE
-        return self._weigh(here, scores, candidate, _moments(_nearness(compared)))
-
-    def _weigh(
-        self, here: Sighting, scores: Floats, candidate: int, moments: tuple[float, float]
-    ) -> _Found:
-        """The best candidate with its strength."""
-        strength, cutoff = float(scores[candidate]), self.config.threshold
-        if self.config.relative:
-            mean, spread = self._spread(moments)
-            strength = (float(_nearness(scores[candidate])) - mean) / spread
-            cutoff = 1 - math.exp(-mean - self.config.threshold * spread)
-        earlier = self._log.strengths(self.config.confirmations - 1)
-        shared = float(np.nanmean(np.append(earlier, strength)))
-        return _Found(here, candidate, scores, strength, shared, cutoff, moments)
-
-    def _old(self, here: Sighting, mapped: int) -> int:
-        """How many rows of the map are not too recent to be candidates."""
-        rows = min(mapped, len(self) - self.config.exclude)
-        if self.config.exclude_seconds:
-            latest = here.stamp - self.config.exclude_seconds
-            rows = min(rows, int(np.searchsorted(self._log.stamps, latest, side="right")))
-        return max(0, rows)
-
-    def _close_gate(self, here: Sighting, scores: Floats) -> None:
-        if self._pose_gate is None:
-            return
-        plausible = np.asarray(self._pose_gate(here.pose, self._log.poses[: len(scores)]))
-        if plausible.shape != scores.shape or plausible.dtype != np.bool_:
-            raise ValueError(
-                f"the pose gate gave {plausible.shape} {plausible.dtype} for {len(scores)} poses; "
-                "wanted a bool for each"
-            )
-        scores[~plausible] = -np.inf
-
-    def _spread(self, moments: tuple[float, float]) -> tuple[float, float]:
-        """Mean and standard deviation of the nearness of the candidates of the last frames."""
-        earlier = self._log.moments(self.config.relative - 1)
-        mean, square = np.nanmean(np.concatenate((earlier, [moments])), axis=0).tolist()
-        return mean, math.sqrt(max(square - mean * mean, _LEAST_SPREAD**2))
-
-    def _judge(self, found: _Found) -> LoopResult:
-        checks: tuple[tuple[Reason, Callable[[_Found], bool]], ...] = (
-            (Reason.BELOW_THRESHOLD, lambda found: found.strength < self.config.threshold),
-            (Reason.TOO_RECENT, lambda found: found.candidate >= self._present(found)),
-            (Reason.AMBIGUOUS, self._has_rival),
-            (Reason.INCONSISTENT, self._is_unconfirmed),
-            (Reason.DISPROVED, self._is_disproved),
-        )
-        reason = next((reason for reason, holds in checks if holds(found)), Reason.ACCEPTED)
-        candidate = self.snapshot.ids[found.candidate]
-        return LoopResult(found.here.frame, reason, candidate, found.score, found.strength)
-
-    def _present(self, found: _Found) -> int:
-        """First row of the place that has not been left since."""
-        cutoff = min(found.cutoff, found.score)
-        alike = np.append(np.flatnonzero(found.scores >= cutoff), len(self))
-        left = np.diff(alike) - 1 > self.config.neighbourhood + self.config.temporal
-        return int(alike[np.flatnonzero(left)[-1] + 1 if left.any() else 0])
-
-    def _has_rival(self, found: _Found) -> bool:
-        """Whether a frame that shows neither the candidate's place nor the present one is too near.
-
-        A frame that closed a loop shows the place of its candidate, so that an earlier visit to
-        the candidate's place is no rival.
-        """
-        if self.config.ratio == 1:
-            return False
-        others = found.scores.copy()
-        reach = self.config.neighbourhood
-        same = self._log.same_place(found.candidate, reach)
-        others[same[same < len(others)]] = -np.inf
-        others[max(0, self._present(found) - reach) :] = -np.inf
-        return bool(1 - found.score > self.config.ratio**2 * (1 - others.max()))
-
-    def _is_unconfirmed(self, found: _Found) -> bool:
-        """Whether the best candidates of the last frames do not stay together."""
-        earlier = self.config.confirmations - 1
-        if len(self) - earlier < self._log.start_of_sequence(found.here.frame):
-            return True
-        candidates = np.append(self._log.candidates(earlier), found.candidate)
-        steps = np.abs(np.diff(candidates))
-        return bool((candidates < 0).any() or (steps > self.config.window).any())
-
-    def _is_disproved(self, found: _Found) -> bool:
-        if self._geometry is None:
-            return False
-        row = found.candidate
-        pose, stamp = self._log.poses[row].copy(), float(self._log.stamps[row])
-        there = Sighting(self.snapshot.ids[row], pose, stamp, self._keypoints.get(row))
-        return not self._geometry(found.here, there)
-
-    def _remember(self, here: Sighting, vector: Floats) -> None:
-        if here.keypoints is not None:
-            self._keypoints[len(self)] = here.keypoints
-        self._log.append(here.frame, here.pose, here.stamp)
-        self._memory.append(here.frame, vector)
-
-
-class _Found(NamedTuple):
-    """The best candidate of a frame, and what it is judged by.
-
-    Attributes:
-        here: the frame.
-        candidate: row of the candidate.
-        scores: ``(rows of the map,)`` float32, -inf for empty frames and where the pose gate is
-            shut.
-        own_strength: strength of the candidate.
-        strength: what is held against the threshold.
-        cutoff: the threshold as a cosine.
-        moments: mean, and mean square, of the nearness of all candidates.
-    """
-
-    here: Sighting
-    candidate: int
-    scores: Floats
-    own_strength: float
-    strength: float
-    cutoff: float
-    moments: tuple[float, float]
-
-    @property
-    def score(self) -> float:
-        return float(self.scores[self.candidate])
-
-
-def _nearness(scores: Floats | np.float32) -> Floats:
-    """How near candidates are: less the logarithm of half their squared Euclidean distance."""
-    return -np.log(np.maximum(1 - scores, np.float32(_ROUNDING)))
-
-
-def _moments(values: Floats) -> tuple[float, float]:
-    exact = values.astype(np.float64)
-    return float(exact.mean()), float(exact @ exact) / len(exact)
 
 
 def _in_order_of_addition(database: Database) -> list[str]:

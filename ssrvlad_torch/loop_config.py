@@ -20,7 +20,9 @@ class LoopConfig:
         relative: 0: the strength of a candidate is its cosine (Eq. 4). N of 1 or more: it says how
             far the candidate stands out. It is the number of standard deviations that the
             logarithm of its distance lies below the mean, both over all candidates that the last
-            N frames, this one included, were compared with; each frame weighs the same.
+            N frames, this one included, were compared with; each frame weighs the same. One that
+            stands out alone among n has the square root of n - 1, so that a strength of 6.7 wants
+            a map of 46 candidates at least; where several show the place, of more.
         ratio: no frame of another place may be nearer than the best candidate's distance divided
             by this, as in the ratio test of Lowe (IJCV 2004); distances are Euclidean between
             descriptors. 1 asks for nothing.
@@ -39,7 +41,7 @@ class LoopConfig:
     exclude: int = 50
     exclude_seconds: float = 0.0
     temporal: int = 1
-    threshold: float = 3.5
+    threshold: float = 6.7
     relative: int = 1
     ratio: float = 0.9
     neighbourhood: int = 10

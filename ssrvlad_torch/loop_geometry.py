@@ -8,7 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from .config import CATEGORY_COUNT
-from .loop_closure import KeyPoints, Sighting
+from .loop_sighting import KeyPoints, Sighting
 
 
 @dataclass(frozen=True)

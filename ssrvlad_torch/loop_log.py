@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .files import replacing
+from .loop_sighting import KeyPoints, Sighting
 from .online_memory import GrowingArray
 
 _ENTRY = np.dtype(
@@ -35,6 +36,8 @@ class LoopLog:
     def __init__(self) -> None:
         self._entries = GrowingArray(_ENTRY)
         self._rows: dict[str, int] = {}
+        self._frames: list[str] = []
+        self._keypoints: dict[int, KeyPoints] = {}
         self._sequence: str | None = None
         self._sequence_start = 0
 
@@ -47,7 +50,7 @@ class LoopLog:
     @property
     def frames(self) -> list[str]:
         """Ids of all frames in order."""
-        return list(self._rows)
+        return self._frames.copy()
 
     @property
     def poses(self) -> npt.NDArray[np.float64]:
@@ -59,12 +62,25 @@ class LoopLog:
         """``(N,)`` float64, seconds, -inf where unknown."""
         return self._column("stamp")
 
-    def append(self, frame: str, pose: npt.NDArray[np.float64], stamp: float) -> None:
+    def frame(self, row: int) -> str:
+        """Id of a frame."""
+        return self._frames[row]
+
+    def sighting(self, row: int) -> Sighting:
+        """A frame as it was added."""
+        pose, stamp = self.poses[row].copy(), float(self.stamps[row])
+        return Sighting(self._frames[row], pose, stamp, self._keypoints.get(row))
+
+    def append(self, sighting: Sighting) -> None:
         """Adds a frame of which nothing was concluded."""
+        frame, pose, stamp, keypoints = sighting
         row = len(self)
         self._sequence_start = self.start_of_sequence(frame)
         self._sequence = frame.rpartition("/")[0]
         self._entries.append((_crc(frame), pose, stamp, -1, np.nan, 0, np.nan, np.nan, row))
+        if keypoints is not None:
+            self._keypoints[row] = keypoints
+        self._frames.append(frame)
         self._rows[frame] = row
 
     def conclude(
@@ -137,11 +153,11 @@ class LoopLog:
         stamps = np.maximum.accumulate(state["stamp"])
         for row, (frame, pose) in enumerate(zip(frames, poses, strict=True)):
             if row >= len(stamps):
-                self.append(frame, pose, -np.inf)
+                self.append(Sighting(frame, pose, -np.inf, None))
                 continue
             if state["frame"][row] != _crc(frame):
                 raise ValueError(f"frame {frame!r} has the entry of another frame")
-            self.append(frame, pose, stamps[row])
+            self.append(Sighting(frame, pose, float(stamps[row]), None))
             moments = state["mean"][row], state["square"][row]
             found = state["candidate"][row], state["strength"][row]
             self.conclude(*found, moments, state["confirmed"][row])

@@ -17,11 +17,12 @@ from .datasets.frame_files import FrameFile
 from .datasets.poses import UNKNOWN, find_poses
 from .descriptor import SSRVLAD
 from .encoding import Encoded, Refusal, encode
-from .evaluation.loops import score_loops
+from .evaluation.loops import loop_curve, loop_errors, score_loops, surest
 from .evaluation.outcomes import Rows
 from .files import absolute_folder
-from .loop_closure import LoopDetector, LoopResult
+from .loop_closure import LoopDetector
 from .loop_config import LoopConfig
+from .loop_result import LoopResult
 from .segmentation import Segmenter
 
 CHECKPOINT_FRAMES = 500
@@ -144,7 +145,8 @@ def report(
 
     Returns:
         ``frames``, ``reasons`` (how often each), and with a distance the counts of `LoopScore`,
-        ``precision`` and ``recall``.
+        ``precision``, ``recall``, and ``suggested``, the surest threshold for such a stream, see
+        `evaluation.loops.surest`, as a mapping or ``None``; it is at least the detector's own.
 
     Raises:
         ValueError: loops are to be judged and no frame has a pose.
@@ -156,6 +158,12 @@ def report(
         first = len(loops) - len(results)
         score = score_loops(loops, detector.poses, exclude, metres, first)
         told |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
+        strengths = [result.strength for result in results if result.accepted]
+        errors = loop_errors(loops, detector.poses)
+        judged = np.isfinite(errors)
+        right = errors[judged] <= metres
+        point = surest(loop_curve(np.array(strengths, float)[judged], right, score.revisits))
+        told["suggested"] = point and point._asdict()
     return told
 
 

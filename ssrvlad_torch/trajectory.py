@@ -16,6 +16,22 @@ if TYPE_CHECKING:
 _RIGHT, _WRONG, _UNJUDGED = "tab:green", "tab:red", "tab:blue"
 
 
+def require_picture(path: Path) -> None:
+    """Refuses what `draw_loops` would refuse, before the frames are there.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        ValueError: no such picture format.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
+    formats = Figure().canvas.get_supported_filetypes()
+    if _form(path) not in formats:
+        raise ValueError(f"{path}: a picture is one of {', '.join(formats)}")
+
+
 def draw_loops(
     path: Path, loops: Rows, poses: Floats, title: str, metres: float | None = None
 ) -> None:
@@ -39,10 +55,9 @@ def draw_loops(
         ValueError: no such picture format.
         OSError: the picture cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
+    require_picture(path)
+    from matplotlib.figure import Figure
+
     here = np.flatnonzero(loops >= 0)
     there = loops[here]
     apart = np.hypot(*(poses[here, :2] - poses[there, :2]).T)
@@ -62,9 +77,12 @@ def draw_loops(
     ends = (0, max(1, len(loops)))
     axes[-1].plot(ends, ends, color="0.8", lw=0.8, zorder=0)
     axes[-1].set(xlabel="frame", ylabel="candidate", xlim=ends, ylim=ends)
-    form = path.suffix.removeprefix(".") or "png"
     with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=110, format=form)
+        figure.savefig(temporary, dpi=110, format=_form(path))
+
+
+def _form(path: Path) -> str:
+    return path.suffix.removeprefix(".").lower() or "png"
 
 
 def _draw_trajectory(axes: Axes, poses: Floats) -> None:

@@ -24,7 +24,10 @@ ALLOWED = {
     "bitplanes": {"graph"},
     "words": {"bitplanes", "graph"},
     "stages": {"bitplanes", "graph", "taxonomy", "words"},
-    "descriptor": {"bitplanes", "config", "stages", "taxonomy"},
+    "descriptor": {"bitplanes", "config", "soft", "stages", "taxonomy"},  # soft only when asked
+    "soft_stages": {"taxonomy"},
+    "soft": {"bitplanes", "config", "descriptor", "soft_stages", "stages", "taxonomy"},
+    "training": set(),
     "reference": {"config", "taxonomy"},
     "skeleton_noise": {"bitplanes", "config", "descriptor", "stages"},
     "parts": {"files"},
@@ -50,16 +53,22 @@ ALLOWED = {
     },
     "ray_engine": {"config", "database", "datasets", "descriptor", "encoding", "parts"},
     "online_memory": {"matching"},
-    "loop_log": {"files", "online_memory"},
+    "loop_result": set(),
+    "loop_sighting": set(),
+    "loop_log": {"files", "loop_sighting", "online_memory"},
+    "loop_judge": {"loop_config", "loop_log", "loop_result", "loop_sighting", "online_memory"},
     "loop_closure": {
         "database",
         "datasets",
         "descriptor",
         "loop_config",
+        "loop_judge",
         "loop_log",
+        "loop_result",
+        "loop_sighting",
         "online_memory",
     },
-    "loop_geometry": {"config", "loop_closure"},
+    "loop_geometry": {"config", "loop_sighting"},
     "loop_stream": {
         "config",
         "database",
@@ -70,6 +79,7 @@ ALLOWED = {
         "files",
         "loop_closure",
         "loop_config",
+        "loop_result",
         "segmentation",
     },
     "trajectory": {"evaluation", "files"},
@@ -131,9 +141,20 @@ def test_only_the_command_line_imports_the_command_line():
             assert room in users[imported], file
 
 
-def test_stages_import_no_other_stage():
-    for file in (PACKAGE / "stages").glob("*.py"):
-        assert "stages" not in imported_rooms(file), file
+@pytest.mark.parametrize("room", ["stages", "soft_stages"])
+def test_stages_import_no_other_stage(room):
+    for file in (PACKAGE / room).glob("*.py"):
+        assert room not in imported_rooms(file), file
+
+
+def test_the_twin_is_imported_only_where_it_is_asked_for():
+    code = (
+        "import sys, ssrvlad_torch; ssrvlad_torch.SSRVLAD(); before = 'ssrvlad_torch.soft' in "
+        "sys.modules; ssrvlad_torch.SSRVLAD(surrogate=True);"
+        "print(before, 'ssrvlad_torch.soft' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False", "True"]
 
 
 def test_the_package_loads_without_the_extras():

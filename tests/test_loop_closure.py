@@ -11,17 +11,19 @@ import torch
 from helpers import flip_byte, street
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop_streams import PLACES, configs, noisy_stream, streams
 
 from ssrvlad_torch import SSRVLAD, Database
 from ssrvlad_torch.database import FrameRecord
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.loop_closure import STATE_FILE, LoopDetector, Reason
+from ssrvlad_torch.datasets.synthetic_city import LEFT, STRAIGHT, SyntheticCity
+from ssrvlad_torch.evaluation.loops import score_loops
+from ssrvlad_torch.loop_closure import STATE_FILE, LoopDetector
 from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loop_result import Reason
 from ssrvlad_torch.matching import temporal_sum
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
-PLACES = np.eye(480, dtype=np.float32)
-"""Descriptors of places, at right angles to each other."""
 PLAIN = LoopConfig(
     exclude=5, temporal=0, threshold=0.8, relative=0, ratio=1.0, neighbourhood=2, confirmations=1
 )
@@ -286,6 +288,18 @@ def test_the_pose_gate_is_held_to_its_word():
     assert len(loops) == 6
 
 
+def test_the_pose_gate_cannot_change_the_poses():
+    def spoil(here, there):
+        there[:] = 0
+
+    loops = detector(pose_gate=spoil)
+    for number in range(6):
+        loops.update(PLACES[number], f"drive/{number}", pose=(number, 7))
+    with pytest.raises(ValueError, match="read-only"):
+        loops.update(PLACES[0], "drive/6", pose=(0, 0))
+    assert loops.poses[:, 1].tolist() == [7] * 6
+
+
 def test_the_geometric_check_has_the_last_word():
     asked = []
 
@@ -405,40 +419,6 @@ def plain_reason(n, best, scores, cutoff, candidates, place, sequences, config):
     return "accepted"
 
 
-def noisy_stream(seed, length, places, changes):
-    """A walk among a few places, forwards, backwards or not at all, with empty frames."""
-    rng = np.random.default_rng(seed)
-    steps = np.repeat(rng.choice([-1, 0, 1, 1, 1], length), rng.integers(1, 6, length))[:length]
-    where = np.cumsum(steps) % places
-    vectors = PLACES[where, :24] + rng.normal(0, rng.choice([0.03, 0.1]), (length, 24))
-    vectors[rng.random(length) < 0.05] = 0
-    lengths = np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-9)
-    padded = np.zeros((length, 480), np.float32)
-    padded[:, :24] = vectors / lengths
-    sequences = [f"drive {sum(n >= c for c in changes)}" for n in range(length)]
-    return padded, sequences
-
-
-configs = st.builds(
-    LoopConfig,
-    exclude=st.integers(0, 8),
-    temporal=st.integers(0, 2),
-    threshold=st.floats(0.3, 1.5),
-    relative=st.integers(0, 1),
-    ratio=st.sampled_from([0.6, 0.9, 1.0]),
-    neighbourhood=st.integers(0, 3),
-    confirmations=st.integers(1, 3),
-    window=st.integers(0, 2),
-)
-streams = st.builds(
-    noisy_stream,
-    st.integers(0, 2**31),
-    st.integers(1, 60),
-    st.integers(2, 20),
-    st.lists(st.integers(0, 60), max_size=2),
-)
-
-
 @settings(max_examples=200, deadline=None)
 @given(streams, configs)
 def test_the_detector_follows_the_rules(stream, config):
@@ -515,6 +495,20 @@ def test_the_map_lags_and_is_complete_once_its_sequence_ends():
     loops.end_sequence()
     np.testing.assert_array_equal(loops.snapshot.descriptors, wanted)
     assert loops.frames == loops.snapshot.frames == [f"drive/{n}" for n in range(10)]
+
+
+@pytest.mark.parametrize("reach", [1, 3])
+def test_the_map_equals_what_the_database_gives_offline(tmp_path, reach):
+    """Bit by bit, over two drives, of which one is shorter than the sum reaches."""
+    loops = detector(temporal=reach)
+    vectors = noisy_stream(reach, 60, 12, [])[0]
+    drive(loops, vectors[:57], "a")
+    drive(loops, vectors[57:], "b")
+    loops.end_sequence()
+    loops.save(Database.create(tmp_path / "db", HEAD.config))
+    offline = Database.open(tmp_path / "db").load(temporal=reach)
+    assert list(offline.frames) == loops.snapshot.frames
+    np.testing.assert_array_equal(loops.snapshot.descriptors, offline.descriptors.numpy())
 
 
 def test_poses_are_kept():
@@ -724,3 +718,39 @@ def test_one_updates_while_others_search_and_save(tmp_path):
     stored = LoopDetector.load(Database.open(database.path), config, HEAD)
     assert stored.frames == loops.frames
     np.testing.assert_array_equal(stored.snapshot.descriptors, loops.snapshot.descriptors)
+
+
+def city_drive(seed, turns, frames, estates=()):
+    """Descriptors and poses of a drive through the synthetic city."""
+    head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
+    drive = list(SyntheticCity(seed, estates).traverse(frames, size=(120, 160), turns=turns))
+    labels = torch.from_numpy(np.stack([frame.labels for frame in drive]))
+    descriptors = torch.cat([head(part) for part in labels.split(16)])
+    return descriptors, np.array([frame.pose for frame in drive])
+
+
+def city_loops(descriptors, config):
+    """Row of the candidate of each frame that closes a loop, -1 for the others."""
+    results = drive(LoopDetector(config, HEAD), list(descriptors))
+    return np.array([int(r.candidate[6:]) if r.accepted else -1 for r in results])
+
+
+def test_a_street_that_looks_alike_all_along_closes_no_loop():
+    """The same houses block after block, 380 m long. A low threshold without the other checks
+    falls for them."""
+    descriptors, _ = city_drive(1, [STRAIGHT] * 5, 130, estates=(0,))
+    fooled = LoopConfig(threshold=3.0, ratio=1.0, confirmations=1)
+    assert (city_loops(descriptors, fooled) >= 0).sum() > 5
+    assert (city_loops(descriptors, LoopConfig()) == -1).all()
+
+
+def test_the_second_time_round_a_block_closes_loops_and_only_right_ones():
+    """The map is small, so that the threshold must be low; see `LoopConfig.relative`."""
+    descriptors, poses = city_drive(1, [LEFT] * 8, 220)
+    loops = city_loops(descriptors, LoopConfig(threshold=3.5))
+    score = score_loops(loops, poses, LoopConfig.exclude, metres=10.0)
+    assert score.revisits > 80
+    assert score.precision == 1
+    assert score.recall > 0.2
+    near = score_loops(loops, poses, LoopConfig.exclude, metres=5.0)
+    assert near.right > 0.9 * near.accepted

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 from contextlib import closing
@@ -83,15 +84,18 @@ def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
 
 def test_precision_and_recall_by_poses(loops, drive):
     _, out, _ = loops(drive, "--tolerance-metres", 5)
-    assert out.splitlines()[-1] == (
-        "precision 1.000 (5 of 5 loops are right), recall 0.714 (5 of 7 revisits)"
-    )
+    assert out.splitlines()[-2:] == [
+        "precision 1.000 (5 of 5 loops are right), recall 0.714 (5 of 7 revisits)",
+        "surest threshold 1: precision 1.000, by its 95 % interval at least 0.566, recall 0.714",
+    ]
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     *frames, told = objects(out)
     assert len(frames) == 27
     assert (told["frames"], told["reasons"]["accepted"], told["precision"]) == (27, 5, 1)
     assert (told["revisits"], told["recognised"]) == (7, 5)
     assert told["recall"] == pytest.approx(5 / 7)
+    assert told["suggested"]["accepted"] == 5
+    assert 0.95 < told["suggested"]["score"] < 1
 
 
 def test_poses_may_say_that_a_loop_is_wrong(loops, drive):
@@ -100,6 +104,26 @@ def test_poses_may_say_that_a_loop_is_wrong(loops, drive):
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     told = objects(out)[-1]
     assert (told["accepted"], told["right"]) == (5, 4)
+    assert told["suggested"]["precision"] <= 1
+
+
+def test_where_no_loop_is_found_no_threshold_is_suggested(loops, drive):
+    _, out, _ = loops(drive, "--tolerance-metres", 5, settings=())
+    assert (
+        out.splitlines()[-1] == "precision - (0 of 0 loops are right), recall - (0 of 0 revisits)"
+    )
+    _, out, _ = loops(drive, "--tolerance-metres", 5, "--json", settings=())
+    assert objects(out)[-1]["suggested"] is None
+
+
+def test_a_picture_that_cannot_be_is_refused_before_the_first_frame(loops, drive, monkeypatch):
+    code, out, (error,) = loops(drive, "--picture", drive / "loops.xyz")
+    assert (code, out) == (2, "")
+    assert error.startswith(f"ssrvlad: {drive / 'loops.xyz'}: a picture is one of ")
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    code, out, (error,) = loops(drive, "--picture", drive / "loops.png")
+    assert (code, out) == (2, "")
+    assert error.endswith("pictures need: pip install ssrvlad-torch[eval]")
 
 
 def test_without_poses_nothing_can_be_judged(loops, drive):
@@ -213,6 +237,39 @@ def test_a_stream_that_breaks_off_is_saved(drive, tmp_path, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         list(detect_loops(detector, broken(), database))
     assert len(Database.open(database.path)) == 12
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from ssrvlad_torch import LoopConfig, loop_stream
+loop_stream.CHECKPOINT_FRAMES = 5
+memory, *names = sys.argv[1:]
+config = LoopConfig(exclude=5, threshold=0.6, relative=0)
+opened = loop_stream.open_detector(config, Path(memory), None, "camvid-11")
+frames = loop_stream.encode_as_they_come(opened[0], names)
+for number, _ in enumerate(loop_stream.detect_loops(opened[0], frames, opened[1])):
+    if number == 18:
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+def test_a_stream_that_was_killed_goes_on_from_its_last_checkpoint(drive, tmp_path):
+    """Killed before the twentieth frame, with fifteen saved; all names come again."""
+    config = LoopConfig(exclude=5, threshold=0.6, relative=0)
+    names = sorted(map(str, drive.glob("*.png")))
+    command = [sys.executable, "-c", KILLED, tmp_path / "db", *names]
+    assert subprocess.run(command, check=False).returncode == -signal.SIGKILL
+    assert len(Database.open(tmp_path / "db")) == 15
+    results = []
+    for memory in (None, tmp_path / "db"):
+        detector, database = open_detector(config, memory, None, "camvid-11")
+        frames = encode_as_they_come(detector, names)
+        results.append(list(detect_loops(detector, frames, database)))
+    whole, resumed = results
+    assert any(result.accepted for result in whole)
+    assert resumed == whole[15:]
+    assert len(Database.open(tmp_path / "db")) == 27
 
 
 def test_what_a_detector_refuses_is_a_refusal(drive):

@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.evaluation.loops import LoopScore, score_loops
+from ssrvlad_torch.evaluation.loops import (
+    LoopScore,
+    loop_curve,
+    loop_errors,
+    score_loops,
+    surest,
+)
+from ssrvlad_torch.evaluation.thresholds import wilson_low
 
 EAST, WEST = 0.0, math.pi
 
@@ -87,3 +94,42 @@ def test_the_counts_equal_a_plain_count(length, exclude, metres, seed):
         accepted, right = accepted + (loops[row] >= 0), right + good
         revisits, recognised = revisits + bool(earlier), recognised + bool(earlier and good)
     assert score_loops(loops, poses, exclude, metres) == (accepted, right, revisits, recognised)
+
+
+def test_errors_are_told_of_the_frames_that_close_a_loop():
+    poses = drive((0, EAST), (3, EAST), (math.nan, EAST), (4, WEST))
+    got = loop_errors(np.array([-1, 0, 1, 1]), poses)
+    np.testing.assert_array_equal(got, [3, math.nan, 1])
+
+
+def test_the_curve_of_loops_worked_by_hand():
+    """Strengths 5, 4, 4 and 3, of which one of the two in the middle is wrong; ten revisits."""
+    curve = loop_curve(np.array([4.0, 5.0, 3.0, 4.0]), np.array([True, True, True, False]), 10)
+    assert curve.thresholds.tolist() == [5, 4, 3]
+    assert curve.accepted.tolist() == [1, 3, 4]
+    assert curve.true_positives.tolist() == [1, 2, 3]
+    assert curve.recall.tolist() == [0.1, 0.2, 0.3]
+
+
+def test_the_surest_threshold_is_the_lowest_before_the_mistakes():
+    """Twenty that are right from 7 down, then as many of which half are wrong."""
+    strengths = np.linspace(7, 3, 40)
+    right = np.arange(40) < 20
+    right[20::2] = True
+    point = surest(loop_curve(strengths, right, 50))
+    assert (point.accepted, point.precision, point.recall) == (21, 1, 21 / 50)
+    assert point.score == pytest.approx((strengths[20] + strengths[21]) / 2)
+    assert point.precision_low == pytest.approx(21 / (21 + 1.959964**2))
+
+
+@given(st.integers(0, 40), st.integers(0, 2**31))
+def test_no_threshold_is_surer(count, seed):
+    rng = np.random.default_rng(seed)
+    curve = loop_curve(rng.integers(0, 9, count).astype(float), rng.random(count) < 0.8, 50)
+    point = surest(curve)
+    sure = wilson_low(curve.true_positives, curve.accepted)
+    if not curve.true_positives.any():
+        assert point is None
+    else:
+        assert point.precision_low == sure.max()
+        assert point.accepted == curve.accepted[np.flatnonzero(sure == sure.max())[-1]]

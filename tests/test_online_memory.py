@@ -225,3 +225,14 @@ def test_many_read_while_one_writes(monkeypatch):
     assert not errors
     assert len(sizes) > 1
     assert_same_bits(memory.snapshot.descriptors, whole)
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_frames_are_the_temporal_sum_bit_by_bit():
+    """Many times the room of a block, and past every doubling of what doubles."""
+    ids, vectors = stream([70_000, 30_000], empty=0.01)
+    memory = fed(ids, vectors, 3)
+    memory.end_sequence()
+    assert len(memory.snapshot.blocks) == -(-100_000 // BLOCK_ROWS)
+    assert_same_bits(memory.snapshot.descriptors, offline(ids, vectors, 3))
+    np.testing.assert_array_equal(memory.snapshot.empty, ~vectors.any(axis=1))

@@ -12,8 +12,9 @@ from typing import Annotated, Any
 import typer
 
 from ..encoding import Encoded, Refusal
-from ..loop_closure import LoopDetector, LoopResult
+from ..loop_closure import LoopDetector
 from ..loop_config import LoopConfig
+from ..loop_result import LoopResult
 from ..loop_stream import (
     detect_loops,
     encode_as_they_come,
@@ -22,7 +23,7 @@ from ..loop_stream import (
     open_detector,
     report,
 )
-from ..trajectory import draw_loops
+from ..trajectory import draw_loops, require_picture
 from . import options
 from .options import Choosing, Segmenting, Selection
 from .output import figure, finish, print_json
@@ -94,6 +95,8 @@ def loops(
         Segmenting(segmenter, segmenter_cache),
         workers,
     )
+    if picture:
+        require_picture(picture)
     detector, database = open_detector(config, memory, preset, labels_as)
     results: list[LoopResult] = []
     refused: list[Refusal] = []
@@ -144,3 +147,10 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
             f"are right), recall {figure(told['recall'])} ({told['recognised']} of "
             f"{told['revisits']} revisits)"
         )
+        if told["suggested"]:
+            point = told["suggested"]
+            print(
+                f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
+                f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
+                f"{figure(point['recall'])}"
+            )

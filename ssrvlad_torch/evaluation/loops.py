@@ -8,7 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .outcomes import Floats, Rows
+from .curves import PrecisionRecall
+from .outcomes import Bools, Floats, Rows
+from .thresholds import OperatingPoint, suggested, wilson_low
 
 FACING = math.radians(45)
 """Frames whose headings differ by less look the same way."""
@@ -77,6 +79,52 @@ def score_loops(
         revisit = bool((near & facing).any())
         counts += (accepted, right, revisit, right and revisit)
     return LoopScore(*counts.tolist())
+
+
+def loop_errors(candidates: Rows, poses: Floats) -> Floats:
+    """How far loops are from the truth.
+
+    Args:
+        candidates, poses: as for `score_loops`.
+
+    Returns:
+        ``(L,)`` metres between each frame that closes a loop and its candidate, in the order of
+        the frames; NaN where a position is unknown.
+    """
+    here = np.flatnonzero(candidates >= 0)
+    east, north, _ = (poses[here] - poses[candidates[here]]).T
+    apart: Floats = np.hypot(east, north)
+    return apart
+
+
+def loop_curve(strengths: Floats, right: Bools, revisits: int) -> PrecisionRecall:
+    """Precision and recall over thresholds, of the loops that a detector with a low one found.
+
+    With a higher threshold it would find those of them that are as strong, or nearly so: a loop
+    that it no longer believes may also change what it thinks of later frames.
+
+    Args:
+        strengths: ``(L,)``, see `LoopResult`.
+        right: ``(L,)``, whether each is.
+        revisits: frames that could be recognised.
+    """
+    thresholds, places = np.unique(-strengths, return_inverse=True)
+    return PrecisionRecall(
+        accepted=np.cumsum(np.bincount(places, minlength=len(thresholds))).astype(np.float64),
+        true_positives=np.cumsum(np.bincount(places, right, len(thresholds))),
+        positives=np.array(float(revisits)),
+        thresholds=-thresholds,
+    )
+
+
+def surest(curve: PrecisionRecall) -> OperatingPoint | None:
+    """The threshold that `thresholds.suggested` gives for the highest precision that can be had.
+
+    Returns:
+        ``None`` if no loop is right.
+    """
+    sure = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
+    return suggested(curve, float(sure)) if sure else None
 
 
 def _near(

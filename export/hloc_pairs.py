@@ -1,0 +1,119 @@
+#!/usr/bin/env python3
+"""Writes image pairs for hloc from what `ssrvlad` found: a line "query reference" each.
+
+ssrvlad query town.ssrdb images/today --top 20 --json | \\
+    python export/hloc_pairs.py --images images -o pairs.txt
+
+Reads JSON lines on stdin: of `ssrvlad query --json` and `export/run_onnx.py --json`, a pair for
+each candidate, best first; of `ssrvlad loops --json` and `export/loops_onnx.py`, a pair for each
+accepted loop. The file is as `hloc.pairs_from_retrieval` writes it, and goes where that goes, to
+`hloc.match_features` and `hloc.localize_sfm`. hloc knows an image by its path below the folder
+`--images`, suffix included; without `--images` frames are named by their ids, as `ssrvlad db export
+--format hloc` names them. Needs nothing but Python.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
+ACCEPTED = "accepted"
+
+Pair = tuple[str, str]
+
+
+class ImageNames:
+    """The name that hloc has for each frame: its file's path below a folder.
+
+    Args:
+        folder: of all images, which may be in folders of it; a frame ``today/000042`` is the file
+            ``000042`` with the suffix of an image in a folder ``today``.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._names: dict[str, list[str]] = {}
+        for path in sorted(folder.rglob("*")):
+            if path.suffix.lower() in SUFFIXES:
+                frame = f"{path.absolute().parent.name}/{path.stem}"
+                self._names.setdefault(frame, []).append(path.relative_to(folder).as_posix())
+
+    def __getitem__(self, frame: str) -> str:
+        """The name of a frame.
+
+        Raises:
+            ValueError: there is no such image, or more than one.
+        """
+        names = self._names.get(frame, [])
+        if len(names) != 1:
+            found = " and ".join(names) or "none"
+            raise ValueError(f"wanted one image of frame {frame!r} in {self.folder}, got {found}")
+        return names[0]
+
+
+def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
+    """Frames and their candidates, by their ids.
+
+    Raises:
+        ValueError: a line is not what is wanted; the message has its number.
+    """
+    for number, line in enumerate(lines, 1):
+        try:
+            found: dict[str, Any] = json.loads(line)
+            if "candidates" in found:
+                yield from ((found["query"], each["frame"]) for each in found["candidates"])
+            elif "reason" in found:
+                if found["reason"] == ACCEPTED:
+                    yield found["frame"], found["candidate"]
+            elif "precision" not in found:
+                raise KeyError("candidates")
+        except (ValueError, TypeError, KeyError) as error:
+            raise ValueError(
+                f"line {number}: wanted JSON of `ssrvlad query --json` or `ssrvlad loops --json`, "
+                f"got {line.strip()[:60]!r}"
+            ) from error
+
+
+def write_pairs(path: Path, pairs: Iterable[Pair]) -> int:
+    """Writes pairs as `hloc.pairs_from_retrieval` does; how many.
+
+    Raises:
+        ValueError: a name has white space, at which hloc parts the two names.
+    """
+    lines = []
+    for pair in pairs:
+        for name in pair:
+            if len(name.split()) != 1:
+                raise ValueError(f"hloc cannot read a name with white space, got {name!r}")
+        lines.append(" ".join(pair))
+    path.write_text("\n".join(lines), encoding="utf-8")
+    return len(lines)
+
+
+def main() -> int:
+    """The command line; errors are one line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--images", type=Path, help="the folder that hloc is given as images")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAIRS.txt")
+    given = parser.parse_args()
+    try:
+        pairs = list(pairs_of(sys.stdin))
+        if given.images:
+            names = ImageNames(given.images)
+            pairs = [(names[query], names[reference]) for query, reference in pairs]
+        print(f"{write_pairs(given.output, pairs)} pairs: {given.output}")
+    except (ValueError, OSError) as error:
+        print(f"hloc_pairs: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,15 @@
+"""The ROS 2 package `ssrvlad_ros`, as `colcon build` wants it."""
+
+from setuptools import setup
+
+setup(
+    name="ssrvlad_ros",
+    version="0.1.0",
+    packages=["ssrvlad_ros"],
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/ssrvlad_ros"]),
+        ("share/ssrvlad_ros", ["package.xml"]),
+    ],
+    install_requires=["setuptools", "ssrvlad-torch"],
+    entry_points={"console_scripts": ["loops = ssrvlad_ros.loop_node:main"]},
+)

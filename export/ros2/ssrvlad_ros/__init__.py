@@ -1,0 +1,1 @@
+"""Loop closures from label images in ROS 2; `loop_node` is the only module that imports ROS."""

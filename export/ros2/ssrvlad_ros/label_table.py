@@ -1,0 +1,95 @@
+"""From the ids of a network, told by a table of names, to ids that the head knows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ssrvlad_torch.taxonomy import CATEGORIES, DYNAMIC, VOID, label_space, label_space_names
+
+LABELS_AS = "cityscapes-ids"
+"""The label space of what `LabelTable` gives; it has all eight categories."""
+
+_UNKNOWN = 255
+
+
+class LabelTable:
+    """Turns a network's ids into those of `LABELS_AS` that belong to the same categories.
+
+    A class means what the label spaces of the package mean by its name, `LABELS_AS` before the
+    others; capitals, blanks and signs do not count. The largest id of an image's dtype, 255 or
+    65535, is unlabelled unless the table says otherwise, as ``vision_msgs/LabelInfo`` has it.
+
+    Args:
+        class_map: ids from 0 to 65535 and names of the classes.
+        meanings: categories of names that mean something else or that no label space has, by
+            name: one of `taxonomy.CATEGORIES`, ``dynamic`` or ``void``.
+
+    Raises:
+        ValueError: the table is empty, an id stands twice, or the meaning of names is not known.
+    """
+
+    def __init__(
+        self, class_map: Iterable[tuple[int, str]], meanings: Mapping[str, str] | None = None
+    ) -> None:
+        known = _meanings() | {_plain(name): _category(c) for name, c in (meanings or {}).items()}
+        names: dict[int, str] = {}
+        for identity, name in class_map:
+            if identity in names or not 0 <= identity <= 65535:
+                raise ValueError(f"id {identity} of {name!r} stands twice or is not 0 to 65535")
+            names[identity] = name
+        strange = [repr(name) for name in names.values() if _plain(name) not in known]
+        if strange or not names:
+            raise ValueError(
+                f"the label table has {len(names)} classes, of unknown meaning: "
+                f"{', '.join(strange) or 'all'}; say name=category, of "
+                f"{', '.join((*CATEGORIES, DYNAMIC, VOID))}"
+            )
+        self._ids = np.full(65536, _UNKNOWN, np.uint8)
+        for identity, name in names.items():
+            self._ids[identity] = _ids()[known[_plain(name)]]
+
+    def __call__(self, labels: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
+        """An ``(H, W)`` uint8 or uint16 image of a network's ids -> the same in `LABELS_AS`.
+
+        Raises:
+            ValueError: there are ids that the table lacks; the message names one.
+        """
+        meant = self._ids[labels]
+        unlabelled = labels == np.iinfo(labels.dtype).max
+        meant[unlabelled & (meant == _UNKNOWN)] = _ids()[VOID]
+        wrong = meant == _UNKNOWN
+        if wrong.any():
+            raise ValueError(
+                f"{wrong.sum()} of {labels.size} pixels have an id that the label table lacks, "
+                f"such as {labels[wrong][0]}"
+            )
+        return meant
+
+
+def _meanings() -> dict[str, str]:
+    """Categories by the names of all classes of all label spaces."""
+    spaces = [LABELS_AS, *(name for name in label_space_names() if name != LABELS_AS)]
+    classes = [each for name in spaces for each in label_space(name).classes]
+    return {_plain(each.name): each.category for each in reversed(classes)}
+
+
+def _ids() -> dict[str, int]:
+    """An id of `LABELS_AS` for each category."""
+    return {
+        each.category: each.id for each in reversed(label_space(LABELS_AS).classes) if each.id >= 0
+    }
+
+
+def _plain(name: str) -> str:
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+def _category(name: str) -> str:
+    if name not in (*CATEGORIES, DYNAMIC, VOID):
+        wanted = ", ".join((*CATEGORIES, DYNAMIC, VOID))
+        raise ValueError(f"unknown category {name!r}; wanted one of {wanted}")
+    return name

@@ -1,0 +1,154 @@
+"""What the node does, without ROS: label images in, loops out."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loop_stream import CHECKPOINT_FRAMES, open_detector
+
+from .label_table import LABELS_AS, LabelTable
+
+DTYPES = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
+"""The encodings that a label image can have."""
+
+
+class LabelImage(Protocol):
+    """The part of ``sensor_msgs/Image`` that is read."""
+
+    height: int
+    width: int
+    encoding: str
+    is_bigendian: int
+    step: int
+    data: Any
+
+
+class Quaternion(NamedTuple):
+    """A rotation, as ``geometry_msgs/Quaternion``."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class LiveLoops:
+    """Finds loop closures in a stream of label images.
+
+    Args:
+        config: the settings of the detector.
+        sequence: the name of this drive; frames are called ``<sequence>/<nanoseconds>``.
+        meanings: see `LabelTable`.
+        memory: database that keeps the frames: new, or gone on from; ``None`` for none.
+        preset: of the descriptors; without, the memory's, or ``default``.
+
+    Raises:
+        ValueError: the memory is damaged or was made with another preset.
+    """
+
+    def __init__(
+        self,
+        config: LoopConfig,
+        sequence: str = "drive",
+        meanings: Mapping[str, str] | None = None,
+        memory: Path | None = None,
+        preset: str | None = None,
+    ) -> None:
+        self.sequence = sequence
+        self._meanings = dict(meanings or {})
+        self._detector, self._database = open_detector(config, memory, preset, LABELS_AS)
+        self._saved = len(self._detector)
+        self._table: LabelTable | None = None
+
+    def learn_labels(self, class_map: Iterable[tuple[int, str]]) -> None:
+        """Takes the ids and names of the classes, as in ``vision_msgs/LabelInfo``.
+
+        Raises:
+            ValueError: see `LabelTable`; the last table stands.
+        """
+        self._table = LabelTable(class_map, self._meanings)
+
+    def see(
+        self, image: LabelImage, nanoseconds: int, pose: tuple[float, float, float] | None = None
+    ) -> str:
+        """Looks for the place of the next frame, and remembers it.
+
+        Args:
+            image: ids of classes; its encoding is in `DTYPES`.
+            nanoseconds: when it was taken.
+            pose: x and y in metres, heading in radians.
+
+        Returns:
+            JSON with ``frame``, ``reason``, ``candidate``, ``score``, ``strength``; see
+            `ssrvlad_torch.loop_result.LoopResult`.
+
+        Raises:
+            ValueError: the frame is refused: no table yet, another encoding, an unknown id, a
+                stamp that goes back. Nothing has changed.
+        """
+        if self._table is None:
+            raise ValueError("no table of labels has come yet")
+        labels = self._table(decode(image))
+        frame = f"{self.sequence}/{nanoseconds:019d}"
+        result = self._detector.update(labels, frame, nanoseconds / 1e9, pose)
+        if len(self._detector) >= self._saved + CHECKPOINT_FRAMES:
+            self.save()
+        return json.dumps(result._asdict())
+
+    def save(self) -> None:
+        """Writes a checkpoint, if there is a memory.
+
+        Raises:
+            OSError: the disk refused; the last checkpoint stands.
+        """
+        if self._database is not None:
+            self._detector.save(self._database)
+        self._saved = len(self._detector)
+
+
+def decode(image: LabelImage) -> npt.NDArray[Any]:
+    """``(H, W)`` uint8 or uint16, without what pads the rows.
+
+    Raises:
+        ValueError: another encoding, or less data than the image's size wants.
+    """
+    if image.encoding not in DTYPES:
+        raise ValueError(f"encoding {image.encoding!r}; wanted one of {', '.join(DTYPES)}")
+    stored = np.dtype(DTYPES[image.encoding]).newbyteorder(">" if image.is_bigendian else "<")
+    row, content = image.width * stored.itemsize, bytes(image.data)
+    if image.step < row or len(content) < image.height * image.step or not image.height * row:
+        raise ValueError(
+            f"{len(content)} bytes in rows of {image.step}; wanted {image.height} rows of {row}"
+        )
+    rows = np.frombuffer(content, np.uint8, image.height * image.step)
+    pixels = rows.reshape(image.height, image.step)[:, :row].copy().view(stored)
+    return pixels.astype(stored.newbyteorder("="))
+
+
+def heading(rotation: Quaternion) -> float:
+    """The angle about the vertical axis in radians, counter-clockwise from x."""
+    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
+    return math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
+
+
+def meanings_of(words: Iterable[str]) -> dict[str, str]:
+    """``name=category`` each -> categories by name; empty words are passed over.
+
+    Raises:
+        ValueError: a word is of another form.
+    """
+    meanings = {}
+    for word in filter(None, words):
+        name, equals, category = word.rpartition("=")
+        if not (name and equals and category):
+            raise ValueError(f"wanted name=category, got {word!r}")
+        meanings[name] = category
+    return meanings

@@ -1,0 +1,124 @@
+#!/usr/bin/env python3
+"""The script that RTAB-Map calls for a global descriptor: pixels in, float32 (1, D) out.
+
+rtabmap --Mem/GlobalDescriptorStrategy 1 --Kp/TfIdfLikelihoodUsed false \
+        --Mem/RehearsalSimilarity 1 --PyDescriptor/Dim 480 \
+        --PyDescriptor/Path export/rtabmap_ssrvlad.py
+
+Needs numpy, onnxruntime and `run_onnx.py` beside it, and a file of `ssrvlad fuse`: `place.onnx`
+beside it, or what `rtabmap_ssrvlad.json` beside it says, in which all but the model may be left
+out (then ImageNet's mean and std, and the image's own size; a size needs Pillow):
+
+{"model": "place.onnx", "size": [512, 1024],
+ "mean": [0.485, 0.456, 0.406], "std": [0.229, 0.224, 0.225]}
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+sys.path.append(str(Path(__file__).resolve().parent))
+if not hasattr(sys, "argv"):  # an embedded interpreter need not have it
+    sys.argv = [""]
+
+from run_onnx import Model, Preparation, note, one_line
+
+SETTINGS = Path(__file__).resolve().with_suffix(".json")
+
+_extractor: Extractor | None = None
+_failure = "init() was not called"
+
+
+class Extractor:
+    """A fused file, and how RTAB-Map's pixels become its input.
+
+    Args:
+        settings: JSON file as above; without it, `place.onnx` in its folder.
+        dimension: what ``PyDescriptor/Dim`` says, which must be the length of the descriptors.
+
+    Raises:
+        ValueError: a file is not what it should be; the message names it.
+        OSError: one cannot be read.
+    """
+
+    def __init__(self, settings: Path, dimension: int) -> None:
+        given: dict[str, Any] = {"model": "place.onnx"}
+        if settings.exists():
+            given |= json.loads(settings.read_text(encoding="utf-8"))
+        path = settings.parent / given.pop("model")
+        wrong = given.keys() - set(Preparation._fields)
+        if wrong:
+            raise ValueError(f"{settings}: no setting {', '.join(sorted(wrong))}")
+        self.model = Model(path, Preparation(**{name: tuple(each) for name, each in given.items()}))
+        if len(self.model.input.shape) != 4 or self.model.input.name == "logits":
+            raise ValueError(f"{path}: wanted a file of `ssrvlad fuse`, whose input is images")
+        length = self.model.session.get_outputs()[0].shape[1]
+        if dimension != length:
+            raise ValueError(f"{path} gives {length} numbers; set PyDescriptor/Dim, {dimension}")
+
+    def __call__(self, image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+        """The descriptor of an image, zero if nothing in it belongs to a category.
+
+        Args:
+            image: ``(H, W, 3)`` BGR or ``(H, W, 1)`` gray, in bytes. RTAB-Map says that they are
+                signed (``NPY_BYTE``); they are not.
+
+        Returns:
+            ``(1, D)`` float32 of length 1.
+
+        Raises:
+            ValueError: the image has another form, or ids come out that the label space lacks.
+        """
+        pixels = np.ascontiguousarray(image)
+        if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.itemsize != 1:
+            raise ValueError(
+                f"wanted (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
+            )
+        blue_first = np.broadcast_to(pixels.view(np.uint8), (*pixels.shape[:2], 3))
+        descriptor, unknown = self.model.session.run(
+            ["descriptor", "unknown"], {self.model.input.name: self._prepare(blue_first[..., ::-1])}
+        )
+        if unknown[0]:
+            raise ValueError(f"{unknown[0]} pixels have an id outside the label space")
+        return np.ascontiguousarray(descriptor, np.float32)
+
+    def _prepare(self, pixels: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
+        """The network's input; a size that the graph fixes is taken if no other is given."""
+        fixed = tuple(side for side in self.model.input.shape[2:] if isinstance(side, int))
+        size, mean, std = self.model.preparation
+        height_width = size or fixed
+        if len(height_width) == 2 and height_width != pixels.shape[:2]:
+            from PIL import Image
+
+            pixels = np.asarray(Image.fromarray(pixels).resize(height_width[::-1], resample=2))
+        prepared = (pixels / np.float32(255) - np.float32(mean)) / np.float32(std)
+        return np.ascontiguousarray(prepared.transpose(2, 0, 1)[None], self.model.dtype)
+
+
+def init(descriptor_dimension: int) -> None:
+    """What RTAB-Map calls once. It does not survive an exception here, so what is wrong is said on
+    stderr, and again by every `extract`, which RTAB-Map logs."""
+    global _extractor, _failure  # noqa: PLW0603
+    try:
+        _extractor = Extractor(SETTINGS, descriptor_dimension)
+    except Exception as error:  # see above
+        _extractor, _failure = None, one_line(error)
+        note(f"rtabmap_ssrvlad: {_failure}")
+
+
+def extract(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
+    """What RTAB-Map calls for every image; see `Extractor`.
+
+    Raises:
+        RuntimeError: `init` failed, or was not called.
+        ValueError: the image cannot be described.
+    """
+    if _extractor is None:
+        raise RuntimeError(f"rtabmap_ssrvlad: {_failure}")
+    return _extractor(image)

@@ -1,0 +1,103 @@
+"""Tours through synthetic cities as a loop detector sees them, and what is true of their frames."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.city.streets import street
+from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
+from ssrvlad_torch.datasets.synthetic_city import TOUR, TOUR_ESTATES, Conditions, SyntheticCity
+from ssrvlad_torch.evaluation.loops import FACING
+from ssrvlad_torch.loop_sighting import KeyPoints
+
+LABELS_AS = "cityscapes-trainids"
+BATCH = 16
+CONDITIONS = {
+    "perfect labels": Conditions(),
+    "noisy labels": Conditions(heading_jitter=2.0, noise=SegmentationNoise(), seed=1),
+}
+SCALE_ERROR, TURN_ERROR = 0.01, 0.05
+"""Of the odometry: standard deviations of its scale, and of its error in degrees a frame."""
+
+
+@dataclass(frozen=True)
+class Tour:
+    """A drive along `synthetic_city.TOUR`, N frames.
+
+    Attributes:
+        city: its seed.
+        descriptors: ``(N, 480)`` float32.
+        keypoints: of each frame.
+        poses: ``(N, 3)`` as they are.
+        odometry: ``(N, 3)`` as an odometry gives them.
+    """
+
+    city: int
+    descriptors: Tensor
+    keypoints: list[KeyPoints]
+    poses: np.ndarray
+    odometry: np.ndarray
+
+    def comes_back(self, exclude: int, metres: float, opposite: bool = False) -> np.ndarray:
+        """``(N,)`` bool, whether an earlier frame, not one of the last ``exclude``, stood near and
+        looked the same way, or on demand the opposite way."""
+        x, y, turn = (self.poses[:, None] - self.poses).transpose(2, 0, 1)
+        ahead = -np.cos(turn) if opposite else np.cos(turn)
+        same = (np.hypot(x, y) <= metres) & (ahead > np.cos(FACING))
+        return np.tril(same, -exclude - 1).any(axis=1)
+
+    def in_estate(self) -> np.ndarray:
+        """``(N,)`` bool, frames on the street that looks alike all along."""
+        _, y, heading = self.poses.T
+        streets = [street(self.city, 1, number) for number in TOUR_ESTATES]
+        on_one = np.any([np.abs(y - each.position) < each.width / 2 for each in streets], axis=0)
+        return on_one & (np.abs(np.cos(heading)) > np.cos(FACING))
+
+
+Tours = dict[str, list[Tour]]
+"""Tours by their condition."""
+
+
+def all_tours(cities: Sequence[int]) -> Tours:
+    return {name: [render(city, name) for city in cities] for name in CONDITIONS}
+
+
+def render(city: int, condition: str) -> Tour:
+    traverse = SyntheticCity(city, TOUR_ESTATES).traverse(5000, CONDITIONS[condition], turns=TOUR)
+    frames = list(traverse)
+    poses = np.array([frame.pose for frame in frames])
+    descriptors: list[Tensor] = []
+    keypoints: list[KeyPoints] = []
+    for start in range(0, len(frames), BATCH):
+        labels = np.stack([frame.labels for frame in frames[start : start + BATCH]])
+        seen = head().explain(torch.from_numpy(labels))
+        descriptors.append(seen.descriptor)
+        keypoints += [points.nonzero().numpy().astype(np.int16) for points in seen.keypoints]
+    print(f"city {city}, {condition}: {len(frames)} frames", flush=True)
+    return Tour(city, torch.cat(descriptors), keypoints, poses, drifting(poses, city))
+
+
+@cache
+def head() -> SSRVLAD:
+    module = SSRVLAD.from_preset("default", labels_as=LABELS_AS)
+    module.compile()
+    return module
+
+
+def drifting(poses: np.ndarray, seed: int) -> np.ndarray:
+    """The poses as an odometry gives them that errs in scale and, more and more, in heading."""
+    rng = np.random.default_rng(seed)
+    steps = np.diff(poses[:, 0] + 1j * poses[:, 1])
+    turned = np.cumsum(rng.normal(0, np.radians(TURN_ERROR), len(steps)))
+    scale = 1 + rng.normal(0, SCALE_ERROR)
+    places = poses[0, 0] + 1j * poses[0, 1] + np.cumsum(scale * steps * np.exp(1j * turned))
+    drifted = poses.copy()
+    drifted[1:] = np.stack((places.real, places.imag, poses[1:, 2] + turned), axis=1)
+    return drifted

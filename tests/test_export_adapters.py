@@ -1,0 +1,265 @@
+"""The adapters for RTAB-Map and hloc, called as their hosts call them."""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import subprocess
+import sys
+from collections import defaultdict
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from drives import write_maps, write_photos
+from helpers import street
+from onnx import TensorProto, helper
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch.deployment.export import head_model
+
+EXPORT = Path(__file__).parents[1] / "export"
+CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11", working_size=24)
+HEAD = SSRVLAD(CONFIG)
+
+AS_THE_HOST = """
+import importlib, sys
+for name in ("torch", "ssrvlad_torch"):
+    sys.modules[name] = None
+del sys.argv
+sys.path.append({folder!r})
+module = importlib.import_module("rtabmap_ssrvlad")
+import numpy as np
+module.init({dimension})
+found = module.extract(np.load({image!r}))
+assert type(found) is np.ndarray and found.dtype == np.float32 and found.flags.c_contiguous
+np.save({out!r}, found)
+"""
+
+
+def load(name, monkeypatch):
+    """A script of export/, afresh."""
+    monkeypatch.syspath_prepend(EXPORT)
+    sys.modules.pop(name, None)
+    return importlib.import_module(name)
+
+
+def fused(path, size=("H", "W")):
+    """A network of one convolution whose scores are red, green and blue, before the head."""
+    weights = np.eye(11, 3, dtype=np.float32)[..., None, None]
+    model = head_model(CONFIG, "logits")
+    del model.graph.input[:]
+    model.graph.input.append(
+        helper.make_tensor_value_info("image", TensorProto.FLOAT, ["B", 3, *size])
+    )
+    model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "weights"))
+    model.graph.node.insert(0, helper.make_node("Conv", ["image", "weights"], ["logits"]))
+    onnx.save(model, path)
+    return path
+
+
+def painted(labels):
+    """Bytes as RTAB-Map hands them over: blue first, and said to be signed."""
+    blue_first = np.eye(3, dtype=np.uint8)[2 - labels] * 255
+    return blue_first.view(np.int8)
+
+
+LABELS = street(3) % 3
+WANTED = HEAD(torch.from_numpy(LABELS)[None]).numpy()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    return fused(tmp_path_factory.mktemp("place") / "place.onnx")
+
+
+@pytest.fixture
+def rtabmap(place, tmp_path, monkeypatch):
+    """The script with a fused file beside its settings."""
+    module = load("rtabmap_ssrvlad", monkeypatch)
+    (tmp_path / "place.onnx").write_bytes(place.read_bytes())
+    monkeypatch.setattr(module, "SETTINGS", tmp_path / "rtabmap_ssrvlad.json")
+    return module
+
+
+def test_rtabmap_gets_one_row_of_float32(rtabmap):
+    rtabmap.init(480)
+    found = rtabmap.extract(painted(LABELS))
+    assert (found.shape, found.dtype, found.flags.c_contiguous) == ((1, 480), np.float32, True)
+    np.testing.assert_allclose(found, WANTED, atol=1e-6)
+    assert np.linalg.norm(found) == pytest.approx(1)
+
+
+def test_bytes_above_127_are_not_negative(rtabmap):
+    """They come as ``NPY_BYTE``. Red 200 is more than green 100; read as signed it is less."""
+    image = np.zeros((24, 32, 3), np.uint8)
+    image[..., 2], image[..., 1] = 200, 100
+    image[:, 9:20, 1] = 250
+    rtabmap.init(480)
+    np.testing.assert_array_equal(
+        rtabmap.extract(image.view(np.int8)), rtabmap.extract(painted((image[..., 1] > 200) * 1))
+    )
+
+
+def test_gray_images_and_empty_ones(rtabmap):
+    """Where all colours are equal the first class, sky, is everywhere; it has no key-points."""
+    rtabmap.init(480)
+    gray = np.random.default_rng(0).integers(0, 255, (24, 32, 1), np.uint8)
+    np.testing.assert_array_equal(
+        rtabmap.extract(gray.view(np.int8)), rtabmap.extract(gray.repeat(3, axis=2))
+    )
+
+
+def test_the_settings_say_how_images_are_prepared(rtabmap, tmp_path):
+    """With so large a mean red is less than nothing, which is the score of classes 3 to 10."""
+    (tmp_path / "place.onnx").rename(tmp_path / "other.onnx")
+    settings = {"model": "other.onnx", "mean": [2, 0.5, 0.5], "std": [1, 1, 1], "size": [48, 64]}
+    rtabmap.SETTINGS.write_text(json.dumps(settings))
+    rtabmap.init(480)
+    large = LABELS.repeat(2, axis=0).repeat(2, axis=1)
+    wanted = HEAD(torch.from_numpy(np.where(large == 0, 3, large))[None]).numpy()
+    np.testing.assert_allclose(rtabmap.extract(painted(large)), wanted, atol=1e-6)
+    assert float((rtabmap.extract(painted(LABELS)) * wanted).sum()) > 0.9
+
+
+def test_a_size_that_the_graph_fixes_is_taken(rtabmap, tmp_path):
+    fused(tmp_path / "place.onnx", (24, 32))
+    rtabmap.init(480)
+    twice = painted(LABELS).repeat(2, axis=0).repeat(2, axis=1)
+    assert rtabmap.extract(twice).shape == (1, 480)
+    np.testing.assert_allclose(rtabmap.extract(painted(LABELS)), WANTED, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "dimension", "message"),
+    [
+        (None, 128, "gives 480 numbers; set PyDescriptor/Dim, 128"),
+        ('{"model": "gone.onnx"}', 480, "No such file"),
+        ('{"model": "head.onnx"}', 480, "wanted a file of `ssrvlad fuse`, whose input is images"),
+        ('{"colour": [1]}', 480, "rtabmap_ssrvlad.json: no setting colour"),
+        ("{", 480, "Expecting property name"),
+    ],
+)
+def test_what_is_wrong_is_said_and_rtabmap_lives(
+    rtabmap, tmp_path, capsys, settings, dimension, message
+):
+    export_head(CONFIG, tmp_path / "head.onnx")
+    if settings:
+        rtabmap.SETTINGS.write_text(settings)
+    rtabmap.init(dimension)
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+    with pytest.raises(RuntimeError) as caught:
+        rtabmap.extract(painted(LABELS))
+    assert str(caught.value) == line
+
+
+def test_images_of_another_form_are_refused(rtabmap):
+    with pytest.raises(RuntimeError, match=r"init\(\) was not called"):
+        rtabmap.extract(painted(LABELS))
+    rtabmap.init(480)
+    for image in (np.zeros((4, 5), np.int8), np.zeros((4, 5, 4), np.int8), np.zeros((4, 5, 3))):
+        with pytest.raises(ValueError, match=r"wanted \(H, W, 3\) or \(H, W, 1\) bytes, got \("):
+            rtabmap.extract(image)
+
+
+def test_in_an_interpreter_without_arguments_and_without_torch(place, tmp_path):
+    """As RTAB-Map does it: the folder is added to the path, the script imported by its name."""
+    for name in ("rtabmap_ssrvlad.py", "run_onnx.py"):
+        (tmp_path / name).write_bytes((EXPORT / name).read_bytes())
+    (tmp_path / "place.onnx").write_bytes(place.read_bytes())
+    np.save(tmp_path / "image.npy", painted(LABELS))
+    code = AS_THE_HOST.format(
+        folder=str(tmp_path),
+        dimension=480,
+        image=str(tmp_path / "image.npy"),
+        out=str(tmp_path / "out.npy"),
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    np.testing.assert_allclose(np.load(tmp_path / "out.npy"), WANTED, atol=1e-6)
+
+
+@pytest.fixture
+def hloc(monkeypatch, capsys):
+    """The script that writes pairs; returns exit code, stdout and the lines of stderr."""
+    module = load("hloc_pairs", monkeypatch)
+
+    def run(stdin, *arguments):
+        monkeypatch.setattr("sys.argv", ["hloc_pairs.py", *map(str, arguments)])
+        monkeypatch.setattr("sys.stdin", io.StringIO(stdin))
+        code = module.main()
+        out, err = capsys.readouterr()
+        return code, out, err.splitlines()
+
+    return run
+
+
+def read_as_hloc(path):
+    """`hloc.utils.parsers.parse_retrieval`, in other words."""
+    found = defaultdict(list)
+    for line in path.read_text().rstrip("\n").split("\n"):
+        query, reference = line.split()
+        found[query].append(reference)
+    return dict(found)
+
+
+def test_candidates_become_pairs_of_images(ssrvlad, database, tmp_path, hloc):
+    """Through the command line, the frames of a database found again in a deeper folder."""
+    queries = write_maps(tmp_path / "tuesday", range(2, 4))
+    lines = ssrvlad("query", database, queries, "--top", 3, "--json")[1]
+    write_photos(tmp_path / "images" / "db" / "monday", range(6), ".jpg")
+    write_photos(tmp_path / "images" / "tuesday", range(2, 4))
+    out = tmp_path / "pairs.txt"
+    code, said, _ = hloc(lines, "--images", tmp_path / "images", "-o", out)
+    assert (code, said) == (0, f"6 pairs: {out}\n")
+    pairs = read_as_hloc(out)
+    assert list(pairs) == ["tuesday/002.png", "tuesday/003.png"]
+    for line in map(json.loads, lines.splitlines()):
+        names = [f"db/{each['frame']}.jpg" for each in line["candidates"]]
+        assert pairs[f"{line['query']}.png"] == names
+        assert all((tmp_path / "images" / name).is_file() for name in names)
+    assert not out.read_text().endswith("\n")
+
+
+def test_accepted_loops_become_pairs(tmp_path, hloc):
+    lines = [
+        {"frame": "a/0", "reason": "no_candidate", "candidate": None, "score": None},
+        {"frame": "a/8", "reason": "accepted", "candidate": "a/0", "score": 0.9},
+        {"frame": "a/9", "reason": "ambiguous", "candidate": "a/1", "score": 0.9},
+        {"frames": 3, "precision": 1.0, "recall": 0.5},
+    ]
+    out = tmp_path / "pairs.txt"
+    text = "".join(f"{json.dumps(line)}\n" for line in lines)
+    assert hloc(text, "-o", out)[:2] == (0, f"1 pairs: {out}\n")
+    assert out.read_text() == "a/8 a/0"
+
+
+LOOP = '{"frame": "a/8", "reason": "accepted", "candidate": "a/0"}'
+
+
+@pytest.mark.parametrize(
+    ("stdin", "message"),
+    [
+        (LOOP, "wanted one image of frame 'a/8' in {images}, got none"),
+        (LOOP.replace("a/8", "b/1"), "frame 'b/1' in {images}, got b/1.jpg and b/1.png"),
+        (f"{LOOP}\nnothing", "line 2: wanted JSON of `ssrvlad query --json` or"),
+        ('{"query": "a/8"}', "line 1: wanted JSON"),
+        ('{"candidates": [3]}', "line 1: wanted JSON"),
+        ("7", "line 1: wanted JSON"),
+        ('{"frame": "c/x y", "reason": "accepted", "candidate": "c/x y"}', "white space, got 'c/x"),
+    ],
+)
+def test_wrong_lines_and_missing_images_are_told(tmp_path, hloc, stdin, message):
+    images = tmp_path / "images"
+    for name in ("b/1.jpg", "b/1.png", "c/x y.png"):
+        (images / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.zeros((4, 4), np.uint8)).save(images / name)
+    out = tmp_path / "pairs.txt"
+    code, said, (error,) = hloc(stdin, "--images", images, "-o", out)
+    assert (code, said, out.exists()) == (2, "", False)
+    assert message.format(images=images) in error

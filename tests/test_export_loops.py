@@ -1,0 +1,220 @@
+"""The loop detector without torch: the rules of the package's, and the command line's answers."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+from helpers import street, write_street
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from loop_streams import configs, noisy_stream, streams
+from onnx import TensorProto, helper
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
+from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.loop_config import LoopConfig
+
+EXPORT = Path(__file__).parents[1] / "export"
+CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
+HEAD = SSRVLAD(CONFIG)
+SEEDS = (*range(20), *range(2, 9))
+"""A drive of twenty places that comes back to seven of them."""
+SETTINGS = ("--exclude", 5, "--absolute", "--threshold", 0.6, "--temporal", 1)
+
+WITHOUT = """
+import runpy, sys
+for name in ("torch", "ssrvlad_torch"):
+    sys.modules[name] = None
+sys.argv = {arguments!r}
+sys.path.insert(0, {folder!r})
+runpy.run_path(sys.argv[0], run_name="__main__")
+"""
+
+
+def load_script():
+    sys.path.insert(0, str(EXPORT))
+    try:
+        return importlib.import_module("loops_onnx")
+    finally:
+        sys.path.remove(str(EXPORT))
+
+
+script = load_script()
+
+
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """The script in this process; returns exit code, stdout and the lines of stderr."""
+
+    def call(*arguments):
+        monkeypatch.setattr("sys.argv", ["loops_onnx.py", *map(str, arguments)])
+        try:
+            code = script.main()
+        except SystemExit as end:
+            code = end.code
+        out, err = capsys.readouterr()
+        return code, out, err.splitlines()
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    path = tmp_path_factory.mktemp("heads") / "head.onnx"
+    export_head(CONFIG, path)
+    return path
+
+
+@pytest.fixture
+def drive(tmp_path):
+    folder = tmp_path / "drive"
+    for number, seed in enumerate(SEEDS):
+        write_street(folder / f"{number:02d}.png", seed)
+    return folder
+
+
+def alone(*arguments, **options):
+    """The script in a process of its own that has neither torch nor this package."""
+    words = [str(EXPORT / "loops_onnx.py"), *map(str, arguments)]
+    code = WITHOUT.format(arguments=words, folder=str(EXPORT))
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        **options,
+    )
+
+
+def objects(out):
+    return [json.loads(line) for line in out.splitlines()]
+
+
+def assert_same_answers(got, wanted):
+    """Scores may differ in their last digits."""
+    assert len(got) == len(wanted)
+    for one, other in zip(got, wanted, strict=True):
+        assert [*one] == [*other]
+        for name in ("frame", "reason", "candidate"):
+            assert one[name] == other[name], one["frame"]
+        for name in ("score", "strength"):
+            assert one[name] == pytest.approx(other[name], abs=1e-4), one["frame"]
+
+
+def test_its_defaults_are_those_of_the_package():
+    plain = dataclasses.asdict(LoopConfig())
+    assert script.Settings()._asdict() == {name: plain[name] for name in script.Settings._fields}
+
+
+def both(stream, config):
+    """What the script and the package say of a stream."""
+    chosen = {name: getattr(config, name) for name in script.Settings._fields}
+    theirs = script.Detector(script.Settings(**chosen))
+    ours = LoopDetector(config, HEAD)
+    got, wanted = [], []
+    for number, (vector, sequence) in enumerate(zip(*stream, strict=True)):
+        got.append(theirs.update(f"{sequence}/{number}", vector)._asdict())
+        wanted.append(ours.update(vector, f"{sequence}/{number}")._asdict())
+    return got, wanted, (theirs, ours)
+
+
+@settings(max_examples=150, deadline=None)
+@given(streams, configs)
+def test_it_follows_the_rules_of_the_package(stream, config):
+    assert_same_answers(*both(stream, config)[:2])
+
+
+@settings(max_examples=30, deadline=None)
+@given(streams, st.integers(0, 4))
+def test_its_map_is_the_one_of_the_package(stream, reach):
+    _, _, (theirs, ours) = both(stream, LoopConfig(temporal=reach))
+    rows = ours.snapshot.descriptors
+    assert theirs.map.rows == len(rows)
+    query = np.random.default_rng(reach).normal(size=480).astype(np.float32)
+    np.testing.assert_allclose(
+        theirs.map.scores(query), ours.snapshot.scores(query), rtol=0, atol=1e-5
+    )
+
+
+def test_a_long_stream_passes_the_end_of_a_block(monkeypatch):
+    monkeypatch.setattr(script, "BLOCK_ROWS", 16)
+    config = LoopConfig(exclude=5, threshold=0.8, relative=0, neighbourhood=2)
+    got, wanted, _ = both(noisy_stream(2, 300, 40, [100]), config)
+    assert_same_answers(got, wanted)
+    assert "accepted" in {line["reason"] for line in got}
+
+
+@pytest.mark.parametrize("live", [False, True])
+def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, live):
+    """Over a folder, and name by name, the next only once the last is answered."""
+    wanted = objects(ssrvlad("loops", drive, "--labels-as", "camvid-11", *SETTINGS, "--json")[1])
+    assert sum(line["reason"] == "accepted" for line in wanted) == 5
+    process = alone(head, "-" if live else drive, *SETTINGS)
+    with process:
+        lines = []
+        for path in sorted(drive.iterdir()) if live else []:
+            process.stdin.write(os.fsencode(path) + b"\n")
+            process.stdin.flush()
+            lines.append(process.stdout.readline())
+        out, err = process.communicate()
+    assert (process.returncode, err) == (0, b"")
+    assert_same_answers(objects(b"".join(lines) + out), wanted)
+
+
+def test_images_in_loops_out(tmp_path, drive, run):
+    """A network of one convolution whose scores are the colours, before the head."""
+    weights = np.eye(11, 3, dtype=np.float32)[..., None, None]
+    model = head_model(CONFIG, "logits")
+    del model.graph.input[:]
+    model.graph.input.append(
+        helper.make_tensor_value_info("image", TensorProto.FLOAT, ["B", 3, "H", "W"])
+    )
+    model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "weights"))
+    model.graph.node.insert(0, helper.make_node("Conv", ["image", "weights"], ["logits"]))
+    onnx.save(model, tmp_path / "place.onnx")
+    for number, seed in enumerate(SEEDS):
+        colours = np.eye(3, dtype=np.uint8)[street(seed) % 3] * 255
+        path = tmp_path / "photos" / f"{number:02d}.png"
+        path.parent.mkdir(exist_ok=True)
+        Image.fromarray(colours).save(path)
+    code, out, err = run(tmp_path / "place.onnx", tmp_path / "photos", *SETTINGS)
+    assert (code, err) == (0, [])
+    wanted = LoopDetector(LoopConfig(exclude=5, threshold=0.6, relative=0, temporal=1), HEAD)
+    for number, (seed, line) in enumerate(zip(SEEDS, objects(out), strict=True)):
+        result = wanted.update(street(seed) % 3, f"photos/{number:02d}")
+        assert_same_answers([line], [result._asdict()])
+
+
+def test_a_bad_frame_is_refused_and_the_stream_goes_on(head, drive, run):
+    (drive / "07.png").write_text("no picture")
+    Image.fromarray(street(0) + 100).save(drive / "09.png")
+    code, out, err = run(head, drive, drive / "03.png", *SETTINGS)
+    assert (code, len(objects(out)), len(err)) == (3, 25, 4)
+    assert err[0].startswith(f"{drive / '07.png'}: ")
+    assert err[1].endswith("pixels have an id outside label space camvid-11")
+    assert err[2].endswith("frame drive/03 was there before")
+    assert err[3] == "refused 3 of 28 frames"
+
+
+def test_wrong_use_is_one_line(head, drive, tmp_path, run):
+    code, out, (error,) = run(tmp_path / "none.onnx", drive)
+    assert (code, out) == (2, "")
+    assert error.startswith("loops_onnx: ")
+    code, _, (error,) = run(head, tmp_path / "nowhere")
+    assert (code, error) == (2, f"loops_onnx: {tmp_path / 'nowhere'} holds no frames; wanted "
+                             ".npy, .png, .tif, .tiff, .bmp, .jpg, .jpeg files")  # fmt: skip
+    for wrong in (("-", drive), (drive, "--exclude", -1), (drive, "--temporal", -1)):
+        code, _, errors = run(head, *wrong)
+        assert code == 2
+        assert errors[-1].endswith("wanted --exclude and --temporal of at least 0, and - alone")

@@ -1,0 +1,116 @@
+"""scripts/loops.py on streams made by hand in place of tours: its tables against plain counts."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from helpers import descriptors
+
+from scripts import load, table
+from ssrvlad_torch import SSRVLAD, LoopConfig, LoopDetector
+from ssrvlad_torch.database import FrameRecord
+
+LAP = 150
+
+
+@pytest.fixture
+def script(monkeypatch):
+    module = load("loops", monkeypatch)
+    monkeypatch.setattr(module, "head", lambda: HEAD)
+    monkeypatch.setattr(module, "CHECKS", (module.CHECKS[0], module.DEFAULT, module.CHECKS[-1]))
+    monkeypatch.setattr(module, "SETTINGS", module.SETTINGS[:1])
+    return module
+
+
+HEAD = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
+
+
+def tour(script, seed, noise):
+    """Twice round a circle of 300 m, a frame every 2 m, then 60 frames back the other way. Places
+    that follow each other look a little alike."""
+    rng = np.random.default_rng(seed)
+    places = descriptors(seed, LAP).numpy()
+    places = places + 0.8 * np.roll(places, 1, axis=0)
+    rows = np.concatenate((np.arange(LAP), np.arange(LAP), np.arange(60)[::-1])) % LAP
+    vectors = places[rows] + noise * rng.standard_normal((len(rows), 480))
+    vectors[-60:] = descriptors(seed + 1, 60).numpy()
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    angle = 2 * math.pi * rows / LAP
+    heading = angle + math.pi / 2
+    heading[-60:] += math.pi
+    radius = 2 * LAP / (2 * math.pi)
+    poses = np.stack((radius * np.cos(angle), radius * np.sin(angle), heading), axis=1)
+    points = [np.array([(0, place % 50, 9)], np.int16) for place in rows]
+    return script.Tour(seed, torch.from_numpy(vectors.astype(np.float32)), points, poses, poses)
+
+
+def plain_loops(made, threshold):
+    """Row of the candidate of each frame that closes a loop."""
+    detector = LoopDetector(LoopConfig(threshold=threshold), HEAD)
+    found = {}
+    for row, descriptor in enumerate(made.descriptors):
+        record = FrameRecord("tour", str(row), "cityscapes-trainids", 0, 0, "")
+        result = detector.observe(record, descriptor)
+        if result.accepted:
+            found[row] = int(result.candidate.rpartition("/")[2])
+    return found
+
+
+def test_the_page_says_what_the_detectors_did(script, tmp_path):
+    learned, measured = (
+        {
+            "perfect labels": [tour(script, seed, 0.01) for seed in seeds],
+            "noisy labels": [tour(script, seed, 0.05) for seed in seeds],
+        }
+        for seeds in ((10, 12), (20, 22))
+    )
+    page = "\n".join(script.sections(learned, measured, tmp_path / "loops.md"))
+    assert "nan" not in page
+    for condition in measured:
+        head, *rows = table(page, f"## {condition.capitalize()}")
+        assert head[:5] == ["checks", "threshold", "loops", "wrong", "elsewhere"]
+        (default,) = (row for row in rows if row[0] == script.DEFAULT.name)
+        threshold = script.chosen(script.DEFAULT, learned[condition]).score
+        assert default[1] == f"{threshold:.2f}"
+        wrong = right = 0
+        for made in measured[condition]:
+            for row, candidate in plain_loops(made, threshold).items():
+                near = math.dist(made.poses[row, :2], made.poses[candidate, :2]) <= 10
+                right, wrong = right + near, wrong + (not near)
+        assert right > 150
+        assert [int(cell) for cell in default[2:4]] == [right + wrong, wrong]
+        revisits = sum(made.comes_back(50, 10).sum() for made in measured[condition])
+        assert default[6].startswith(f"{right / revisits:.3f} [")
+        where = page[page.index(f"## {condition.capitalize()}") :]
+        kinds = {row[0]: [int(cell) for cell in row[1:]] for row in table(where, "With ratio")[1:]}
+        same, other, first, _ = kinds.values()
+        assert same[0] == revisits
+        assert same[0] + other[0] + first[0] == 2 * 360
+        assert same[1] + other[1] + first[1] == right + wrong
+        reasons = dict(zip(*table(where, "| reason |"), strict=True))
+        assert int(reasons["accepted"]) == right + wrong
+    names = ["loops-curves.png", "loops-noisy.png", "loops-perfect.png"]
+    assert sorted(path.name for path in (tmp_path / "figures").iterdir()) == names
+    assert all(f"figures/{name})" in page for name in names)
+
+
+def test_frames_that_come_back(script):
+    """The second lap looks the same way from its first frame on, but for the last 50 of the first;
+    the way back looks the other way."""
+    made = tour(script, 0, 0.0)
+    same, opposite = made.comes_back(50, 1.0), made.comes_back(50, 1.0, opposite=True)
+    assert np.flatnonzero(same).tolist() == [*range(LAP, 2 * LAP)]
+    assert np.flatnonzero(opposite).tolist() == [*range(2 * LAP, 2 * LAP + 60)]
+
+
+def test_an_odometry_drifts_more_and_more(script, monkeypatch):
+    drifting = load("_tours", monkeypatch).drifting
+    poses = np.stack((np.arange(2000.0), np.zeros(2000), np.zeros(2000)), axis=1)
+    errors = np.stack([np.hypot(*(drifting(poses, s) - poses)[:, :2].T) for s in range(40)])
+    assert (errors[:, 0] == 0).all()
+    mean = errors.mean(axis=0)
+    assert mean[100] < mean[500] < mean[1999]
+    assert (drifting(poses, 3) == drifting(poses, 3)).all()
