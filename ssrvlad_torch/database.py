@@ -19,13 +19,14 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 import torch
+from numpy.lib.format import open_memmap
 from torch import Tensor
 
 from .config import SSRVLADConfig
@@ -48,8 +49,11 @@ __all__ = ["Damage", "Database", "FrameRecord", "FrameSet", "natural_key"]
 DERIVED = "search-"
 """What the names of files start with that are derived from a database and lie in its folder."""
 
+Array = npt.NDArray[Any]
+
 _LOCK = "lock"
 _POSE = ["x", "y", "heading"]
+_OF_FILES = ["digest", "stamp", *_POSE]
 _HALF_DONE = (f".{MANIFEST}.", ".part-", f".{DERIVED}")
 
 
@@ -79,15 +83,27 @@ class KnownFrames:
 
     Attributes:
         rows: row of each frame by its id, in the order of addition.
-        digests: of each row's label map, in hex.
-        stamps: ``(R,)`` int64, of each row's file.
-        poses: ``(R, 3)`` float64, as in a `FrameSet`.
+        columns: digest, stamp and pose of each row, in chunks as they were read.
     """
 
     rows: dict[str, int]
-    digests: pa.ChunkedArray
-    stamps: npt.NDArray[np.int64]
-    poses: npt.NDArray[np.float64]
+    columns: pa.Table
+
+    @property
+    def digests(self) -> pa.ChunkedArray:
+        """Of each row's label map, in hex."""
+        return self.columns["digest"]
+
+    @property
+    def stamps(self) -> npt.NDArray[np.int64]:
+        """``(R,)`` int64, of each row's file."""
+        stamps: npt.NDArray[np.int64] = self.columns["stamp"].to_numpy()
+        return stamps
+
+    @property
+    def poses(self) -> npt.NDArray[np.float64]:
+        """``(R, 3)`` float64, as in a `FrameSet`."""
+        return _poses(self.columns)
 
 
 class Database:
@@ -363,7 +379,7 @@ class Database:
         if parts[: len(done)] != done:
             done, known = (), _no_frames()
         if len(done) < len(parts):
-            columns = ["sequence", "name", "digest", "stamp", *_POSE]
+            columns = ["sequence", "name", *_OF_FILES]
             known = _with(known, [self._read(part, columns) for part in parts[len(done) :]])
         self._known = parts, known
         return known
@@ -379,8 +395,13 @@ class Database:
         Raises:
             ValueError: a part is missing or damaged; the message names it.
         """
-        tables = [self._read(part, columns) for part in self._manifest.parts]
-        return pa.concat_tables([schema(self.config.length, columns).empty_table(), *tables])
+        nothing = schema(self.config.length, columns).empty_table()
+        return pa.concat_tables([nothing, *self.tables(columns)])
+
+    def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
+        """As `table`, a part at a time."""
+        for part in self._manifest.parts:
+            yield self._read(part, columns)
 
     def load(self, temporal: int = 0) -> FrameSet:
         """All frames in memory, the descriptors once; beyond them one part at a time.
@@ -500,6 +521,19 @@ class Database:
                 entry.unlink(missing_ok=True)
 
 
+def mapped_array(file: Path, shape: tuple[int, int], dtype: type = np.float32) -> Array:
+    """A new ``.npy`` file, memory-mapped. Its room on the disk is taken at once: where that ran
+    out later, the system would end the process.
+
+    Raises:
+        OSError: there is no room, or no such folder.
+    """
+    mapped = open_memmap(file, "w+", dtype, shape)
+    with file.open("r+b") as stream:
+        os.posix_fallocate(stream.fileno(), 0, file.stat().st_size)
+    return mapped
+
+
 def natural_key(name: str) -> str:
     """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
     pieces = (piece for piece in re.split(r"(\d+)", name) if piece)
@@ -541,22 +575,15 @@ def _is_vacant(folder: Path) -> bool:
 
 
 def _no_frames() -> KnownFrames:
-    return KnownFrames(
-        {}, pa.chunked_array([], pa.string()), np.empty(0, np.int64), np.empty((0, 3))
-    )
+    return KnownFrames({}, schema(1, _OF_FILES).empty_table())
 
 
 def _with(known: KnownFrames, tables: Sequence[pa.Table]) -> KnownFrames:
     """More frames than those known; their dictionary of rows is shared and grows."""
     ids = (frame for table in tables for frame in _ids(table))
     known.rows.update((frame, row) for row, frame in enumerate(ids, len(known.rows)))
-    digests = [*known.digests.chunks, *(c for table in tables for c in table["digest"].chunks)]
-    return KnownFrames(
-        known.rows,
-        pa.chunked_array(digests, pa.string()),
-        np.concatenate([known.stamps, *(table["stamp"].to_numpy() for table in tables)]),
-        np.concatenate([known.poses, *map(_poses, tables)]),
-    )
+    more = [table.select(_OF_FILES) for table in tables]
+    return KnownFrames(known.rows, pa.concat_tables([known.columns, *more]))
 
 
 def _poses(table: pa.Table) -> npt.NDArray[np.float64]:

@@ -16,8 +16,9 @@ import torch
 from torch import Tensor
 
 from .database import Database, FrameRecord, FrameSet, KnownFrames
-from .datasets.frame_files import FrameFile
+from .datasets.frame_files import FrameFile, one_line
 from .datasets.label_files import LabelMap, digest, read_label_map
+from .datasets.remote_files import RemoteFile
 from .descriptor import SSRVLAD
 from .interruption import deferred_interruption
 from .pipeline import in_order
@@ -203,6 +204,8 @@ def stamp(file: FrameFile) -> int:
     Returns:
         An int64, 0 if there is no such file.
     """
+    if isinstance(file, RemoteFile):
+        return file.stamp
     try:
         status = file.path.stat()
     except (OSError, ValueError):
@@ -297,13 +300,14 @@ def _to_do(
     A frame whose pose has changed has no digest here: it must be written, whatever it holds.
     """
     fresh, digests = [], {}
+    poses, stamps = known.poses, known.stamps
     for file in files:
         row = known.rows.get(file.frame)
         if row is not None:
             moved = not np.isnan(file.pose[0]) and not np.array_equal(
-                file.pose, known.poses[row], equal_nan=True
+                file.pose, poses[row], equal_nan=True
             )
-            if not moved and known.stamps[row] == stamp(file):
+            if not moved and stamps[row] == stamp(file):
                 continue
             if not moved:
                 digests[file.frame] = known.digests[row].as_py()
@@ -381,12 +385,26 @@ def _read_one(space: LabelSpace, item: Item) -> Item:
     if item.labels is None:
         item = item._replace(stamp=stamp(item.file))
         try:
-            item = item._replace(labels=read_label_map(item.file, space))
+            item = item._replace(labels=_labels(item.file, space))
         except ValueError as error:
             item = item._replace(labels=error)
     if isinstance(item.labels, np.ndarray):
         item = item._replace(digest=digest(item.labels))
     return item
+
+
+def _labels(file: FrameFile, space: LabelSpace) -> LabelMap:
+    if not isinstance(file, RemoteFile):
+        return read_label_map(file, space)
+    try:
+        with file.fetched() as local:
+            return read_label_map(local, space)
+    except OSError as error:
+        raise ValueError(one_line(error)) from error
+
+
+def _place(file: FrameFile) -> str:
+    return file.uri if isinstance(file, RemoteFile) else str(file.path)
 
 
 def _describe(head: SSRVLAD, chunk: Sequence[Item]) -> list[_Result]:
@@ -396,7 +414,7 @@ def _describe(head: SSRVLAD, chunk: Sequence[Item]) -> list[_Result]:
     for place, item in enumerate(chunk):
         frame, labels = item.file.frame, item.labels
         if not isinstance(labels, np.ndarray):
-            results[place] = Refusal(frame, f"{item.file.path}: {labels}")
+            results[place] = Refusal(frame, f"{_place(item.file)}: {labels}")
         elif item.digest == item.known:
             results[place] = Unchanged(frame)
         else:
@@ -418,7 +436,7 @@ def _describe_batch(head: SSRVLAD, batch: Sequence[Item]) -> list[_Result]:
     except ValueError as error:
         if len(batch) == 1:
             file = batch[0].file
-            return [Refusal(file.frame, f"{file.path}: {error}")]
+            return [Refusal(file.frame, f"{_place(file)}: {error}")]
         return [result for item in batch for result in _describe_batch(head, [item])]
     records = [_record(item, head.config.labels_as) for item in batch]
     return [_Described(*pair) for pair in zip(records, descriptors, strict=True)]

@@ -28,8 +28,7 @@ def encoding_rates(
 
     Returns:
         ``"decode"``, reading and digesting label maps; ``"encode"``, describing those that lie in
-        memory; ``"encode, one process"``, the same without workers; ``"all"``, what
-        `encode_to_database` does, writing and flushing among it.
+        memory; ``"all"``, what `encode_to_database` does, writing and flushing among it.
     """
     size = BATCH * BATCHES_OF_A_CHUNK
     chunks = [files[first : first + size] for first in range(0, len(files), size)]
@@ -41,7 +40,6 @@ def encoding_rates(
     ways: dict[str, Callable[[], object]] = {
         "decode": lambda: sum(in_order(lambda c: len(read_only(head, c)), chunks, workers)),
         "encode": lambda: sum(in_order(describe, range(len(chunks)), workers)),
-        "encode, one process": lambda: sum(map(describe, range(len(chunks)))),
         "all": partial(_all, head, files, workers),
     }
     return time_in_turn(ways, repetitions)

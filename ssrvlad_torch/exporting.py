@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
-import numpy as np
-from numpy.lib.format import open_memmap
-
-from .database import Database, FrameSet
+from .database import Database, FrameSet, mapped_array
 from .files import replacing
 
 Format = Literal["npy", "faiss", "hloc"]
 
 _BLOCK = 1 << 14
+_BYTES_OF_A_GROUP = 1024
 
 
 def export_database(database: Database, form: Format, file: Path) -> list[Path]:
@@ -41,14 +42,26 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     if form == "hloc":
         return [file]
     names = file.with_name(f"{file.name}.frames.txt")
-    with replacing(names) as temporary:
+    with _written(names) as temporary:
         temporary.write_text("".join(f"{frame}\n" for frame in frames.frames), encoding="utf-8")
     return [file, names]
 
 
-def _write_npy(database: Database, file: Path) -> FrameSet:
+@contextmanager
+def _written(file: Path) -> Iterator[Path]:
+    """As `replacing`; what faiss, HDF5 and the system say of a full disk becomes one line."""
     with replacing(file) as temporary:
-        return database.load_into(lambda shape: open_memmap(temporary, "w+", np.float32, shape))
+        try:
+            yield temporary
+        except (OSError, RuntimeError) as error:
+            number = getattr(error, "errno", None)
+            reason = os.strerror(number) if number else " ".join(str(error).split())
+            raise OSError(f"{file} cannot be written: {reason}") from error
+
+
+def _write_npy(database: Database, file: Path) -> FrameSet:
+    with _written(file) as temporary:
+        return database.load_into(partial(mapped_array, temporary))
 
 
 def _write_faiss(database: Database, file: Path) -> FrameSet:
@@ -62,7 +75,7 @@ def _write_faiss(database: Database, file: Path) -> FrameSet:
         block = frames.descriptors[first : first + _BLOCK].numpy().copy()
         faiss.normalize_L2(block)
         index.add(block)
-    with replacing(file) as temporary:
+    with _written(file) as temporary:
         faiss.write_index(index, str(temporary))
     return frames
 
@@ -73,10 +86,20 @@ def _write_hloc(database: Database, file: Path) -> FrameSet:
     except ImportError as error:
         raise ImportError("hloc's files need: pip install ssrvlad-torch[search]") from error
     frames = database.load()
-    with replacing(file) as temporary, h5py.File(temporary, "w", libver="latest") as target:
-        for frame, descriptor in zip(frames.frames, frames.descriptors.numpy(), strict=True):
-            target.create_group(frame).create_dataset("global_descriptor", data=descriptor)
+    with _written(file) as temporary:
+        _see_room(temporary, frames)
+        with h5py.File(temporary, "w", libver="latest") as target:
+            for frame, descriptor in zip(frames.frames, frames.descriptors.numpy(), strict=True):
+                target.create_group(frame).create_dataset("global_descriptor", data=descriptor)
     return frames
+
+
+def _see_room(file: Path, frames: FrameSet) -> None:
+    """Takes the room of an HDF5 file for a moment: HDF5 ends the process where it runs out."""
+    names = sum(len(frame.encode()) for frame in frames.frames)
+    wanted = 4 * frames.descriptors.numel() + _BYTES_OF_A_GROUP * (len(frames.frames) + 1) + names
+    with file.open("wb") as stream:
+        os.posix_fallocate(stream.fileno(), 0, wanted)
 
 
 _WRITERS: dict[Format, Callable[[Database, Path], FrameSet]] = {

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import secrets
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 @contextmanager
@@ -18,7 +22,7 @@ def replacing(path: Path) -> Iterator[Path]:
     starts with a dot and the name of ``path``.
 
     Raises:
-        OSError: the disk refused; what was at ``path`` is as it was.
+        OSError: the disk refused, with the name of the file; what was at ``path`` is as it was.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
     before = temporary.with_name(f"{temporary.name}.before")
@@ -33,6 +37,10 @@ def replacing(path: Path) -> Iterator[Path]:
         except OSError:
             _put_back(before, path)
             raise
+    except OSError as error:
+        if error.errno in _FULL and error.filename is None:
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
         before.unlink(missing_ok=True)

@@ -13,20 +13,22 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def deferred_interruption() -> Iterator[Callable[[], None]]:
-    """Defers SIGINT and SIGTERM to where the body calls what it is given.
+    """Defers SIGINT and SIGTERM to where the body calls what it is given, or to its end.
 
-    The first signal is kept until then; a second one acts at once. Outside the main thread, where
-    Python handles no signals, nothing is deferred.
+    The first signal is kept until then; a second one acts at once. A signal that this process was
+    told to pass over when it began, as a shell does for what it runs in the background, is passed
+    over here too. Outside the main thread, where Python handles no signals, nothing is deferred.
 
     Yields:
         A function that raises KeyboardInterrupt after a SIGINT, and SystemExit with code 143 after
-        a SIGTERM.
+        a SIGTERM. The same is raised at the end of a body that did not come to call it.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
         return
     received: list[int] = []
-    earlier = {number: signal.getsignal(number) for number in _SIGNALS}
+    handlers = {number: signal.getsignal(number) for number in _SIGNALS}
+    earlier = {n: handler for n, handler in handlers.items() if handler != signal.SIG_IGN}
 
     def restore() -> None:
         for number, handler in earlier.items():
@@ -42,9 +44,10 @@ def deferred_interruption() -> Iterator[Callable[[], None]]:
         if received:
             raise SystemExit(128 + received[0])
 
-    for number in _SIGNALS:
-        signal.signal(number, keep)
     try:
+        for number in earlier:
+            signal.signal(number, keep)
         yield check
     finally:
         restore()
+    check()

@@ -152,8 +152,9 @@ def read_part(
     """
     path = folder / part.file
     try:
-        source = pa.py_buffer(_content(path, part)) if columns is None else path
-        table = pq.read_table(source, columns=columns, page_checksum_verification=True)
+        source = pa.BufferReader(_content(path, part)) if columns is None else path
+        with _opened(source) as file:
+            table = file.read(columns, use_threads=False)
         table.validate(full=True)
     except (OSError, pa.ArrowException) as error:
         raise ValueError(f"{path} is missing or damaged: {one_line(error)}") from error
@@ -191,6 +192,12 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
+def _opened(source: Path | pa.BufferReader) -> pq.ParquetFile:
+    """To be read without pyarrow's threads: they sometimes abort a process that ends while they
+    wind up (https://github.com/apache/arrow/issues/34314)."""
+    return pq.ParquetFile(source, page_checksum_verification=True, pre_buffer=False)
+
+
 def _content(path: Path, part: Part) -> bytes:
     content = path.read_bytes()
     if len(content) != part.bytes:
@@ -203,7 +210,7 @@ def _content(path: Path, part: Part) -> bytes:
 def _row_groups(folder: Path, part: Part, length: int) -> tuple[list[pa.Table], list[Damage]]:
     """What can be read of a damaged part."""
     try:
-        file = pq.ParquetFile(folder / part.file, page_checksum_verification=True)
+        file = _opened(folder / part.file)
     except (OSError, pa.ArrowException) as error:
         return [], [Damage(part.file, None, one_line(error))]
     groups, damage = [], []
@@ -221,7 +228,7 @@ def _row_groups(folder: Path, part: Part, length: int) -> tuple[list[pa.Table], 
 def _read_groups(file: pq.ParquetFile) -> Iterator[tuple[int, Any]]:
     for number in range(file.metadata.num_row_groups):
         try:
-            group = file.read_row_group(number)
+            group = file.read_row_group(number, use_threads=False)
             group.validate(full=True)
             yield number, group
         except (OSError, pa.ArrowException) as error:

@@ -62,20 +62,21 @@ def in_order(
             multiprocessing_context="fork",
         )
         results = iter(loader)
-    while True:
-        try:
-            result = next(results)
-        except StopIteration:
-            break
-        except RuntimeError as error:
-            if "exited unexpectedly" not in str(error):
-                raise
-            raise ChildProcessError(
-                "a worker process was killed, perhaps because memory ran out; run again to go on"
-            ) from error
-        yield result
+    yield from _until_killed(results)
     for cause in errors:
         raise cause
+
+
+def _until_killed(results: Iterator[Result]) -> Iterator[Result]:
+    """Results of workers, and what became of these in plain words."""
+    try:
+        yield from results
+    except RuntimeError as error:
+        if "exited unexpectedly" not in str(error):
+            raise
+        raise ChildProcessError(
+            "a worker process was killed, perhaps because memory ran out; run again to go on"
+        ) from error
 
 
 class _Work(Dataset[Any]):

@@ -7,16 +7,17 @@ is never taken for that of other rows. It can be deleted at any time.
 from __future__ import annotations
 
 import dataclasses
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from numpy.lib.format import open_memmap
 from torch import Tensor
 
-from .database import DERIVED, Database, FrameSet
+from .database import DERIVED, Database, FrameSet, mapped_array
 from .files import replacing
 from .matching import Matches, match
 
@@ -66,7 +67,7 @@ def load_mapped(
         ValueError: a part is missing or damaged.
         OSError: the matrix cannot be written.
     """
-    file = _derived(database, f"t{temporal}-{precision}.npy")
+    file = _matrix_file(database, temporal, precision)
     if not file.exists():
         _write_matrix(database, temporal, precision, file)
     frames = database.frames()
@@ -112,7 +113,10 @@ class Ivfpq:
             return cls(faiss.read_index(str(file)), references, None)
         index = _build(faiss, references)
         with replacing(file) as temporary:
-            faiss.write_index(index, str(temporary))
+            try:
+                faiss.write_index(index, str(temporary))
+            except RuntimeError as error:
+                raise OSError(f"{file} cannot be written: {error}") from error
         built = cls(index, references, None)
         recall = built._recall()
         built.report = IndexReport(index.nlist, index.nprobe, file.stat().st_size, recall)
@@ -211,17 +215,21 @@ def _units(vectors: Tensor) -> npt.NDArray[np.float32]:
 
 
 def _write_matrix(database: Database, temporal: int, precision: Precision, file: Path) -> None:
-    with replacing(file) as temporary:
+    with replacing(file) as temporary, ExitStack() as after:
         if precision == "float32":
-            database.load_into(
-                lambda shape: open_memmap(temporary, "w+", np.float32, shape), temporal
-            )
+            database.load_into(partial(mapped_array, temporary), temporal)
             return
+        single = _matrix_file(database, temporal, "float32")
+        if not single.exists():
+            after.callback(single.unlink, missing_ok=True)
         whole = load_mapped(database, temporal).descriptors
-        half = open_memmap(temporary, "w+", np.float16, tuple(whole.shape))
+        half = mapped_array(temporary, (len(whole), whole.shape[1]), np.float16)
         for first in range(0, len(whole), _BLOCK):
             half[first : first + _BLOCK] = whole[first : first + _BLOCK].numpy()
-        half.flush()
+
+
+def _matrix_file(database: Database, temporal: int, precision: Precision) -> Path:
+    return _derived(database, f"t{temporal}-{precision}.npy")
 
 
 def _empty(descriptors: Tensor) -> npt.NDArray[np.bool_]:

@@ -149,9 +149,16 @@ def test_wrong_use_is_one_line_and_exit_code_2(
     assert not (tmp_path / "none").exists()
 
 
+TERMINAL = (
+    "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
+    "from ssrvlad_torch.cli import main; main()"
+)
+"""The command line as a terminal starts it; what runs in the background ignores SIGINT."""
+
+
 def interrupt(folder: Path, begun: str, *arguments: str) -> tuple[int, str]:
     """Runs a command in a process of its own and sends it SIGINT once a file is there."""
-    command = [sys.executable, "-c", "from ssrvlad_torch.cli import main; main()", *arguments]
+    command = [sys.executable, "-c", TERMINAL, *arguments]
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     with subprocess.Popen(
         command, cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE

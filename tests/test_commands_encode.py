@@ -166,3 +166,15 @@ def test_a_folder_without_images_is_refused(ssrvlad, photos, tmp_path):
     assert (code, len(err)) == (2, 1)
     assert "folder holds no images; wanted .jpg" in err[0]
     assert not (tmp_path / "none").exists()
+
+
+def test_uris_want_ray_and_ray_wants_label_maps(ssrvlad, maps, tmp_path):
+    arguments = ["encode", maps.as_uri(), "-o", tmp_path / "db", "--labels-as", "camvid-11"]
+    code, _, err = ssrvlad(*arguments)
+    assert (code, err) == (2, [f"ssrvlad: {maps.as_uri()} is no path; a URI wants --engine ray"])
+    code, _, err = ssrvlad(*arguments, "--engine", "ray", "--segmenter", "net.yaml")
+    assert (code, err) == (2, ["ssrvlad: --engine ray takes no --segmenter"])
+    code, _, err = ssrvlad("encode", "ftp://host/a", *arguments[2:], "--engine", "ray")
+    assert (code, len(err)) == (2, 1)
+    assert "ftp" in err[0]
+    assert not (tmp_path / "db").exists()

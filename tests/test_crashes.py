@@ -14,9 +14,11 @@ import torch
 from helpers import descriptors, record, write_street
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.database import Database
+from ssrvlad_torch.database import Database, mapped_array
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import encode_to_database
+from ssrvlad_torch.exporting import export_database
+from ssrvlad_torch.searching import load_mapped
 from ssrvlad_torch.verification import verify
 
 HERE = Path(__file__).parent
@@ -104,6 +106,34 @@ def test_a_disk_that_fills_during_a_run_leaves_what_landed(tmp_path, monkeypatch
         encode_to_database(head, files, database, 2)
     assert len(Database.open(database.path)) == 3
     assert encode_to_database(head, files, Database.open(database.path), 2).encoded == 37
+
+
+@pytest.mark.parametrize("form", ["npy", "faiss", "hloc"])
+def test_a_full_disk_is_one_line_for_every_form_of_export(tmp_path, form):
+    pytest.importorskip("faiss", reason="needs the extra search")
+    pytest.importorskip("h5py", reason="needs the extra search")
+    database = Database.create(tmp_path / "db", CONFIG)
+    database.append([record(f"a/{n}") for n in range(99)], descriptors(0, 99))
+    with no_file_longer_than(4000), pytest.raises(OSError, match="out cannot be written") as full:
+        export_database(database, form, tmp_path / "out")
+    assert "\n" not in str(full.value)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["db"]
+
+
+@pytest.mark.parametrize("precision", ["float32", "float16"])
+def test_a_full_disk_leaves_no_matrix(tmp_path, precision):
+    database = Database.create(tmp_path / "db", CONFIG)
+    database.append([record(f"a/{n}") for n in range(99)], descriptors(0, 99))
+    with no_file_longer_than(4000), pytest.raises(OSError, match="File too large"):
+        load_mapped(database, 0, precision)
+    assert not list(database.path.glob("*search-*"))
+
+
+def test_a_mapped_array_has_its_room_before_anything_is_written(tmp_path):
+    """Else a disk that is full ends the process with a signal."""
+    mapped_array(tmp_path / "a.npy", (1000, 480))
+    status = (tmp_path / "a.npy").stat()
+    assert status.st_blocks * 512 >= status.st_size > 1000 * 480 * 4
 
 
 def test_a_place_that_must_not_be_written_is_an_error_and_stays_as_it_was():

@@ -5,6 +5,8 @@ import io
 import json
 import multiprocessing
 import os
+import subprocess
+import sys
 import tracemalloc
 from pathlib import Path
 
@@ -89,6 +91,27 @@ def test_what_went_in_comes_out_bit_for_bit(tmp_path):
         del row["descriptor"]
         assert repr(row) == repr(stored._asdict())
     assert opened.digests() == {stored.frame: stored.digest for stored in records}
+
+
+def test_reading_starts_no_threads_that_could_outlive_it(tmp_path):
+    """pyarrow's abort a process that ends while they wind up."""
+    database = Database.create(tmp_path / "db", CONFIG)
+    for part in range(3):
+        fill(database, [f"{part}/{n}" for n in range(2000)], seed=part)
+    script = """if True:
+        import os, sys
+        from ssrvlad_torch.database import Database
+        from ssrvlad_torch.verification import verify
+        before = len(os.listdir("/proc/self/task"))
+        Database.open(sys.argv[1]).load()
+        Database.open(sys.argv[1]).known()
+        assert verify(sys.argv[1]) == []
+        print(len(os.listdir("/proc/self/task")) - before)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", script, database.path], capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "0\n"
 
 
 def test_an_empty_database_is_a_database(tmp_path):

@@ -387,7 +387,8 @@ def test_a_second_encoder_is_refused_at_once(maps):
 
 
 SCRIPT = """
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGINT, signal.default_int_handler)
 from ssrvlad_torch import SSRVLAD, encoding
 from ssrvlad_torch.database import Database
 from ssrvlad_torch.datasets.label_files import find_label_files
@@ -425,6 +426,38 @@ def test_a_signal_ends_a_run_and_its_workers_and_the_next_run_completes_it(maps,
     assert frames.frames == tuple(f"a/{n}" for n in range(60))
     for row, descriptor in enumerate(frames.descriptors):
         assert torch.equal(descriptor, alone(street(row)))
+
+
+STEPS = ["known", "_to_do", "_encode", "in_order", "append"]
+
+
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_no_signal_of_the_start_or_the_end_is_lost(maps, monkeypatch, step, number):
+    """It comes just before a step of which none asks for signals; `append` writes the last part."""
+    maps.add("a", range(40))
+    owner = Database if step in ("known", "append") else encoding
+    whole, come = getattr(owner, step), []
+
+    def interrupted(*arguments, **options):
+        if not come:
+            come.append(number)
+            signal.raise_signal(number)
+        return whole(*arguments, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(owner, step, interrupted)
+        patch.setattr(encoding, "BATCHES_OF_A_CHUNK", 1)
+        before = signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            with pytest.raises((KeyboardInterrupt, SystemExit)) as end:
+                maps.encode(workers=2)
+        finally:
+            signal.signal(signal.SIGINT, before)
+    assert (end.type is SystemExit) == (number == signal.SIGTERM)
+    landed = len(maps.database())
+    assert landed == (40 if step == "append" else 1), "what was in hand is done"
+    assert counts(maps.encode()) == (40 - landed, landed, 0)
 
 
 def test_a_killed_worker_is_an_error_and_what_was_done_stays(maps, monkeypatch):

@@ -1,6 +1,5 @@
-"""Ctrl-C and termination wait for the work in hand, once."""
+"""Signals that wait for the work in hand: none is lost, whenever it comes."""
 
-import os
 import signal
 import threading
 
@@ -8,48 +7,86 @@ import pytest
 
 from ssrvlad_torch.interruption import deferred_interruption
 
+ENDS = [(signal.SIGINT, KeyboardInterrupt, ()), (signal.SIGTERM, SystemExit, (143,))]
 
-@pytest.mark.parametrize(
-    ("number", "kind"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)]
-)
-def test_a_signal_waits_until_it_is_asked_for(number, kind):
-    before = signal.getsignal(number)
-    done = []
-    with pytest.raises(kind) as raised, deferred_interruption() as check:
+
+def handlers():
+    return signal.getsignal(signal.SIGINT), signal.getsignal(signal.SIGTERM)
+
+
+@pytest.fixture(autouse=True)
+def as_in_a_terminal():
+    """Whatever runs the tests may have told them to pass over Ctrl-C."""
+    before = handlers()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGINT, before[0])
+    signal.signal(signal.SIGTERM, before[1])
+
+
+@pytest.mark.parametrize(("number", "error", "arguments"), ENDS)
+def test_a_signal_waits_until_it_is_asked_for(number, error, arguments):
+    before, done = handlers(), []
+    with pytest.raises(error) as end, deferred_interruption() as check:
         check()
-        os.kill(os.getpid(), number)
+        signal.raise_signal(number)
         done.append("the work in hand")
         check()
         done.append("more")
     assert done == ["the work in hand"]
-    assert signal.getsignal(number) == before
-    if kind is SystemExit:
-        assert raised.value.code == 143
+    assert end.value.args == arguments
+    assert handlers() == before
+
+
+@pytest.mark.parametrize(("number", "error", "arguments"), ENDS)
+def test_a_signal_that_is_never_asked_for_comes_at_the_end(number, error, arguments):
+    """As one does that comes while the last part is written."""
+    before = handlers()
+    with pytest.raises(error) as end, deferred_interruption():
+        signal.raise_signal(number)
+    assert end.value.args == arguments
+    assert handlers() == before
 
 
 def test_a_second_signal_acts_at_once():
+    done = []
     with pytest.raises(KeyboardInterrupt), deferred_interruption():
-        os.kill(os.getpid(), signal.SIGINT)
-        os.kill(os.getpid(), signal.SIGINT)
-        pytest.fail("it went on")
+        signal.raise_signal(signal.SIGINT)
+        done.append("the first waits")
+        signal.raise_signal(signal.SIGINT)
+        done.append("the second does not")
+    assert done == ["the first waits"]
 
 
-def test_handlers_are_as_they_were_after_an_error():
-    before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(ValueError, match="x"), deferred_interruption():
-        raise ValueError("x")
-    assert signal.getsignal(signal.SIGTERM) == before
+def test_an_error_of_the_work_goes_before_a_signal():
+    before = handlers()
+    with pytest.raises(ZeroDivisionError), deferred_interruption():
+        signal.raise_signal(signal.SIGINT)
+        raise ZeroDivisionError
+    assert handlers() == before
 
 
-def test_in_another_thread_nothing_is_deferred():
-    outcome = []
+def test_a_signal_that_was_passed_over_still_is():
+    """A shell tells what it runs in the background to pass over Ctrl-C."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with deferred_interruption() as check:
+        assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
+        signal.raise_signal(signal.SIGINT)
+        check()
+    with pytest.raises(SystemExit), deferred_interruption():
+        signal.raise_signal(signal.SIGTERM)
 
-    def body():
+
+def test_a_thread_defers_nothing():
+    before, seen = handlers(), []
+
+    def work():
         with deferred_interruption() as check:
+            seen.append(handlers())
             check()
-            outcome.append("done")
 
-    thread = threading.Thread(target=body)
+    thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert outcome == ["done"]
+    assert seen == [before]

@@ -9,6 +9,7 @@ from helpers import write_street
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, encoding, ray_engine
 from ssrvlad_torch.database import Database
 from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.datasets.remote_files import find_remote_files
 from ssrvlad_torch.encoding import encode_to_database
 from ssrvlad_torch.ray_engine import PartEncoder, encode_with_ray, write_rows
 from ssrvlad_torch.verification import verify
@@ -94,3 +95,61 @@ def test_a_retried_task_leaves_no_duplicates(tmp_path, files, monkeypatch):
     assert summary.encoded == 20
     assert len(list((tmp_path / "db").glob("part-*"))) == 3
     same_as_local(tmp_path / "db", files)
+
+
+def test_what_landed_before_an_interruption_stays(tmp_path, files, monkeypatch):
+    whole = ray_engine._parts
+
+    def interrupted(*arguments):
+        for number, part in enumerate(whole(*arguments)):
+            if number == 2:
+                raise KeyboardInterrupt
+            yield part
+
+    with monkeypatch.context() as patch:
+        patch.setattr(ray_engine, "_parts", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            encode_with_ray(CONFIG, files, Database.create(tmp_path / "db", CONFIG))
+    landed = len(Database.open(tmp_path / "db"))
+    assert landed in (12, 16), "two of the parts of 8, 8 and 4"
+    told = []
+    summary = encode_with_ray(CONFIG, files, Database.open(tmp_path / "db"), progress=told.append)
+    assert (summary.encoded, summary.already_there, sum(told)) == (20 - landed, landed, 20)
+    same_as_local(tmp_path / "db", files)
+
+
+def test_a_task_that_fails_is_one_line_and_the_database_is_valid(tmp_path, files, monkeypatch):
+    class Failing(PartEncoder):
+        def __call__(self, batch):
+            raise ZeroDivisionError
+
+    def elsewhere(row, folder):
+        return write_rows(row, folder / "not there")
+
+    for name, stand_in, message in (
+        ("PartEncoder", Failing, "Ray gave up: "),
+        ("write_rows", elsewhere, "No such file or directory"),
+    ):
+        database = Database.open_or_create(tmp_path / "db", CONFIG)
+        with monkeypatch.context() as patch, pytest.raises(OSError, match=message) as failure:
+            patch.setattr(ray_engine, name, stand_in)
+            encode_with_ray(CONFIG, files, database)
+        assert "\n" not in str(failure.value)
+    assert len(Database.open(tmp_path / "db")) == 0
+    assert verify(tmp_path / "db") == []
+
+
+def test_files_that_only_pyarrow_reaches_give_the_same_rows(tmp_path, files):
+    remote = find_remote_files([(tmp_path / "a").as_uri()])
+    summary = encode_with_ray(CONFIG, remote, Database.create(tmp_path / "db", CONFIG))
+    assert (summary.encoded, summary.refused) == (20, [])
+    same_as_local(tmp_path / "db", files)
+
+
+def test_frames_whose_file_is_gone_are_removed_if_asked(tmp_path, files):
+    database = Database.create(tmp_path / "db", CONFIG)
+    encode_with_ray(CONFIG, files, database)
+    kept = [file for file in files if file.name != "7"]
+    assert encode_with_ray(CONFIG, kept, database, complete=True).gone == ["a/7"]
+    assert encode_with_ray(CONFIG, kept, database, complete=True, prune=True).pruned == 1
+    same_as_local(tmp_path / "db", kept)

@@ -34,6 +34,16 @@ def test_mapped_frames_are_those_in_memory(tmp_path, temporal):
     assert torch.equal(half.descriptors, loaded.descriptors.half())
 
 
+def test_half_precision_leaves_half_the_bytes(tmp_path):
+    """The single matrix that it is made from goes, unless it was there."""
+    database = filled(tmp_path / "db", 40)
+    load_mapped(database, precision="float16")
+    assert [file.name.split("-")[-1] for file in database.path.glob("search-*")] == ["float16.npy"]
+    load_mapped(database)
+    load_mapped(database, 2, "float16")
+    assert len(list(database.path.glob("search-*-t0-float32.npy"))) == 1
+
+
 def test_a_changed_database_is_mapped_anew_and_the_old_matrix_goes(tmp_path, monkeypatch):
     database = filled(tmp_path / "db", 10)
     load_mapped(database)

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any
 
+import numpy as np
 import typer
 
 from ..database import Database
 from ..exporting import Format, export_database
+from ..parts import matrix
 from ..verification import verify as find_damage
 from .options import DatabaseFolder, Json
 from .output import SOME_REFUSED, note, print_json, progress_bar
@@ -95,14 +96,16 @@ def export(
 def contents(path: Path) -> dict[str, Any]:
     """What is in a database, in numbers and words."""
     database = Database.open(path)
-    frames = database.load()
-    spaces = database.table(["labels_as"])["labels_as"].to_pylist()
+    frames, length, empty, spaces = database.frames(), database.config.length, 0, Counter[str]()
+    for table in database.tables(["labels_as", "descriptor"]):
+        empty += int((~matrix(table["descriptor"], length).any(axis=1)).sum())
+        spaces.update(table["labels_as"].to_pylist())
     return {
         "frames": len(frames.frames),
         "sequences": dict(Counter(frames.sequences)),
-        "empty": int(frames.empty.sum()),
-        "with_pose": sum(not math.isnan(x) for x in frames.poses[:, 0]),
-        "label_spaces": dict(Counter(spaces)),
+        "empty": empty,
+        "with_pose": int((~np.isnan(frames.poses[:, 0])).sum()),
+        "label_spaces": dict(spaces),
         "preset": database.config.preset,
         "fingerprint": database.fingerprint,
         "config": database.config.to_dict(),

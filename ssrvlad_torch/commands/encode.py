@@ -21,9 +21,12 @@ from rich.progress import (
 
 from ..config import SSRVLADConfig
 from ..database import Database
+from ..datasets.frame_files import FrameFile
+from ..datasets.remote_files import find_remote_files, is_uri
 from ..descriptor import SSRVLAD
 from ..encoding import Refusal, Summary, encode_to_database
 from ..ray_engine import encode_with_ray
+from ..segmentation import Segmenter
 from . import options
 from .db import contents
 from .options import Choosing, Segmenting, Selection
@@ -58,7 +61,10 @@ def encode(
     workers: options.Workers = 2,
     engine: Annotated[
         Engine,
-        typer.Option(help="local, or ray: Ray Data, on this machine or a cluster it is part of."),
+        typer.Option(
+            help="local, or ray: Ray Data, on this machine or a cluster it is part of, also from "
+            "URIs, as s3://bucket/monday."
+        ),
     ] = "local",
     prune: Annotated[
         bool,
@@ -104,17 +110,33 @@ def _encode(
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=source.labels_as)
     head = SSRVLAD(config)
-    files, segmenter = source.frames(source.labels_as)
-    database = Database.open_or_create(output, config)
-    workers = source.workers
-    if engine == "ray":
-        if segmenter or prune:
-            raise ValueError("--engine ray takes neither --segmenter nor --prune")
-        return encode_with_ray(config, files, database, workers)
+    files, segmenter = _frames(source, engine)
+    database, workers = Database.open_or_create(output, config), source.workers
     with _progress(len(files)) as (advance, refuse):
+        if engine == "ray":
+            return encode_with_ray(
+                config, files, database, workers, advance, complete, prune, refuse
+            )
         return encode_to_database(
             head, files, database, workers, advance, segmenter, complete, prune, refuse
         )
+
+
+def _frames(source: Source, engine: Engine) -> tuple[list[FrameFile], Segmenter | None]:
+    """The frames, and what segments them if they are images; of Ray also those of URIs."""
+    assert source.labels_as
+    uris = [path for path in source.paths if is_uri(path)]
+    if engine == "local" and uris:
+        raise ValueError(f"{uris[0]} is no path; a URI wants --engine ray")
+    if engine == "local":
+        return source.frames(source.labels_as)
+    if source.segmenting.network:
+        raise ValueError("--engine ray takes no --segmenter")
+    taken = source.selection
+    remote = find_remote_files(uris, taken.sequence, taken.every, taken.start)
+    paths = [path for path in source.paths if not is_uri(path)]
+    local = dataclasses.replace(source, paths=paths).label_files() if paths else []
+    return [*local, *remote], None
 
 
 def _is_complete(source: Source) -> bool:
