@@ -39,6 +39,8 @@ class SSRVLAD(nn.Module):
 
     Args:
         config: the settings; without, the preset ``default``.
+        surrogate: give class scores that require a gradient that of `SoftSSRVLAD`; the numbers
+            stay the same.
 
     Shape:
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
@@ -58,7 +60,7 @@ class SSRVLAD(nn.Module):
         torch.Size([2, 480])
     """
 
-    def __init__(self, config: SSRVLADConfig | None = None) -> None:
+    def __init__(self, config: SSRVLADConfig | None = None, surrogate: bool = False) -> None:
         super().__init__()
         self.config = config or SSRVLADConfig()
         self.label_space = label_space(self.config.labels_as)
@@ -67,14 +69,21 @@ class SSRVLAD(nn.Module):
         self.register_buffer("_table", table, persistent=False)
         self._bins, self._patterns = _tables(self.config)
         self._thin: Callable[[Tensor], Tensor] = partial(thin, rule=RULES[self.config.thinning])
+        self._twin = _twin(self.config) if surrogate else None
 
     @classmethod
-    def from_preset(cls, preset: str, **settings: Any) -> SSRVLAD:
+    def from_preset(cls, preset: str, surrogate: bool = False, **settings: Any) -> SSRVLAD:
         """The head of a preset, ``"paper"`` or ``"default"``; see `SSRVLADConfig.from_preset`."""
-        return cls(SSRVLADConfig.from_preset(preset, **settings))
+        return cls(SSRVLADConfig.from_preset(preset, **settings), surrogate)
 
     def forward(self, labels: Tensor, explained: bool = False) -> Tensor | Explanation:
         """The descriptors of a batch, or all that led to them if they are to be ``explained``."""
+        if torch.is_autocast_enabled(labels.device.type):
+            with torch.autocast(labels.device.type, enabled=False):
+                return self(labels, explained)
+        if self._twin and labels.requires_grad and torch.is_grad_enabled():
+            view = self.explain(labels.detach())
+            return view if explained else view.descriptor + _zeros_of(self._twin(labels, view))
         labels = _label_map(labels, self.label_space)
         config = self.config
         grid = config.grid(*labels.shape[1:])
@@ -215,6 +224,17 @@ class Explanation:
     def empty(self) -> Tensor:
         """``(B,)`` bool, images whose descriptor is zero: they match nothing."""
         return ~self.descriptor.any(dim=1)
+
+
+def _twin(config: SSRVLADConfig) -> nn.Module:
+    from .soft import SoftSSRVLAD  # which has a head of its own
+
+    return SoftSSRVLAD(config)
+
+
+def _zeros_of(soft: Tensor) -> Tensor:
+    """float32 zeros with the gradient of a tensor."""
+    return (soft - soft.detach()).float()
 
 
 def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:

@@ -292,3 +292,12 @@ def test_cuda_equals_cpu(preset):
         if wanted is not None:
             exact = not wanted.is_floating_point()
             torch.testing.assert_close(got.cpu(), wanted, rtol=0, atol=0 if exact else 1e-7)
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_autocast_changes_nothing(preset):
+    head = SSRVLAD.from_preset(preset, labels_as=SPACE, working_size=None)
+    labels = torch.from_numpy(blobs(0, 733, 1001, 12))[None]
+    with torch.autocast("cpu", torch.bfloat16):
+        cast = head(labels)
+    assert torch.equal(cast, head(labels))

@@ -1,0 +1,41 @@
+"""Soft majority: layers on the working grid, each cell by what its pixels hold."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+TINY = 1e-6
+
+
+def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> Tensor:
+    """The shares of the categories in each cell; the commonest takes more at a low temperature.
+
+    Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``, as in the vote of
+    `reduce_by_majority`, of which this is the softmax: shares to the power of one over the
+    temperature. At temperature 1 they are the mean of the pixels.
+
+    Args:
+        layers: ``(B, 8, H, W)`` from `soft_layers`.
+        grid: ``(h, w)`` with ``h <= H`` and ``w <= W``.
+        temperature: above 0.
+
+    Returns:
+        ``(B, 8, h, w)``, 0 to 1.
+    """
+    if tuple(layers.shape[2:]) == grid:
+        return layers
+    rows, columns = (
+        _means(pixels, cells, layers) for pixels, cells in zip(layers.shape[2:], grid, strict=True)
+    )
+    shares = rows @ layers @ columns.T
+    rest = (1 - shares.sum(1, keepdim=True)).clamp(min=0)
+    votes = (torch.cat([shares, rest], 1).clamp(min=0) + TINY).log() / temperature
+    return votes.softmax(1)[:, :-1]
+
+
+def _means(pixels: int, cells: int, like: Tensor) -> Tensor:
+    """``(cells, pixels)``: the mean over the pixels of each cell of a line."""
+    cell = torch.arange(pixels, device=like.device) * cells // pixels
+    belongs = (cell == torch.arange(cells, device=like.device)[:, None]).to(like)
+    return belongs / belongs.sum(1, keepdim=True)

@@ -1,0 +1,29 @@
+"""Soft vista: the column in which the view opens, as a real number."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+OPEN = (0, 1, 5)
+"""Ground, sidewalk and sky."""
+
+POWER = 8
+PULL = 20
+"""As in `vistas`: openness weighs by its eighth power, the middle as a twentieth of all columns."""
+
+
+def soft_vistas(layers: Tensor) -> Tensor:
+    """How many columns right of the middle the view opens, in each image.
+
+    Args:
+        layers: ``(B, 8, h, w)`` clean layers, 0 to 1.
+
+    Returns:
+        ``(B,)``, negative to the left; `vistas` rounds it.
+    """
+    width = layers.shape[3]
+    openness = layers[:, OPEN].sum(1).clamp(max=1).mean(1)
+    weight = openness**POWER
+    from_middle = torch.arange(width).to(layers) - (width - 1) / 2
+    return (weight @ from_middle) / (weight.sum(1) + width / PULL)

@@ -1,0 +1,242 @@
+"""The twin as a whole: near the hard descriptor, with gradients that lead to it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from cases import camvid_labels, degenerate, needs_camvid
+from drawings import SPACE
+from helpers import street
+from torch import Tensor
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.soft import SoftSSRVLAD
+
+TINY = {"labels_as": SPACE, "closing": 0.2, "hole_area": 0.02, "region_area": 0.02}
+CONFIGS = {
+    "paper": SSRVLADConfig.from_preset("paper", **TINY),
+    "paper, key-points": SSRVLADConfig.from_preset("paper", context="keypoints", **TINY),
+    "paper, guo-hall": SSRVLADConfig.from_preset("paper", thinning="guo-hall", **TINY),
+    "default": SSRVLADConfig.from_preset("default", **TINY),
+    "default, 6 rows": SSRVLADConfig.from_preset("default", working_size=6, **TINY),
+    "default, middle": SSRVLADConfig.from_preset("default", anchor="middle", **TINY),
+}
+
+
+@pytest.fixture(params=CONFIGS)
+def config(request):
+    return CONFIGS[request.param]
+
+
+def one_hot(labels: np.ndarray, classes: int = 12) -> Tensor:
+    """``(1, C, h, w)`` float32."""
+    hot = torch.eye(classes)[torch.from_numpy(labels).long()]
+    return hot.permute(2, 0, 1)[None].contiguous()
+
+
+def scores(seed: int, dtype: torch.dtype = torch.float64) -> Tensor:
+    """``(1, 12, 9, 11)`` logits that need a gradient."""
+    generator = torch.Generator().manual_seed(seed)
+    found = torch.randn(1, 12, 9, 11, generator=generator, dtype=torch.float64) * 2
+    return found.to(dtype).requires_grad_()
+
+
+def cosine(some: Tensor, others: Tensor) -> float:
+    return float(torch.cosine_similarity(some.double(), others.double()).mean())
+
+
+def test_gradients(config):
+    twin = SoftSSRVLAD(config)
+    for given in (scores(0), scores(1).softmax(1).detach().requires_grad_()):
+        assert torch.autograd.gradcheck(twin, given, fast_mode=True, atol=1e-4)
+
+
+@pytest.mark.slow
+def test_gradients_number_by_number(config):
+    assert torch.autograd.gradcheck(SoftSSRVLAD(config), scores(0), atol=1e-4)
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+@pytest.mark.parametrize("name", degenerate())
+def test_gradients_are_finite_for_degenerate_images(preset, name):
+    twin = SoftSSRVLAD(SSRVLADConfig.from_preset(preset, labels_as=SPACE))
+    given = one_hot(degenerate()[name]).requires_grad_()
+    found = twin(given)
+    found.square().sum().backward()
+    assert found.isfinite().all()
+    assert given.grad.isfinite().all()
+    assert float(found.detach().norm()) <= 1 + 1e-5
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+@pytest.mark.parametrize("size", [0.0, 1e-8, 1e4])
+def test_gradients_are_finite_for_uniform_and_for_extreme_scores(preset, size):
+    twin = SoftSSRVLAD(SSRVLADConfig.from_preset(preset, labels_as=SPACE))
+    given = (torch.randn(1, 12, 20, 30) * size).requires_grad_()
+    twin(given)[0, ::7].sum().backward()
+    assert given.grad.isfinite().all()
+
+
+def test_an_image_without_layers_is_next_to_nothing():
+    void = one_hot(np.full((20, 30), 11, np.uint8))
+    for preset in ("paper", "default"):
+        hard = SSRVLAD.from_preset(preset, labels_as=SPACE)
+        other = hard(torch.from_numpy(street(0))[None])
+        twin = SoftSSRVLAD(hard.config)
+        assert abs(float(twin(void) @ other.T)) < 0.5
+        assert not twin(torch.where(void > 0, 1e4, -1e4)).any()
+
+
+def test_every_score_of_a_layer_has_a_gradient():
+    for preset in ("paper", "default"):
+        twin = SoftSSRVLAD(SSRVLADConfig.from_preset(preset, labels_as=SPACE))
+        given = (one_hot(street(3)) * 4 - 2).requires_grad_()
+        weights = torch.randn(480, generator=torch.Generator().manual_seed(0))
+        (twin(given)[0] @ weights).backward()
+        share = float((given.grad[0, :8] != 0).float().mean())
+        assert share > 0.9, preset
+
+
+def city_labels(count: int) -> Tensor:
+    """``(count, 120, 160)`` label maps in Cityscapes' train ids."""
+    frames = SyntheticCity(0).traverse(count, size=(120, 160), labels_as="cityscapes-trainids")
+    return torch.stack([torch.from_numpy(frame.labels) for frame in frames])
+
+
+@pytest.mark.parametrize(("preset", "least"), [("paper", 0.9), ("default", 0.99)])
+def test_labels_of_the_city_agree_with_the_hard_descriptor(preset, least):
+    labels = city_labels(12)
+    hot = torch.cat([one_hot(np.where(one == 255, 19, one), 20) for one in labels.numpy()])
+    hard = SSRVLAD.from_preset(preset)
+    twin = SoftSSRVLAD(hard.config)
+    assert cosine(twin(hot[:, :19]), hard(labels)) >= least
+
+
+@needs_camvid
+@pytest.mark.parametrize(("preset", "least"), [("paper", 0.9), ("default", 0.99)])
+def test_labels_of_camvid_agree_with_the_hard_descriptor(preset, least):
+    labels = np.stack(camvid_labels(200))
+    hard = SSRVLAD.from_preset(preset, labels_as=SPACE)
+    hot = torch.cat([one_hot(one) for one in labels])
+    assert cosine(SoftSSRVLAD(hard.config)(hot), hard(torch.from_numpy(labels))) >= least
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_a_low_temperature_leads_to_the_hard_descriptor(preset):
+    hard = SSRVLAD.from_preset(preset, labels_as=SPACE)
+    labels = torch.from_numpy(np.stack([street(seed, 60, 80) for seed in range(4)]))
+    noise = torch.randn(4, 12, 60, 80, generator=torch.Generator().manual_seed(0))
+    logits = torch.cat([one_hot(one) for one in labels.numpy()]) * 3 + noise
+    hard_one = hard(logits)
+    found = [
+        cosine(SoftSSRVLAD(hard.config, temperature)(logits), hard_one)
+        for temperature in (3.0, 1.0, 0.3, 0.01)
+    ]
+    assert found == sorted(found)
+    assert found[-1] > 0.97
+    assert found[0] < found[-1] - 0.1
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_gradients_lead_to_another_place(preset):
+    """Scores that follow the twin's gradient towards a place get that place's hard descriptor."""
+    hard = SSRVLAD.from_preset(preset, labels_as=SPACE)
+    twin = SoftSSRVLAD(hard.config)
+    here, there = street(1, 24, 32), street(2, 24, 32)
+    wanted = hard(torch.from_numpy(there)[None])
+    given = (one_hot(here) * 2).requires_grad_()
+    before = cosine(hard(given.detach()), wanted)
+    optimiser = torch.optim.Adam([given], lr=0.1)
+    for _ in range(30):
+        optimiser.zero_grad()
+        (-(twin(given) * wanted).sum()).backward()
+        optimiser.step()
+    assert cosine(hard(given.detach()), wanted) > before + 0.1
+
+
+def test_dtypes_and_shapes():
+    twin = SoftSSRVLAD(SSRVLADConfig.from_preset("default", labels_as=SPACE))
+    logits = torch.randn(2, 12, 10, 13)
+    assert twin(logits).dtype == torch.float32
+    assert twin(logits.double()).dtype == torch.float64
+    assert twin(logits[:, :11]).shape == (2, 480)
+    for dtype in (torch.half, torch.bfloat16):
+        narrow = logits.to(dtype).requires_grad_()
+        found = twin(narrow)
+        found.sum().backward()
+        assert found.dtype == torch.float32
+        assert narrow.grad.dtype == dtype
+    with torch.autocast("cpu", torch.bfloat16):
+        assert torch.equal(twin(logits), SoftSSRVLAD(twin.config)(logits))
+        under = twin(logits)
+    torch.testing.assert_close(under, twin(logits), rtol=0, atol=1e-6)
+
+
+def test_images_of_a_batch_do_not_mix(config):
+    twin = SoftSSRVLAD(config)
+    logits = torch.cat([scores(seed) for seed in range(3)])
+    alone = torch.cat([twin(one[None]) for one in logits])
+    torch.testing.assert_close(twin(logits), alone)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="this machine has no CUDA device")
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_cuda_and_autocast(preset):
+    config = SSRVLADConfig.from_preset(preset, labels_as=SPACE)
+    given = scores(0, torch.float32)
+    here = SoftSSRVLAD(config)(given)
+    there = given.detach().cuda().requires_grad_()
+    with torch.autocast("cuda"):
+        found = SoftSSRVLAD(config).cuda()(there)
+    found[0, ::3].sum().backward()
+    assert there.grad.isfinite().all()
+    assert found.dtype == torch.float32
+    torch.testing.assert_close(found.cpu(), here, rtol=0, atol=1e-3)
+
+
+@pytest.mark.parametrize("temperature", [0, -1.0, float("inf"), float("nan")])
+def test_a_wrong_temperature_is_refused(temperature):
+    with pytest.raises(ValueError, match="temperature must be a number above 0, got"):
+        SoftSSRVLAD(temperature=temperature)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (torch.zeros(1, 4, 5), r"wanted \(B, C, H, W\) class scores, got \(1, 4, 5\)"),
+        (torch.zeros(1, 4, 5, 6), "class scores have 4 classes"),
+        (torch.zeros(1, 19, 5, 6, dtype=torch.int64), "must be floating point"),
+        (torch.full((1, 19, 5, 6), torch.nan), "NaN"),
+        (torch.zeros(0, 19, 5, 6), "at least one image"),
+    ],
+)
+def test_wrong_input_is_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        SoftSSRVLAD()(given)
+
+
+COST = """
+import sys, torch
+from pathlib import Path
+from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.soft import SoftSSRVLAD
+coarse = torch.randn(8, 19, 8, 16, generator=torch.Generator().manual_seed(0)) * 5
+scores = torch.nn.functional.interpolate(coarse, size=(128, 256), mode="bilinear").requires_grad_()
+SoftSSRVLAD(SSRVLADConfig.from_preset(sys.argv[1]))(scores).square().sum().backward()
+status = Path("/proc/self/status").read_text().split()
+print(status[status.index("VmHWM:") + 1])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+@pytest.mark.parametrize("preset", ["paper", pytest.param("default", marks=pytest.mark.slow)])
+def test_a_batch_of_eight_fits_in_two_gigabytes(preset):
+    done = subprocess.run(
+        [sys.executable, "-c", COST, preset], capture_output=True, text=True, check=True
+    )
+    assert int(done.stdout) * 1024 < 2e9

@@ -1,0 +1,80 @@
+"""``SSRVLAD(..., surrogate=True)``: the numbers of the head, the gradient of its twin."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from drawings import SPACE
+from helpers import street
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.soft import SoftSSRVLAD
+
+CONFIGS = [SSRVLADConfig.from_preset(preset, labels_as=SPACE) for preset in ("paper", "default")]
+
+
+@pytest.fixture(params=CONFIGS, ids=["paper", "default"])
+def config(request):
+    return request.param
+
+
+def scores(dtype: torch.dtype = torch.float32) -> torch.Tensor:
+    labels = torch.stack([torch.from_numpy(street(seed)) for seed in range(2)]).long()
+    noise = torch.randn(2, 12, 24, 32, generator=torch.Generator().manual_seed(0))
+    return (torch.eye(12)[labels].permute(0, 3, 1, 2) + noise).to(dtype).requires_grad_()
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+def test_numbers_of_the_head_and_gradient_of_the_twin(config, dtype):
+    given, same = scores(dtype), scores(dtype)
+    found, soft = SSRVLAD(config, surrogate=True)(given), SoftSSRVLAD(config)(same)
+    assert found.requires_grad
+    assert found.dtype == torch.float32
+    assert torch.equal(found, SSRVLAD(config)(given.detach()))
+    assert not torch.equal(found, soft.float())
+    weights = torch.randn(found.shape, generator=torch.Generator().manual_seed(1))
+    (found * weights).sum().backward()
+    (soft * weights).sum().backward()
+    assert given.grad.any()
+    torch.testing.assert_close(given.grad, same.grad)
+
+
+def test_autocast_changes_nothing(config):
+    head, given = SSRVLAD(config, surrogate=True), scores()
+    outside = head(given.detach())
+    with torch.autocast("cpu", torch.bfloat16):
+        found = head(given)
+    found[:, ::7].sum().backward()
+    assert torch.equal(found, outside)
+    assert given.grad.any()
+
+
+def test_without_a_gradient_it_is_the_head(config):
+    head, given = SSRVLAD(config, surrogate=True), scores()
+    labels = given.detach().argmax(1)
+    assert torch.equal(head(labels), SSRVLAD(config)(labels))
+    assert not head(given.detach()).requires_grad
+    with torch.no_grad():
+        assert not head(given).requires_grad
+    assert not SSRVLAD(config)(given).requires_grad
+
+
+def test_explanations_stay(config):
+    view = SSRVLAD(config, surrogate=True).explain(scores())
+    assert torch.equal(view.descriptor, SSRVLAD(config)(scores()).detach())
+
+
+def test_the_preset_takes_it_and_nothing_else_changes():
+    head = SSRVLAD.from_preset("default", surrogate=True, labels_as=SPACE)
+    assert head(scores()).requires_grad
+    assert head.config == CONFIGS[1]
+    assert not list(head.parameters())
+    assert not head.state_dict()
+
+
+def test_wrong_input_is_refused_as_ever(config):
+    head = SSRVLAD(config, surrogate=True)
+    with pytest.raises(ValueError, match="class scores have 5 classes"):
+        head(torch.zeros(1, 5, 4, 4, requires_grad=True))
+    with pytest.raises(ValueError, match="must hold integer ids"):
+        head(torch.zeros(1, 4, 4, requires_grad=True))
