@@ -57,7 +57,7 @@ class Settings(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """What became of a frame; the reasons are those of `ssrvlad_torch.loop_result.LoopResult`."""
+    """What became of a frame; the reasons are those of `ssrvlad_torch.loops.result.LoopResult`."""
 
     frame: str
     reason: str

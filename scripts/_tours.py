@@ -15,7 +15,7 @@ from ssrvlad_torch.datasets.city.streets import street
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import TOUR, TOUR_ESTATES, Conditions, SyntheticCity
 from ssrvlad_torch.evaluation.loops import FACING
-from ssrvlad_torch.loop_sighting import KeyPoints
+from ssrvlad_torch.loops.sighting import KeyPoints
 
 LABELS_AS = "cityscapes-trainids"
 BATCH = 16

@@ -21,7 +21,7 @@ from _markdown import head_row, paragraph, row
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.bench import threads
 from ssrvlad_torch.database import FrameRecord
-from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loops.config import LoopConfig
 
 SIZES = (1_000, 10_000, 66_000, 100_000)
 """The last updates up to 66,000 pass 65,536, where what doubles its room doubles it."""

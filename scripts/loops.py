@@ -36,10 +36,10 @@ from ssrvlad_torch.evaluation.loops import (
 )
 from ssrvlad_torch.evaluation.thresholds import OperatingPoint
 from ssrvlad_torch.files import replacing
-from ssrvlad_torch.loop_geometry import SharedKeypoints
-from ssrvlad_torch.loop_result import LoopResult, Reason
-from ssrvlad_torch.loop_sighting import GeometricCheck, PoseGate
 from ssrvlad_torch.loop_stream import loops_of
+from ssrvlad_torch.loops.geometry import SharedKeypoints
+from ssrvlad_torch.loops.result import LoopResult, Reason
+from ssrvlad_torch.loops.sighting import GeometricCheck, PoseGate
 from ssrvlad_torch.trajectory import draw_loops
 
 LEARNED_ON = range(100, 106)

@@ -33,7 +33,7 @@ from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding import PART_ROWS, encode_to_memory
 from ssrvlad_torch.searching import Ivfpq, load_mapped
-from ssrvlad_torch.verification import verify
+from ssrvlad_torch.storage.verification import verify
 
 LABELS_AS = "cityscapes-trainids"
 SEEDS, FRAMES_OF_A_SEED = 4, 64

@@ -4,7 +4,7 @@ from .config import SSRVLADConfig
 from .database import Database
 from .descriptor import SSRVLAD
 from .loop_closure import LoopDetector
-from .loop_config import LoopConfig
+from .loops.config import LoopConfig
 from .matching import match
 
 __all__ = ["SSRVLAD", "Database", "LoopConfig", "LoopDetector", "SSRVLADConfig", "match"]

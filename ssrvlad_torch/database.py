@@ -30,9 +30,9 @@ from numpy.lib.format import open_memmap
 from torch import Tensor
 
 from .config import SSRVLADConfig
-from .manifest import MANIFEST, Manifest, is_part_name, read_manifest
 from .matching import temporal_sum
-from .parts import (
+from .storage.manifest import MANIFEST, Manifest, is_part_name, read_manifest
+from .storage.parts import (
     Damage,
     FrameRecord,
     Part,

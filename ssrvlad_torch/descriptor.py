@@ -80,7 +80,7 @@ class SSRVLAD(nn.Module):
         """The descriptors of a batch, or all that led to them if they are to be ``explained``."""
         if torch.is_autocast_enabled(labels.device.type):
             with torch.autocast(labels.device.type, enabled=False):
-                return self(labels, explained)
+                return self.forward(labels, explained)
         if self._twin and labels.requires_grad and torch.is_grad_enabled():
             view = self.explain(labels.detach())
             return view if explained else view.descriptor + _zeros_of(self._twin(labels, view))

@@ -15,12 +15,12 @@ from torch import Tensor
 from .database import Database, FrameRecord
 from .datasets.label_files import digest
 from .descriptor import SSRVLAD
-from .loop_config import LoopConfig
-from .loop_judge import LoopJudge
-from .loop_log import LoopLog, read_state, write_state
-from .loop_result import LoopResult
-from .loop_sighting import GeometricCheck, KeyPoints, PoseGate, Sighting
-from .online_memory import Floats, OnlineMemory, Snapshot
+from .loops.config import LoopConfig
+from .loops.judge import LoopJudge
+from .loops.log import LoopLog, read_state, write_state
+from .loops.memory import Floats, OnlineMemory, Snapshot
+from .loops.result import LoopResult
+from .loops.sighting import GeometricCheck, KeyPoints, PoseGate, Sighting
 
 STATE_FILE = "loops.npz"
 """Stands beside the parts of the database; see `LoopDetector.save`."""

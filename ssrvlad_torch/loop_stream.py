@@ -21,8 +21,8 @@ from .evaluation.loops import loop_curve, loop_errors, score_loops, surest
 from .evaluation.outcomes import Rows
 from .files import absolute_folder
 from .loop_closure import LoopDetector
-from .loop_config import LoopConfig
-from .loop_result import LoopResult
+from .loops.config import LoopConfig
+from .loops.result import LoopResult
 from .segmentation import Segmenter
 
 CHECKPOINT_FRAMES = 500

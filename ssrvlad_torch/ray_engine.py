@@ -20,7 +20,7 @@ from .datasets.frame_files import FrameFile
 from .datasets.remote_files import RemoteFile
 from .descriptor import SSRVLAD
 from .encoding import Encoded, Progress, Refusal, Summary, encode, encode_to_database
-from .parts import Part, one_line, schema, to_table, write_part
+from .storage.parts import Part, one_line, schema, to_table, write_part
 
 _Batch = dict[str, Any]
 

@@ -24,7 +24,7 @@ from ssrvlad_torch import SSRVLAD, encoding
 from ssrvlad_torch.database import Database
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import encode_to_database
-from ssrvlad_torch.verification import verify
+from ssrvlad_torch.storage.verification import verify
 
 FRAMES, CHANGED, GONE = 11, 1, "99"
 HEAD = SSRVLAD.from_preset("paper", labels_as="camvid-11")

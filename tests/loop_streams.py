@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from hypothesis import strategies as st
 
-from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loops.config import LoopConfig
 
 PLACES = np.eye(480, dtype=np.float32)
 """Descriptors of places, at right angles to each other."""

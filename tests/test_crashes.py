@@ -19,7 +19,7 @@ from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import encode_to_database
 from ssrvlad_torch.exporting import export_database
 from ssrvlad_torch.searching import load_mapped
-from ssrvlad_torch.verification import verify
+from ssrvlad_torch.storage.verification import verify
 
 HERE = Path(__file__).parent
 CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")

@@ -18,10 +18,11 @@ from helpers import descriptors, flip_byte, record
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch import SSRVLADConfig, manifest
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch import config as config_module
 from ssrvlad_torch.database import Database, natural_key
 from ssrvlad_torch.matching import temporal_sum
+from ssrvlad_torch.storage import manifest
 
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
 FRAMES = ("day/1", "day/2", "day/10", "night/1")
@@ -101,7 +102,7 @@ def test_reading_starts_no_threads_that_could_outlive_it(tmp_path):
     script = """if True:
         import os, sys
         from ssrvlad_torch.database import Database
-        from ssrvlad_torch.verification import verify
+        from ssrvlad_torch.storage.verification import verify
         before = len(os.listdir("/proc/self/task"))
         Database.open(sys.argv[1]).load()
         Database.open(sys.argv[1]).known()

@@ -14,7 +14,7 @@ import numpy as np
 import onnx
 import pytest
 from helpers import street, write_street
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from loop_streams import configs, noisy_stream, streams
 from onnx import TensorProto, helper
@@ -23,7 +23,7 @@ from PIL import Image
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.deployment import export_head
 from ssrvlad_torch.deployment.export import head_model
-from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loops.config import LoopConfig
 
 EXPORT = Path(__file__).parents[1] / "export"
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
@@ -129,10 +129,30 @@ def both(stream, config):
     return got, wanted, (theirs, ours)
 
 
+SUMS_ALIKE = LoopConfig(
+    exclude=0, temporal=2, threshold=1.0, relative=0, ratio=0.6, neighbourhood=0, confirmations=1
+)
+
+
 @settings(max_examples=150, deadline=None)
+@example(noisy_stream(0, 16, 2, [3]), SUMS_ALIKE)
 @given(streams, configs)
 def test_it_follows_the_rules_of_the_package(stream, config):
-    assert_same_answers(*both(stream, config)[:2])
+    got, wanted, (_, ours) = both(stream, config)
+    end = first_tie(stream, got, wanted, ours.snapshot)
+    assert_same_answers(got[:end], wanted[:end])
+
+
+def first_tie(stream, got, wanted, snapshot):
+    """The first frame with two best candidates alike to the last digits: either may be named."""
+    for number, (one, other) in enumerate(zip(got, wanted, strict=True)):
+        named = one["candidate"], other["candidate"]
+        if None not in named and named[0] != named[1]:
+            scores = snapshot.scores(stream[0][number])
+            first, second = (scores[snapshot.frames.index(frame)] for frame in named)
+            if abs(first - second) < 1e-6:
+                return number
+    return len(got)
 
 
 @settings(max_examples=30, deadline=None)

@@ -9,7 +9,7 @@ import pytest
 
 from ssrvlad_torch import config
 from ssrvlad_torch.database import Database
-from ssrvlad_torch.verification import verify
+from ssrvlad_torch.storage.verification import verify
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

@@ -19,8 +19,8 @@ from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.datasets.synthetic_city import LEFT, STRAIGHT, SyntheticCity
 from ssrvlad_torch.evaluation.loops import score_loops
 from ssrvlad_torch.loop_closure import STATE_FILE, LoopDetector
-from ssrvlad_torch.loop_config import LoopConfig
-from ssrvlad_torch.loop_result import Reason
+from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.loops.result import Reason
 from ssrvlad_torch.matching import temporal_sum
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loops.config import LoopConfig
 
 
 def test_settings_are_frozen():

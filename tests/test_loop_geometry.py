@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.loop_geometry import SharedKeypoints, shared_keypoints
-from ssrvlad_torch.loop_sighting import Sighting
+from ssrvlad_torch.loops.geometry import SharedKeypoints, shared_keypoints
+from ssrvlad_torch.loops.sighting import Sighting
 
 
 def points(*rows):

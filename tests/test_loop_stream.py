@@ -17,8 +17,8 @@ from PIL import Image
 from ssrvlad_torch import SSRVLAD, Database, cli, loop_stream
 from ssrvlad_torch.encoding import Refusal
 from ssrvlad_torch.loop_closure import LoopDetector
-from ssrvlad_torch.loop_config import LoopConfig
 from ssrvlad_torch.loop_stream import detect_loops, encode_as_they_come, encode_files, open_detector
+from ssrvlad_torch.loops.config import LoopConfig
 
 SEEDS = (*range(20), *range(2, 9))
 """A drive of twenty places that comes back to seven of them."""

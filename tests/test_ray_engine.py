@@ -12,7 +12,7 @@ from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.remote_files import find_remote_files
 from ssrvlad_torch.encoding import encode_to_database
 from ssrvlad_torch.ray_engine import PartEncoder, encode_with_ray, write_rows
-from ssrvlad_torch.verification import verify
+from ssrvlad_torch.storage.verification import verify
 
 ray = pytest.importorskip("ray", reason="needs the extra ray")
 pytest.importorskip("ray.data", reason="needs the extra ray")

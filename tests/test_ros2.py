@@ -18,7 +18,7 @@ from helpers import street
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.loop_config import LoopConfig
+from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space, label_space_names
 
 ROOT = Path(__file__).parents[1]

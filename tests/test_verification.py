@@ -7,9 +7,10 @@ import pytest
 import torch
 from helpers import descriptors, flip_byte, record
 
-from ssrvlad_torch import SSRVLADConfig, parts
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.database import Database
-from ssrvlad_torch.verification import verify
+from ssrvlad_torch.storage import parts
+from ssrvlad_torch.storage.verification import verify
 
 CONFIG = SSRVLADConfig.from_preset("paper", rings=1, sectors=2, labels_as="camvid-11")
 PART = "part-000001.parquet"

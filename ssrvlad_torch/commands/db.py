@@ -11,8 +11,8 @@ import typer
 
 from ..database import Database
 from ..exporting import Format, export_database
-from ..parts import matrix
-from ..verification import verify as find_damage
+from ..storage.parts import matrix
+from ..storage.verification import verify as find_damage
 from .options import DatabaseFolder, Json
 from .output import SOME_REFUSED, note, print_json, progress_bar
 

@@ -13,8 +13,6 @@ import typer
 
 from ..encoding import Encoded, Refusal
 from ..loop_closure import LoopDetector
-from ..loop_config import LoopConfig
-from ..loop_result import LoopResult
 from ..loop_stream import (
     detect_loops,
     encode_as_they_come,
@@ -23,6 +21,8 @@ from ..loop_stream import (
     open_detector,
     report,
 )
+from ..loops.config import LoopConfig
+from ..loops.result import LoopResult
 from ..trajectory import draw_loops, require_picture
 from . import options
 from .options import Choosing, Segmenting, Selection

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.loop_config import LoopConfig
 from ssrvlad_torch.loop_stream import CHECKPOINT_FRAMES, open_detector
+from ssrvlad_torch.loops.config import LoopConfig
 
 from .label_table import LABELS_AS, LabelTable
 
@@ -88,7 +88,7 @@ class LiveLoops:
 
         Returns:
             JSON with ``frame``, ``reason``, ``candidate``, ``score``, ``strength``; see
-            `ssrvlad_torch.loop_result.LoopResult`.
+            `ssrvlad_torch.loops.result.LoopResult`.
 
         Raises:
             ValueError: the frame is refused: no table yet, another encoding, an unknown id, a

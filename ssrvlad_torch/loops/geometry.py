@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from .config import CATEGORY_COUNT
-from .loop_sighting import KeyPoints, Sighting
+from ..config import CATEGORY_COUNT
+from .sighting import KeyPoints, Sighting
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .files import replacing
-from .loop_sighting import KeyPoints, Sighting
-from .online_memory import GrowingArray
+from ..files import replacing
+from .memory import GrowingArray
+from .sighting import KeyPoints, Sighting
 
 _ENTRY = np.dtype(
     [

@@ -8,8 +8,8 @@ import re
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from .config import SSRVLADConfig
-from .files import replacing
+from ..config import SSRVLADConfig
+from ..files import replacing
 from .parts import Part, one_line
 
 FORMAT = "ssrvlad-database"

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from torch import Tensor
 
-from .files import replacing
+from ..files import replacing
 
 ROWS_OF_A_GROUP = 1024
 _REPETITIVE = ["sequence", "labels_as"]

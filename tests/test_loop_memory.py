@@ -9,9 +9,9 @@ from helpers import descriptors
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch import match, online_memory
+from ssrvlad_torch import match
+from ssrvlad_torch.loops.memory import BLOCK_ROWS, GrowingArray, OnlineMemory
 from ssrvlad_torch.matching import temporal_sum
-from ssrvlad_torch.online_memory import BLOCK_ROWS, GrowingArray, OnlineMemory
 
 LENGTH = 24
 
@@ -126,7 +126,7 @@ def test_blocks_do_not_show(monkeypatch):
     ids, vectors = stream([25], empty=0.3)
     query = vectors[next(i for i, v in enumerate(vectors) if v.any())]
     whole = fed(ids, vectors, 0).snapshot
-    monkeypatch.setattr(online_memory, "BLOCK_ROWS", 4)
+    monkeypatch.setattr("ssrvlad_torch.loops.memory.BLOCK_ROWS", 4)
     parts = fed(ids, vectors, 0).snapshot
     assert (len(whole.blocks), len(parts.blocks)) == (1, 7)
     assert_same_bits(parts.descriptors, whole.descriptors)
@@ -192,7 +192,7 @@ def test_a_snapshot_stays_as_it_was():
 
 def test_many_read_while_one_writes(monkeypatch):
     """Every snapshot that a reader gets is, whole and exact, a beginning of the final map."""
-    monkeypatch.setattr(online_memory, "BLOCK_ROWS", 16)
+    monkeypatch.setattr("ssrvlad_torch.loops.memory.BLOCK_ROWS", 16)
     ids, vectors = stream([400, 300, 1300])
     whole = offline(ids, vectors, 2)
     memory, done, errors, sizes = OnlineMemory(LENGTH, 2), threading.Event(), [], set()

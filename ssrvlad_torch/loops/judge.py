@@ -8,11 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .loop_config import LoopConfig
-from .loop_log import LoopLog
-from .loop_result import LoopResult, Reason
-from .loop_sighting import GeometricCheck, PoseGate, Sighting
-from .online_memory import Floats, Snapshot
+from .config import LoopConfig
+from .log import LoopLog
+from .memory import Floats, Snapshot
+from .result import LoopResult, Reason
+from .sighting import GeometricCheck, PoseGate, Sighting
 
 _LEAST_SPREAD = 1e-6
 _ROUNDING = 1e-6

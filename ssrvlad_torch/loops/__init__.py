@@ -1,0 +1,1 @@
+"""What the detector of `loop_closure` is made of."""

@@ -1,0 +1,1 @@
+"""What a `Database` is on the disk: Parquet parts and a manifest."""
