@@ -95,9 +95,9 @@ def cost() -> Iterator[str]:
     yield paragraph(
         "A batch of eight at 128 x 256 with 19 classes, forward and backward, each row a process "
         "of its own: the fastest of eight rounds, and the largest memory of the whole process, "
-        f"torch included. {processor().replace('one thread of a', 'A')}. The processor was "
-        "shared with other work, which costs two threads that wait for each other more than one; "
-        "processor seconds are those of all threads together, waiting included."
+        f"torch included. {processor().replace('one thread of a', 'A')}. Processor seconds "
+        "are those of all threads together, waiting included: other work on the same cores costs "
+        "two threads that wait for each other more than one."
     )
     yield from head_row("preset", "threads", "seconds", "processor seconds", "memory, GB")
     for preset in PRESETS:
