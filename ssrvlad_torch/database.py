@@ -550,7 +550,10 @@ def _piece_key(piece: str) -> str:
 
 @contextmanager
 def _locked(path: Path) -> Iterator[IO[str]]:
-    """The lock of a database; it ends with the process, however that ends."""
+    """The lock of a database; it ends with the process, however that ends.
+
+    It is given up at the end, not only closed: a worker that was just forked shares it still.
+    """
     with (path / _LOCK).open("a+", encoding="utf-8") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -562,9 +565,14 @@ def _locked(path: Path) -> Iterator[IO[str]]:
                 f"{f' ({holder})' if holder else ''}; wait until it is done"
             ) from error
         file.truncate(0)
-        file.write(f"process {os.getpid()}")
+        owner = os.getpid()
+        file.write(f"process {owner}")
         file.flush()
-        yield file
+        try:
+            yield file
+        finally:
+            if os.getpid() == owner:
+                fcntl.flock(file, fcntl.LOCK_UN)
 
 
 def _is_vacant(folder: Path) -> bool:

@@ -524,6 +524,24 @@ def test_a_second_writer_is_refused_in_one_line(path):
     assert len(fill(Database.open(path), ["a/1"])) == len(FRAMES) + 1
 
 
+def test_a_writer_that_is_done_lets_others_write_whoever_shares_its_lock(path):
+    """A process forked while it wrote, and not yet so far as to close what it inherited."""
+    begun, release = os.pipe(), os.pipe()
+    with Database.open(path).writing():
+        child = os.fork()
+        if child == 0:
+            os.write(begun[1], b"1")
+            os.read(release[0], 1)
+            os._exit(0)
+        os.read(begun[0], 1)
+    try:
+        with Database.open(path).writing():
+            pass
+    finally:
+        os.write(release[1], b"1")
+        os.waitpid(child, 0)
+
+
 def hold_lock(path, held, release):
     with Database.open(path).writing():
         held.set()
