@@ -1,11 +1,55 @@
-"""Place recognition from semantic segmentation: SSR-VLAD (arXiv 2202.03677) in PyTorch."""
+"""Place recognition from semantic segmentation: SSR-VLAD (arXiv 2202.03677) in PyTorch.
 
-from .config import SSRVLADConfig
-from .database import Database
-from .descriptor import SSRVLAD
-from .loop_closure import LoopDetector
-from .loops.config import LoopConfig
-from .matching import match
+The public names are imported when they are first used, so that what needs no torch starts fast.
+"""
 
-__all__ = ["SSRVLAD", "Database", "LoopConfig", "LoopDetector", "SSRVLADConfig", "match"]
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .config import SSRVLADConfig as SSRVLADConfig
+    from .database.database import Database as Database
+    from .database.database import FrameSet as FrameSet
+    from .datasets.layouts import open_dataset as open_dataset
+    from .deployment.export import export_head as export_head
+    from .descriptor import SSRVLAD as SSRVLAD
+    from .encoding.encoder import encode_to_database as encode_to_database
+    from .loops.config import LoopConfig as LoopConfig
+    from .loops.detector import LoopDetector as LoopDetector
+    from .recognition.matching import match as match
+    from .segmentation.segmenter import Segmenter as Segmenter
+    from .soft.descriptor import SoftSSRVLAD as SoftSSRVLAD
+    from .soft.place_loss import multi_similarity as multi_similarity
+    from .taxonomy import LabelSpace as LabelSpace
+
 __version__ = "0.1.0"
+
+_ROOMS = {
+    "Database": "database.database",
+    "FrameSet": "database.database",
+    "LabelSpace": "taxonomy",
+    "LoopConfig": "loops.config",
+    "LoopDetector": "loops.detector",
+    "SSRVLAD": "descriptor",
+    "SSRVLADConfig": "config",
+    "Segmenter": "segmentation.segmenter",
+    "SoftSSRVLAD": "soft.descriptor",
+    "encode_to_database": "encoding.encoder",
+    "export_head": "deployment.export",
+    "match": "recognition.matching",
+    "multi_similarity": "soft.place_loss",
+    "open_dataset": "datasets.layouts",
+}
+"""Where each public name lives."""
+
+__all__ = sorted(_ROOMS)  # noqa: PLE0605 - a list of str
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _ROOMS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{_ROOMS[name]}", __name__), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_ROOMS})

@@ -1,5 +1,5 @@
 """``python -m ssrvlad_torch`` is ``ssrvlad``."""
 
-from .cli import main
+from .cli.main import main
 
 main()

@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .graph import Symbol
+from .deployment.graph import Symbol
 
 LAYERS = 8
 

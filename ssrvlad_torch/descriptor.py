@@ -12,7 +12,6 @@ from torch import Tensor, nn
 
 from .bitplanes import count_points, points, unpack
 from .config import SSRVLADConfig
-from .stages.aggregation import aggregate
 from .stages.canvas import CELLS, ROWS, shares
 from .stages.centroid import centre_table, centroids
 from .stages.components import drop_regions, fill_holes
@@ -21,6 +20,7 @@ from .stages.keypoints import end_points, intersections
 from .stages.layers import categorise, category_table, refuse_unknown, split
 from .stages.morphology import open_and_close
 from .stages.reduction import reduce_by_majority
+from .stages.residuals import aggregate
 from .stages.shape_context import log_polar_bins, shape_contexts
 from .stages.skeleton import RULES, sweep_into, thin, thin_by_sweeps
 from .stages.vista import vistas
@@ -227,7 +227,7 @@ class Explanation:
 
 
 def _twin(config: SSRVLADConfig) -> nn.Module:
-    from .soft import SoftSSRVLAD  # which has a head of its own
+    from .soft.descriptor import SoftSSRVLAD  # which has a head of its own
 
     return SoftSSRVLAD(config)
 

@@ -14,7 +14,7 @@ torch.set_num_threads(1)
 @pytest.fixture
 def ssrvlad(monkeypatch, capsys):
     """Runs a command line; returns exit code, stdout and the lines of stderr."""
-    from ssrvlad_torch import cli
+    from ssrvlad_torch.cli import main as cli
 
     def run(*arguments: object) -> tuple[int, str, list[str]]:
         monkeypatch.setattr("sys.argv", ["ssrvlad", *map(str, arguments)])

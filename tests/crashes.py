@@ -20,11 +20,12 @@ import numpy as np
 import torch
 from helpers import street, write_street
 
-from ssrvlad_torch import SSRVLAD, encoding
-from ssrvlad_torch.database import Database
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.database.storage.verification import verify
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import encode_to_database
-from ssrvlad_torch.storage.verification import verify
+from ssrvlad_torch.encoding import encoder as encoding
+from ssrvlad_torch.encoding.encoder import encode_to_database
 
 FRAMES, CHANGED, GONE = 11, 1, "99"
 HEAD = SSRVLAD.from_preset("paper", labels_as="camvid-11")

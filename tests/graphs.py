@@ -12,8 +12,8 @@ import torch
 from hypothesis import settings
 from torch import Tensor
 
-from ssrvlad_torch.graph import Graph, Symbol
-from ssrvlad_torch.words import PIXELS, Words, grid_of
+from ssrvlad_torch.deployment.graph import Graph, Symbol
+from ssrvlad_torch.deployment.words import PIXELS, Words, grid_of
 
 settings.register_profile("untimed", deadline=None)  # the first run of a graph builds it
 settings.load_profile("untimed")

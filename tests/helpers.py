@@ -13,7 +13,7 @@ from drawings import blobs
 from PIL import Image
 from torch import Tensor
 
-from ssrvlad_torch.database import FrameRecord
+from ssrvlad_torch.database.database import FrameRecord
 
 GRAY, COLOUR, GRAY_ALPHA, COLOUR_ALPHA = 0, 2, 4, 6
 """Colour types of PNG."""

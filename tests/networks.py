@@ -12,7 +12,7 @@ from drawings import SPACE
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
-from ssrvlad_torch.segmentation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import SegmenterConfig
 from ssrvlad_torch.taxonomy import colourise, palette
 
 CLASSES = 12

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from helpers import descriptors
 
-from ssrvlad_torch.database import FrameSet
+from ssrvlad_torch.database.database import FrameSet
 from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import Descriptors, Report, cosine_scores
 from ssrvlad_torch.evaluation.thresholds import operating_points
-from ssrvlad_torch.matching import match
+from ssrvlad_torch.recognition.matching import match
 from ssrvlad_torch.taxonomy import CATEGORIES
 
 VOID = {"meta", "link", "img", "input", "br"}

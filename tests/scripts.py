@@ -17,7 +17,7 @@ from PIL import Image
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.taxonomy import colourise
 
-SCRIPTS = Path(__file__).parents[1] / "scripts"
+SCRIPTS = Path(__file__).parents[1] / "scripts" / "pages"
 TRAIN_IDS = "cityscapes-trainids"
 
 

@@ -1,8 +1,16 @@
 import pytest
 import torch
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, bench
-from ssrvlad_torch.bench import Timing, bench_this_machine, heads, onnx_head, threads, time_in_turn
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.cli import bench
+from ssrvlad_torch.cli.bench import (
+    Timing,
+    bench_this_machine,
+    heads,
+    onnx_head,
+    threads,
+    time_in_turn,
+)
 
 
 def test_ways_are_timed_in_turn():

@@ -18,8 +18,8 @@ from drives import write_maps, write_photos
 from networks import photo, write_graph
 from PIL import Image
 
-from ssrvlad_torch import cli
-from ssrvlad_torch.database import Database
+from ssrvlad_torch.cli import main as cli
+from ssrvlad_torch.database.database import Database
 
 
 def leaves(group: object, *names: str) -> Iterator[str]:

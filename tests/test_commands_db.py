@@ -10,7 +10,7 @@ import pytest
 from drives import write_maps
 from helpers import flip_byte
 
-from ssrvlad_torch.database import Database
+from ssrvlad_torch.database.database import Database
 
 PART = "part-000000.parquet"
 

@@ -13,7 +13,7 @@ from drives import write_maps
 from networks import photo, write_graph
 from PIL import Image
 
-from ssrvlad_torch.database import Database
+from ssrvlad_torch.database.database import Database
 
 
 def test_running_again_adds_only_what_is_missing(ssrvlad, database, maps):

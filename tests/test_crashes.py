@@ -14,12 +14,12 @@ import torch
 from helpers import descriptors, record, write_street
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.database import Database, mapped_array
+from ssrvlad_torch.database.database import Database, mapped_array
+from ssrvlad_torch.database.exporting import export_database
+from ssrvlad_torch.database.searching import load_mapped
+from ssrvlad_torch.database.storage.verification import verify
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import encode_to_database
-from ssrvlad_torch.exporting import export_database
-from ssrvlad_torch.searching import load_mapped
-from ssrvlad_torch.storage.verification import verify
+from ssrvlad_torch.encoding.encoder import encode_to_database
 
 HERE = Path(__file__).parent
 CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")

@@ -20,9 +20,9 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch import config as config_module
-from ssrvlad_torch.database import Database, natural_key
-from ssrvlad_torch.matching import temporal_sum
-from ssrvlad_torch.storage import manifest
+from ssrvlad_torch.database.database import Database, natural_key
+from ssrvlad_torch.database.storage import manifest
+from ssrvlad_torch.recognition.matching import temporal_sum
 
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
 FRAMES = ("day/1", "day/2", "day/10", "night/1")
@@ -101,8 +101,8 @@ def test_reading_starts_no_threads_that_could_outlive_it(tmp_path):
         fill(database, [f"{part}/{n}" for n in range(2000)], seed=part)
     script = """if True:
         import os, sys
-        from ssrvlad_torch.database import Database
-        from ssrvlad_torch.storage.verification import verify
+        from ssrvlad_torch import Database
+        from ssrvlad_torch.database.storage.verification import verify
         before = len(os.listdir("/proc/self/task"))
         Database.open(sys.argv[1]).load()
         Database.open(sys.argv[1]).known()

@@ -14,10 +14,11 @@ from drawings import VOID
 from helpers import street, write_street
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, encoding
-from ssrvlad_torch.database import Database
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import digest, find_label_files
-from ssrvlad_torch.encoding import encode_to_database, encode_to_memory
+from ssrvlad_torch.encoding import encoder as encoding
+from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 
@@ -390,7 +391,7 @@ SCRIPT = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 from ssrvlad_torch import SSRVLAD, encoding
-from ssrvlad_torch.database import Database
+from ssrvlad_torch import Database
 from ssrvlad_torch.datasets.label_files import find_label_files
 encoding.BATCH, encoding.PART_ROWS = 1, 8
 head = SSRVLAD.from_preset("default", labels_as="camvid-11")

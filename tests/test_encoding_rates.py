@@ -1,11 +1,11 @@
 """The halves of encoding are those of the whole; how long they take is no test's business."""
 
+from _encoding_rates import encoding_rates
 from helpers import write_street
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import Encoded, describe_only, encode, read_only
-from ssrvlad_torch.encoding_rates import encoding_rates
+from ssrvlad_torch.encoding.encoder import Encoded, describe_only, encode, read_only
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 

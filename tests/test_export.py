@@ -22,7 +22,7 @@ from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.deployment import Metadata, export_head
 from ssrvlad_torch.deployment.export import head_model
-from ssrvlad_torch.graph import OPSET
+from ssrvlad_torch.deployment.graph import OPSET
 
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")
@@ -325,7 +325,7 @@ def test_a_missing_folder_is_named(tmp_path):
 def test_a_missing_extra_is_named(tmp_path):
     code = (
         "import sys; sys.modules['onnxscript'] = None; from ssrvlad_torch import SSRVLADConfig;"
-        "from ssrvlad_torch.deployment import export_head; export_head(SSRVLADConfig(), 'x.onnx')"
+        "from ssrvlad_torch import export_head; export_head(SSRVLADConfig(), 'x.onnx')"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False

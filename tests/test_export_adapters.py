@@ -19,8 +19,7 @@ from helpers import street
 from onnx import TensorProto, helper
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.deployment.export import head_model
 
 EXPORT = Path(__file__).parents[1] / "export"

@@ -13,8 +13,7 @@ import torch
 from drives import write_maps
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
-from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 
 SOURCE = Path(__file__).parents[1] / "export" / "cpp"
 CONFIG = SSRVLADConfig(labels_as="camvid-11")

@@ -20,8 +20,7 @@ from loop_streams import configs, noisy_stream, streams
 from onnx import TensorProto, helper
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
-from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig, export_head
 from ssrvlad_torch.deployment.export import head_model
 from ssrvlad_torch.loops.config import LoopConfig
 

@@ -18,8 +18,7 @@ from drives import write_maps
 from helpers import COLOUR, GRAY, write_png
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
-from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.stages.harmonics import pattern_table
 
 ROOT = Path(__file__).parents[1]

@@ -5,8 +5,8 @@ import pytest
 from helpers import descriptors, record
 
 from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.database import Database
-from ssrvlad_torch.exporting import export_database
+from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.database.exporting import export_database
 
 CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")
 FRAMES = ("a/2", "a/1", "b/straße 🚗", "a/10")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from ssrvlad_torch import config
-from ssrvlad_torch.database import Database
-from ssrvlad_torch.storage.verification import verify
+from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.database.storage.verification import verify
 
 FIXTURES = Path(__file__).parent / "fixtures"
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.deployment import geometry
-from ssrvlad_torch.words import grid_of
+from ssrvlad_torch.deployment.words import grid_of
 
 CONFIG = SSRVLADConfig.from_preset("paper", closing=0.013, hole_area=0.00217, rings=4, radius=0.37)
 SIZES = {"height": st.integers(1, 3000), "width": st.integers(1, 3000)}

@@ -7,7 +7,7 @@ import pytest
 import torch
 from graphs import run
 
-from ssrvlad_torch.graph import OPSET, Graph, Symbol
+from ssrvlad_torch.deployment.graph import OPSET, Graph, Symbol
 
 
 def arithmetic(graph: Graph, x: Symbol, y: Symbol) -> list[Symbol]:
@@ -154,7 +154,7 @@ def test_a_symbol_has_no_truth():
 def test_a_missing_extra_is_named():
     code = (
         "import sys; sys.modules['onnxscript'] = None;"
-        "from ssrvlad_torch.graph import Graph; Graph({})"
+        "from ssrvlad_torch.deployment.graph import Graph; Graph({})"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert "pip install ssrvlad-torch[onnx]" in done.stderr

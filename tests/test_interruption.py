@@ -5,7 +5,7 @@ import threading
 
 import pytest
 
-from ssrvlad_torch.interruption import deferred_interruption
+from ssrvlad_torch.encoding.interruption import deferred_interruption
 
 ENDS = [(signal.SIGINT, KeyboardInterrupt, ()), (signal.SIGTERM, SystemExit, (143,))]
 

@@ -5,6 +5,7 @@ import torch
 from graphs import run, to_planes
 from test_bitplanes import random_planes
 
+from ssrvlad_torch.deployment.words import grid_of
 from ssrvlad_torch.stages.layers import (
     UNKNOWN,
     categorise,
@@ -16,7 +17,6 @@ from ssrvlad_torch.stages.layers import (
     split_in_graph,
 )
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
-from ssrvlad_torch.words import grid_of
 
 INTEGER_DTYPES = [
     torch.uint8,

@@ -14,14 +14,14 @@ from hypothesis import strategies as st
 from loop_streams import PLACES, configs, noisy_stream, streams
 
 from ssrvlad_torch import SSRVLAD, Database
-from ssrvlad_torch.database import FrameRecord
+from ssrvlad_torch.database.database import FrameRecord
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.datasets.synthetic_city import LEFT, STRAIGHT, SyntheticCity
 from ssrvlad_torch.evaluation.loops import score_loops
-from ssrvlad_torch.loop_closure import STATE_FILE, LoopDetector
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.loops.detector import STATE_FILE, LoopDetector
 from ssrvlad_torch.loops.result import Reason
-from ssrvlad_torch.matching import temporal_sum
+from ssrvlad_torch.recognition.matching import temporal_sum
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 PLAIN = LoopConfig(
@@ -567,7 +567,7 @@ def test_a_crash_while_saving_leaves_a_checkpoint(tmp_path, monkeypatch, when):
 
     with monkeypatch.context() as patch:
         if when == "state":
-            patch.setattr("ssrvlad_torch.loop_closure.write_state", full)
+            patch.setattr("ssrvlad_torch.loops.detector.write_state", full)
         else:
             patch.setattr(Database, "append", full)
         with pytest.raises(OSError, match="No space"):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch import match
 from ssrvlad_torch.loops.memory import BLOCK_ROWS, GrowingArray, OnlineMemory
-from ssrvlad_torch.matching import temporal_sum
+from ssrvlad_torch.recognition.matching import temporal_sum
 
 LENGTH = 24
 

@@ -14,11 +14,18 @@ import pytest
 from helpers import street, write_street
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, Database, cli, loop_stream
-from ssrvlad_torch.encoding import Refusal
-from ssrvlad_torch.loop_closure import LoopDetector
-from ssrvlad_torch.loop_stream import detect_loops, encode_as_they_come, encode_files, open_detector
+from ssrvlad_torch import SSRVLAD, Database
+from ssrvlad_torch.cli import main as cli
+from ssrvlad_torch.encoding.encoder import Refusal
+from ssrvlad_torch.loops import stream as loop_stream
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.loops.detector import LoopDetector
+from ssrvlad_torch.loops.stream import (
+    detect_loops,
+    encode_as_they_come,
+    encode_files,
+    open_detector,
+)
 
 SEEDS = (*range(20), *range(2, 9))
 """A drive of twenty places that comes back to seven of them."""

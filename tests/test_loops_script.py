@@ -1,4 +1,4 @@
-"""scripts/loops.py on streams made by hand in place of tours: its tables against plain counts."""
+"""pages/loops.py on streams made by hand in place of tours: its tables against plain counts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from helpers import descriptors
 
 from scripts import load, table
 from ssrvlad_torch import SSRVLAD, LoopConfig, LoopDetector
-from ssrvlad_torch.database import FrameRecord
+from ssrvlad_torch.database.database import FrameRecord
 
 LAP = 150
 

@@ -6,8 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch import matching
-from ssrvlad_torch.matching import match, temporal_sum
+from ssrvlad_torch.recognition import matching
+from ssrvlad_torch.recognition.matching import match, temporal_sum
 
 
 def coarse_vectors(seed, count):

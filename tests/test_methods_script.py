@@ -1,4 +1,4 @@
-"""scripts/methods.py on small data: its page, and how costs are measured."""
+"""scripts/pages/methods.py on small data: its page, and how costs are measured."""
 
 from __future__ import annotations
 

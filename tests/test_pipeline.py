@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from ssrvlad_torch.pipeline import in_order
+from ssrvlad_torch.encoding.workers import in_order
 
 
 def squared(number):

@@ -6,13 +6,15 @@ import pytest
 import torch
 from helpers import write_street
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, encoding, ray_engine
-from ssrvlad_torch.database import Database
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.database.storage.verification import verify
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.remote_files import find_remote_files
-from ssrvlad_torch.encoding import encode_to_database
-from ssrvlad_torch.ray_engine import PartEncoder, encode_with_ray, write_rows
-from ssrvlad_torch.storage.verification import verify
+from ssrvlad_torch.encoding import encoder as encoding
+from ssrvlad_torch.encoding import ray_engine
+from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray, write_rows
 
 ray = pytest.importorskip("ray", reason="needs the extra ray")
 pytest.importorskip("ray.data", reason="needs the extra ray")

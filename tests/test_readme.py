@@ -15,9 +15,9 @@ from networks import write_graph
 from PIL import Image
 from test_cli import COMMANDS
 
-from ssrvlad_torch import cli
 from ssrvlad_torch.baselines.alexnet import AlexNetPlaces365
 from ssrvlad_torch.baselines.weights import random_network
+from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.taxonomy import colourise
 

@@ -6,10 +6,10 @@ import torch
 from helpers import street, write_street
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.database import Database
+from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.remote_files import find_remote_files, is_uri
-from ssrvlad_torch.encoding import encode_to_database, encode_to_memory
+from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 

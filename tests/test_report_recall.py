@@ -9,7 +9,7 @@ from reports import noisy, report_of
 from ssrvlad_torch.evaluation.metrics import evaluate
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report.recall import recall_rates
-from ssrvlad_torch.matching import match
+from ssrvlad_torch.recognition.matching import match
 
 
 @pytest.mark.parametrize(("convention", "of_all"), [("exact", False), ("vpr-bench", True)])

@@ -20,7 +20,7 @@ from ssrvlad_torch.evaluation.report.images import (
 )
 from ssrvlad_torch.evaluation.report.matrix import matrix_figure
 from ssrvlad_torch.evaluation.report.similarity import similarity_matrix
-from ssrvlad_torch.matching import match
+from ssrvlad_torch.recognition.matching import match
 
 
 def pixels(address: str) -> np.ndarray:

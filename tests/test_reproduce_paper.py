@@ -1,4 +1,4 @@
-"""scripts/reproduce_paper.py on small data: its page, its cache, and the paper's numbers."""
+"""scripts/pages/reproduce_paper.py on small data: its page, its cache, and the paper's numbers."""
 
 from __future__ import annotations
 

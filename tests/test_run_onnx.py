@@ -17,8 +17,7 @@ from helpers import COLOUR, GRAY, flip_byte, write_png
 from onnx import TensorProto, helper
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.deployment import export_head
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.deployment.export import head_model
 
 SCRIPT = Path(__file__).parents[1] / "export" / "run_onnx.py"

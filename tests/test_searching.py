@@ -5,10 +5,11 @@ import pytest
 import torch
 from helpers import descriptors, record
 
-from ssrvlad_torch import SSRVLADConfig, searching
-from ssrvlad_torch.database import Database
-from ssrvlad_torch.matching import match
-from ssrvlad_torch.searching import Ivfpq, load_mapped
+from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.database import searching
+from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.database.searching import Ivfpq, load_mapped
+from ssrvlad_torch.recognition.matching import match
 
 CONFIG = SSRVLADConfig.from_preset("paper", rings=1, sectors=2, labels_as="camvid-11")
 

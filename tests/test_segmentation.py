@@ -18,13 +18,15 @@ from PIL import Image
 from torch import nn
 from torch.nn.functional import interpolate
 
-from ssrvlad_torch import SSRVLAD, encoding, segmentation
-from ssrvlad_torch.database import Database
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.encoding import encode_to_database, encode_to_memory
-from ssrvlad_torch.onnx_network import OnnxNetwork
-from ssrvlad_torch.segmentation import Segmenter, SegmenterConfig
+from ssrvlad_torch.encoding import encoder as encoding
+from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
+from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 LABELS = [street(seed) for seed in range(5)]
 PHOTOS = [photo(labels) for labels in LABELS]
@@ -492,7 +494,7 @@ def test_a_missing_extra_is_named(tmp_path, module):
     path = write_graph(tmp_path / "net.onnx")
     code = (
         f"import sys; sys.modules[{module!r}] = None\n"
-        "from ssrvlad_torch.segmentation import Segmenter\n"
+        "from ssrvlad_torch import Segmenter\n"
         f"Segmenter.load({str(path)!r}, {SPACE!r})._forward.func.digest()"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
@@ -652,7 +654,7 @@ def test_a_graph_is_known_by_its_file_and_its_weights(photos, cache, tmp_path, e
 
 def test_weights_in_subgraphs_are_part_of_a_graph(tmp_path):
     """An `If` whose branches hold external tensors, as constants and as initializers."""
-    from ssrvlad_torch import onnx_network
+    from ssrvlad_torch.segmentation import onnx_network
 
     def branch(name, tensor):
         out = value(f"{name}_out", [1])

@@ -6,9 +6,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.database import FrameSet, natural_key
-from ssrvlad_torch.matching import match
-from ssrvlad_torch.selecting import neighbours, select
+from ssrvlad_torch.database.database import FrameSet, natural_key
+from ssrvlad_torch.database.selection import neighbours, select
+from ssrvlad_torch.recognition.matching import match
 
 
 def frame_set(*frames):

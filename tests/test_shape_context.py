@@ -11,6 +11,7 @@ from test_bitplanes import random_planes
 
 from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.bitplanes import points, unpack
+from ssrvlad_torch.deployment.words import points_of
 from ssrvlad_torch.stages import shape_context
 from ssrvlad_torch.stages.shape_context import (
     log_polar_bins,
@@ -18,7 +19,6 @@ from ssrvlad_torch.stages.shape_context import (
     shape_contexts,
     shape_contexts_in_graph,
 )
-from ssrvlad_torch.words import points_of
 
 CPU = torch.device("cpu")
 

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 import torch
+from _skeleton_noise import SkeletonPoints
 from cases import degenerate
 from drawings import SPACE
 from helpers import street
 
 from ssrvlad_torch import SSRVLAD, reference
-from ssrvlad_torch.skeleton_noise import SkeletonPoints
 
 SIZE = (60, 84)
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.soft import SoftSSRVLAD
+from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 
 TINY = {"labels_as": SPACE, "closing": 0.2, "hole_area": 0.02, "region_area": 0.02}
 CONFIGS = {

@@ -12,23 +12,22 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.bitplanes import count_points, pack, points, unpack
-from ssrvlad_torch.soft_stages.aggregation import soft_aggregate
-from ssrvlad_torch.soft_stages.canvas import soft_shares
-from ssrvlad_torch.soft_stages.centroid import soft_centroids, soft_points
-from ssrvlad_torch.soft_stages.harmonics import safe_root, soft_amounts
-from ssrvlad_torch.soft_stages.keypoints import (
+from ssrvlad_torch.soft.stages.aggregation import soft_aggregate
+from ssrvlad_torch.soft.stages.canvas import soft_shares
+from ssrvlad_torch.soft.stages.centroid import soft_centroids, soft_points
+from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_amounts
+from ssrvlad_torch.soft.stages.keypoints import (
     soft_end_points,
     soft_intersections,
     soft_keypoints,
 )
-from ssrvlad_torch.soft_stages.layers import are_probabilities, membership, soft_layers
-from ssrvlad_torch.soft_stages.morphology import soft_dilate, soft_erode, soft_open_and_close
-from ssrvlad_torch.soft_stages.reduction import soft_majority
-from ssrvlad_torch.soft_stages.regions import soft_regions
-from ssrvlad_torch.soft_stages.shape_context import bin_masks, soft_shape_contexts
-from ssrvlad_torch.soft_stages.skeleton import COARSE, eroded_skeleton, soft_skeleton
-from ssrvlad_torch.soft_stages.vista import soft_vistas
-from ssrvlad_torch.stages.aggregation import aggregate
+from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft_layers
+from ssrvlad_torch.soft.stages.morphology import soft_dilate, soft_erode, soft_open_and_close
+from ssrvlad_torch.soft.stages.reduction import soft_majority
+from ssrvlad_torch.soft.stages.regions import soft_regions
+from ssrvlad_torch.soft.stages.shape_context import bin_masks, soft_shape_contexts
+from ssrvlad_torch.soft.stages.skeleton import COARSE, eroded_skeleton, soft_skeleton
+from ssrvlad_torch.soft.stages.vista import soft_vistas
 from ssrvlad_torch.stages.canvas import shares
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
@@ -37,6 +36,7 @@ from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import categorise, category_table, split
 from ssrvlad_torch.stages.morphology import open_and_close
 from ssrvlad_torch.stages.reduction import reduce_by_majority
+from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 from ssrvlad_torch.stages.skeleton import thin, zhang_suen
 from ssrvlad_torch.stages.vista import vistas

@@ -8,7 +8,7 @@ from drawings import SPACE
 from helpers import street
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.soft import SoftSSRVLAD
+from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 
 CONFIGS = [SSRVLADConfig.from_preset(preset, labels_as=SPACE) for preset in ("paper", "default")]
 

@@ -11,7 +11,7 @@ from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.label_files import read_label_map
 from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.datasets.synthia import read_pose
-from ssrvlad_torch.encoding import encode_to_memory
+from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.taxonomy import label_space
 
 FRONT = "Stereo_Left/Omni_F"

@@ -1,4 +1,4 @@
-"""scripts/train_segmenter.py on small drives: its page, resuming, and the way of the network."""
+"""pages/train_segmenter.py on small drives: its page, resuming, and the way of the network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scripts import frames, load, photo, table
 from ssrvlad_torch import SSRVLAD, Database
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
-from ssrvlad_torch.segmentation import Segmenter
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 SPACE = "camvid-11"
 SIZE = 48, 64

@@ -8,9 +8,9 @@ import torch
 from helpers import descriptors, flip_byte, record
 
 from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.database import Database
-from ssrvlad_torch.storage import parts
-from ssrvlad_torch.storage.verification import verify
+from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.database.storage import parts
+from ssrvlad_torch.database.storage.verification import verify
 
 CONFIG = SSRVLADConfig.from_preset("paper", rings=1, sectors=2, labels_as="camvid-11")
 PART = "part-000001.parquet"

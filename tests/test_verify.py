@@ -19,9 +19,8 @@ from onnx import numpy_helper
 from PIL import Image
 
 import ssrvlad_torch
-from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.deployment import export_head
 from ssrvlad_torch.deployment.fuse import DIGEST, fuse
 from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
 from ssrvlad_torch.deployment.verify import compare, verify

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import bitplanes
-from ssrvlad_torch.graph import Graph, Symbol
-from ssrvlad_torch.words import (
+from ssrvlad_torch.deployment.graph import Graph, Symbol
+from ssrvlad_torch.deployment.words import (
     Words,
     count_points_in_graph,
     east_of,

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from ..onnx_network import OnnxNetwork
+from ..segmentation.onnx_network import OnnxNetwork
 from .resnet101 import RESNET101_CHANNELS, resnet101
 from .weights import find_weights
 

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..matching import temporal_sum
+from ..recognition.matching import temporal_sum
 from .protocol import Frame, batches, cosines, label_kind, labels_of
 
 _BATCH = 16

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import replacing
-from ..graph import OPSET, Form, Graph
 from ..taxonomy import LabelSpace
 from .golden import golden_pair
+from .graph import OPSET, Form, Graph
 from .head_graph import describe_in_graph
 from .metadata import Metadata
 

@@ -15,9 +15,9 @@ import torch
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..graph import OPSET
 from .export import head_model
 from .golden_image import run_on_golden_image
+from .graph import OPSET
 from .label_output import LabelOutput, find_label_output
 from .metadata import PREFIX, Metadata
 from .model_file import (

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from typing import cast
 
 from ..config import SSRVLADConfig
-from ..graph import Graph, Symbol
-from ..words import Grid
+from .graph import Graph, Symbol
+from .words import Grid
 
 _MILLION = 10**6
 

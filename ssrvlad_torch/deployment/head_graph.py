@@ -5,8 +5,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..config import SSRVLADConfig
-from ..graph import Graph, Symbol
-from ..stages.aggregation import aggregate_in_graph
 from ..stages.canvas import CELLS, ROWS, shares_in_graph
 from ..stages.centroid import centroids_in_graph
 from ..stages.components import drop_regions_in_graph, fill_holes_in_graph
@@ -25,12 +23,14 @@ from ..stages.layers import (
 )
 from ..stages.morphology import open_and_close_in_graph
 from ..stages.reduction import reduce_by_majority_in_graph
+from ..stages.residuals import aggregate_in_graph
 from ..stages.shape_context import log_polar_bins_in_graph, shape_contexts_in_graph
 from ..stages.skeleton import RULES, thin_in_graph
 from ..stages.vista import vistas_in_graph
 from ..taxonomy import label_space
-from ..words import GraphPoints, Words, count_points_in_graph, grid_of, points_of
 from .geometry import area_pixels, radius_pixels, ring_limits, working_grid
+from .graph import Graph, Symbol
+from .words import GraphPoints, Words, count_points_in_graph, grid_of, points_of
 
 
 class Described(NamedTuple):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..network_outputs import Form, choose_output
+from ..segmentation.network_outputs import Form, choose_output
 from ..taxonomy import LabelSpace
 from .golden_image import BFLOAT16
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from ..matching import temporal_sum
+from ..recognition.matching import temporal_sum
 
 BLOCK_ROWS = 1024
 """Rows that are made room for at once; a block never moves, so growing copies no descriptor."""

@@ -7,8 +7,8 @@ import torch
 from torch import Tensor
 
 from ..bitplanes import LAYERS, unpack
-from ..graph import Graph, Symbol
-from ..words import Words, planes_of
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import Words, planes_of
 
 CELLS = ROWS, COLUMNS = 24, 32
 """Cells of the canvas. They are square: any image is seen as one of 4:3."""

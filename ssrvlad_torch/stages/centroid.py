@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from ..bitplanes import LAYERS, Points, by_image, runs
-from ..graph import Graph
-from ..words import GraphPoints, Words, runs_of
+from ..deployment.graph import Graph
+from ..deployment.words import GraphPoints, Words, runs_of
 
 
 def centroids(planes: Tensor) -> Points:

@@ -13,8 +13,8 @@ import torch
 from torch import Tensor
 
 from ..bitplanes import LAYERS, Runs, paint, runs
-from ..graph import Graph, Symbol
-from ..words import (
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import (
     EACH_PIXEL,
     PIXELS,
     Words,

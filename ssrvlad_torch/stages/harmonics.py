@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..graph import Graph, Symbol
+from ..deployment.graph import Graph, Symbol
 
 _SAMPLES = 4
 """Points on each side of a cell at which the bins are evaluated."""

@@ -8,8 +8,8 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..bitplanes import Bits, neighbours, steps_around, two_or_more
-from ..graph import Graph
-from ..words import Words, neighbourhood
+from ..deployment.graph import Graph
+from ..deployment.words import Words, neighbourhood
 
 
 def end_points(skeleton: Tensor) -> Tensor:

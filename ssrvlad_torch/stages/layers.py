@@ -7,9 +7,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..graph import Graph, Symbol
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import PIXELS, Grid, Words
 from ..taxonomy import NO_LAYER, LabelSpace
-from ..words import PIXELS, Grid, Words
 
 UNKNOWN = 255
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..graph import Graph, Symbol
-from ..words import Words, east_of, inside, west_of
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import Words, east_of, inside, west_of
 
 
 def dilate(planes: Tensor, radius: int) -> Tensor:

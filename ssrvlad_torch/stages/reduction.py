@@ -7,7 +7,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..graph import Graph, Symbol
+from ..deployment.graph import Graph, Symbol
 from ..taxonomy import NO_LAYER
 
 

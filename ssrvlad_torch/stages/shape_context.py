@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from ..bitplanes import LAYERS, Points, by_image
-from ..graph import Graph, Symbol
-from ..words import GraphPoints, by_image_in_graph
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import GraphPoints, by_image_in_graph
 
 PAIRS_AT_ONCE = 1 << 16
 """Pairs of points in memory at a time, and those of one reference point more: some megabytes,

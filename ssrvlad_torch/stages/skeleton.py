@@ -25,8 +25,8 @@ import torch
 from torch import Tensor
 
 from ..bitplanes import Bits, steps_around, two_or_more
-from ..graph import Graph, Symbol
-from ..words import PIXELS, Grid, Words, neighbourhood, shifted
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import PIXELS, Grid, Words, neighbourhood, shifted
 
 CPU_PIXELS_AT_ONCE = 1 << 21
 """Pixels that compiled sweeps go over at a time on a CPU, as many bytes in each of two lines."""

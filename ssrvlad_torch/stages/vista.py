@@ -11,8 +11,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..graph import Graph, Symbol
-from ..words import Words, planes_of
+from ..deployment.graph import Graph, Symbol
+from ..deployment.words import Words, planes_of
 
 OPEN_LAYERS = 1 << 0 | 1 << 1 | 1 << 5
 """Ground, sidewalk and sky: where one can drive, walk, or see far."""

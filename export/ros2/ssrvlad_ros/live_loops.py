@@ -11,8 +11,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ssrvlad_torch.loop_stream import CHECKPOINT_FRAMES, open_detector
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.loops.stream import CHECKPOINT_FRAMES, open_detector
 
 from .label_table import LABELS_AS, LabelTable
 

@@ -1,0 +1,153 @@
+"""What methods cost: encoding and matching frame by frame, all methods in turn, one thread."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from itertools import islice, repeat
+from types import ModuleType
+from typing import Any
+
+from torch import Tensor
+
+from ssrvlad_torch import baselines, descriptor
+from ssrvlad_torch.baselines import Frame, region_vlad
+from ssrvlad_torch.cli.bench import threads
+
+ENCODED = 10
+"""References that are really encoded: as many as LoST-X ranks again."""
+
+_RESIDUALS = ("log_polar_bins", "shape_contexts", "aggregate")
+_HARMONICS = ("vistas", "shares", "soft_histograms", "amounts")
+
+AGGREGATING: dict[str, tuple[ModuleType, tuple[str, ...]]] = {
+    "ssr-vlad": (descriptor, (*_RESIDUALS, *_HARMONICS)),
+    "region-vlad": (region_vlad, ("vlad",)),
+}
+"""By the beginning of a method's name: what turns its features into the descriptor."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Milliseconds of every repetition.
+
+    Attributes:
+        method: its name, which says so if its weights are random.
+        extract: from the frame to the features; for most methods to the descriptor.
+        aggregate: from the features to the descriptor; ``None`` where the two are one.
+        match: of one query against all references.
+        references: how many these are.
+        bytes_a_reference: size of an encoded reference.
+    """
+
+    method: str
+    extract: list[float]
+    aggregate: list[float] | None
+    match: list[float]
+    references: int
+    bytes_a_reference: float
+
+    @property
+    def encode(self) -> list[float]:
+        """From the frame to the descriptor."""
+        if self.aggregate is None:
+            return self.extract
+        return [sum(parts) for parts in zip(self.extract, self.aggregate, strict=True)]
+
+
+def measure(
+    methods: Mapping[str, Callable[[], baselines.Method]],
+    frames: Mapping[str, Sequence[Frame]],
+    references: int,
+    rounds: Mapping[str, int],
+) -> dict[str, Cost]:
+    """Encodes and matches one frame by every method, then the next frame by every method.
+
+    A round before the first is not counted. `ENCODED` references are encoded; where an encoding is
+    one tensor they are repeated up to ``references``.
+
+    Args:
+        methods: what makes them, by their names in the table.
+        frames: for each of them, at least one.
+        references: to match with.
+        rounds: how many frames each of them works on, again from the first when they run out.
+    """
+    with threads(1):
+        runs = {name: _Run(make(), frames[name], references) for name, make in methods.items()}
+        last = max(rounds.values())
+        for number in range(-1, last):
+            for name, run in runs.items():
+                if number < rounds[name]:
+                    run.work(number)
+            print(f"[round {number + 2} of {last + 1}]", flush=True)
+    return {name: run.cost for name, run in runs.items()}
+
+
+class _Run:
+    """A method at work; it keeps the times."""
+
+    def __init__(self, method: baselines.Method, frames: Sequence[Frame], references: int) -> None:
+        self._method, self._frames = method, frames
+        again = (frame for turn in repeat(frames) for frame in turn)
+        encoded = method.encode_reference(islice(again, ENCODED))
+        self._bytes = encoded.nbytes / len(encoded)
+        self._references: Any = _repeated(encoded, references)
+        self._watched = next(
+            (part for name, part in AGGREGATING.items() if method.name.startswith(name)), None
+        )
+        self._times: list[tuple[float, float, float]] = []
+
+    def work(self, number: int) -> None:
+        """One frame; the one before the first is not counted."""
+        frame = self._frames[number % len(self._frames)]
+        with watched(*self._watched or (descriptor, ())) as aggregating:
+            begin = time.perf_counter()
+            query = self._method.encode_query([frame])
+            encoded = time.perf_counter()
+            self._method.scores(query, self._references)
+            matched = time.perf_counter()
+        if number >= 0:
+            within = sum(aggregating)
+            self._times.append((encoded - begin - within, within, matched - encoded))
+
+    @property
+    def cost(self) -> Cost:
+        extract, aggregate, match = (
+            [1e3 * seconds for seconds in column] for column in zip(*self._times, strict=True)
+        )
+        count = len(self._references)
+        aggregated = aggregate if self._watched else None
+        return Cost(self._method.name, extract, aggregated, match, count, self._bytes)
+
+
+def _repeated(encoded: Any, count: int) -> Any:
+    if not isinstance(encoded, Tensor):
+        return encoded
+    times = -(-count // len(encoded))
+    return encoded.repeat(times, *[1] * (encoded.ndim - 1))[:count]
+
+
+@contextmanager
+def watched(module: ModuleType, names: Sequence[str]) -> Iterator[list[float]]:
+    """The seconds of every call of some functions of a module, as long as it lasts."""
+    taken: list[float] = []
+
+    def timed(function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any) -> Any:
+            begin = time.perf_counter()
+            result = function(*arguments)
+            taken.append(time.perf_counter() - begin)
+            return result
+
+        return call
+
+    originals = {name: getattr(module, name) for name in names}
+    try:
+        for name, function in originals.items():
+            setattr(module, name, timed(function))
+        yield taken
+    finally:
+        for name, function in originals.items():
+            setattr(module, name, function)

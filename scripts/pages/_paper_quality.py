@@ -1,0 +1,253 @@
+"""Table I of the paper and its PR curves: all methods on whichever data sets are there."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import _paper
+from _curves import draw
+from _markdown import head_row, interval, paragraph, row
+from _problems import (
+    CAMVID,
+    CITY,
+    CITY_FRAMES,
+    CITY_SEEDS,
+    IMAGES,
+    LABELS,
+    Problem,
+    camvid_problems,
+    city_problems,
+    image_problem,
+    label_problem,
+)
+from _trials import RESAMPLES, UNPROCESSED, Cache, Outcome, Outcomes, Rival, try_all
+
+from ssrvlad_torch.datasets.layouts import open_dataset
+from ssrvlad_torch.evaluation.metrics import Convention
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+CONVENTION: Convention = "vpr-bench"
+REACH = 3
+CITY_CONDITIONS = ("clean", "all together")
+NOT_HERE, NO_WEIGHTS, NOT_RUN = "not here", "weights not here", "not run"
+
+RIVALS = (
+    Rival(_paper.COHOG, "cohog", IMAGES),
+    Rival(_paper.NETVLAD, "netvlad", IMAGES),
+    Rival(_paper.REGION_VLAD, "region-vlad", IMAGES),
+    Rival(_paper.LOST_X, "lost-x", IMAGES),
+    Rival.ssrvlad(_paper.SSR_VLAD, "paper", REACH),
+    Rival.ssrvlad(_paper.UNPROCESSED, "paper", REACH, **UNPROCESSED),
+    Rival.ssrvlad("SSR-VLAD, paper, t = 0", "paper", 0),
+    Rival.ssrvlad("SSR-VLAD, default", "default", REACH),
+    Rival.ssrvlad("SSR-VLAD, default, no pre-processing", "default", REACH, **UNPROCESSED),
+    Rival.ssrvlad("SSR-VLAD, default, t = 0", "default", 0),
+    Rival("label grid", "label-grid", LABELS),
+    Rival("HOG", "hog", IMAGES),
+    Rival("tiny image", "tiny-image", IMAGES),
+)
+
+DRAWN = tuple(rival.name for rival in RIVALS if not rival.name.endswith("t = 0"))
+
+
+class PaperSet(NamedTuple):
+    """A data set of the paper: what of it is searched, and where it is to be had."""
+
+    name: str
+    details: str
+    folder: str
+    layout: str
+    queries: str
+    references: str
+    labels_as: str
+    origin: str
+
+
+_VPR_BENCH = "github.com/MubarizZaffar/VPR-Bench"
+PAPER_SETS = (
+    PaperSet(
+        _paper.CMU,
+        "Slice 7, camera 0 (the paper does not name the camera), 2010-10-01 against 2011-11-21.",
+        *("slice7", "extended-cmu", "slice7-c0-2010-10-01", "slice7-c0-2011-11-21"),
+        "cityscapes-trainids",
+        "visuallocalization.net/datasets, Extended CMU Seasons; label maps by a segmenter",
+    ),
+    PaperSet(
+        _paper.ROBOTCAR,
+        "The cross-season sub-sequence of VPR-Bench.",
+        *("CrossSeason_CoHOG_Dataset", "vpr-bench", "query", "ref"),
+        "cityscapes-trainids",
+        f"{_VPR_BENCH}; label maps by a segmenter",
+    ),
+    PaperSet(
+        _paper.SYNTHIA,
+        "The night-to-fall sub-sequence of VPR-Bench.",
+        *("Synthia-NightToFall", "vpr-bench", "query", "ref"),
+        "synthia",
+        f"{_VPR_BENCH}; label maps at synthia-dataset.net",
+    ),
+)
+
+Lacking = dict[tuple[str, str], str]
+"""Why a data set has no label maps, or no images, by its name and the kind."""
+
+INTRODUCTION = f"""Metrics by the convention `{CONVENTION}`, as in the paper: recall counts among
+the queries whose best match is right, so it says how well scores tell right from wrong, not how
+many places are found. In brackets stand 95 % bootstrap intervals over the queries ({RESAMPLES}
+resamples). Recall@100%Precision and RecallRate@1 are in per cent. Without pre-processing means no
+closing, no hole filling and no removal of small regions. {REACH} frames on each side are summed
+(Eq. 3, t = {REACH}) where nothing else is said. `default` is not in the paper, nor are label grid,
+HOG and tiny image, the trivial methods."""
+
+REACHING = f"""RecallRate@1 in per cent with and without a step of the paper's. On CamVid and in the
+city true matches lie nearer than the {2 * REACH + 1} frames that t = {REACH} sums: one frame, and
+5 m where frames are 3 m apart."""
+
+ABOUT_CAMVID = """Not in the paper. The odd frames of two drives against the even ones; a true match
+is a neighbouring frame. `espnetv2` is the output of a real network that was trained on other data.
+"""
+
+ABOUT_CITY = f"""Not in the paper. {len(CITY_SEEDS)} cities of {CITY_FRAMES} frames, driven again
+0.7 m to the left among other cars; `all together` is 2 m to the left, turned by 5 degrees, in
+winter, with heavy traffic and the mistakes of a bad segmenter. It is made of label maps: methods
+that see images cannot run there."""
+
+
+def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
+    """The lines of Table I; draws the figure beside the page."""
+    problems, lacking = open_all(options)
+    outcomes = try_all(problems, RIVALS, kept, options.weights)
+    if options.only is None:
+        figure = options.output.parent / "figures" / "paper_pr_curves.png"
+        draw(problems, outcomes, DRAWN, CONVENTION, figure)
+    yield "## Table I: recognition\n"
+    yield paragraph(INTRODUCTION)
+    yield "![PR curves and AUC](figures/paper_pr_curves.png)\n"
+    yield "As the paper's figure: precision over recall above, the area below.\n"
+    yield paragraph(REACHING)
+    yield from in_short(problems, outcomes)
+    for chosen in PAPER_SETS:
+        yield from dataset_section(chosen.name, chosen.details, problems, outcomes)
+    yield from dataset_section(CAMVID, ABOUT_CAMVID, problems, outcomes)
+    yield from dataset_section(CITY, ABOUT_CITY, problems, outcomes)
+    yield from missing(lacking, outcomes)
+
+
+def open_all(options: argparse.Namespace) -> tuple[list[Problem], Lacking]:
+    """What can be searched, and what is lacking."""
+    problems: list[Problem] = []
+    lacking: Lacking = {(CITY, IMAGES): "it is made of label maps"}
+    for chosen in PAPER_SETS:
+        folder = options.data and options.data / chosen.folder
+        for kind in (LABELS, IMAGES):
+            try:
+                problems.append(open_one(chosen, folder, kind, options))
+            except ValueError as error:
+                lacking[chosen.name, kind] = f"{error}; {chosen.origin}"
+    if options.camvid:
+        problems += camvid_problems(options.camvid)
+    else:
+        for kind in (LABELS, IMAGES):
+            lacking[CAMVID, kind] = (
+                "no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid"
+            )
+    return problems + city_problems(CITY_CONDITIONS), lacking
+
+
+def open_one(
+    chosen: PaperSet, folder: Path | None, kind: str, options: argparse.Namespace
+) -> Problem:
+    """A data set of the paper as a problem of one kind.
+
+    Raises:
+        ValueError: it is not there, or lacks this kind.
+    """
+    if folder is None or not folder.is_dir():
+        raise ValueError(f"no folder {chosen.folder} in --data")
+    own = folder / "labels"
+    labels = own if kind == LABELS and own.is_dir() else None
+    whole = open_dataset(folder, chosen.layout, labels, chosen.labels_as)
+    if whole.truth and whole.truth.metres is not None:
+        whole = whole.posed()
+    parts = (whole.select([chosen.queries]), whole.select([chosen.references]))
+    if kind == IMAGES:
+        return image_problem(chosen.name, *parts)
+    segmenter = None
+    if labels is None:
+        if options.segmenter is None:
+            raise ValueError(f"no label maps in {chosen.folder}/labels, and no --segmenter")
+        kept = options.cache / "segmented"
+        segmenter = Segmenter.load(options.segmenter, "cityscapes-trainids", kept)
+    return label_problem(chosen.name, *parts, segmenter)
+
+
+def in_short(problems: Sequence[Problem], outcomes: Outcomes) -> Iterator[str]:
+    """What pre-processing and the temporal sum change, condition by condition."""
+    yield from head_row("condition", "preset", "as in the paper", "no pre-processing", "t = 0")
+    for problem in problems:
+        for preset in ("paper", "default") if problem.gives == LABELS else ():
+            names = [f"SSR-VLAD, {preset}{end}" for end in ("", ", no pre-processing", ", t = 0")]
+            cells = [_cells(outcomes[problem.name, name])[1] for name in names]
+            yield row(problem.name, preset, *cells)
+    yield ""
+
+
+def dataset_section(
+    dataset: str, about: str, problems: Sequence[Problem], outcomes: Outcomes
+) -> Iterator[str]:
+    """A table with a line for each method and condition."""
+    printed = _paper.TABLE_I.get(dataset)
+    here = [problem for problem in problems if problem.dataset == dataset]
+    yield f"### {dataset}\n"
+    yield paragraph(about)
+    own = [name for metric in _paper.METRICS for name in (metric, *["the paper"] * bool(printed))]
+    yield from head_row("method", "condition", *own)
+    for rival in RIVALS:
+        of_paper = printed.get(rival.name, ("",) * 3) if printed else None
+        asked = [p for p in here if p.gives == rival.sees]
+        for problem in asked:
+            cells = _cells(outcomes[problem.name, rival.name])
+            yield row(rival.name, problem.condition, *_beside(cells, of_paper))
+        if not asked and (here or rival.name in (printed or ())):
+            reason = f"no {rival.sees}" if dataset == CITY else NOT_HERE
+            yield row(rival.name, "", *_beside([reason] * 3, of_paper))
+    yield ""
+
+
+def _cells(outcome: Outcome) -> list[str]:
+    """`_paper.METRICS` with intervals."""
+    if isinstance(outcome, str):
+        return [NO_WEIGHTS if outcome.startswith("no weights") else NOT_RUN] * 3
+    figures = outcome.figures(CONVENTION)
+    ends = figures["intervals"]
+    return [
+        _per_cent(figures["recall_at_100_precision"], ends["recall_at_100_precision"]),
+        _per_cent(figures["recall_at"]["1"], ends["recall_at"]["1"]),
+        interval(figures["auc_pr"], ends["auc_pr"]),
+    ]
+
+
+def _per_cent(value: float, ends: Sequence[float]) -> str:
+    return interval(100 * value, [100 * end for end in ends], 1)
+
+
+def _beside(ours: Sequence[str], of_paper: Sequence[str] | None) -> list[str]:
+    if of_paper is None:
+        return list(ours)
+    return [cell for pair in zip(ours, of_paper, strict=True) for cell in pair]
+
+
+def missing(lacking: Lacking, outcomes: Outcomes) -> Iterator[str]:
+    """What could not be run, and how to get what it needs."""
+    yield "### What could not be run\n"
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for (dataset, kind), reason in lacking.items():
+        kinds.setdefault((dataset, reason), []).append(kind)
+    for (dataset, reason), without in kinds.items():
+        yield f"- {dataset}, {' and '.join(without)}: {reason}."
+    reasons = {rival: told for (_, rival), told in outcomes.items() if isinstance(told, str)}
+    yield from (f"- {rival}: {reason}." for rival, reason in reasons.items())
+    yield ""

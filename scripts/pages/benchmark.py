@@ -1,0 +1,496 @@
+#!/usr/bin/env python3
+"""Writes docs/benchmark.md: what the method costs here, in one run.
+
+    .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid
+
+Every table times its ways in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with the threads pinned.
+Label maps are those of CamVid, enlarged to each size, or of the synthetic city without it. Needs
+the extra `dev`; `pip install faiss-cpu` adds the comparison of matching.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import _paper_cost
+import cv2
+import numpy as np
+import torch
+from _costs import ENCODED
+from _encoding_rates import encoding_rates
+from _markdown import head_row, largest_mean_smallest, paragraph, row
+from bench_loops import loops_section
+from PIL import Image
+from torch import Tensor
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
+from ssrvlad_torch import descriptor as method
+from ssrvlad_torch.cli.bench import Timing, heads, onnx_head, threads, time_in_turn
+from ssrvlad_torch.config import CATEGORY_COUNT
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.taxonomy import label_space
+
+SIZES = [(256, 256), (512, 512), (1024, 1024), (1024, 2048)]
+LARGE = (1024, 1024)
+BATCH = 16
+EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
+FRAMES_OF_A_RUN = 1000
+SPECKS = [0, 100, 1000, 10_000]
+
+
+class Maps:
+    """Label maps of any size: CamVid's, enlarged, or the synthetic city's."""
+
+    def __init__(self, camvid: Path | None) -> None:
+        self.labels_as = "camvid-11" if camvid else "cityscapes-trainids"
+        self.source = "CamVid labels, enlarged" if camvid else "the synthetic city"
+        self.files = sorted(camvid.glob("*/labels/*.png"))[::26][:BATCH] if camvid else []
+
+    def batch(self, size: tuple[int, int], count: int) -> Tensor:
+        """``(count, H, W)`` uint8."""
+        if self.files:
+            files = self.files[:count]
+            images = [Image.open(file).resize(size[::-1], Image.NEAREST) for file in files]
+            return torch.from_numpy(np.stack([np.asarray(image) for image in images]))
+        frames = SyntheticCity(seed=0).traverse(count, size=size, labels_as=self.labels_as)
+        return torch.from_numpy(np.stack([frame.labels for frame in frames]))
+
+    def config(self, preset: str) -> SSRVLADConfig:
+        return SSRVLADConfig.from_preset(preset, labels_as=self.labels_as)
+
+
+def opencv_describe(labels: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
+    """The preset ``paper`` as a good engineer writes it with OpenCV, one layer after another."""
+    table = np.full(256, CATEGORY_COUNT, np.uint8)
+    for label in label_space(config.labels_as).classes:
+        if 0 <= label.id < 256:
+            table[label.id] = label.category_index
+    categories = cv2.LUT(labels, table)
+    vectors = []
+    for k in range(CATEGORY_COUNT):
+        layer = opencv_clean((categories == k).astype(np.uint8), config)
+        vectors.append(opencv_vector(layer, config))
+    whole = np.concatenate(vectors)
+    norm = np.linalg.norm(whole)
+    return (whole / norm if norm else whole).astype(np.float32)
+
+
+def opencv_clean(layer: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
+    size = layer.shape
+    radius = config.radius_pixels(config.closing, *size)
+    if radius:
+        square = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+        layer = cv2.erode(cv2.dilate(layer, square), square)
+    _, regions, stats, _ = cv2.connectedComponentsWithStats(1 - layer, connectivity=4)
+    left, top, width, height, area = stats.T
+    enclosed = (left > 0) & (top > 0) & (left + width < size[1]) & (top + height < size[0])
+    fill = enclosed & (area < config.area_pixels(config.hole_area, *size))
+    fill[0] = False
+    layer = layer | fill[regions].astype(np.uint8)
+    _, regions, stats, _ = cv2.connectedComponentsWithStats(layer, connectivity=8)
+    keep = stats[:, 4] >= config.area_pixels(config.region_area, *size)
+    keep[0] = False
+    return keep[regions].astype(np.uint8)
+
+
+def opencv_vector(layer: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
+    padded = cv2.copyMakeBorder(layer * 255, 2, 2, 2, 2, cv2.BORDER_CONSTANT)
+    skeleton = (cv2.ximgproc.thinning(padded) > 0)[2:-2, 2:-2]
+    ends, crossings = reference.end_points(skeleton), reference.intersections(skeleton)
+    points, context = np.argwhere(ends | crossings), np.argwhere(skeleton)
+    size = config.rings * config.sectors
+    if not len(points):
+        return np.zeros(size)
+    y, x = np.nonzero(layer)
+    centre = [(2 * y.sum() + len(y)) // (2 * len(y)), (2 * x.sum() + len(x)) // (2 * len(x))]
+    limits = np.array(config.ring_limits(*layer.shape))
+    dy, dx = (context[None] - np.concatenate(([centre], points))[:, None]).transpose(2, 0, 1)
+    squared = dy * dy + dx * dx
+    turn = np.arctan2(dy, dx) / (2 * np.pi)
+    sector = np.floor(turn * config.sectors + 1e-12).astype(int) % config.sectors
+    bins = np.searchsorted(limits, squared) * config.sectors + sector
+    bins[(squared == 0) | (squared > limits[-1])] = size
+    around_centre = np.bincount(bins[0], minlength=size + 1)[:size]
+    around_points = np.bincount(bins[1:].ravel(), minlength=size + 1)[:size]
+    vector = (around_points - len(points) * around_centre).astype(np.float64)
+    norm = np.linalg.norm(vector)
+    return vector / norm if norm else vector
+
+
+def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], object]]:
+    """Every way to describe one image; all must agree before any is timed."""
+    config, image = maps.config(preset), labels[0].numpy()
+    ways: dict[str, Callable[[], Any]] = {"reference": partial(reference.describe, image, config)}
+    if preset == "paper":
+        ways["OpenCV, layer by layer"] = partial(opencv_describe, image, config)
+    for name, head in heads(config).items():
+        ways[f"module, {name}"] = partial(head, labels[:1])
+    ways["ONNX Runtime"] = partial(onnx_head(config), labels[:1])
+    if torch.cuda.is_available():
+        ways["module, CUDA"] = partial(SSRVLAD(config).to("cuda"), labels[:1].to("cuda"))
+    answers = {name: np.ravel(torch.as_tensor(way()).cpu()) for name, way in ways.items()}
+    for name, answer in answers.items():
+        worst = float(np.abs(answer - answers["reference"]).max())
+        if worst > 1e-6:
+            raise SystemExit(f"{name} differs from the reference by {worst}")
+    return ways
+
+
+def size_section(maps: Maps, repetitions: int) -> Iterator[str]:
+    yield "## One image, one thread\n"
+    for preset in ("paper", "default"):
+        yield f"Preset `{preset}`, from the label map to the descriptor:\n"
+        yield from head_row("size", "way", "ms", "times faster than the reference")
+        for size in SIZES:
+            slow = 2 if preset == "paper" and size[0] >= LARGE[0] else repetitions
+            timings = time_in_turn(ways_of(maps, preset, maps.batch(size, 1)), slow, warm_up=False)
+            for name, timing in timings.items():
+                ratio = span(timing.times_faster_than(timings["reference"]), 1)
+                yield row(by(size), name, span(timing.milliseconds, 1), ratio)
+        yield ""
+
+
+def bars_section(maps: Maps, repetitions: int) -> Iterator[str]:
+    """The default preset against the reference at native size."""
+    yield "Preset `default` against the reference at native size (preset `paper`), one image of"
+    yield f"{by(LARGE)}, against the reference at the same working size, and against the paper's"
+    yield "residuals at that size, as the module has them, eager, by the image:\n"
+    labels = maps.batch(LARGE, BATCH)
+    image, config = labels[0].numpy(), maps.config("default")
+    modules = heads(config)
+    paper = replace(maps.config("paper"), working_size=config.working_size)
+    residuals = SSRVLAD(paper)
+    ways: dict[str, Callable[[], object]] = {
+        "reference, native": partial(reference.describe, image, maps.config("paper")),
+        "reference, working size": partial(reference.describe, image, config),
+        "module, eager, residuals": partial(residuals, labels[:1]),
+        "ONNX Runtime": partial(onnx_head(config), labels[:1]),
+    }
+    for name, head in modules.items():
+        head(labels)
+        ways[f"module, {name}"] = partial(head, labels[:1])
+        ways[f"module, {name}, batch of {BATCH}"] = partial(head, labels)
+    timings = time_in_turn(ways, repetitions, warm_up=False)
+    columns = ("against native", "against working size", "against residuals")
+    yield from head_row("way", "ms an image", *columns)
+    for name, timing in timings.items():
+        share = BATCH if "batch" in name else 1
+        each = Timing(tuple(second / share for second in timing.seconds))
+        ratios = [span(each.times_faster_than(timings[other]), 2) for other in list(ways)[:3]]
+        yield row(name, span(each.milliseconds, 2), *ratios)
+    yield ""
+
+
+def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
+    yield "## Batches and threads\n"
+    yield f"Milliseconds an image of {by(LARGE)}; the last column is one thread over two, for"
+    yield "the whole batch.\n"
+    yield from head_row("preset", "way", "batch", "one thread", "two threads", "speed-up")
+    for preset in ("paper", "default"):
+        for name, head in heads(maps.config(preset)).items():
+            for count in (1, 4, BATCH):
+                labels = maps.batch(LARGE, count)
+                ways = {n: partial(with_threads, n, head, labels) for n in (1, 2)}
+                timings = time_in_turn(ways, 3 if preset == "paper" else repetitions)
+                each = [
+                    span({k: v / count for k, v in timings[n].milliseconds.items()}, 2)
+                    for n in (1, 2)
+                ]
+                ratio = span(timings[2].times_faster_than(timings[1]), 2)
+                yield row(preset, name, str(count), *each, ratio)
+    yield ""
+
+
+def thread_section(maps: Maps) -> Iterator[str]:
+    yield "What bounds the second thread: milliseconds of each stage of the whole batch of"
+    yield f"{BATCH}, compiled, the median of five calls. Stages on runs and points are short"
+    yield "operators on a few thousand numbers, which torch gives to one thread, and adding up rows"
+    yield "(`reduce_by_majority`) is one thread's work as well.\n"
+    labels = maps.batch(LARGE, BATCH)
+    measured = {}
+    for preset in ("paper", "default"):
+        head = heads(maps.config(preset))["compiled"]
+        head(labels)
+        for count in (1, 2):
+            with threads(count):
+                runs = [stage_seconds(head, labels) for _ in range(5)]
+            measured[preset, count] = {k: np.median([run[k] for run in runs]) for k in runs[0]}
+    yield from head_row("stage", *(f"{preset}, {n} threads" for preset, n in measured))
+    for stage in measured["paper", 1]:
+        yield row(stage, *(f"{1e3 * taken[stage]:.1f}" for taken in measured.values()))
+    yield ""
+
+
+def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
+    with threads(count):
+        return head(labels)
+
+
+def stage_section(maps: Maps) -> Iterator[str]:
+    yield "## Stage by stage\n"
+    yield f"Milliseconds of one image of {by(LARGE)}, one thread, the median of five calls.\n"
+    columns = [(preset, name) for preset in ("paper", "default") for name in ("eager", "compiled")]
+    labels = maps.batch(LARGE, 1)
+    measured = {}
+    for preset, name in columns:
+        head = heads(maps.config(preset))[name]
+        head(labels)
+        runs = [stage_seconds(head, labels) for _ in range(5)]
+        measured[preset, name] = {key: np.median([run[key] for run in runs]) for key in runs[0]}
+    yield from head_row("stage", *(f"{preset}, {name}" for preset, name in columns))
+    for stage in measured[columns[0]]:
+        yield row(stage, *(f"{1e3 * measured[column][stage]:.2f}" for column in columns))
+    yield ""
+
+
+def stage_seconds(head: SSRVLAD, labels: Tensor) -> dict[str, float]:
+    """Seconds that one call spends in each stage: the stages are wrapped for this one call."""
+    stages = ["categorise", "reduce_by_majority", "split", "open_and_close", "fill_holes"]
+    stages += ["drop_regions", "end_points", "intersections", "points", "centroids"]
+    stages += ["log_polar_bins", "shape_contexts", "aggregate"]
+    stages += ["vistas", "shares", "soft_histograms", "amounts"]
+    taken = dict.fromkeys(["thin", *stages], 0.0)
+
+    def timed(name: str, stage: Callable[..., Any], *arguments: Any) -> Any:
+        begin = time.perf_counter()
+        result = stage(*arguments)
+        taken[name] += time.perf_counter() - begin
+        return result
+
+    originals = {name: getattr(method, name) for name in stages}
+    thinning = head._thin
+    try:
+        for name, stage in originals.items():
+            setattr(method, name, partial(timed, name, stage))
+        head._thin = partial(timed, "thin", thinning)
+        begin = time.perf_counter()
+        head(labels)
+        whole = time.perf_counter() - begin
+    finally:
+        head._thin = thinning
+        for name, stage in originals.items():
+            setattr(method, name, stage)
+    return {**taken, "all else": whole - sum(taken.values()), "together": whole}
+
+
+def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
+    yield "## Cost against the complexity of the scene\n"
+    yield f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes strewn over it,"
+    yield "preset `paper`, one thread; `uncleaned` is without closing, hole filling and region"
+    yield "removal, so that every speck is thinned and described. What it costs then are the pairs"
+    yield "of key-points and skeleton pixels: their memory is bounded, their number is not.\n"
+    yield from head_row("specks", "way", "ms", "ms, uncleaned")
+    paper = maps.config("paper")
+    configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
+    modules = [heads(config) for config in configs]
+    scenes = {count: strewn(maps.batch(LARGE, 1), count) for count in SPECKS}
+    for name in ("eager", "compiled"):
+        columns = []
+        for module in modules:
+            ways = {str(count): partial(module[name], scene) for count, scene in scenes.items()}
+            columns.append(time_in_turn(ways, repetitions))
+        for count in SPECKS:
+            cells = []
+            for timings in columns:
+                plain, timing = timings[str(SPECKS[0])], timings[str(count)]
+                cost = plain.times_faster_than(timing)["median"]
+                cells.append(f"{span(timing.milliseconds, 1)}, {cost:.1f} x plain")
+            yield row(str(count), name, *cells)
+    yield ""
+
+
+def strewn(labels: Tensor, count: int) -> Tensor:
+    rng = np.random.default_rng(count)
+    scene = labels.clone()
+    height, width = scene.shape[1:]
+    for y, x, label in rng.integers(0, (height - 3, width - 3, 8), (count, 3)).tolist():
+        scene[:, y : y + 3, x : x + 3] = label
+    return scene
+
+
+def memory_section(options: argparse.Namespace) -> Iterator[str]:
+    yield "## Peak memory\n"
+    yield "Largest resident memory during a call less that before it, in bytes a pixel of the"
+    yield "batch; each in a process of its own that has run the method on a small image before.\n"
+    yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
+    for preset in ("paper", "default"):
+        for name in ("eager", "compiled"):
+            for size, count in ((LARGE, 1), (LARGE, BATCH), ((360, 480), BATCH)):
+                command = [sys.executable, __file__, "--memory", preset, name, *map(str, size)]
+                command += [
+                    str(count),
+                    *(["--camvid", str(options.camvid)] if options.camvid else []),
+                ]
+                done = subprocess.run(
+                    command,
+                    check=True,
+                    capture_output=True,
+                    text=True,
+                    env={**os.environ, **EVERY_BUFFER_GIVEN_BACK},
+                )
+                yield row(preset, name, by(size), str(count), done.stdout.strip())
+    yield ""
+
+
+def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
+    height, width, count = map(int, numbers)
+    head = heads(maps.config(preset))[name]
+    head(maps.batch((64, 96), 2))
+    labels = maps.batch((height, width), count)
+    with threads(1):
+        Path("/proc/self/clear_refs").write_text("5")
+        before = status_bytes("VmRSS")
+        head(labels)
+        print(f"{(status_bytes('VmHWM') - before) / labels.numel():.0f}")
+
+
+def status_bytes(field: str) -> int:
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
+
+
+def methods_section(options: argparse.Namespace) -> Iterator[str]:
+    yield "## Every method\n"
+    yield paragraph(
+        f"Milliseconds of a frame of {by(_paper_cost.SIZE)}, max/average/min, one thread; all "
+        f"methods take turns on the same frames. Matching is one query against "
+        f"{_paper_cost.REFERENCES} references, divided by them; LoST-X and tiny image are matched "
+        f"with {ENCODED}. SSR-VLAD has its thinning compiled where nothing else is said. What a "
+        "segmentation network costs is not in it."
+    )
+    yield from head_row("method", "bytes a reference", "encoding", "matching a pair")
+    costs = _paper_cost.measure_all(options.camvid, None)
+    for rival in _paper_cost.RIVALS:
+        cost = costs[rival.name]
+        pair = [milliseconds / cost.references for milliseconds in cost.match]
+        times = map(largest_mean_smallest, (cost.encode, pair))
+        yield row(_paper_cost.shown(rival, cost), f"{cost.bytes_a_reference:.0f}", *times)
+    yield ""
+
+
+def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
+    """What `encode` takes beside the larger of its halves, files and workers being the same."""
+    workers = os.cpu_count() or 1
+    with tempfile.TemporaryDirectory() as folder:
+        for number, labels in enumerate(maps.batch((360, 480), BATCH)):
+            for copy in range(number, FRAMES_OF_A_RUN, BATCH):
+                Image.fromarray(labels.numpy()).save(f"{folder}/{copy}.png")
+        head, files = SSRVLAD(maps.config("default")), find_label_files([folder])
+        timings = encoding_rates(head, files, workers, repetitions)
+    halves = [*zip(timings["decode"].seconds, timings["encode"].seconds, strict=True)]
+    others = [Timing(tuple(map(of, halves))) for of in (max, sum)]
+    yield "## Encoding\n"
+    yield paragraph(
+        f"{FRAMES_OF_A_RUN} PNGs of 360 x 480 into a database, preset `default`, {workers} workers "
+        f"on {os.cpu_count()} cores. Where both halves want every core, neither can hide behind "
+        "the other: their sum is then the least that the whole can take."
+    )
+    yield from head_row("way", "ms a frame", "over the larger half", "over the sum of the halves")
+    names = {"decode": "read only", "encode": "encode only", "all": "`ssrvlad encode`"}
+    for way, name in names.items():
+        each = Timing(tuple(seconds / FRAMES_OF_A_RUN for seconds in timings[way].seconds))
+        ratios = [span(other.times_faster_than(timings[way]), 2) for other in others]
+        yield row(name, span(each.milliseconds, 2), *ratios)
+    yield ""
+
+
+def matching_section(references: int) -> Iterator[str]:
+    yield "## Matching\n"
+    try:
+        import faiss
+    except ImportError:
+        yield "Not measured: faiss-cpu is not installed.\n"
+        return
+    faiss.omp_set_num_threads(1)
+    rng = np.random.default_rng(0)
+    database = rng.standard_normal((references, 480), dtype=np.float32)
+    database /= np.linalg.norm(database, axis=1, keepdims=True)
+    queries = database[rng.integers(0, references, 1000)]
+    queries = queries + 0.02 * rng.standard_normal(queries.shape, dtype=np.float32)
+    index = faiss.IndexFlatIP(480)
+    index.add(database)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    found = match(queries, database, top=10).indices.numpy()
+    extra = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    same = float((found == index.search(queries, 10)[1]).mean())
+    ways = {
+        "faiss.IndexFlatIP": partial(index.search, queries, 10),
+        "match": partial(match, queries, database, 10),
+    }
+    timings = time_in_turn(ways, 3, warm_up=False)
+    yield f"1000 queries against {references} x 480 float32, exact top 10, one thread:\n"
+    yield from head_row("way", "s", "times the time of faiss")
+    for name, timing in timings.items():
+        seconds = {k: v / 1e3 for k, v in timing.milliseconds.items()}
+        slower = timings["faiss.IndexFlatIP"].times_faster_than(timing)
+        yield row(name, span(seconds, 2), span(slower, 2))
+    yield f"\nThe same candidates: {same:.4%}. Peak memory of `match` beyond its arguments:"
+    yield f"{extra:.0f} MB.\n"
+
+
+def span(values: dict[str, float], digits: int) -> str:
+    median, low, high = (f"{values[key]:.{digits}f}" for key in ("median", "min", "max"))
+    return f"{median} [{low}, {high}]"
+
+
+def by(size: Sequence[int]) -> str:
+    return f"{size[0]} x {size[1]}"
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--camvid", type=Path, default=None)
+    arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
+    arguments.add_argument("--repetitions", type=int, default=5)
+    arguments.add_argument("--references", type=int, default=1_000_000)
+    arguments.add_argument("--memory", nargs=5, default=None, help=argparse.SUPPRESS)
+    options = arguments.parse_args()
+    maps = Maps(options.camvid)
+    if options.memory:
+        print_memory(maps, *options.memory)
+        return
+    cv2.setNumThreads(1)
+    text = [
+        "# Benchmark\n",
+        "Written by `pages/benchmark.py` in one run; no number here is typed by hand. Cells are",
+        "median [min, max]; the ways of a table are timed in turn, ratios are taken repetition by",
+        f"repetition. Label maps: {maps.source}. torch {torch.__version__}, Python",
+        f"{platform.python_version()}, {platform.machine()}.\n",
+    ]
+    sections = [
+        partial(size_section, maps, options.repetitions),
+        partial(bars_section, maps, options.repetitions),
+        partial(batch_section, maps, options.repetitions),
+        partial(thread_section, maps),
+        partial(stage_section, maps),
+        partial(scene_section, maps, options.repetitions),
+        partial(memory_section, options),
+        partial(methods_section, options),
+        partial(loops_section),
+        partial(encoding_section, maps, options.repetitions),
+        partial(matching_section, options.references),
+    ]
+    with threads(1):
+        for section in sections:
+            text += section()
+            print(section.func.__name__, "done", flush=True)
+    options.output.parent.mkdir(exist_ok=True)
+    options.output.write_text("\n".join(text), encoding="utf-8")
+    print(options.output)
+
+
+if __name__ == "__main__":
+    main()

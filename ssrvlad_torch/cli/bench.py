@@ -1,0 +1,145 @@
+"""Timing: several ways to do the same work, in turn, in one process, with the threads pinned."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from statistics import median
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from ..config import PRESETS, SSRVLADConfig
+from ..datasets.synthetic_city import SyntheticCity
+from ..descriptor import SSRVLAD
+
+LABELS_AS = "cityscapes-trainids"
+SIZE = (480, 640)
+BATCH = 16
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds of the repetitions of one way to do the work."""
+
+    seconds: tuple[float, ...]
+
+    @property
+    def milliseconds(self) -> dict[str, float]:
+        """``median``, ``min`` and ``max``."""
+        ordered = sorted(1e3 * second for second in self.seconds)
+        return {"median": median(ordered), "min": ordered[0], "max": ordered[-1]}
+
+    def times_faster_than(self, other: Timing) -> dict[str, float]:
+        """Ratios to another way, repetition by repetition: ``median``, ``min`` and ``max``."""
+        ratios = sorted(
+            there / here for here, there in zip(self.seconds, other.seconds, strict=True)
+        )
+        return {"median": median(ratios), "min": ratios[0], "max": ratios[-1]}
+
+
+def time_in_turn(
+    ways: Mapping[str, Callable[[], object]], repetitions: int, warm_up: bool = True
+) -> dict[str, Timing]:
+    """Times each way once, then each once again, and so on: a slow moment hits all alike.
+
+    Args:
+        ways: what is timed, by name.
+        repetitions: how often.
+        warm_up: call each once before, so that compiling and first allocations do not count.
+    """
+    if warm_up:
+        for way in ways.values():
+            way()
+    seconds: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(repetitions):
+        for name, way in ways.items():
+            begin = time.perf_counter()
+            way()
+            seconds[name].append(time.perf_counter() - begin)
+    return {name: Timing(tuple(taken)) for name, taken in seconds.items()}
+
+
+@contextmanager
+def threads(count: int) -> Iterator[None]:
+    """Pins the number of threads that torch computes with."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(count)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+def heads(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
+    """The module eager and compiled."""
+    compiled = SSRVLAD(config)
+    compiled.compile()
+    return {"eager": SSRVLAD(config), "compiled": compiled}
+
+
+def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
+    """The exported head in ONNX Runtime, one thread.
+
+    Raises:
+        ImportError: the extra ``onnx`` is not installed.
+    """
+    from ..deployment.export import head_model
+
+    model = head_model(config).SerializeToString()
+    from onnxruntime import InferenceSession, SessionOptions
+
+    options = SessionOptions()
+    options.intra_op_num_threads = 1
+    session = InferenceSession(model, options, providers=["CPUExecutionProvider"])
+
+    def describe(labels: Tensor) -> Tensor:
+        (descriptor,) = session.run(["descriptor"], {"labels": labels.numpy()})
+        return torch.from_numpy(descriptor)
+
+    return describe
+
+
+def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
+    """The table of ``ssrvlad bench``: both presets on frames of the synthetic city, one thread.
+
+    Returns:
+        a row for each preset, batch and way, with milliseconds an image and, where the reference
+        ran (one image), how many times faster than it. ONNX Runtime is there with the extra
+        ``onnx``.
+
+    Raises:
+        ImportError: the extra ``eval``, which the reference needs, is not installed.
+    """
+    from .. import reference
+
+    frames = SyntheticCity(seed=0).traverse(BATCH, size=SIZE, labels_as=LABELS_AS)
+    batch = torch.stack([torch.from_numpy(frame.labels) for frame in frames])
+    rows: list[dict[str, Any]] = []
+    with threads(1):
+        for preset in PRESETS:
+            config = SSRVLADConfig.from_preset(preset, labels_as=LABELS_AS)
+            modules: dict[str, Callable[[Tensor], Tensor]] = {**heads(config)}
+            with suppress(ImportError):
+                modules["ONNX Runtime"] = onnx_head(config)
+            for count in (1, BATCH):
+                ways: dict[str, Callable[[], object]] = {
+                    name: partial(head, batch[:count]) for name, head in modules.items()
+                }
+                if count == 1:
+                    plain = partial(reference.describe, batch[0].numpy(), config)
+                    ways = {"reference": plain, **ways}
+                timings = time_in_turn(ways, repetitions)
+                for name, timing in timings.items():
+                    row = {"preset": preset, "batch": count, "way": name}
+                    for key, value in timing.milliseconds.items():
+                        row[f"{key}_ms"] = value / count
+                    if count == 1:
+                        ratio = timing.times_faster_than(timings["reference"])
+                        row["times_faster"] = ratio["median"]
+                    rows.append(row)
+    return rows

@@ -1,0 +1,32 @@
+"""``ssrvlad bench``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from ..bench import bench_this_machine
+from ..options import Json
+from ..output import print_json, print_table
+
+
+def bench(
+    repetitions: Annotated[int, typer.Option(min=1, help="How often each way is timed.")] = 5,
+    as_json: Json = False,
+) -> None:
+    """Time the method on this machine, one thread: reference, eager, compiled.
+
+    Example: ssrvlad bench --repetitions 3
+    """
+    rows = bench_this_machine(repetitions)
+    if as_json:
+        print_json({"rows": rows})
+        return
+    table = Table("preset", "batch", "way", "ms an image", "min", "max", "times faster")
+    for row in rows:
+        times = [f"{row[key]:.2f}" for key in ("median_ms", "min_ms", "max_ms")]
+        ratio = f"{row['times_faster']:.1f}" if "times_faster" in row else ""
+        table.add_row(row["preset"], str(row["batch"]), row["way"], *times, ratio)
+    print_table(table)

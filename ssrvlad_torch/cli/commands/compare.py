@@ -1,0 +1,213 @@
+"""``ssrvlad compare``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from ... import baselines
+from ...encoding.encoder import Refusal
+from ...evaluation.metrics import Convention
+from .. import options
+from ..drives import KINDS, Drives, Labels, Naming
+from ..measure import measure, wants_similarity
+from ..methods import make, parse_settings, recognise, takes
+from ..output import figure, finish, print_json, print_table
+from ..truth import Places, TrueMatches
+
+Row = dict[str, Any]
+"""The figures and costs of a method, or its name and the reason why it could not run."""
+
+AT_RECALL = 0.5
+AT = ("1", "5", "10")
+COSTS = ("encode", "match")
+
+
+def compare(
+    method: Annotated[
+        str, typer.Option(help=f"Methods, with commas between: {', '.join(baselines.METHODS)}.")
+    ],
+    dataset: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Folder of a data set; without, --references and --queries are folders."
+        ),
+    ] = None,
+    references: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A sequence of the data set, * for any text; repeatable. If not given, what the "
+            "data set means for it."
+        ),
+    ] = None,
+    queries: Annotated[list[str] | None, typer.Option(help="The same for queries.")] = None,
+    odd_even: Annotated[
+        bool,
+        typer.Option(
+            "--odd-even",
+            help="Drives against themselves: even frames are references, odd ones queries.",
+        ),
+    ] = False,
+    layout: Annotated[
+        str | None, typer.Option(help="Layout of the data set; recognised if not given.")
+    ] = None,
+    labels: Annotated[
+        Path | None, typer.Option(help="Other label maps than the data set's own.")
+    ] = None,
+    labels_as: Annotated[
+        str | None,
+        typer.Option(
+            help="Label space of the label maps: a name or a .yaml file; the data set's if not "
+            "given. With it, a PNG that could be an image or a label map is a label map."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="A setting, METHOD.NAME=VALUE, such as netvlad.weights=FILE; repeatable."
+        ),
+    ] = None,
+    random_weights: options.RandomWeights = False,
+    ground_truth: options.TruthFile = None,
+    tolerance_metres: options.Metres = None,
+    tolerance_degrees: options.Degrees = None,
+    tolerance_frames: options.FrameCount = None,
+    convention: options.ConventionName = "exact",
+    workers: options.Workers = 2,
+    as_json: options.Json = False,
+) -> None:
+    """Compare methods on one data set: how well they recognise, with 95 % bootstrap intervals, and
+    what they cost. All get the same frames: those that have what the methods need. A method that
+    cannot run, for want of images, label maps or weights, is a row that says why.
+
+    Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
+
+    \b
+    Example: ssrvlad compare --references photos/monday --queries photos/today \\
+    --method hog,cohog --tolerance-frames 1
+    """
+    names = [name.strip() for name in method.split(",")]
+    methods = _make(names, parse_settings(settings or ()), random_weights)
+    naming = Naming(references or (), queries or (), odd_even)
+    drives = Drives.open(dataset, layout, naming, Labels(labels, labels_as))
+    limits = (ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames)
+    truth = TrueMatches.by(*limits, drives.whole.truth)
+    if truth.metres is not None:
+        drives = drives.posed()
+    rows = _rows(methods, drives, truth, convention, workers)
+    if as_json:
+        print_json({"rows": rows})
+    else:
+        _print(rows)
+    finish([Refusal(row["method"], row["reason"]) for row in rows if "reason" in row])
+
+
+def _make(
+    names: Sequence[str], settings: Mapping[str, Any], random_weights: bool
+) -> dict[str, baselines.Method | str]:
+    """The methods by name, or in place of one the reason why it cannot be made."""
+    own: dict[str, dict[str, Any]] = {name: {} for name in names}
+    for key, value in settings.items():
+        name, dot, setting = key.partition(".")
+        if not dot or name not in own:
+            wanted = ", ".join(own)
+            raise ValueError(f"--set wants METHOD.NAME=VALUE for one of {wanted}, got {key!r}")
+        own[name][setting] = value
+    methods: dict[str, baselines.Method | str] = {}
+    for name, given in own.items():
+        free = {"random_weights": True} if random_weights and takes(name, "random_weights") else {}
+        try:
+            methods[name] = make(name, {**free, **given})
+        except (OSError, ImportError) as error:
+            methods[name] = str(error)
+    return methods
+
+
+def _rows(
+    methods: Mapping[str, baselines.Method | str],
+    drives: Drives,
+    truth: TrueMatches,
+    convention: Convention,
+    workers: int,
+) -> list[Row]:
+    lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
+    rows: dict[str, Row] = {}
+    able: dict[str, baselines.Method] = {}
+    for name, method in methods.items():
+        if isinstance(method, str):
+            rows[name] = {"method": name, "reason": method}
+        elif reasons := [lacking[need] for need in sorted(method.needs) if need in lacking]:
+            rows[name] = {"method": method.name, "reason": reasons[0]}
+        else:
+            able[name] = method
+    if able:
+        needs = {need for method in able.values() for need in method.needs}
+        drives = drives.complete([kind for kind in KINDS if kind in needs])
+        rows |= _run(able, drives, truth, convention, workers)
+    return [rows[name] for name in methods]
+
+
+def _run(
+    methods: Mapping[str, baselines.Method],
+    drives: Drives,
+    truth: TrueMatches,
+    convention: Convention,
+    workers: int,
+) -> dict[str, Row]:
+    parts, whole, rows = (drives.references, drives.queries), drives.whole, {}
+    matches = truth.among(*(Places.of(part.frames, whole) for part in parts))
+    for name, method in methods.items():
+        labelled = "labels" in method.needs
+        there, here = (part.label_files() if labelled else part.image_files() for part in parts)
+        labels_as = whole.labels_as if labelled else None
+        all_pairs = wants_similarity(convention)
+        try:
+            found = recognise(method, there, here, labels_as, workers, all_pairs)
+        except ValueError as error:
+            rows[name] = {"method": method.name, "reason": str(error)}
+        else:
+            rows[name] = measure(found, matches, convention, AT_RECALL)
+    return rows
+
+
+def _print(rows: Sequence[Row]) -> None:
+    """Two tables, of the figures and of the costs, a row a method in both."""
+    done = [row for row in rows if "reason" not in row]
+    quality = Table(
+        "method", *(f"RecallRate\n@{n}" for n in AT), "AUC-PR", "Recall@100%\nPrecision"
+    )
+    for row in rows:
+        quality.add_row(row["method"], *(_figures(row) if row in done else ["not run"]))
+    print_table(quality)
+    if not done:
+        return
+    costs = Table("method", "bytes a reference", *(f"{what}\nms a query" for what in COSTS))
+    for row in done:
+        times = (_times(row[f"{what}_ms"]) for what in COSTS)
+        costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
+    print_table(costs)
+    print(
+        f"{done[0]['queries']} queries ({done[0]['queries_with_match']} with a true match) against "
+        f"{done[0]['references']} references, convention {done[0]['convention']}; in each cell the "
+        "95 % interval, and of times the least and the most"
+    )
+
+
+def _figures(row: Row) -> list[str]:
+    intervals = row["intervals"]
+    rates = ((row["recall_at"][n], intervals["recall_at"][n]) for n in AT)
+    names = ("auc_pr", "recall_at_100_precision")
+    return [_cell(*pair) for pair in (*rates, *((row[name], intervals[name]) for name in names))]
+
+
+def _cell(value: float, ends: Sequence[float]) -> str:
+    return figure(value) + ("" if math.isnan(value) else f"\n{ends[0]:.2f}-{ends[1]:.2f}")
+
+
+def _times(cost: Mapping[str, float]) -> str:
+    return f"{cost['average']:.2f}\n{cost['min']:.2f}-{cost['max']:.2f}"

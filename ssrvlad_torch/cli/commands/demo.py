@@ -1,0 +1,45 @@
+"""``ssrvlad demo``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from ..demo import STEPS, run_demo
+from ..options import Frames, Seed
+from ..output import figure, print_table, progress_bar
+
+
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for all that it writes.")] = Path(
+        "ssrvlad-demo"
+    ),
+    frames: Frames = 100,
+    seed: Seed = 0,
+) -> None:
+    """The main job on generated data: drive twice through a synthetic city, encode, match,
+    evaluate, picture.
+
+    Example: ssrvlad demo --out /tmp/ssrvlad-demo
+    """
+    with progress_bar("demo", STEPS * frames) as advance:
+        result = run_demo(out, frames, seed, advance)
+    _print_metrics(result.metrics)
+    print(f"picture: {result.picture}")
+
+
+def _print_metrics(metrics: Mapping[str, Any]) -> None:
+    table = Table("metric", "value")
+    for n, rate in metrics["recall_at"].items():
+        table.add_row(f"RecallRate@{n}", figure(rate))
+    table.add_row("AUC-PR", figure(metrics["auc_pr"]))
+    table.add_row("Recall@100%Precision", figure(metrics["recall_at_100_precision"]))
+    print_table(table)
+    print(
+        f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
+        f"{metrics['references']} references, fingerprint {metrics['fingerprint']}"
+    )

@@ -1,0 +1,156 @@
+"""``ssrvlad loops``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ...encoding.encoder import Encoded, Refusal
+from ...loops.config import LoopConfig
+from ...loops.detector import LoopDetector
+from ...loops.picture import draw_loops, require_picture
+from ...loops.result import LoopResult
+from ...loops.stream import (
+    detect_loops,
+    encode_as_they_come,
+    encode_files,
+    loops_of,
+    open_detector,
+    report,
+)
+from .. import options
+from ..options import Choosing, Segmenting, Selection
+from ..output import figure, finish, print_json
+from ..sources import Source
+
+STDIN = "-"
+FIELDS = ("frame", "reason", "candidate", "score", "strength")
+
+
+def loops(
+    source: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Folders, globs or files of label maps, or of images with --segmenter, in the "
+            "order of their names; or - for names of files on stdin, one a line, each taken as "
+            "soon as it is there.",
+        ),
+    ],
+    labels_as: options.LabelsAs,
+    exclude: Annotated[
+        int, typer.Option(min=0, help="The last so many frames are no candidates.")
+    ] = LoopConfig.exclude,
+    threshold: Annotated[
+        float,
+        typer.Option(
+            help="Least strength of a loop: standard deviations above the mean of a frame's "
+            "scores, or a score with --absolute."
+        ),
+    ] = LoopConfig.threshold,
+    absolute: Annotated[
+        bool, typer.Option("--absolute", help="The threshold is held against the score itself.")
+    ] = False,
+    temporal: options.Temporal = LoopConfig.temporal,
+    memory: Annotated[
+        Path | None,
+        typer.Option(help="Database that keeps the frames: new, or gone on from and added to."),
+    ] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture to write: the loops, and the drive by poses.csv.")
+    ] = None,
+    tolerance_metres: Annotated[
+        float | None,
+        typer.Option(help="Measure precision and recall: right loops are this near, by poses.csv."),
+    ] = None,
+    preset: Annotated[
+        str | None,
+        typer.Option(help="paper or default; if not given the memory's, or default."),
+    ] = None,
+    sequence: options.SequenceName = None,
+    every: options.Every = 1,
+    start: options.Start = 0,
+    segmenter: options.SegmenterFile = None,
+    segmenter_cache: options.SegmenterCache = None,
+    workers: options.Workers = 2,
+    as_json: options.Json = False,
+) -> None:
+    """Find loop closures in a stream of frames while it comes.
+
+    Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
+    """
+    relative = 0 if absolute else LoopConfig.relative
+    config = LoopConfig(exclude, threshold=threshold, relative=relative, temporal=temporal)
+    given = Source.open(
+        source,
+        labels_as,
+        Choosing(None, None, None, None),
+        Selection(sequence, every, start),
+        Segmenting(segmenter, segmenter_cache),
+        workers,
+    )
+    if picture:
+        require_picture(picture)
+    detector, database = open_detector(config, memory, preset, labels_as)
+    results: list[LoopResult] = []
+    refused: list[Refusal] = []
+    with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
+        for result in stream:
+            if isinstance(result, Refusal):
+                refused.append(result)
+            else:
+                results.append(result)
+                _print_result(result, as_json)
+    _print_report(report(detector, results, tolerance_metres), as_json)
+    if picture:
+        pairs = loops_of(detector, results)
+        draw_loops(picture, pairs, detector.poses, " ".join(source), tolerance_metres)
+    finish(refused)
+
+
+def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Refusal]:
+    """The frames that a detector does not know yet, of folders or as their names come in."""
+    labels_as, taken = detector.head.config.labels_as, source.selection
+    if STDIN not in source.paths:
+        files, segmenter = source.frames(labels_as)
+        return encode_files(detector, files, source.workers, segmenter)
+    if len(source.paths) > 1 or (taken.every, taken.start) != (1, 0):
+        raise ValueError(f"{STDIN}, the names on stdin, stands alone, without --every and --start")
+    names = map(os.fsdecode, sys.stdin.buffer)
+    return encode_as_they_come(detector, names, taken.sequence, source.segmenter(labels_as))
+
+
+def _print_result(result: LoopResult, as_json: bool) -> None:
+    if as_json:
+        print_json({name: getattr(result, name) for name in FIELDS})
+    elif result.accepted:
+        print(f"{result.frame}: {result.candidate} {result.score:.4f}", flush=True)
+
+
+def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
+    """In JSON only if precision and recall were asked for: every other line is a frame."""
+    if as_json:
+        if "precision" in told:
+            print_json(told)
+        return
+    reasons = (f"{count} {reason}" for reason, count in sorted(told["reasons"].items()))
+    print(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
+    if "precision" in told:
+        print(
+            f"precision {figure(told['precision'])} ({told['right']} of {told['accepted']} loops "
+            f"are right), recall {figure(told['recall'])} ({told['recognised']} of "
+            f"{told['revisits']} revisits)"
+        )
+        if told["suggested"]:
+            point = told["suggested"]
+            print(
+                f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
+                f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
+                f"{figure(point['recall'])}"
+            )

@@ -1,0 +1,75 @@
+"""``ssrvlad verify``."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from ...datasets.label_files import find_label_files
+from ...deployment.verify import Verification
+from ...deployment.verify import verify as check
+from ...encoding.encoder import Refusal
+from ..options import Json
+from ..output import finish, note, print_json, print_table, progress_bar
+
+MISMATCH = 1
+"""Exit code of a file that does not give what it should."""
+
+
+def verify(
+    model: Annotated[Path, typer.Argument(help="ONNX file of export or fuse.")],
+    labels: Annotated[
+        list[str] | None,
+        typer.Option(help="Label maps to compare on: a folder, glob or file; repeatable."),
+    ] = None,
+    provider: Annotated[
+        str, typer.Option(help="Execution provider of ONNX Runtime.")
+    ] = "CPUExecutionProvider",
+    as_json: Json = False,
+) -> None:
+    """Compare an exported or fused file in ONNX Runtime with the PyTorch module, on its golden
+    pair and on label maps. Exit code 1 if it is not what it should be.
+
+    Example: ssrvlad verify place.onnx --labels maps/monday
+    """
+    files = find_label_files(labels) if labels else []
+    with progress_bar("verifying", len(files)) as advance:
+        found = check(model, files, provider, advance)
+    for warning in found.warnings:
+        note(f"{model}: {warning}")
+    if as_json:
+        print_json({"file": str(model), "provider": provider, **_as_json(found)})
+    else:
+        _print(model, found)
+    if not found.passed:
+        raise typer.Exit(MISMATCH)
+    finish([Refusal(frame, reason) for frame, reason in found.refused])
+
+
+def _as_json(found: Verification) -> dict[str, Any]:
+    return {
+        **dataclasses.asdict(found),
+        "checks": [one._asdict() for one in found.checks],
+        "refused": [{"frame": frame, "reason": reason} for frame, reason in found.refused],
+        "difference": found.difference,
+        "passed": found.passed,
+    }
+
+
+def _print(model: Path, found: Verification) -> None:
+    table = Table("compared", "largest difference", "result")
+    for one in found.checks:
+        table.add_row(one.name, f"{one.difference:.2g}", one.problem or "equal")
+    print_table(table)
+    for problem in found.problems:
+        print(problem)
+    network = f" with {found.network}" if found.network else ""
+    print(
+        f"{model}: {'as it should be' if found.passed else 'NOT as it should be'}, largest "
+        f"difference {found.difference:.2g}; version {found.version}, fingerprint "
+        f"{found.fingerprint}, {found.labels_as}{network}"
+    )

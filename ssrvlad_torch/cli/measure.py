@@ -1,0 +1,123 @@
+"""Figures of the candidates of a set of queries, however they were found, and their tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from rich.table import Table
+from torch import Tensor
+
+from ..encoding.encoder import Refusal
+from ..evaluation.ground_truth_files import Known, of_known
+from ..evaluation.metrics import Convention, evaluate, precision_recall_curve
+from ..evaluation.outcomes import judge
+from ..evaluation.thresholds import operating_points
+from ..recognition.matching import Matches
+from .output import figure, interval, print_table
+from .pictures import Pictures
+from .truth import Places
+
+TOP = 10
+"""Candidates of each query that the figures need."""
+
+RESAMPLES = 1000
+
+FIGURES = {
+    "auc_pr": "AUC-PR",
+    "average_precision": "average precision",
+    "recall_at_100_precision": "Recall@100%Precision",
+    "extended_precision": "extended precision",
+    "roc_auc": "ROC-AUC",
+}
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """What was found.
+
+    Attributes:
+        references, queries: the frames.
+        found: candidates of each query, `TOP` at least.
+        similarity: ``(Q, R)`` scores of all pairs, where they are wanted.
+        descriptors: of the queries and of the references, where a database has them.
+        pictures: of the queries and of the references, by their ids.
+        refused: queries that could not be encoded.
+        told: what there is to tell about how it was found.
+    """
+
+    references: Places
+    queries: Places
+    found: Matches
+    similarity: npt.NDArray[np.float32] | None = None
+    descriptors: tuple[Tensor, Tensor] | None = None
+    pictures: tuple[Pictures, Pictures] | None = None
+    refused: Sequence[Refusal] = ()
+    told: Mapping[str, Any] = field(default_factory=dict)
+
+
+def wants_similarity(convention: Convention) -> bool:
+    """Whether a convention looks at all pairs."""
+    return convention.startswith("vpr-tutorial")
+
+
+def measure(
+    recognition: Recognition, matches: Known, convention: Convention, at_recall: float
+) -> dict[str, Any]:
+    """All figures with 95 % intervals, thresholds to choose from, and what there is to tell."""
+    known, truth = of_known(matches)
+    scores, rows = (best.numpy()[known] for best in recognition.found)
+    pairs = recognition.similarity
+    similarity = None if pairs is None else pairs[known]
+    metrics = evaluate(
+        scores, rows, truth, convention=convention, similarity=similarity, resamples=RESAMPLES
+    )
+    curve = precision_recall_curve(judge(scores, rows, truth), truth)
+    metrics["thresholds"] = operating_points(curve, [at_recall])
+    metrics["references"] = len(recognition.references.frames)
+    return {**metrics, **recognition.told}
+
+
+def print_metrics(metrics: Mapping[str, Any]) -> None:
+    """All figures with their intervals, the thresholds that one may choose, and what was told."""
+    table, intervals = Table("metric", metrics["convention"], "95 % interval"), metrics["intervals"]
+    for n, rate in metrics["recall_at"].items():
+        table.add_row(f"RecallRate@{n}", figure(rate), interval(intervals["recall_at"][n]))
+    for key, name in FIGURES.items():
+        table.add_row(name, figure(metrics[key]), interval(intervals[key]))
+    print_table(table)
+    print_table(_thresholds(metrics["thresholds"]))
+    print(counts(metrics))
+
+
+def counts(metrics: Mapping[str, Any]) -> str:
+    """How many frames the figures are of, and what found them."""
+    if "method" in metrics:
+        encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
+        whose = f"method {metrics['method']}: encode {encode:.1f} ms, match {match:.1f} ms a query"
+    else:
+        whose = f"fingerprint {metrics['fingerprint']}"
+    return (
+        f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
+        f"{metrics['references']} references, {whose}"
+    )
+
+
+def _thresholds(points: Mapping[str, Any]) -> Table:
+    table = Table("threshold for", "score", "precision", "lower end", "recall", "accepted")
+    for precision, point in points["at_precision"].items():
+        table.add_row(f"precision {precision}", *_point(point))
+    for recall, point in points["at_recall"].items():
+        table.add_row(f"recall {recall}", *_point(point))
+    table.add_row("suggested", *_point(points["suggested"]))
+    return table
+
+
+def _point(point: Mapping[str, Any] | None) -> list[str]:
+    if point is None:
+        return ["none"]
+    shares = [figure(point[key]) for key in ("precision", "precision_low", "recall")]
+    return [f"{point['score']:.4f}", *shares, str(point["accepted"])]

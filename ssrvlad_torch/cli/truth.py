@@ -1,0 +1,152 @@
+"""Which references show the place of each query, by the options that say so."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ..database.database import natural_key
+from ..datasets.dataset import Dataset, Frame
+from ..datasets.dataset import GroundTruth as DatasetTruth
+from ..datasets.frame_files import FrameFile
+from ..evaluation.ground_truth import from_frame_numbers, from_poses
+from ..evaluation.ground_truth_files import Known, from_file
+from .output import note
+
+
+@dataclass(frozen=True)
+class Places:
+    """Frames, and where they were taken.
+
+    Attributes:
+        frames: ids.
+        poses: ``(N, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
+        counted: ids of these and of all other frames that count where frames are counted, in
+            order: those that were refused, and with a data set all that it has of the sequences.
+    """
+
+    frames: tuple[str, ...]
+    poses: npt.NDArray[np.float64]
+    counted: tuple[str, ...]
+
+    @classmethod
+    def of(cls, frames: Iterable[Frame | FrameFile], dataset: Dataset | None = None) -> Places:
+        """The places of frames on disk, counted among all of the data set."""
+        taken = list(frames)
+        ids = tuple(frame.frame for frame in taken)
+        poses = np.array([frame.pose for frame in taken], np.float64).reshape(-1, 3)
+        return cls(ids, poses, counted(ids, dataset))
+
+
+@dataclass(frozen=True)
+class TrueMatches:
+    """What counts as a true match: a file, or a distance in metres or in frames.
+
+    Raises:
+        ValueError: not one of the three is given, or degrees without metres.
+    """
+
+    file: Path | None
+    metres: float | None
+    degrees: float | None
+    frames: int | None
+
+    def __post_init__(self) -> None:
+        given = sum(value is not None for value in (self.file, self.metres, self.frames))
+        if given != 1:
+            raise ValueError(
+                "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, "
+                f"got {given} of them"
+            )
+        if self.degrees is not None and self.metres is None:
+            raise ValueError("--tolerance-degrees wants --tolerance-metres beside it")
+
+    @classmethod
+    def by(
+        cls,
+        file: Path | None,
+        metres: float | None,
+        degrees: float | None,
+        frames: int | None,
+        said: DatasetTruth | None,
+    ) -> TrueMatches:
+        """By the options, or, if none of the three is given, by what the data set says."""
+        if said and (file, metres, frames) == (None, None, None):
+            return cls(said.file, said.metres, degrees, said.frames)
+        return cls(file, metres, degrees, frames)
+
+    @property
+    def words(self) -> str:
+        """What counts as a true match, in words."""
+        if self.file is not None:
+            return str(self.file)
+        if self.frames is not None:
+            return f"at most {self.frames} frames away"
+        turned = "" if self.degrees is None else f" and {self.degrees:g} degrees"
+        return f"within {self.metres:g} metres{turned}"
+
+    def among(self, references: Places, queries: Places) -> Known:
+        """Rows of the references that are true matches, for each query; ``None`` where nothing is
+        known. Notes how many queries that are, and how many are references themselves.
+
+        Raises:
+            ValueError: a pose is missing, or the file or the tolerance does not fit the frames.
+        """
+        truth = self._find(references, queries) if queries.frames else []
+        unknown = sum(rows is None for rows in truth)
+        if unknown:
+            note(f"{unknown} of {len(truth)} queries are left out: {self.file} does not name them")
+        themselves = len(set(queries.frames) & set(references.frames))
+        if themselves:
+            note(f"{themselves} of {len(queries.frames)} queries are in the database themselves")
+        return truth
+
+    def _find(self, references: Places, queries: Places) -> Known:
+        if self.metres is not None:
+            return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
+        if self.file is not None:
+            counted = from_file(self.file, queries.counted, references.counted)
+        else:
+            assert self.frames is not None
+            counted = [*from_frame_numbers(queries.counted, references.counted, self.frames)]
+        of_query = dict(zip(queries.counted, counted, strict=True))
+        truth, missing = _rows([of_query[frame] for frame in queries.frames], references)
+        if self.file and missing:
+            note(
+                f"{len(missing)} of the references that {self.file} names are not in the database, "
+                f"the first is {min(missing, key=_natural_order)}"
+            )
+        return truth
+
+
+def counted(
+    frames: Iterable[str], dataset: Dataset | None = None, refused: Iterable[str] = ()
+) -> tuple[str, ...]:
+    """What `Places` counts, of the frames, the refused ones, and the whole data set."""
+    ids = {*frames, *refused}
+    sequences = {frame.rpartition("/")[0] for frame in ids}
+    if dataset:
+        ids |= {frame.frame for frame in dataset.frames if frame.sequence in sequences}
+    return tuple(sorted(ids, key=_natural_order))
+
+
+def _rows(truth: Known, references: Places) -> tuple[Known, Collection[str]]:
+    """Of places among the counted references, the rows of those that are there, and ids of those
+    that are not."""
+    row = {frame: number for number, frame in enumerate(references.frames)}
+    rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
+    named = {place for places in truth if places is not None for place in places.tolist()}
+    missing = {references.counted[place] for place in named if rows[place] < 0}
+    there = [
+        None if places is None else np.sort(rows[places][rows[places] >= 0]) for places in truth
+    ]
+    return there, missing
+
+
+def _natural_order(frame: str) -> tuple[str, str]:
+    sequence, _, name = frame.rpartition("/")
+    return natural_key(sequence), natural_key(name)

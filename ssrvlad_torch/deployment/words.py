@@ -1,0 +1,223 @@
+"""Bit-planes in a graph: the layers of a batch as one line of 64-bit words.
+
+ONNX Runtime takes as long for a bitwise operation on a byte as on a word, so a word holds eight
+pixels of a row times eight layers: bit ``8 * p + k`` is layer ``k`` of pixel ``p``. Each row ends
+with at least one background pixel and each image with a background row, so the neighbours of a
+word are the words a pitch before and after it on the line, and nothing touches around an edge.
+Words are int64, for which old versions have the operators, too. `bitplanes` is the same for
+tensors, a byte a pixel.
+
+A pixel's place is its number on the line, margins counted: ``8 * word + p``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ..bitplanes import LAYERS
+from .graph import Graph, Symbol
+
+PIXELS = 8
+"""Pixels in a word."""
+
+EACH_PIXEL = 0x0101010101010101
+"""Layer 0 of all pixels of a word."""
+
+Ring = tuple[Symbol, ...]
+"""N, NE, E, SE, S, SW, W, NW of every pixel, as words."""
+
+
+class Grid(NamedTuple):
+    """Size of a batch, ``()`` int64 symbols: images, rows, columns, words a row on the line."""
+
+    images: Symbol
+    height: Symbol
+    width: Symbol
+    pitch: Symbol
+
+    @property
+    def words(self) -> Symbol:
+        """Length of the line."""
+        return self.images * (self.height + 1) * self.pitch
+
+    def image(self, place: Symbol) -> Symbol:
+        """The image that a pixel is in."""
+        return place // ((self.height + 1) * self.pitch * PIXELS)
+
+    def row(self, place: Symbol) -> Symbol:
+        """Row of a pixel in its image."""
+        return place // (self.pitch * PIXELS) % (self.height + 1)
+
+    def column(self, place: Symbol) -> Symbol:
+        """Column of a pixel."""
+        return place % (self.pitch * PIXELS)
+
+
+class Words(NamedTuple):
+    """The layers of a batch: ``line`` is ``(grid.words,)`` int64."""
+
+    line: Symbol
+    grid: Grid
+
+    def with_line(self, line: Symbol) -> Words:
+        """Other layers of the same size."""
+        return self._replace(line=line)
+
+
+class Pixels(NamedTuple):
+    """Pixels of the layers, sorted by layer, then by place; ``(n,)`` int64 each."""
+
+    layer: Symbol
+    place: Symbol
+
+
+class GraphPoints(NamedTuple):
+    """`bitplanes.Points` in a graph: group ``k * B + b``, row and column, ``(n,)`` int64 each."""
+
+    group: Symbol
+    y: Symbol
+    x: Symbol
+
+
+class Runs(NamedTuple):
+    """Maximal horizontal runs of the layers, sorted by layer, then by place; ``(n,)`` int64 each.
+
+    ``first`` and ``last`` are the places of the first and the last pixel.
+    """
+
+    layer: Symbol
+    first: Symbol
+    last: Symbol
+
+    @property
+    def length(self) -> Symbol:
+        """Pixels of each run."""
+        return self.last - self.first + 1
+
+    def where(self, chosen: Symbol) -> Runs:
+        """The runs at which ``(n,)`` bool is true."""
+        number = chosen.graph.NonZero(chosen).reshape(-1)
+        return Runs(*(column.take(number) for column in self))
+
+
+def grid_of(images: Symbol, height: Symbol, width: Symbol) -> Grid:
+    """The grid of so many images of so many rows and columns."""
+    return Grid(images, height, width, width // PIXELS + 1)
+
+
+def inside(graph: Graph, grid: Grid) -> Symbol:
+    """``(grid.words,)`` int64, all bits of all pixels that are not margin."""
+    masks = _words([(1 << 8 * p) - 1 for p in range(PIXELS + 1)])
+    left = grid.width - graph.arange(grid.pitch) * PIXELS
+    row = graph.constant(masks).take(graph.Min(left, PIXELS)).reshape(1, -1)
+    image = graph.Pad(graph.Expand(row, graph.vector(grid.height, 1)), [0, 0, 1, 0])
+    return graph.Tile(image.reshape(-1), graph.vector(grid.images))
+
+
+def neighbourhood(graph: Graph, words: Words) -> tuple[Symbol, Ring]:
+    """All words of a line and the eight neighbours of their pixels."""
+    length, pitch = words.grid.words, words.grid.pitch
+    padded = graph.Pad(words.line, graph.vector(pitch + 1, pitch + 1))
+    west, east = shifted(padded[:-2], padded[1:-1], padded[2:])
+    north_west, west, south_west = (west[row : row + length] for row in (0, pitch, pitch * 2))
+    north_east, east, south_east = (east[row : row + length] for row in (0, pitch, pitch * 2))
+    north, south = padded[1 : length + 1], padded[pitch * 2 + 1 : -1]
+    return words.line, (
+        *(north, north_east, east, south_east),
+        *(south, south_west, west, north_west),
+    )
+
+
+def west_of(graph: Graph, line: Symbol) -> Symbol:
+    """The west neighbours of all pixels."""
+    return (line << 8) + graph.Pad(line[:-1] >> 56, [1, 0])
+
+
+def east_of(graph: Graph, line: Symbol) -> Symbol:
+    """The east neighbours of all pixels."""
+    return (line >> 8) + graph.Pad(line[1:] << 56, [0, 1])
+
+
+def pixels_of(graph: Graph, line: Symbol) -> Pixels:
+    """The pixels of every layer. Words without any are passed over, then pixels without any."""
+    word = graph.NonZero(line).reshape(-1)
+    pixels = _bytes(graph, line.take(word))
+    entry, pixel = graph.split(graph.NonZero(pixels), 2, axis=0)
+    entry, pixel = entry.reshape(-1), pixel.reshape(-1)
+    place = word.take(entry) * PIXELS + pixel
+    bits = graph.constant((1 << np.arange(LAYERS)).astype(np.uint8)[:, None])
+    layers = pixels.reshape(-1).take(entry * PIXELS + pixel) & bits
+    layer, entry = graph.split(graph.NonZero(layers), 2, axis=0)
+    return Pixels(layer.reshape(-1), place.take(entry.reshape(-1)))
+
+
+def runs_of(graph: Graph, line: Symbol) -> Runs:
+    """The runs of every layer. Runs of a layer do not nest: the n-th that begins is the n-th that
+    ends."""
+    first = pixels_of(graph, first_of_runs(graph, line))
+    last = pixels_of(graph, line & ~east_of(graph, line))
+    return Runs(first.layer, first.place, last.place)
+
+
+def first_of_runs(graph: Graph, line: Symbol) -> Symbol:
+    """Pixels whose west neighbour is off."""
+    return line & ~west_of(graph, line)
+
+
+def paint_in_graph(graph: Graph, runs: Runs, grid: Grid) -> Symbol:
+    """The line that holds exactly the given runs; each writes the words that it reaches into."""
+    ends = np.ndindex(PIXELS, PIXELS)
+    spans = _words([sum(1 << 8 * p for p in range(first, last + 1)) for first, last in ends])
+    begin, end = runs.first // PIXELS, runs.last // PIXELS
+    run, step = graph.repeated(end - begin + 1)
+    word = begin.take(run) + step
+    first = graph.Max(runs.first.take(run) - word * PIXELS, 0)
+    last = graph.Min(runs.last.take(run) - word * PIXELS, PIXELS - 1)
+    span = graph.constant(spans).take(first * PIXELS + last)
+    bits = span << runs.layer.take(run)
+    return graph.sums(word, bits, grid.words)
+
+
+def planes_of(graph: Graph, words: Words) -> Symbol:
+    """``(B, H, W)`` uint8 bit-planes."""
+    grid = words.grid
+    rows = _bytes(graph, words.line).reshape(grid.images, grid.height + 1, grid.pitch * PIXELS)
+    return graph.Slice(rows, [0, 0], graph.vector(grid.height, grid.width), [1, 2])
+
+
+def points_of(graph: Graph, words: Words) -> GraphPoints:
+    """The pixels of every layer as `bitplanes.points` lists them."""
+    pixels, grid = pixels_of(graph, words.line), words.grid
+    group = pixels.layer * grid.images + grid.image(pixels.place)
+    return GraphPoints(group, grid.row(pixels.place), grid.column(pixels.place))
+
+
+def count_points_in_graph(graph: Graph, listed: GraphPoints, images: Symbol) -> Symbol:
+    """``(B, 8)`` int64, how many of the points each layer of each image has."""
+    counts = graph.counts(listed.group, images * LAYERS).reshape(-1, 1)
+    return by_image_in_graph(graph, counts, images).reshape(images, LAYERS)
+
+
+def by_image_in_graph(graph: Graph, values: Symbol, images: Symbol) -> Symbol:
+    """``(8 * B, n)`` values by group -> ``(B, 8, n)``."""
+    by_layer = values.reshape(LAYERS, images, -1)
+    return graph.Transpose(by_layer, perm=[1, 0, 2])
+
+
+def _bytes(graph: Graph, line: Symbol) -> Symbol:
+    """``(n, 8)`` uint8, the eight pixels of each word."""
+    shifts = graph.constant(8 * np.arange(PIXELS, dtype=np.uint64))
+    return (line.to("uint64").reshape(-1, 1) >> shifts & 255).to("uint8")
+
+
+def shifted(before: Symbol, here: Symbol, after: Symbol) -> tuple[Symbol, Symbol]:
+    """Words whose pixels are the west, and the east, neighbours of the pixels of the words."""
+    return (here << 8) + (before >> 56), (here >> 8) + (after << 56)
+
+
+def _words(numbers: Sequence[int]) -> npt.NDArray[np.int64]:
+    return np.array(numbers, np.uint64).view(np.int64)

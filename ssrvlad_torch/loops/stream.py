@@ -1,0 +1,174 @@
+"""Loop closures over files: folders of frames, or names that arrive one by one."""
+
+from __future__ import annotations
+
+import functools
+from collections import Counter
+from collections.abc import Generator, Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..config import SSRVLADConfig
+from ..database.database import Database
+from ..datasets.frame_files import FrameFile
+from ..datasets.poses import UNKNOWN, find_poses
+from ..descriptor import SSRVLAD
+from ..encoding.encoder import Encoded, Refusal, encode
+from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest
+from ..evaluation.outcomes import Rows
+from ..files import absolute_folder
+from ..segmentation.segmenter import Segmenter
+from .config import LoopConfig
+from .detector import LoopDetector
+from .result import LoopResult
+
+CHECKPOINT_FRAMES = 500
+
+
+def open_detector(
+    config: LoopConfig, memory: Path | None, preset: str | None, labels_as: str
+) -> tuple[LoopDetector, Database | None]:
+    """A detector, and the database that it was loaded from and is saved to.
+
+    Args:
+        config: the settings of the detector.
+        memory: a database, new if there is none; ``None`` for none.
+        preset: of the descriptors; without, the database's, or ``default``.
+        labels_as: label space of the frames to come.
+
+    Raises:
+        ValueError: the database is damaged or was made with another preset.
+    """
+    if memory is not None and preset is None and Database.exists(memory):
+        method = replace(Database.open(memory).config, labels_as=labels_as)
+    else:
+        method = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
+    head = SSRVLAD(method)
+    if memory is None:
+        return LoopDetector(config, head), None
+    database = Database.open_or_create(memory, method)
+    return LoopDetector.load(database, config, head), database
+
+
+def encode_files(
+    detector: LoopDetector,
+    files: Sequence[FrameFile],
+    workers: int = 2,
+    segmenter: Segmenter | None = None,
+) -> Iterator[Encoded | Refusal]:
+    """Encodes the files whose frames a detector does not know yet; see `encoding.encode`."""
+    fresh = [file for file in files if file.frame not in detector]
+    return encode(detector.head, fresh, workers, segmenter)
+
+
+def encode_as_they_come(
+    detector: LoopDetector,
+    names: Iterable[str],
+    sequence: str | None = None,
+    segmenter: Segmenter | None = None,
+) -> Iterator[Encoded | Refusal]:
+    """Encodes files one by one, each as soon as its name is there.
+
+    Frames that the detector knew at the start are passed over. Poses come from the ``poses.csv``
+    in or beside a file's folder, read once.
+
+    Args:
+        detector: whose head describes the frames.
+        names: lines with one file name each; empty ones are passed over.
+        sequence: the name of the sequence in place of the folder's.
+        segmenter: makes label maps of images; without, the files are label maps.
+    """
+    known = frozenset(detector.frames)
+    poses = functools.cache(find_poses)
+    for line in names:
+        path = Path(line.rstrip("\r\n"))
+        if not line.strip():
+            continue
+        folder = absolute_folder(path.parent).name
+        file = FrameFile(sequence or folder, path.stem, path)
+        if file.frame in known:
+            continue
+        try:
+            there = poses(path.parent)
+        except ValueError as error:
+            yield Refusal(file.frame, str(error))
+            continue
+        ids = (file.frame, f"{folder}/{file.name}", file.name)
+        pose = next((there[frame] for frame in ids if frame in there), UNKNOWN)
+        yield from encode(detector.head, [replace(file, pose=pose)], 1, segmenter)
+
+
+def detect_loops(
+    detector: LoopDetector, frames: Iterable[Encoded | Refusal], database: Database | None = None
+) -> Generator[LoopResult | Refusal]:
+    """Shows frames to a detector, in order; a frame that it does not take is refused.
+
+    Args:
+        detector: goes on from what it knows.
+        frames: the stream.
+        database: gets a checkpoint every `CHECKPOINT_FRAMES` frames and when the stream ends or
+            breaks off; ``None`` for none.
+    """
+    try:
+        for frame in frames:
+            yield frame if isinstance(frame, Refusal) else _observe(detector, frame)
+            if database is not None and len(detector) >= len(database) + CHECKPOINT_FRAMES:
+                detector.save(database)
+    finally:
+        if database is not None:
+            detector.save(database)
+
+
+def loops_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
+    """``(N,)`` int64: for each frame that a detector knows the row of the frame to which it closes
+    a loop, -1 for none."""
+    row = {frame: number for number, frame in enumerate(detector.frames)}
+    loops = np.full(len(row), -1, np.int64)
+    for result in results:
+        if result.accepted and result.candidate is not None:
+            loops[row[result.frame]] = row[result.candidate]
+    return loops
+
+
+def report(
+    detector: LoopDetector, results: Sequence[LoopResult], metres: float | None = None
+) -> dict[str, Any]:
+    """What became of a detector's last frames.
+
+    Args:
+        detector: after these frames.
+        results: one a frame.
+        metres: largest distance of a right loop; ``None`` if none is to be judged.
+
+    Returns:
+        ``frames``, ``reasons`` (how often each), and with a distance the counts of `LoopScore`,
+        ``precision``, ``recall``, and ``suggested``, the surest threshold for such a stream, see
+        `evaluation.loops.surest`, as a mapping or ``None``; it is at least the detector's own.
+
+    Raises:
+        ValueError: loops are to be judged and no frame has a pose.
+    """
+    counts = Counter(result.reason.value for result in results)
+    told: dict[str, Any] = {"frames": len(results), "reasons": dict(counts)}
+    if metres is not None:
+        loops, exclude = loops_of(detector, results), detector.config.exclude
+        first = len(loops) - len(results)
+        score = score_loops(loops, detector.poses, exclude, metres, first)
+        told |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
+        strengths = [result.strength for result in results if result.accepted]
+        errors = loop_errors(loops, detector.poses)
+        judged = np.isfinite(errors)
+        right = errors[judged] <= metres
+        point = surest(loop_curve(np.array(strengths, float)[judged], right, score.revisits))
+        told["suggested"] = point and point._asdict()
+    return told
+
+
+def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Refusal:
+    try:
+        return detector.observe(frame.record, frame.descriptor)
+    except ValueError as error:
+        return Refusal(frame.record.frame, str(error))

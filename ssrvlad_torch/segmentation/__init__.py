@@ -1,0 +1,1 @@
+"""Images -> label maps, by any network."""

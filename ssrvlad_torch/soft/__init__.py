@@ -1,0 +1,1 @@
+"""The differentiable twin and the place loss."""

@@ -1,0 +1,151 @@
+"""The differentiable twin: class scores -> descriptors, with a gradient for every score."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from ..bitplanes import pack, unpack
+from ..config import SSRVLADConfig
+from ..descriptor import SSRVLAD, Explanation
+from ..stages.canvas import CELLS, ROWS
+from ..stages.harmonics import bin_table, pattern_table
+from ..stages.morphology import open_and_close
+from ..taxonomy import NO_LAYER
+from .stages.aggregation import soft_aggregate
+from .stages.canvas import soft_shares
+from .stages.centroid import soft_centroids, soft_points
+from .stages.harmonics import soft_amounts
+from .stages.keypoints import soft_keypoints
+from .stages.layers import are_probabilities, membership, soft_layers
+from .stages.morphology import soft_open_and_close
+from .stages.reduction import soft_majority
+from .stages.regions import soft_regions
+from .stages.shape_context import bin_masks, soft_shape_contexts
+from .stages.skeleton import soft_skeleton
+from .stages.vista import soft_vistas
+
+HARD_SHARE = 0.95
+"""At temperature 1, the share of the thinned skeleton in the soft one, and of a bin that it does
+not share with the next."""
+
+
+class SoftSSRVLAD(nn.Module):
+    """Class scores -> place descriptors through which a segmentation network can be trained.
+
+    Each step is that of `SSRVLAD` in real numbers. What decides and does not weigh stays as the
+    hard method has it, without a gradient: which holes are filled, which regions are dropped,
+    which pixels the thinning keeps. The module has no weights.
+
+    Args:
+        config: the settings, of either aggregation; without, the preset ``default``.
+        temperature: 1 for probabilities as they are and a descriptor near the hard one; towards 0
+            it becomes the hard one, gradients vanish; above 1 everything is softer. It divides
+            the logits, and ``softness`` follows it.
+
+    Shape:
+        - input: ``(B, C, H, W)`` floating class scores: logits, or probabilities, which are
+          recognised by their sums (see `are_probabilities`); any ``H`` and ``W`` from 1.
+        - output: ``(B, 480)`` float32, float64 for float64 input, of length 1, shorter where next
+          to nothing is seen; exact zeros where nothing is. Autocast does not touch it.
+
+    Raises:
+        ValueError: a temperature that is not above 0; input that `SSRVLAD` refuses, or label ids.
+
+    Example:
+        >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
+        >>> SoftSSRVLAD()(scores)[0].sum().backward()
+    """
+
+    def __init__(self, config: SSRVLADConfig | None = None, temperature: float = 1.0) -> None:
+        super().__init__()
+        if not 0 < temperature < float("inf"):
+            raise ValueError(f"temperature must be a number above 0, got {temperature!r}")
+        self.config = config or SSRVLADConfig()
+        self.temperature = temperature
+        self._masks = SSRVLAD(replace(self.config, aggregation="harmonics", harmonics=1))
+        self._tables = _tables(self.config)
+
+    @property
+    def softness(self) -> float:
+        """From 0 to 1: share of the eroded skeleton, and of a bin that the next one shares."""
+        return float(1 - HARD_SHARE**self.temperature)
+
+    def forward(self, scores: Tensor, view: Explanation | None = None) -> Tensor:
+        """The descriptors of a batch; ``view`` is what `SSRVLAD.explain` has of it, if known."""
+        if scores.ndim != 4:
+            raise ValueError(f"wanted (B, C, H, W) class scores, got {tuple(scores.shape)}")
+        with torch.autocast(scores.device.type, enabled=False):
+            wide = scores.float() if scores.dtype in (torch.half, torch.bfloat16) else scores
+            return self._describe(wide, view or self._seen(wide.detach()))
+
+    def _seen(self, scores: Tensor) -> Explanation:
+        """The hard masks; of probabilities, what is missing to 1 has no layer where it is most."""
+        view = self._masks.explain(scores)
+        no_layer = [c.id for c in self._masks.label_space.classes if c.category_index == NO_LAYER]
+        if not (no_layer and are_probabilities(scores)):
+            return view
+        void = 1 - scores.sum(1) > scores.amax(1)
+        if not bool(void.any()):
+            return view
+        return self._masks.explain(scores.argmax(1).masked_fill(void, no_layer[0]))
+
+    def _describe(self, scores: Tensor, view: Explanation) -> Tensor:
+        config, grid = self.config, (view.layers.shape[2], view.layers.shape[3])
+        radii = [config.radius_pixels(part, *grid) for part in (config.opening, config.closing)]
+
+        members = membership(self._masks.label_space, scores.shape[1])
+        layers = soft_layers(scores, members, self.temperature)  # Table II
+        layers = soft_majority(layers, grid, self.temperature)
+        closed = unpack(open_and_close(pack(view.layers), radii[0], radii[1]))
+        clean = soft_open_and_close(layers, radii[0], radii[1])
+        clean = soft_regions(clean, closed, view.clean_layers)
+
+        skeleton = soft_skeleton(clean, view.skeleton, self.softness)
+        if config.aggregation == "residuals":
+            return self._residuals(clean, skeleton)
+        return self._harmonics(layers, clean, skeleton)
+
+    def _residuals(self, clean: Tensor, skeleton: Tensor) -> Tensor:
+        """Eq. 2 in one correlation: each key-point counts, the centre as often less."""
+        config, grid = self.config, (clean.shape[2], clean.shape[3])
+        keypoints = soft_keypoints(skeleton)
+        centres = soft_points(soft_centroids(clean), *grid)  # Eq. 1
+        context = skeleton if config.context == "skeleton" else keypoints
+
+        masks = bin_masks(
+            *grid,
+            config.ring_limits(*grid),
+            config.sectors,
+            self.softness,
+            clean.dtype,
+            clean.device,
+        )
+        references = keypoints - keypoints.sum((2, 3), keepdim=True) * centres
+        return soft_aggregate(soft_shape_contexts(references, context, masks))  # Eq. 2
+
+    def _harmonics(self, layers: Tensor, clean: Tensor, skeleton: Tensor) -> Tensor:
+        """The descriptor around the vista."""
+        config = self.config
+        vista = soft_vistas(clean) if config.anchor == "vista" else clean.new_zeros(len(clean))
+        bins, patterns = (table.to(clean) for table in self._tables)
+        return soft_amounts(
+            soft_shares(layers, vista, CELLS),
+            soft_shares(skeleton, vista, CELLS) * (min(clean.shape[2:]) / ROWS),
+            config.skeleton_weight,
+            bins,
+            patterns,
+            config.power,
+        )
+
+    def extra_repr(self) -> str:
+        """What ``print(twin)`` shows: the temperature."""
+        return f"temperature={self.temperature:g}"
+
+
+def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
+    bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
+    patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
+    return bins, patterns

@@ -1,0 +1,51 @@
+"""Soft layers: class scores -> probabilities of the eight categories (Table II)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ...taxonomy import CATEGORIES, LabelSpace
+
+TINY = 1e-6
+"""Added to a probability before its logarithm: what is impossible has a finite score."""
+
+TOLERANCE = 0.01
+"""How far probabilities may miss 0 from below, and their sum 1: bfloat16 has three digits."""
+
+
+def membership(space: LabelSpace, channels: int) -> Tensor:
+    """``(C, 8)`` float64, 1 where the class of a channel is of a category; dynamic and void rows
+    are zero. Channel ``c`` stands for id ``c``."""
+    categories = {label.id: label.category_index for label in space.classes}
+    columns = torch.tensor([categories[channel] for channel in range(channels)])
+    return torch.eye(len(CATEGORIES) + 1).double()[columns, : len(CATEGORIES)]
+
+
+def soft_layers(scores: Tensor, members: Tensor, temperature: float) -> Tensor:
+    """The probability of every category at every pixel: those of its classes, summed.
+
+    Args:
+        scores: ``(B, C, H, W)`` logits, or `are_probabilities`, one-hot labels among them. These
+            count by their logarithm; what is missing to 1 is void.
+        members: `membership`.
+        temperature: divides the logits before the softmax; 1 leaves probabilities as they are.
+
+    Returns:
+        ``(B, 8, H, W)``, 0 to 1; what is missing to 1 belongs to no layer.
+    """
+    if are_probabilities(scores):
+        missing = 1 - scores.sum(1, keepdim=True)
+        missing = missing.where(missing > TOLERANCE, 0)
+        scores = (torch.cat([scores.clamp(min=0), missing], 1) + TINY).log()
+    shares = (scores / temperature).softmax(1)[:, : len(members)]
+    return torch.einsum("bchw,ck->bkhw", shares, members.to(shares))
+
+
+def are_probabilities(scores: Tensor) -> bool:
+    """Whether ``(B, C, H, W)`` scores are probabilities over the classes: none is below 0, and they
+    sum to 1, or to less at pixels that have no class."""
+    with torch.no_grad():
+        totals = scores.sum(1)
+        whole = (totals.amax() - 1).abs() <= TOLERANCE
+        return bool(whole & (scores.amin() >= -TOLERANCE))
