@@ -11,19 +11,26 @@ group and then in raster order. `by_image` turns a value per group into a value 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple, Protocol, Self, TypeVar
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .deployment.graph import Symbol
-
 LAYERS = 8
 
-Bits = TypeVar("Bits", Tensor, Symbol)
-"""Integers of any shape and width, each bit a pixel of some layer: a tensor, or a symbol of a
-graph. What takes either has Python's operators only."""
+
+class Bitwise(Protocol):
+    """Integers of any shape and width, each bit a pixel of some layer: a tensor or whatever else
+    has these operators of Python."""
+
+    def __and__(self, other: Self, /) -> Self: ...
+    def __or__(self, other: Self, /) -> Self: ...
+    def __sub__(self, other: Self, /) -> Self: ...
+    def __invert__(self) -> Self: ...
+
+
+Bits = TypeVar("Bits", bound=Bitwise)
 
 
 class Points(NamedTuple):
@@ -73,6 +80,12 @@ def two_or_more(planes: Sequence[Bits]) -> Bits:
     for plane in planes[2:]:
         seen, again = seen | plane, again | (seen & plane)
     return again
+
+
+def three_of_four(planes: Sequence[Bits]) -> Bits:
+    """Bits that are set in at least three of four planes."""
+    a, b, c, d = planes
+    return a & b & (c | d) | c & d & (a | b)
 
 
 def steps_around(ring: tuple[Bits, ...]) -> list[Bits]:

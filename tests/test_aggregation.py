@@ -2,8 +2,8 @@ import numpy as np
 import torch
 from graphs import run
 
+from ssrvlad_torch.deployment.stages.residuals import aggregate_in_graph
 from ssrvlad_torch.stages import residuals as aggregation
-from ssrvlad_torch.stages.residuals import aggregate_in_graph
 
 
 def in_graph(graph, sums, centres, counts):

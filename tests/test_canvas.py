@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
+from ssrvlad_torch.deployment.stages.grid_pooling import pool_in_graph
 from ssrvlad_torch.stages import canvas
-from ssrvlad_torch.stages.canvas import COLUMNS, ROWS, overlaps, shares_in_graph
+from ssrvlad_torch.stages.canvas import COLUMNS, ROWS, overlaps
 
 
 def in_graph(graph, words, shift):
-    return [shares_in_graph(graph, words, shift)]
+    return [pool_in_graph(graph, words, shift)]
 
 
 def shares(planes, shift):

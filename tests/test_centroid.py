@@ -8,8 +8,9 @@ from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import unpack
+from ssrvlad_torch.deployment.stages.centroid import centroids_in_graph
 from ssrvlad_torch.stages import centroid
-from ssrvlad_torch.stages.centroid import centre_table, centroids_in_graph
+from ssrvlad_torch.stages.centroid import centre_table
 
 
 def all_in_graph(graph, words):

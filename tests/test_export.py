@@ -20,9 +20,9 @@ from graphs import session
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.deployment import Metadata, export_head
-from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.deployment.export import export_head, head_model
 from ssrvlad_torch.deployment.graph import OPSET
+from ssrvlad_torch.deployment.metadata import Metadata
 
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")

@@ -9,16 +9,12 @@ import torch
 from graphs import run
 
 from ssrvlad_torch import SSRVLADConfig, reference
-from ssrvlad_torch.stages.canvas import CELLS, COLUMNS, ROWS
-from ssrvlad_torch.stages.harmonics import (
-    amounts,
-    amounts_in_graph,
-    bin_table,
-    pattern_table,
-    soft_histograms,
+from ssrvlad_torch.deployment.stages.harmonics import (
+    coefficients_in_graph,
     soft_histograms_in_graph,
-    waves,
 )
+from ssrvlad_torch.stages.canvas import CELLS, COLUMNS, ROWS
+from ssrvlad_torch.stages.harmonics import amounts, bin_table, pattern_table, soft_histograms, waves
 
 CONFIGS = [
     SSRVLADConfig(),
@@ -119,7 +115,7 @@ def test_the_same_in_a_graph(config):
 
     def in_graph(graph, area, lengths):
         found = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
-        return [found, amounts_in_graph(graph, found, patterns, config.power)]
+        return [found, coefficients_in_graph(graph, found, patterns, config.power)]
 
     area, lengths = torch.rand(2, 3, 8, ROWS, COLUMNS, dtype=torch.float64)
     area[1], lengths[1], area[0, 3] = 0, 0, 0

@@ -152,7 +152,7 @@ def test_the_package_loads_without_the_extras():
         "sklearn",
     )
     code = (
-        "import sys, ssrvlad_torch, ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.cli.show;"
+        "import sys, ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.cli.show;"
         f"print([m for m in {heavy!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -5,17 +5,13 @@ import torch
 from graphs import run, to_planes
 from test_bitplanes import random_planes
 
-from ssrvlad_torch.deployment.words import grid_of
-from ssrvlad_torch.stages.layers import (
-    UNKNOWN,
-    categorise,
+from ssrvlad_torch.deployment.stages.layers import (
     categorise_in_graph,
-    category_table,
     entries_in_graph,
-    refuse_unknown,
-    split,
     split_in_graph,
 )
+from ssrvlad_torch.deployment.words import grid_of
+from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown, split
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
 
 INTEGER_DTYPES = [

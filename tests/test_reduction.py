@@ -6,8 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
+from ssrvlad_torch.deployment.stages.reduction import reduce_by_majority_in_graph
 from ssrvlad_torch.stages import reduction
-from ssrvlad_torch.stages.reduction import reduce_by_majority_in_graph
 from ssrvlad_torch.taxonomy import NO_LAYER
 
 UNKNOWN = NO_LAYER + 1

@@ -12,14 +12,9 @@ from test_bitplanes import random_planes
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.config import THINNINGS
+from ssrvlad_torch.deployment.stages.skeleton import thin_in_graph
 from ssrvlad_torch.stages import skeleton
-from ssrvlad_torch.stages.skeleton import (
-    RULES,
-    sweep_into,
-    thin_by_sweeps,
-    thin_in_graph,
-    zhang_suen,
-)
+from ssrvlad_torch.stages.skeleton import RULES, sweep_into, thin_by_sweeps, zhang_suen
 
 
 def thin_by_each_rule(graph, words):

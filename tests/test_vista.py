@@ -9,14 +9,15 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
+from ssrvlad_torch.deployment.stages.vanishing_column import vanishing_columns_in_graph
 from ssrvlad_torch.stages import vista
-from ssrvlad_torch.stages.vista import LEVELS, ONE, POWER, vistas_in_graph
+from ssrvlad_torch.stages.vista import LEVELS, ONE, POWER
 
 SKY, GROUND, BUILDING = 5, 0, 2
 
 
 def in_graph(graph, words):
-    return [vistas_in_graph(graph, words)]
+    return [vanishing_columns_in_graph(graph, words)]
 
 
 def vistas(planes):

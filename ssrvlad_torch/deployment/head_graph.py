@@ -5,31 +5,32 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..config import SSRVLADConfig
-from ..stages.canvas import CELLS, ROWS, shares_in_graph
-from ..stages.centroid import centroids_in_graph
-from ..stages.components import drop_regions_in_graph, fill_holes_in_graph
-from ..stages.harmonics import (
-    amounts_in_graph,
-    bin_table,
-    pattern_table,
-    soft_histograms_in_graph,
-)
-from ..stages.keypoints import end_points_in_graph, intersections_in_graph
-from ..stages.layers import (
-    categorise_in_graph,
-    category_table,
-    entries_in_graph,
-    split_in_graph,
-)
-from ..stages.morphology import open_and_close_in_graph
-from ..stages.reduction import reduce_by_majority_in_graph
-from ..stages.residuals import aggregate_in_graph
-from ..stages.shape_context import log_polar_bins_in_graph, shape_contexts_in_graph
-from ..stages.skeleton import RULES, thin_in_graph
-from ..stages.vista import vistas_in_graph
+from ..stages.canvas import CELLS, ROWS
+from ..stages.harmonics import bin_table, pattern_table
+from ..stages.layers import category_table
+from ..stages.skeleton import RULES
 from ..taxonomy import label_space
 from .geometry import area_pixels, radius_pixels, ring_limits, working_grid
 from .graph import Graph, Symbol
+from .stages.centroid import centroids_in_graph
+from .stages.components import drop_regions_in_graph, fill_holes_in_graph
+from .stages.grid_pooling import pool_in_graph
+from .stages.harmonics import (
+    coefficients_in_graph,
+    soft_histograms_in_graph,
+)
+from .stages.keypoints import end_points_in_graph, intersections_in_graph
+from .stages.layers import (
+    categorise_in_graph,
+    entries_in_graph,
+    split_in_graph,
+)
+from .stages.morphology import open_and_close_in_graph
+from .stages.reduction import reduce_by_majority_in_graph
+from .stages.residuals import aggregate_in_graph
+from .stages.shape_context import log_polar_bins_in_graph, shape_contexts_in_graph
+from .stages.skeleton import thin_in_graph
+from .stages.vanishing_column import vanishing_columns_in_graph
 from .words import GraphPoints, Words, count_points_in_graph, grid_of, points_of
 
 
@@ -113,19 +114,19 @@ def _harmonics(
 ) -> Symbol:
     """The descriptor around the vista."""
     grid = layers.grid
-    with graph.stage("vista"):
+    with graph.stage("vanishing_column"):
         vista = graph.full([grid.images], 0, "int64")
         if config.anchor == "vista":
-            vista = vistas_in_graph(graph, clean)
-    with graph.stage("canvas"):
+            vista = vanishing_columns_in_graph(graph, clean)
+    with graph.stage("grid_pooling"):
         side = graph.Min(grid.height, grid.width).to("float64") / ROWS
-        area = shares_in_graph(graph, layers, vista)
-        lengths = shares_in_graph(graph, skeleton, vista) * side
+        area = pool_in_graph(graph, layers, vista)
+        lengths = pool_in_graph(graph, skeleton, vista) * side
     with graph.stage("harmonics"):
         bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
         patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
         histogram = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
-        return amounts_in_graph(graph, histogram, patterns, config.power)
+        return coefficients_in_graph(graph, histogram, patterns, config.power)
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from ..bitplanes import LAYERS, unpack
-from ..deployment.graph import Graph, Symbol
-from ..deployment.words import Words, planes_of
+from ..bitplanes import unpack
 
 CELLS = ROWS, COLUMNS = 24, 32
 """Cells of the canvas. They are square: any image is seen as one of 4:3."""
@@ -52,27 +49,3 @@ def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:
     cell = torch.arange(cells, device=shift.device) * pixels
     within = torch.minimum(pixel + cells, cell + pixels) - torch.maximum(pixel, cell)
     return within.clamp(min=0).float()
-
-
-def shares_in_graph(graph: Graph, words: Words, shift: Symbol) -> Symbol:
-    """`shares` in a graph, an image at a time."""
-    planes, grid = planes_of(graph, words), words.grid
-    bits = graph.constant((1 << np.arange(LAYERS)).astype(np.uint8)[:, None, None])
-    upright = _overlaps_in_graph(graph, grid.height, ROWS, 0).to("float64")
-    area = (grid.height * grid.width).to("float64")
-
-    def one_image(step: Symbol) -> list[Symbol]:
-        layers = (planes[step] & bits).to("bool").to("float32")
-        across = _overlaps_in_graph(graph, grid.width, COLUMNS, shift[step])
-        by_column = graph.MatMul(layers, graph.Transpose(across.to("float32"), perm=[1, 0]))
-        return [graph.MatMul(upright, by_column.to("float64")) / area]
-
-    return graph.stacked(grid.images, one_image)[0]
-
-
-def _overlaps_in_graph(graph: Graph, pixels: Symbol, cells: int, shift: Symbol | int) -> Symbol:
-    """``(cells, pixels)`` int64, `overlaps` for one shift."""
-    pixel = (graph.arange(pixels) - shift) * cells
-    cell = graph.arange(cells).reshape(-1, 1) * pixels
-    within = graph.Min(pixel + cells, cell + pixels) - graph.Max(pixel, cell)
-    return graph.Max(within, 0)

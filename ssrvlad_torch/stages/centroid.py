@@ -6,8 +6,6 @@ import torch
 from torch import Tensor
 
 from ..bitplanes import LAYERS, Points, by_image, runs
-from ..deployment.graph import Graph
-from ..deployment.words import GraphPoints, Words, runs_of
 
 
 def centroids(planes: Tensor) -> Points:
@@ -28,19 +26,6 @@ def centroids(planes: Tensor) -> Points:
     group = sums[0].nonzero()[:, 0]
     area, sum_y, sum_x = sums[:, group]
     return Points(group, (2 * sum_y + area) // (2 * area), (2 * sum_x + area) // (2 * area))
-
-
-def centroids_in_graph(graph: Graph, words: Words) -> GraphPoints:
-    """`centroids` in a graph."""
-    grid = words.grid
-    segments = runs_of(graph, words.line)
-    group = segments.layer * grid.images + grid.image(segments.first)
-    first, length = grid.column(segments.first), segments.length
-    weighted = (length, grid.row(segments.first) * length, (first * 2 + length - 1) * length // 2)
-    area, sum_y, sum_x = (graph.sums(group, amounts, grid.images * LAYERS) for amounts in weighted)
-    group = graph.NonZero(area).reshape(-1)
-    area, sum_y, sum_x = (sums.take(group) for sums in (area, sum_y, sum_x))
-    return GraphPoints(group, (sum_y * 2 + area) // (area * 2), (sum_x * 2 + area) // (area * 2))
 
 
 def centre_table(centres: Points, count: int) -> Tensor:

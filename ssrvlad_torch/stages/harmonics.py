@@ -13,8 +13,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..deployment.graph import Graph, Symbol
-
 _SAMPLES = 4
 """Points on each side of a cell at which the bins are evaluated."""
 
@@ -111,21 +109,3 @@ def _tents(position: Tensor, count: int, around: bool) -> Tensor:
     distance = (position - torch.arange(count).double().view(-1, 1, 1)).abs()
     tents = (1 - distance).clamp(min=0)
     return tents + (1 - (count - distance)).clamp(min=0) if around else tents
-
-
-def soft_histograms_in_graph(
-    graph: Graph, area: Symbol, skeleton: Symbol, skeleton_weight: float, bins: Tensor
-) -> Symbol:
-    """`soft_histograms` in a graph."""
-    table = graph.sparse_constant(bins.T.numpy())
-    shares, lengths = (
-        graph.Sqrt(graph.MatMul(cells.reshape(0, 0, -1), table)) for cells in (area, skeleton)
-    )
-    return shares + lengths * skeleton_weight
-
-
-def amounts_in_graph(graph: Graph, histogram: Symbol, patterns: Tensor, power: float) -> Symbol:
-    """`amounts` in a graph."""
-    held = graph.MatMul(histogram, graph.constant(patterns.T.numpy().copy()))
-    damped = graph.Sign(held) * graph.Pow(graph.Abs(held), power)
-    return graph.normalised(graph.Flatten(damped)).to("float32")

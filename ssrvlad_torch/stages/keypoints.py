@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..bitplanes import Bits, neighbours, steps_around, two_or_more
-from ..deployment.graph import Graph
-from ..deployment.words import Words, neighbourhood
+from ..bitplanes import neighbours, steps_around, three_of_four, two_or_more
 
 
 def end_points(skeleton: Tensor) -> Tensor:
@@ -36,29 +32,9 @@ def intersections(skeleton: Tensor) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    crossing = skeleton & _three_or_more(steps_around(neighbours(skeleton)))
+    crossing = skeleton & three_of_four(steps_around(neighbours(skeleton)))
     height, width = skeleton.shape[-2:]
     padded = F.pad(crossing, (1, 1, 1, 0))
     west, above = padded[:, 1:, :width], padded[:, :height]
     earlier = west | above[..., :width] | above[..., 1 : width + 1] | above[..., 2:]
     return crossing & ~earlier
-
-
-def end_points_in_graph(graph: Graph, skeleton: Words) -> Words:
-    """`end_points` in a graph."""
-    pixels, ring = neighbourhood(graph, skeleton)
-    return skeleton.with_line(pixels & ~two_or_more(ring))
-
-
-def intersections_in_graph(graph: Graph, skeleton: Words) -> Words:
-    """`intersections` in a graph."""
-    pixels, ring = neighbourhood(graph, skeleton)
-    crossing = pixels & _three_or_more(steps_around(ring))
-    north, north_east, *_, west, north_west = neighbourhood(graph, skeleton.with_line(crossing))[1]
-    return skeleton.with_line(crossing & ~(west | north_west | north | north_east))
-
-
-def _three_or_more(planes: Sequence[Bits]) -> Bits:
-    """Bits that are set in at least three of four planes."""
-    a, b, c, d = planes
-    return a & b & (c | d) | c & d & (a | b)

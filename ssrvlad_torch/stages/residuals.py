@@ -5,8 +5,6 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..deployment.graph import Graph, Symbol
-
 
 def aggregate(point_sums: Tensor, centres: Tensor, point_counts: Tensor) -> Tensor:
     """The descriptor of each image.
@@ -23,12 +21,3 @@ def aggregate(point_sums: Tensor, centres: Tensor, point_counts: Tensor) -> Tens
     residuals = point_sums - point_counts[..., None] * centres  # Eq. 2, numerator
     layers = F.normalize(residuals.double(), dim=-1)  # Eq. 2; zeros stay zeros
     return F.normalize(layers.flatten(1), dim=-1).float()
-
-
-def aggregate_in_graph(
-    graph: Graph, point_sums: Symbol, centres: Symbol, point_counts: Symbol
-) -> Symbol:
-    """`aggregate` in a graph."""
-    residuals = point_sums - point_counts.reshape(0, 0, 1) * centres  # Eq. 2, numerator
-    layers = graph.normalised(residuals.to("float64"))  # Eq. 2; zeros stay zeros
-    return graph.normalised(graph.Flatten(layers)).to("float32")

@@ -11,9 +11,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..deployment.graph import Graph, Symbol
-from ..deployment.words import Words, planes_of
-
 OPEN_LAYERS = 1 << 0 | 1 << 1 | 1 << 5
 """Ground, sidewalk and sky: where one can drive, walk, or see far."""
 
@@ -24,7 +21,7 @@ PULL = 20
 """A column that is wholly open weighs ``ONE``, and openness weighs by its eighth power. The middle
 of the image weighs as much as a twentieth of all columns, open: it decides where nothing is."""
 
-_SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
+SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 
 
 def vistas(planes: Tensor) -> Tensor:
@@ -41,23 +38,7 @@ def vistas(planes: Tensor) -> Tensor:
     """
     height, width = planes.shape[1:]
     open_pixels = (planes & OPEN_LAYERS != 0).sum(1)
-    weight = (open_pixels * LEVELS // height) ** POWER >> _SHIFT
+    weight = (open_pixels * LEVELS // height) ** POWER >> SHIFT
     twice_from_middle = 2 * torch.arange(width, device=planes.device) - (width - 1)
     total = weight.sum(1) + width * ONE // PULL
     return ((weight * twice_from_middle).sum(1) + total) // (2 * total)
-
-
-def vistas_in_graph(graph: Graph, words: Words) -> Symbol:
-    """`vistas` in a graph."""
-    width = words.grid.width
-    is_open = (planes_of(graph, words) & OPEN_LAYERS).to("bool").to("float32")
-    open_pixels = graph.ReduceSum(is_open, [1], keepdims=0).to("int64")
-    weight = open_pixels * LEVELS // words.grid.height
-    for _ in range(POWER.bit_length() - 1):
-        weight = weight * weight
-    weight = weight // (1 << _SHIFT)
-    twice_from_middle = graph.arange(width) * 2 - (width - 1)
-    moment = graph.ReduceSum(weight * twice_from_middle, [1], keepdims=0)
-    total = graph.ReduceSum(weight, [1], keepdims=0) + width * ONE // PULL
-    twice_from_left = moment + total * width * 2  # nothing negative is divided
-    return (twice_from_left + total) // (total * 2) - width

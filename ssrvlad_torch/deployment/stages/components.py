@@ -1,0 +1,90 @@
+"""Components as ONNX operators."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...bitplanes import LAYERS
+from ..graph import Graph, Symbol
+from ..words import (
+    EACH_PIXEL,
+    PIXELS,
+    Words,
+    first_of_runs,
+    inside,
+    neighbourhood,
+    paint_in_graph,
+    pixels_of,
+    runs_of,
+)
+
+
+def fill_holes_in_graph(graph: Graph, words: Words, area: Symbol) -> Words:
+    """`fill_holes` in a graph. A gap at the border counts as larger than any hole to fill."""
+    grid = words.grid
+    background = words.with_line(inside(graph, grid) - words.line)
+    gaps = runs_of(graph, background.line)
+    row, first, last = grid.row(gaps.first), grid.column(gaps.first), grid.column(gaps.last)
+    border = (
+        row.equals(0) | row.equals(grid.height - 1) | first.equals(0) | last.equals(grid.width - 1)
+    )
+    sizes = _region_sizes(graph, background, gaps.length + border.to("int64") * area, False)
+    return words.with_line(words.line + paint_in_graph(graph, gaps.where(sizes < area), grid))
+
+
+def drop_regions_in_graph(graph: Graph, words: Words, area: Symbol) -> Words:
+    """`drop_regions` in a graph."""
+    segments = runs_of(graph, words.line)
+    sizes = _region_sizes(graph, words, segments.length, True)
+    return words.with_line(
+        words.line - paint_in_graph(graph, segments.where(sizes < area), words.grid)
+    )
+
+
+def _region_sizes(graph: Graph, words: Words, amounts: Symbol, diagonal: bool) -> Symbol:
+    """Sum of the runs' amounts over the region of each run; the regions as by `_regions`."""
+    upper, lower = _touching_in_graph(graph, words, diagonal)
+
+    def pass_on(_: Symbol, region: Symbol) -> tuple[Symbol, Symbol]:
+        above, below = region.take(upper), region.take(lower)
+        lowest = graph.Min(above, below)
+        ends, lowest = graph.Concat(above, below, axis=0), graph.Concat(lowest, lowest, axis=0)
+        hooked = graph.ScatterElements(region, ends, lowest, axis=0, reduction="min")
+        jumped = hooked.take(hooked)
+        return graph.any(~jumped.equals(region)), jumped
+
+    count = graph.Size(amounts)
+    (region,) = graph.repeat_while(pass_on, graph.arange(count))
+    return graph.sums(region, amounts, count).take(region)
+
+
+def _touching_in_graph(graph: Graph, words: Words, diagonal: bool) -> tuple[Symbol, Symbol]:
+    """Pairs of runs that touch, as run numbers, each found at one pixel of the run below: at the
+    first that they share, or where they touch at a corner only."""
+    grid = words.grid
+    line, (north, north_east, east, *_, west, north_west) = neighbourhood(graph, words)
+    links = [first_of_runs(graph, line & north)]
+    if diagonal:
+        links.append(line & north_west & ~(north | west))
+        links.append(line & north_east & ~(north | east))
+    found = pixels_of(graph, graph.Concat(*links, axis=0))
+    line_length = grid.words * PIXELS
+    step = graph.constant(np.array([0, -1, 1])).take(found.place // line_length)
+    lower = found.place % line_length
+    upper = lower - grid.pitch * PIXELS + step
+    return _run_at(graph, line, found.layer, upper), _run_at(graph, line, found.layer, lower)
+
+
+def _run_at(graph: Graph, line: Symbol, layer: Symbol, place: Symbol) -> Symbol:
+    """Number of the run that has each of the pixels: how many runs begin up to there, less one.
+
+    A product with `EACH_PIXEL` sums the bytes of a word into its highest.
+    """
+    shifts = graph.constant(np.arange(LAYERS, dtype=np.uint64)[:, None])
+    firsts = first_of_runs(graph, line).to("uint64").reshape(1, -1) >> shifts & EACH_PIXEL
+    firsts = firsts.to("int64").reshape(-1)
+    before = graph.before(firsts * EACH_PIXEL >> 56)
+    word = layer * graph.Size(line) + place // PIXELS
+    later = (PIXELS - 1 - place % PIXELS) * LAYERS
+    up_to = (firsts.take(word) << later) * EACH_PIXEL >> 56
+    return before.take(word) + up_to - 1
