@@ -23,9 +23,10 @@ from torch import Tensor, nn
 from torch.nn.functional import interpolate, relu
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.deployment import Metadata, export_head, model_file
-from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.deployment import model_file
+from ssrvlad_torch.deployment.export import export_head, head_model
 from ssrvlad_torch.deployment.fuse import DIGEST, NETWORK, fuse
+from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.model_file import graph_digest, load_model
 from ssrvlad_torch.deployment.verify import verify
 
