@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import argparse
 
-from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch import export_head
+from ssrvlad_torch import SSRVLADConfig, export_head
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
