@@ -18,7 +18,7 @@ from drives import write_maps, write_photos
 from networks import photo, write_graph
 from PIL import Image
 
-from ssrvlad_torch.cli import main as cli
+from ssrvlad_torch.cli.app import app
 from ssrvlad_torch.database.database import Database
 
 
@@ -30,7 +30,7 @@ def leaves(group: object, *names: str) -> Iterator[str]:
             yield " ".join((*names, name))
 
 
-COMMANDS = [*leaves(typer.main.get_command(cli.app))]
+COMMANDS = [*leaves(typer.main.get_command(app))]
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -151,7 +151,7 @@ def test_wrong_use_is_one_line_and_exit_code_2(
 
 TERMINAL = (
     "import signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
-    "from ssrvlad_torch.cli import main; main()"
+    "from ssrvlad_torch.cli.main import main; main()"
 )
 """The command line as a terminal starts it; what runs in the background ignores SIGINT."""
 

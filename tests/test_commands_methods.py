@@ -98,7 +98,7 @@ def test_random_weights_are_told_of(ssrvlad, tmp_path, monkeypatch):
         ("--set rows=3", "--set wants a --method"),
         ("--weights a.pt", "--weights wants a --method"),
         ("--random-weights", "--random-weights wants a --method"),
-        ("--method ssr-vlad --temporal 0", "use --set temporal=0"),
+        ("--method ssr-vlad --temporal 1", "use --set temporal=1"),
         ("--method hog --segmenter net.onnx", "encode a database with it and evaluate that"),
         ("--method hog --layout auto", "use ssrvlad compare, or name the two folders"),
     ],

@@ -510,7 +510,7 @@ def test_a_missing_extra_is_named(missing, tmp_path):
     arguments = ["ssrvlad", "fuse", str(network), "-o", "place.onnx", "--labels-as", SPACE]
     code = (
         f"import sys; sys.modules[{missing!r}] = None; sys.argv = {arguments!r};"
-        "from ssrvlad_torch import cli; cli.main()"
+        "from ssrvlad_torch.cli.main import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from itertools import groupby, islice
-from typing import Any, Protocol, TypeVar
+from math import inf
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-import torch
-from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 LabelMap = npt.NDArray[np.integer[Any]]
 Image = npt.NDArray[np.uint8]
@@ -192,4 +194,4 @@ def cosines(queries: Tensor, references: Tensor) -> Tensor:
         ``(Q, R)`` float32, ``-inf`` where a vector is zero: what is empty matches nothing.
     """
     empty = ~(queries.any(1)[:, None] & references.any(1))
-    return (queries @ references.T).float().masked_fill(empty, -torch.inf)
+    return (queries @ references.T).float().masked_fill(empty, -inf)

@@ -36,7 +36,7 @@ class SSRVLADMethod:
     needs = frozenset({"labels"})
 
     def __init__(
-        self, preset: str = "default", temporal: int = 3, compiled: bool = False, **settings: Any
+        self, preset: str = "default", temporal: int = 0, compiled: bool = False, **settings: Any
     ) -> None:
         if temporal < 0:
             raise ValueError(f"method ssr-vlad wants a temporal of 0 or more, got {temporal}")

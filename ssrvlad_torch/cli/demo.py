@@ -24,7 +24,7 @@ from ..recognition.matching import match
 from ..taxonomy import colourise, label_space
 
 LABELS_AS = "cityscapes-trainids"
-TEMPORAL = 3
+TEMPORAL = 0
 PICTURED = 8
 STEPS = 4
 """Rounds of work for each frame: two to render, one to encode, one to query."""

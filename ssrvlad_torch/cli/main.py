@@ -1,76 +1,57 @@
-"""The command line: ``ssrvlad COMMAND``. Results go to stdout, errors are one line on stderr.
+"""The entry point of the command line: an error becomes one line on stderr and an exit code.
 
 Exit codes: 0 success, 1 a file that is not what `verify` wants, 2 wrong use or an input that
-nothing can be done with, 3 finished with some inputs refused, 130 interrupted.
+nothing can be done with, 3 finished with some inputs skipped, 130 interrupted.
+
+Everything is imported inside `main`, so that Ctrl-C during an import is an interruption like any
+other.
 """
 
 from __future__ import annotations
 
+import os
 import sys
-
-import typer
-
-from .commands.bench import bench
-from .commands.city import city
-from .commands.compare import compare
-from .commands.db import db
-from .commands.demo import demo
-from .commands.encode import encode
-from .commands.evaluate import evaluate
-from .commands.export import export
-from .commands.fuse import fuse
-from .commands.loops import loops
-from .commands.query import query
-from .commands.show import show
-from .commands.verify import verify
-from .commands.vocabulary import vocabulary
-from .output import note
 
 WRONG_USE = 2
 INTERRUPTED = 130
 
-app = typer.Typer(
-    name="ssrvlad",
-    help="Place recognition from semantic segmentation (SSR-VLAD).",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-for command in (
-    demo,
-    city,
-    encode,
-    query,
-    evaluate,
-    loops,
-    compare,
-    vocabulary,
-    export,
-    fuse,
-    verify,
-    show,
-    bench,
-):
-    app.command()(command)
-app.add_typer(db, name="db")
-
 
 def main() -> None:
-    """Entry point: runs the command line; an error becomes one line and an exit code."""
+    """Runs the command that ``sys.argv`` names, and exits."""
+    arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     try:
-        code = app(standalone_mode=False)
-    except typer.TyperException as error:
-        code = _complain(error.format_message())
-    except (ValueError, OSError, ImportError) as error:
-        code = _complain(str(error))
-    except (typer.Abort, KeyboardInterrupt):
+        code = _run(arguments, debug=len(arguments) < len(sys.argv) - 1)
+        sys.stdout.flush()
+    except BrokenPipeError:  # the reader has enough, as in `ssrvlad query ... | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        code = 0
+    except KeyboardInterrupt:
         code = INTERRUPTED
-    if code == INTERRUPTED:  # typer makes an exit code of Ctrl-C, too
-        note("interrupted")
+    if code == INTERRUPTED:
+        print("ssrvlad: interrupted", file=sys.stderr)
     sys.exit(code)
 
 
-def _complain(message: str) -> int:
+def _run(arguments: list[str], debug: bool) -> int:
+    import typer
+
+    from .app import app
+    from .output import note
+
+    try:
+        code: int = app(arguments, standalone_mode=False)
+        return code
+    except BrokenPipeError:
+        raise
+    except typer.Abort:
+        return INTERRUPTED
+    except typer.TyperException as error:
+        message = error.format_message()
+    except (ValueError, OSError, ImportError) as error:
+        if debug:
+            import traceback
+
+            traceback.print_exc()
+        message = str(error)
     note(message)
     return WRONG_USE

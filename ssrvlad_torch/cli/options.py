@@ -1,98 +1,44 @@
-"""Arguments and options that several commands take, and groups of them to pass on."""
+"""The options that several commands take.
+
+An options class is a frozen dataclass whose fields are options. A command takes it as one
+parameter; `expand` puts the fields in its place on the command line, and the command gets the
+object back:
+
+    def query(database: DatabaseFolder, source: SourceOptions, top: Annotated[int, ...] = 5): ...
+
+To add an option to all commands that share a class, add a field with a default to the class:
+``name: Annotated[type, typer.Option(help="...")] = default``. To add one to a single command, add
+a parameter to its function. Nothing here may import torch: ``ssrvlad --help`` is to be quick.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import inspect
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, is_dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
-from ..datasets.dataset import Role
+from ..baselines import METHODS
 from ..evaluation.metrics import Convention
 
-Sources = Annotated[
-    list[str],
-    typer.Argument(
-        metavar="SOURCE...",
-        help="Folders, globs or files of label maps, or of images with --segmenter; a folder is a "
-        "sequence.",
-    ),
-]
 DatabaseFolder = Annotated[Path, typer.Argument(help="Folder of the database.")]
 LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
-MaybeLabelsAs = Annotated[
-    str | None,
-    typer.Option("--labels-as", help="Label space of the ids; the database's if not given."),
-]
-Temporal = Annotated[
-    int, typer.Option(min=0, help="t of Eq. 3: reference frames summed on each side.")
-]
-SequenceName = Annotated[
-    str | None, typer.Option("--sequence", help="Name of the sequence; the folder's if not given.")
-]
-Every = Annotated[int, typer.Option(min=1, help="Take every so many-th frame of a sequence.")]
-Start = Annotated[int, typer.Option(min=0, help="First frame that is taken of a sequence.")]
-SegmenterFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--segmenter",
-        help="Network that labels images: an .onnx file, or a .yaml file with network: FILE.onnx "
-        "and its settings.",
-    ),
-]
-SegmenterCache = Annotated[
-    Path | None,
-    typer.Option(help="Folder that keeps what the segmenter made; ~/.cache/ssrvlad if not given."),
-]
-LayoutName = Annotated[
+Preset = Annotated[str, typer.Option(help="paper (SSR-VLAD) or default (ours).")]
+MaybePreset = Annotated[
     str | None,
     typer.Option(
-        "--layout",
-        help="SOURCE is the folder of a data set: auto, or extended-cmu, robotcar-seasons, "
-        "synthia, cityscapes, camvid, vpr-bench, folders.",
+        "--preset",
+        help="paper (SSR-VLAD) or default (ours); if not given the database's, or default.",
     ),
 ]
-Splits = Annotated[
-    list[str] | None,
-    typer.Option("--split", help="With --layout: a sequence to take, * for any text; repeatable."),
-]
-RoleName = Annotated[
-    Role | None, typer.Option("--role", help="With --layout: what the data set means for this.")
-]
-LabelsFolder = Annotated[
-    Path | None,
-    typer.Option("--labels", help="With --layout: other label maps than the data set's own."),
-]
-TruthFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--ground-truth",
-        help="Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
-        "ground_truth_new.npy; with a data set its own if nothing is given.",
-    ),
-]
-Metres = Annotated[
-    float | None,
-    typer.Option("--tolerance-metres", help="Or: true matches are this near, by poses.csv."),
-]
-Degrees = Annotated[
-    float | None,
-    typer.Option(
-        "--tolerance-degrees", help="With --tolerance-metres: and their headings this alike."
-    ),
-]
-FrameCount = Annotated[
-    int | None,
-    typer.Option(
-        "--tolerance-frames",
-        help="Or: true matches are at most so many frames away; of a data set all frames count.",
-    ),
-]
-ConventionName = Annotated[
-    Convention, typer.Option("--convention", help="Whose way of computing it is.")
-]
+Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
+Frames = Annotated[int, typer.Option(min=2, help="Frames of each traverse.")]
+Seed = Annotated[int, typer.Option(min=0, help="Another seed gives another city.")]
 Weights = Annotated[
     Path | None,
     typer.Option(
@@ -103,34 +49,191 @@ Weights = Annotated[
 RandomWeights = Annotated[
     bool, typer.Option("--random-weights", help="Only to measure what the method costs.")
 ]
-Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-Frames = Annotated[int, typer.Option(min=2, help="Frames of each traverse.")]
-Seed = Annotated[int, typer.Option(min=0, help="Another seed is another city.")]
 
 
 @dataclass(frozen=True)
-class Choosing:
-    """What is taken of a data set: its layout, sequences, their role, and other label maps."""
+class SourceOptions:
+    """Where frames come from, which of them are taken, and how images become label maps."""
 
-    layout: str | None
-    splits: Sequence[str] | None
-    role: Role | None
-    labels: Path | None
+    paths: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SOURCE...",
+            help="Folders, globs or files of label maps, or of images with --segmenter; a folder "
+            "is a sequence.",
+        ),
+    ]
+    labels_as: Annotated[
+        str | None,
+        typer.Option(
+            help="Label space of the ids: a name or a .yaml file; if not given, that of the "
+            "database or of the data set."
+        ),
+    ] = None
+    layout: Annotated[
+        str | None,
+        typer.Option(
+            help="SOURCE is the folder of a data set: auto, or extended-cmu, robotcar-seasons, "
+            "synthia, cityscapes, camvid, vpr-bench, folders.",
+        ),
+    ] = None
+    split: Annotated[
+        list[str] | None,
+        typer.Option(help="With --layout: a sequence to take, * for any text; repeatable."),
+    ] = None
+    role: Annotated[
+        Literal["reference", "query"] | None,
+        typer.Option(help="With --layout: what the data set means the frames for."),
+    ] = None
+    labels: Annotated[
+        Path | None,
+        typer.Option(help="With --layout: other label maps than the data set's own."),
+    ] = None
+    sequence: Annotated[
+        str | None, typer.Option(help="Name of the sequence; the folder's if not given.")
+    ] = None
+    every: Annotated[int, typer.Option(min=1, help="Take every N-th frame of a sequence.")] = 1
+    start: Annotated[int, typer.Option(min=0, help="First frame to take of a sequence.")] = 0
+    segmenter: Annotated[
+        Path | None,
+        typer.Option(
+            help="Network that labels images: an .onnx file, or a .yaml file with network: "
+            "FILE.onnx and its settings.",
+        ),
+    ] = None
+    segmenter_cache: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder that keeps the segmenter's label maps; ~/.cache/ssrvlad if not given."
+        ),
+    ] = None
+    workers: Workers = 2
+
+    @property
+    def takes_all(self) -> bool:
+        """Whether no frame of a sequence is left out."""
+        return (self.every, self.start) == (1, 0)
 
 
 @dataclass(frozen=True)
-class Selection:
-    """Which frames are taken of each sequence, and what it is called."""
+class RecognitionOptions:
+    """What is done with descriptors before a place is decided."""
 
-    sequence: str | None
-    every: int
-    start: int
+    temporal: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="t of Eq. 3: sum each reference descriptor over t frames on each side; no sum if "
+            "not given.",
+        ),
+    ] = None
+    as_paper: Annotated[
+        bool, typer.Option("--as-paper", help="Decide as the paper does: the sum of Eq. 3, t = 3.")
+    ] = False
+
+    @property
+    def t(self) -> int:
+        """The frames on each side that are summed; 0 is no sum."""
+        if self.temporal is not None:
+            return self.temporal
+        return 3 if self.as_paper else 0
 
 
 @dataclass(frozen=True)
-class Segmenting:
-    """The network that makes label maps of images, and where they are kept."""
+class TruthOptions:
+    """What counts as a true match, and by whose convention the figures are computed."""
 
-    network: Path | None
-    cache: Path | None
+    ground_truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
+            "ground_truth_new.npy; if no truth is given, a data set's own.",
+        ),
+    ] = None
+    tolerance_metres: Annotated[
+        float | None, typer.Option(help="Or: true matches are this near, by poses.csv.")
+    ] = None
+    tolerance_degrees: Annotated[
+        float | None,
+        typer.Option(help="With --tolerance-metres: headings may differ by this much."),
+    ] = None
+    tolerance_frames: Annotated[
+        int | None,
+        typer.Option(
+            help="Or: true matches are at most so many frames away; of a data set all frames count."
+        ),
+    ] = None
+    convention: Annotated[
+        Convention,
+        typer.Option(help="Convention by which the figures are computed."),
+    ] = "exact"
+
+
+@dataclass(frozen=True)
+class MethodOptions:
+    """Another method, and its settings as they were typed."""
+
+    method: Annotated[
+        str | None,
+        typer.Option(
+            help=f"Another method, on label maps or images as it needs: {', '.join(METHODS)}."
+        ),
+    ] = None
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="A setting of the method, NAME=VALUE; repeatable."),
+    ] = None
+    weights: Weights = None
+    vocabulary: Annotated[
+        Path | None, typer.Option(help="Vocabulary of the method, see ssrvlad vocabulary.")
+    ] = None
+    random_weights: RandomWeights = False
+
+    @property
+    def named(self) -> dict[str, Any]:
+        """The settings that have an option of their own, those that were given."""
+        given = {
+            "weights": self.weights,
+            "vocabulary": self.vocabulary,
+            "random_weights": self.random_weights,
+        }
+        return {name: value for name, value in given.items() if value}
+
+
+def expand(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with each parameter that is an options class replaced by the class's fields."""
+    parameters: list[inspect.Parameter] = []
+    classes: dict[str, type] = {}
+    types = get_type_hints(command, include_extras=True)
+    for parameter in inspect.signature(command).parameters.values():
+        kind = types[parameter.name]
+        if is_dataclass(kind):
+            assert isinstance(kind, type)
+            classes[parameter.name] = kind
+            parameters += _parameters(kind)
+        else:
+            keyword = inspect.Parameter.KEYWORD_ONLY
+            parameters.append(parameter.replace(kind=keyword, annotation=kind))
+
+    @wraps(command)
+    def run(**given: Any) -> None:
+        for name, kind in classes.items():
+            given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
+        command(**given)
+
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
+
+
+def _parameters(options: type) -> list[inspect.Parameter]:
+    types = get_type_hints(options, include_extras=True)
+    return [
+        inspect.Parameter(
+            field.name,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if field.default is MISSING else field.default,
+            annotation=types[field.name],
+        )
+        for field in fields(options)
+    ]

@@ -7,26 +7,31 @@ import math
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
-from rich.table import Table
 
-from ..encoding.encoder import Refusal
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ..encoding.encoder import Refusal
 
 SOME_REFUSED = 3
 """Exit code of a command that finished with some inputs refused."""
 
 _WIDE = 200
+
+
+class Progress(NamedTuple):
+    """What a progress bar is told.
+
+    Attributes:
+        advance: how many more steps are done.
+        skip: that a frame was skipped, once for each.
+    """
+
+    advance: Callable[[int], None]
+    skip: Callable[[object], None]
 
 
 def note(message: str) -> None:
@@ -35,25 +40,52 @@ def note(message: str) -> None:
 
 
 @contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Callable[[int], None]]:
-    """A progress bar on stderr, told of what is done; only on a terminal, so that logs stay
-    clean."""
+def progress_bar(what: str, total: int) -> Iterator[Progress]:
+    """A progress bar on stderr with the rate and the number of skipped frames. It is drawn only
+    on a terminal, so that logs stay clean."""
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.progress import Progress as Bar
+
     columns = (
         TextColumn(what),
         BarColumn(),
         MofNCompleteColumn(),
+        TextColumn("{task.fields[told]}"),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
     )
     console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=total)
-        yield lambda done: bar.advance(task, done)
+    with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=total, told="")
+        skipped = 0
+
+        def advance(done: int) -> None:
+            rate = bar.tasks[task].speed or 0.0
+            told = f"{rate:.0f}/s" + (f", {skipped} skipped" if skipped else "")
+            bar.update(task, advance=done, told=told)
+
+        def skip(_refusal: object) -> None:
+            nonlocal skipped
+            skipped += 1
+
+        yield Progress(advance, skip)
 
 
 def print_table(table: Table) -> None:
     """A table on stdout; where that is no terminal it is as wide as it needs to be."""
-    Console(width=None if sys.stdout.isatty() else _WIDE).print(table)
+    from rich.console import Console
+
+    console = Console(width=None if sys.stdout.isatty() else _WIDE)
+    with console.capture() as captured:
+        console.print(table)
+    print(captured.get(), end="")
 
 
 def print_json(value: Mapping[str, Any]) -> None:

@@ -132,7 +132,7 @@ def pictures_of_references(
     def found() -> tuple[Files, Files, Files]:
         sequences = {frame.rpartition("/")[0] for frame in stored()}
         labels = [*_labels_around(source, given, sequences)]
-        images = [*_images_around(source, given, sequences)] if source.segmenting.network else []
+        images = [*_images_around(source, given, sequences)] if source.given.segmenter else []
         return _by(labels, _name), _by(images, _name), _by(_photos(source.whole), _id)
 
     segmenter = cache(lambda: source.segmenter(labels_as))
@@ -184,7 +184,7 @@ def _images_around(
 
 def _beside(source: Source, sequences: Iterable[str]) -> Iterator[Path]:
     """Folders called like the sequences, beside those that the frames of a source lie in."""
-    find = source.image_files if source.segmenting.network else source.label_files
+    find = source.image_files if source.given.segmenter else source.label_files
     for place in {file.path.absolute().parent.parent for file in find()}:
         yield from (place / name for name in sequences if (place / name).is_dir())
 

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .. import __version__
+from ..datasets.dataset import shortened
 from ..evaluation.ground_truth_files import Known, of_known
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
@@ -25,7 +26,7 @@ from ..evaluation.report import (
 from ..taxonomy import CATEGORIES
 from .measure import Recognition
 from .pictures import require_files
-from .truth import Places
+from .truth import Places, TrueMatches
 
 CANDIDATES = 100
 """Candidates of each query that RecallRate@N is drawn up to."""
@@ -86,6 +87,19 @@ class Page:
             **_pictures(recognition),
         )
         write_report(self.path, report)
+
+
+def title_and_settings(
+    references: Path, queries: Sequence[str], truth: TrueMatches
+) -> tuple[str, dict[str, str]]:
+    """The title of a page, and what was compared, in words."""
+    names = shortened([Path(place).name or place for place in queries])
+    title = f"{names} against {references.name or references}"
+    return title, {
+        "references": str(references),
+        "queries": shortened(queries),
+        "true matches": truth.words,
+    }
 
 
 def _some(places: Places, rows: Sequence[int]) -> Places:

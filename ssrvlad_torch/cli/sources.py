@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import SSRVLADConfig
-from ..database.database import Database, FrameSet
+from ..database.database import FrameSet
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
@@ -18,7 +17,7 @@ from ..datasets.layouts import open_dataset
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import Refusal, encode_to_memory
 from ..segmentation.segmenter import Segmenter
-from .options import Choosing, Segmenting, Selection
+from .options import SourceOptions
 from .output import note, progress_bar
 
 
@@ -27,44 +26,30 @@ class Source:
     """Where frames come from.
 
     Attributes:
-        paths: folders, globs or files, or the folder of the data set.
-        dataset: what was chosen of it, if it is one.
+        given: what the user typed.
+        dataset: what was chosen of the data set, if it is one.
         whole: the data set with all its sequences.
         labels_as: label space of the label maps, as given or as the data set knows it.
-        selection: the frames that are taken of each sequence.
-        segmenting: how images become label maps, if they do.
-        workers: threads that read ahead.
     """
 
-    paths: Sequence[str]
+    given: SourceOptions
     dataset: Dataset | None
     whole: Dataset | None
     labels_as: str | None
-    selection: Selection
-    segmenting: Segmenting
-    workers: int
 
     @classmethod
-    def open(
-        cls,
-        paths: Sequence[str],
-        labels_as: str | None,
-        choosing: Choosing,
-        selection: Selection,
-        segmenting: Segmenting,
-        workers: int,
-    ) -> Source:
-        """Opens the data set, if it is one; what it lacks is noted.
+    def open(cls, given: SourceOptions) -> Source:
+        """Opens the data set, if it is one, and notes what it lacks.
 
         Raises:
             ValueError: the options do not fit together, or the data set does not fit them.
         """
-        whole = _open_dataset(paths, labels_as, choosing)
-        dataset = whole and whole.select(choosing.splits or (), choosing.role)
+        whole = _open_dataset(given)
+        dataset = whole and whole.select(given.split or (), given.role)
         for warning in dataset.warnings if dataset else ():
             note(warning)
-        labels_as = labels_as or (dataset.labels_as if dataset else None)
-        return cls(paths, dataset, whole, labels_as, selection, segmenting, workers)
+        labels_as = given.labels_as or (dataset.labels_as if dataset else None)
+        return cls(given, dataset, whole, labels_as)
 
     def posed(self) -> Source:
         """The same, of a data set only the frames with a pose."""
@@ -85,7 +70,7 @@ class Source:
         Raises:
             ValueError: it cannot be used.
         """
-        network, cache = self.segmenting.network, self.segmenting.cache
+        network, cache = self.given.segmenter, self.given.segmenter_cache
         if network is None:
             if cache is not None:
                 raise ValueError("--segmenter-cache wants a --segmenter")
@@ -94,31 +79,17 @@ class Source:
 
     def label_files(self) -> list[FrameFile]:
         """The frames that are label maps."""
-        taken = self.selection
+        given = self.given
         if self.dataset:
-            return self.dataset.label_files(taken.every, taken.start)
-        return find_label_files(self.paths, taken.sequence, taken.every, taken.start)
+            return self.dataset.label_files(given.every, given.start)
+        return find_label_files(given.paths, given.sequence, given.every, given.start)
 
     def image_files(self) -> list[FrameFile]:
         """The frames that are images."""
-        taken = self.selection
+        given = self.given
         if self.dataset:
-            return self.dataset.image_files(taken.every, taken.start)
-        return find_image_files(self.paths, taken.sequence, taken.every, taken.start)
-
-
-def load(database: Path, source: Source, temporal: int) -> tuple[FrameSet, FrameSet, list[Refusal]]:
-    """The frames of a database after Eq. 3, the queries encoded alike, and the refused ones.
-
-    Raises:
-        ValueError: the database is empty or damaged, or there are no queries.
-    """
-    opened = Database.open(database)
-    references = opened.load(temporal)
-    if not references.frames:
-        raise ValueError(f"{database} holds no frames yet")
-    queries, refused = encode_queries(opened.config, source)
-    return references, queries, refused
+            return self.dataset.image_files(given.every, given.start)
+        return find_image_files(given.paths, given.sequence, given.every, given.start)
 
 
 def encode_queries(config: SSRVLADConfig, source: Source) -> tuple[FrameSet, list[Refusal]]:
@@ -129,8 +100,10 @@ def encode_queries(config: SSRVLADConfig, source: Source) -> tuple[FrameSet, lis
     """
     config = with_labels_as(config, source.labels_as)
     files, segmenter = source.frames(config.labels_as)
-    with progress_bar("encoding", len(files)) as advance:
-        return encode_to_memory(SSRVLAD(config), files, source.workers, advance, segmenter)
+    with progress_bar("encoding", len(files)) as bar:
+        return encode_to_memory(
+            SSRVLAD(config), files, source.given.workers, bar.advance, segmenter
+        )
 
 
 def with_labels_as(config: SSRVLADConfig, labels_as: str | None) -> SSRVLADConfig:
@@ -138,17 +111,17 @@ def with_labels_as(config: SSRVLADConfig, labels_as: str | None) -> SSRVLADConfi
     return dataclasses.replace(config, labels_as=labels_as or config.labels_as)
 
 
-def _open_dataset(
-    paths: Sequence[str], labels_as: str | None, choosing: Choosing
-) -> Dataset | None:
-    if choosing.layout is None:
-        if choosing.splits or choosing.role or choosing.labels:
+def _open_dataset(given: SourceOptions) -> Dataset | None:
+    if given.layout is None:
+        if given.split or given.role or given.labels:
             raise ValueError("--split, --role and --labels want a --layout, for example auto")
         return None
-    if len(paths) != 1:
-        raise ValueError(f"--layout wants the folder of one data set, got {len(paths)} sources")
-    name = None if choosing.layout == "auto" else choosing.layout
-    return open_dataset(paths[0], name, choosing.labels, labels_as)
+    if len(given.paths) != 1:
+        raise ValueError(
+            f"--layout wants the folder of one data set, got {len(given.paths)} sources"
+        )
+    name = None if given.layout == "auto" else given.layout
+    return open_dataset(given.paths[0], name, given.labels, given.labels_as)
 
 
 def _user_cache() -> Path:

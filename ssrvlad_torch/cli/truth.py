@@ -15,6 +15,7 @@ from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
 from ..evaluation.ground_truth import from_frame_numbers, from_poses
 from ..evaluation.ground_truth_files import Known, from_file
+from .options import TruthOptions
 from .output import note
 
 
@@ -68,16 +69,15 @@ class TrueMatches:
     @classmethod
     def by(
         cls,
-        file: Path | None,
-        metres: float | None,
-        degrees: float | None,
-        frames: int | None,
+        given: TruthOptions,
         said: DatasetTruth | None,
     ) -> TrueMatches:
         """By the options, or, if none of the three is given, by what the data set says."""
-        if said and (file, metres, frames) == (None, None, None):
-            return cls(said.file, said.metres, degrees, said.frames)
-        return cls(file, metres, degrees, frames)
+        own = (given.ground_truth, given.tolerance_metres, given.tolerance_frames)
+        file, metres, frames = (
+            own if own != (None,) * 3 or not said else (said.file, said.metres, said.frames)
+        )
+        return cls(file, metres, given.tolerance_degrees, frames)
 
     @property
     def words(self) -> str:

@@ -5,11 +5,8 @@ from __future__ import annotations
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
-from ..bench import bench_this_machine
 from ..options import Json
-from ..output import print_json, print_table
 
 
 def bench(
@@ -20,6 +17,11 @@ def bench(
 
     Example: ssrvlad bench --repetitions 3
     """
+    from rich.table import Table
+
+    from ..bench import bench_this_machine
+    from ..output import print_json, print_table
+
     rows = bench_this_machine(repetitions)
     if as_json:
         print_json({"rows": rows})

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...datasets.synthetic_city import write_city
 from ..options import Frames, Seed
-from ..output import progress_bar
 
 
 def city(
@@ -22,6 +20,9 @@ def city(
 
     Example: ssrvlad city /tmp/city --frames 200 --seed 7
     """
-    with progress_bar("rendering", 2 * frames) as advance:
-        write_city(out, frames=frames, seed=seed, progress=advance)
+    from ...datasets.synthetic_city import write_city
+    from ..output import progress_bar
+
+    with progress_bar("rendering", 2 * frames) as bar:
+        write_city(out, frames=frames, seed=seed, progress=bar.advance)
     print(f"{out}: {frames} reference and {frames} query frames")

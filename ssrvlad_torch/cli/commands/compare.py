@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
-from ... import baselines
-from ...encoding.encoder import Refusal
-from ...evaluation.metrics import Convention
-from .. import options
-from ..drives import KINDS, Drives, Labels, Naming
-from ..measure import measure, wants_similarity
-from ..methods import make, parse_settings, recognise, takes
+from ...baselines import METHODS
+from ..options import Json, RandomWeights, TruthOptions, Workers
 from ..output import figure, finish, print_json, print_table
-from ..truth import Places, TrueMatches
+
+if TYPE_CHECKING:
+    from ...baselines import Method
+    from ...evaluation.metrics import Convention
+    from ..drives import Drives
+    from ..truth import TrueMatches
 
 Row = dict[str, Any]
 """The figures and costs of a method, or its name and the reason why it could not run."""
@@ -29,8 +28,9 @@ COSTS = ("encode", "match")
 
 
 def compare(
+    truth: TruthOptions,
     method: Annotated[
-        str, typer.Option(help=f"Methods, with commas between: {', '.join(baselines.METHODS)}.")
+        str, typer.Option(help=f"Methods, with commas between: {', '.join(METHODS)}.")
     ],
     dataset: Annotated[
         Path | None,
@@ -72,14 +72,9 @@ def compare(
             "--set", help="A setting, METHOD.NAME=VALUE, such as netvlad.weights=FILE; repeatable."
         ),
     ] = None,
-    random_weights: options.RandomWeights = False,
-    ground_truth: options.TruthFile = None,
-    tolerance_metres: options.Metres = None,
-    tolerance_degrees: options.Degrees = None,
-    tolerance_frames: options.FrameCount = None,
-    convention: options.ConventionName = "exact",
-    workers: options.Workers = 2,
-    as_json: options.Json = False,
+    random_weights: RandomWeights = False,
+    workers: Workers = 2,
+    as_json: Json = False,
 ) -> None:
     """Compare methods on one data set: how well they recognise, with 95 % bootstrap intervals, and
     what they cost. All get the same frames: those that have what the methods need. A method that
@@ -91,15 +86,19 @@ def compare(
     Example: ssrvlad compare --references photos/monday --queries photos/today \\
     --method hog,cohog --tolerance-frames 1
     """
+    from ...encoding.encoder import Refusal
+    from ..drives import Drives, Labels, Naming
+    from ..recognise import parse_settings
+    from ..truth import TrueMatches
+
     names = [name.strip() for name in method.split(",")]
     methods = _make(names, parse_settings(settings or ()), random_weights)
     naming = Naming(references or (), queries or (), odd_even)
     drives = Drives.open(dataset, layout, naming, Labels(labels, labels_as))
-    limits = (ground_truth, tolerance_metres, tolerance_degrees, tolerance_frames)
-    truth = TrueMatches.by(*limits, drives.whole.truth)
-    if truth.metres is not None:
+    true = TrueMatches.by(truth, drives.whole.truth)
+    if true.metres is not None:
         drives = drives.posed()
-    rows = _rows(methods, drives, truth, convention, workers)
+    rows = _rows(methods, drives, true, truth.convention, workers)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -109,8 +108,10 @@ def compare(
 
 def _make(
     names: Sequence[str], settings: Mapping[str, Any], random_weights: bool
-) -> dict[str, baselines.Method | str]:
+) -> dict[str, Method | str]:
     """The methods by name, or in place of one the reason why it cannot be made."""
+    from ..recognise import make, takes
+
     own: dict[str, dict[str, Any]] = {name: {} for name in names}
     for key, value in settings.items():
         name, dot, setting = key.partition(".")
@@ -118,7 +119,7 @@ def _make(
             wanted = ", ".join(own)
             raise ValueError(f"--set wants METHOD.NAME=VALUE for one of {wanted}, got {key!r}")
         own[name][setting] = value
-    methods: dict[str, baselines.Method | str] = {}
+    methods: dict[str, Method | str] = {}
     for name, given in own.items():
         free = {"random_weights": True} if random_weights and takes(name, "random_weights") else {}
         try:
@@ -129,15 +130,17 @@ def _make(
 
 
 def _rows(
-    methods: Mapping[str, baselines.Method | str],
+    methods: Mapping[str, Method | str],
     drives: Drives,
     truth: TrueMatches,
     convention: Convention,
     workers: int,
 ) -> list[Row]:
+    from ..drives import KINDS
+
     lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
     rows: dict[str, Row] = {}
-    able: dict[str, baselines.Method] = {}
+    able: dict[str, Method] = {}
     for name, method in methods.items():
         if isinstance(method, str):
             rows[name] = {"method": name, "reason": method}
@@ -153,12 +156,16 @@ def _rows(
 
 
 def _run(
-    methods: Mapping[str, baselines.Method],
+    methods: Mapping[str, Method],
     drives: Drives,
     truth: TrueMatches,
     convention: Convention,
     workers: int,
 ) -> dict[str, Row]:
+    from ..measure import measure, wants_similarity
+    from ..recognise import recognise
+    from ..truth import Places
+
     parts, whole, rows = (drives.references, drives.queries), drives.whole, {}
     matches = truth.among(*(Places.of(part.frames, whole) for part in parts))
     for name, method in methods.items():
@@ -177,6 +184,8 @@ def _run(
 
 def _print(rows: Sequence[Row]) -> None:
     """Two tables, of the figures and of the costs, a row a method in both."""
+    from rich.table import Table
+
     done = [row for row in rows if "reason" not in row]
     quality = Table(
         "method", *(f"RecallRate\n@{n}" for n in AT), "AUC-PR", "Recall@100%\nPrecision"

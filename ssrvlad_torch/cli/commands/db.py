@@ -4,15 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-import numpy as np
 import typer
 
-from ...database.database import Database
-from ...database.exporting import Format, export_database
-from ...database.storage.parts import matrix
-from ...database.storage.verification import verify as find_damage
 from ..options import DatabaseFolder, Json
 from ..output import SOME_REFUSED, note, print_json, progress_bar
 
@@ -56,9 +51,12 @@ def verify(
 
     Example: ssrvlad db verify town.ssrdb
     """
+    from ...database.database import Database
+    from ...database.storage.verification import verify as find_damage
+
     opened = Database.open(database, skip_damaged=True)
-    with progress_bar("verifying", len(opened)) as advance:
-        damage = find_damage(database, advance)
+    with progress_bar("verifying", len(opened)) as bar:
+        damage = find_damage(database, bar.advance)
     if as_json:
         print_json({"frames": len(opened), "damage": [entry._asdict() for entry in damage]})
     else:
@@ -77,7 +75,7 @@ def export(
     database: DatabaseFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")],
     form: Annotated[
-        Format,
+        Literal["npy", "faiss", "hloc"],
         typer.Option(
             "--format",
             help="npy: an array, and the frames' ids in a text file; faiss: an exact index of "
@@ -89,12 +87,20 @@ def export(
 
     Example: ssrvlad db export town.ssrdb --format npy -o town.npy
     """
+    from ...database.database import Database
+    from ...database.exporting import export_database
+
     for file in export_database(Database.open(database), form, output):
         print(file)
 
 
 def contents(path: Path) -> dict[str, Any]:
     """What is in a database, in numbers and words."""
+    import numpy as np
+
+    from ...database.database import Database
+    from ...database.storage.parts import matrix
+
     database = Database.open(path)
     frames, length, empty, spaces = database.frames(), database.config.length, 0, Counter[str]()
     for table in database.tables(["labels_as", "descriptor"]):

@@ -7,11 +7,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.table import Table
 
-from ..demo import STEPS, run_demo
 from ..options import Frames, Seed
-from ..output import figure, print_table, progress_bar
 
 
 def demo(
@@ -26,13 +23,20 @@ def demo(
 
     Example: ssrvlad demo --out /tmp/ssrvlad-demo
     """
-    with progress_bar("demo", STEPS * frames) as advance:
-        result = run_demo(out, frames, seed, advance)
+    from ..demo import STEPS, run_demo
+    from ..output import progress_bar
+
+    with progress_bar("demo", STEPS * frames) as bar:
+        result = run_demo(out, frames, seed, bar.advance)
     _print_metrics(result.metrics)
     print(f"picture: {result.picture}")
 
 
 def _print_metrics(metrics: Mapping[str, Any]) -> None:
+    from rich.table import Table
+
+    from ..output import figure, print_table
+
     table = Table("metric", "value")
     for n, rate in metrics["recall_at"].items():
         table.add_row(f"RecallRate@{n}", figure(rate))

@@ -3,62 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
 
-from ...config import SSRVLADConfig
-from ...database.database import Database
-from ...datasets.frame_files import FrameFile
-from ...datasets.remote_files import find_remote_files, is_uri
-from ...descriptor import SSRVLAD
-from ...encoding.encoder import Refusal, Summary, encode_to_database
-from ...encoding.ray_engine import encode_with_ray
-from ...segmentation.segmenter import Segmenter
-from .. import options
-from ..options import Choosing, Segmenting, Selection
-from ..output import finish, note, print_json
-from ..sources import Source, with_labels_as
+from ..options import Json, MaybePreset, SourceOptions
+from ..output import finish, note, print_json, progress_bar
 from .db import contents
+
+if TYPE_CHECKING:
+    from ...datasets.frame_files import FrameFile
+    from ...encoding.encoder import Summary
+    from ...segmentation.segmenter import Segmenter
+    from ..sources import Source
 
 Engine = Literal["local", "ray"]
 
 
 def encode(
-    source: options.Sources,
+    source: SourceOptions,
     output: Annotated[Path, typer.Option("--output", "-o", help="Database: new, or added to.")],
-    labels_as: Annotated[
-        str | None,
-        typer.Option(
-            help="Label space of the ids: a name or a .yaml file; the data set's with --layout."
-        ),
-    ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(help="paper or default; if not given the database's, or default."),
-    ] = None,
-    layout: options.LayoutName = None,
-    split: options.Splits = None,
-    role: options.RoleName = None,
-    labels: options.LabelsFolder = None,
-    sequence: options.SequenceName = None,
-    every: options.Every = 1,
-    start: options.Start = 0,
-    segmenter: options.SegmenterFile = None,
-    segmenter_cache: options.SegmenterCache = None,
-    workers: options.Workers = 2,
+    preset: MaybePreset = None,
     engine: Annotated[
         Engine,
         typer.Option(
@@ -72,20 +38,16 @@ def encode(
             "--prune", help="Remove frames whose file is gone from the folders that are given."
         ),
     ] = False,
-    as_json: options.Json = False,
+    as_json: Json = False,
 ) -> None:
     """Encode label maps, or images with a segmenter, into a database. Run again, it adds only
     what is missing or has changed, whatever ended the last run.
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
     """
-    choosing = Choosing(layout, split, role, labels)
-    selection, segmenting = (
-        Selection(sequence, every, start),
-        Segmenting(segmenter, segmenter_cache),
-    )
-    opened = Source.open(source, labels_as, choosing, selection, segmenting, workers)
-    summary = _encode(opened, output, preset, engine, prune)
+    from ..sources import Source
+
+    summary = _encode(Source.open(source), output, preset, engine, prune)
     if as_json:
         counts = dataclasses.asdict(summary)
         refused = [refusal._asdict() for refusal in summary.refused]
@@ -100,6 +62,13 @@ def encode(
 def _encode(
     source: Source, output: Path, preset: str | None, engine: Engine, prune: bool
 ) -> Summary:
+    from ...config import SSRVLADConfig
+    from ...database.database import Database
+    from ...descriptor import SSRVLAD
+    from ...encoding.encoder import encode_to_database
+    from ...encoding.ray_engine import encode_with_ray
+    from ..sources import with_labels_as
+
     if source.labels_as is None:
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     complete = _is_complete(source)
@@ -111,8 +80,8 @@ def _encode(
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=source.labels_as)
     head = SSRVLAD(config)
     files, segmenter = _frames(source, engine)
-    database, workers = Database.open_or_create(output, config), source.workers
-    with _progress(len(files)) as (advance, refuse):
+    database, workers = Database.open_or_create(output, config), source.given.workers
+    with progress_bar("encoding", len(files)) as (advance, refuse):
         if engine == "ray":
             return encode_with_ray(
                 config, files, database, workers, advance, complete, prune, refuse
@@ -124,25 +93,31 @@ def _encode(
 
 def _frames(source: Source, engine: Engine) -> tuple[list[FrameFile], Segmenter | None]:
     """The frames, and what segments them if they are images; of Ray also those of URIs."""
+    from ...datasets.remote_files import find_remote_files, is_uri
+
     assert source.labels_as
-    uris = [path for path in source.paths if is_uri(path)]
+    given = source.given
+    uris = [path for path in given.paths if is_uri(path)]
     if engine == "local" and uris:
         raise ValueError(f"{uris[0]} is no path; a URI wants --engine ray")
     if engine == "local":
         return source.frames(source.labels_as)
-    if source.segmenting.network:
+    if given.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
-    taken = source.selection
-    remote = find_remote_files(uris, taken.sequence, taken.every, taken.start)
-    paths = [path for path in source.paths if not is_uri(path)]
-    local = dataclasses.replace(source, paths=paths).label_files() if paths else []
-    return [*local, *remote], None
+    remote = find_remote_files(uris, given.sequence, given.every, given.start)
+    paths = [path for path in given.paths if not is_uri(path)]
+    here = dataclasses.replace(source, given=dataclasses.replace(given, paths=paths))
+    return [*(here.label_files() if paths else []), *remote], None
 
 
 def _is_complete(source: Source) -> bool:
     """Whether the source holds all the frames of its sequences."""
-    whole = source.selection.every == 1 and source.selection.start == 0
-    return whole and source.dataset is None and all(Path(path).is_dir() for path in source.paths)
+    paths = source.given.paths
+    return (
+        source.given.takes_all
+        and source.dataset is None
+        and all(Path(path).is_dir() for path in paths)
+    )
 
 
 def _told(summary: Summary) -> str:
@@ -155,27 +130,3 @@ def _told(summary: Summary) -> str:
     }
     rare = ("changed", "removed")
     return ", ".join(f"{n} {what}" for what, n in counts.items() if n or what not in rare)
-
-
-@contextmanager
-def _progress(total: int) -> Iterator[tuple[Callable[[int], None], Callable[[Refusal], None]]]:
-    """A progress bar with the rate and the number of refused frames, on a terminal only."""
-    columns = (
-        TextColumn("encoding"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[rate]:.0f}/s, {task.fields[refused]} refused"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=total, rate=0.0, refused=0)
-
-        def advance(done: int) -> None:
-            bar.update(task, advance=done, rate=bar.tasks[task].speed or 0.0)
-
-        def refuse(_refusal: Refusal) -> None:
-            bar.update(task, refused=bar.tasks[task].fields["refused"] + 1)
-
-        yield advance, refuse

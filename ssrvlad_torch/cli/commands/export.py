@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...config import SSRVLADConfig
-from ...deployment.export import export_head
-from ..options import LabelsAs
+from ..options import LabelsAs, Preset
 
 
 def export(
@@ -19,13 +17,16 @@ def export(
         str, typer.Option("--input", help="What the file takes: labels or logits.")
     ] = "labels",
     dtype: Annotated[str, typer.Option(help="Of the labels: uint8 or int64.")] = "uint8",
-    preset: Annotated[str, typer.Option(help="paper or default.")] = "default",
+    preset: Preset = "default",
 ) -> None:
     """Write the head as one ONNX file that needs ONNX Runtime only: label ids, or class scores,
     to descriptors.
 
     Example: ssrvlad export -o head.onnx --labels-as cityscapes-trainids --input logits
     """
+    from ...config import SSRVLADConfig
+    from ...deployment.export import export_head
+
     config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
     export_head(config, output, given, dtype)
     print(f"{output}: {given} of {labels_as} to descriptors of fingerprint {config.fingerprint}")

@@ -7,9 +7,7 @@ from typing import Annotated
 
 import typer
 
-from ...config import SSRVLADConfig
-from ...deployment.fuse import fuse as join
-from ..options import LabelsAs
+from ..options import LabelsAs, Preset
 
 
 def fuse(
@@ -20,12 +18,15 @@ def fuse(
         str | None,
         typer.Option(help="Output of the network to take, if several could be labels."),
     ] = None,
-    preset: Annotated[str, typer.Option(help="paper or default.")] = "default",
+    preset: Preset = "default",
 ) -> None:
     """Join a segmentation network and the head in one ONNX file: images to descriptors.
 
     Example: ssrvlad fuse seg.onnx -o place.onnx --labels-as cityscapes-trainids
     """
+    from ...config import SSRVLADConfig
+    from ...deployment.fuse import fuse as join
+
     config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
     fused = join(network, config, path, output)
     print(

@@ -7,43 +7,26 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...encoding.encoder import Encoded, Refusal
 from ...loops.config import LoopConfig
-from ...loops.detector import LoopDetector
-from ...loops.picture import draw_loops, require_picture
-from ...loops.result import LoopResult
-from ...loops.stream import (
-    detect_loops,
-    encode_as_they_come,
-    encode_files,
-    loops_of,
-    open_detector,
-    report,
-)
-from .. import options
-from ..options import Choosing, Segmenting, Selection
+from ..options import Json, MaybePreset, SourceOptions
 from ..output import figure, finish, print_json
-from ..sources import Source
+
+if TYPE_CHECKING:
+    from ...encoding.encoder import Encoded, Refusal
+    from ...loops.detector import LoopDetector
+    from ...loops.result import LoopResult
+    from ..sources import Source
 
 STDIN = "-"
 FIELDS = ("frame", "reason", "candidate", "score", "strength")
 
 
 def loops(
-    source: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SOURCE...",
-            help="Folders, globs or files of label maps, or of images with --segmenter, in the "
-            "order of their names; or - for names of files on stdin, one a line, each taken as "
-            "soon as it is there.",
-        ),
-    ],
-    labels_as: options.LabelsAs,
+    source: SourceOptions,
     exclude: Annotated[
         int, typer.Option(min=0, help="The last so many frames are no candidates.")
     ] = LoopConfig.exclude,
@@ -57,7 +40,9 @@ def loops(
     absolute: Annotated[
         bool, typer.Option("--absolute", help="The threshold is held against the score itself.")
     ] = False,
-    temporal: options.Temporal = LoopConfig.temporal,
+    temporal: Annotated[
+        int, typer.Option(min=0, help="t of Eq. 3: reference frames summed on each side.")
+    ] = LoopConfig.temporal,
     memory: Annotated[
         Path | None,
         typer.Option(help="Database that keeps the frames: new, or gone on from and added to."),
@@ -69,35 +54,28 @@ def loops(
         float | None,
         typer.Option(help="Measure precision and recall: right loops are this near, by poses.csv."),
     ] = None,
-    preset: Annotated[
-        str | None,
-        typer.Option(help="paper or default; if not given the memory's, or default."),
-    ] = None,
-    sequence: options.SequenceName = None,
-    every: options.Every = 1,
-    start: options.Start = 0,
-    segmenter: options.SegmenterFile = None,
-    segmenter_cache: options.SegmenterCache = None,
-    workers: options.Workers = 2,
-    as_json: options.Json = False,
+    preset: MaybePreset = None,
+    as_json: Json = False,
 ) -> None:
     """Find loop closures in a stream of frames while it comes.
 
+    SOURCE - reads names of files from stdin, one a line, and takes each as soon as it is there.
+
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
+    from ...encoding.encoder import Refusal
+    from ...loops.picture import draw_loops, require_picture
+    from ...loops.stream import detect_loops, loops_of, open_detector, report
+    from ..sources import Source
+
     relative = 0 if absolute else LoopConfig.relative
     config = LoopConfig(exclude, threshold=threshold, relative=relative, temporal=temporal)
-    given = Source.open(
-        source,
-        labels_as,
-        Choosing(None, None, None, None),
-        Selection(sequence, every, start),
-        Segmenting(segmenter, segmenter_cache),
-        workers,
-    )
+    given = Source.open(source)
+    if given.labels_as is None:
+        raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if picture:
         require_picture(picture)
-    detector, database = open_detector(config, memory, preset, labels_as)
+    detector, database = open_detector(config, memory, preset, given.labels_as)
     results: list[LoopResult] = []
     refused: list[Refusal] = []
     with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
@@ -110,20 +88,22 @@ def loops(
     _print_report(report(detector, results, tolerance_metres), as_json)
     if picture:
         pairs = loops_of(detector, results)
-        draw_loops(picture, pairs, detector.poses, " ".join(source), tolerance_metres)
+        draw_loops(picture, pairs, detector.poses, " ".join(source.paths), tolerance_metres)
     finish(refused)
 
 
 def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Refusal]:
     """The frames that a detector does not know yet, of folders or as their names come in."""
-    labels_as, taken = detector.head.config.labels_as, source.selection
-    if STDIN not in source.paths:
+    from ...loops.stream import encode_as_they_come, encode_files
+
+    labels_as, given = detector.head.config.labels_as, source.given
+    if STDIN not in given.paths:
         files, segmenter = source.frames(labels_as)
-        return encode_files(detector, files, source.workers, segmenter)
-    if len(source.paths) > 1 or (taken.every, taken.start) != (1, 0):
+        return encode_files(detector, files, given.workers, segmenter)
+    if len(given.paths) > 1 or not given.takes_all:
         raise ValueError(f"{STDIN}, the names on stdin, stands alone, without --every and --start")
     names = map(os.fsdecode, sys.stdin.buffer)
-    return encode_as_they_come(detector, names, taken.sequence, source.segmenter(labels_as))
+    return encode_as_they_come(detector, names, given.sequence, source.segmenter(labels_as))
 
 
 def _print_result(result: LoopResult, as_json: bool) -> None:

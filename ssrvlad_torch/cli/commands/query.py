@@ -5,37 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
-import numpy as np
-import numpy.typing as npt
 import typer
-from torch import Tensor
 
-from ...database.database import Database, FrameSet
-from ...database.searching import Ivfpq, Precision, load_mapped
-from ...database.selection import neighbours, select
-from ...recognition.matching import Matches, match
-from .. import options
-from ..options import Choosing, Segmenting, Selection
+from ..options import DatabaseFolder, Json, RecognitionOptions, SourceOptions
 from ..output import finish, note, print_json
-from ..sources import Source, encode_queries
+
+if TYPE_CHECKING:
+    from ...database.database import FrameSet
+    from ...recognition.matching import Matches
 
 Index = Literal["exact", "mapped", "faiss-ivfpq"]
-Rows = npt.NDArray[np.bool_] | None
-Ranges = npt.NDArray[np.int64] | None
-Searcher = Callable[[Tensor, int, float | None, Rows, Ranges], Matches]
+Precision = Literal["float32", "float16"]
 
 
 def query(
-    database: options.DatabaseFolder,
-    source: options.Sources,
-    labels_as: options.MaybeLabelsAs = None,
+    database: DatabaseFolder,
+    source: SourceOptions,
+    recognition: RecognitionOptions,
     top: Annotated[int, typer.Option(min=1, help="Candidates of each query.")] = 5,
     threshold: Annotated[
         float | None, typer.Option(help="Leave out candidates whose score is not above it.")
     ] = None,
-    temporal: options.Temporal = 3,
     from_sequence: Annotated[
         list[str] | None,
         typer.Option(help="Candidates of this sequence only; repeatable."),
@@ -67,30 +59,19 @@ def query(
     skip_damaged: Annotated[
         bool, typer.Option("--skip-damaged", help="Read on past what is damaged.")
     ] = False,
-    layout: options.LayoutName = None,
-    split: options.Splits = None,
-    role: options.RoleName = None,
-    labels: options.LabelsFolder = None,
-    sequence: options.SequenceName = None,
-    every: options.Every = 1,
-    start: options.Start = 0,
-    segmenter: options.SegmenterFile = None,
-    segmenter_cache: options.SegmenterCache = None,
-    workers: options.Workers = 2,
-    as_json: options.Json = False,
+    as_json: Json = False,
 ) -> None:
     """Recognise places: ranked candidate frames with scores for every label map.
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
-    choosing = Choosing(layout, split, role, labels)
-    selection, segmenting = (
-        Selection(sequence, every, start),
-        Segmenting(segmenter, segmenter_cache),
-    )
-    opened = Source.open(source, labels_as, choosing, selection, segmenting, workers)
+    from ...database.database import Database
+    from ...database.selection import neighbours, select
+    from ..sources import Source, encode_queries
+
+    opened = Source.open(source)
     first, last = _window(window)
-    references, searcher = _open(database, temporal, index, precision, skip_damaged)
+    references, searcher = _open(database, recognition.t, index, precision, skip_damaged)
     where = None
     if from_sequence or window:
         where = select(references, from_sequence, first, last)
@@ -104,7 +85,7 @@ def query(
             if row >= 0
         ]
         if as_json:
-            print_json({"query": frame, "candidates": candidates})
+            print_json({"query": frame, "candidates": candidates, "temporal": recognition.t})
         else:
             ranked = ", ".join(f"{c['frame']} {c['score']:.4f}" for c in candidates)
             print(f"{frame}: {ranked or 'no candidate'}")
@@ -113,8 +94,12 @@ def query(
 
 def _open(
     path: Path, temporal: int, index: Index, precision: Precision, skip_damaged: bool
-) -> tuple[FrameSet, Searcher]:
-    """The references, and what finds the best of them."""
+) -> tuple[FrameSet, Callable[..., Matches]]:
+    """The references, and what finds the best of them, called as `match` but without them."""
+    from ...database.database import Database
+    from ...database.searching import Ivfpq, load_mapped
+    from ...recognition.matching import match
+
     database = Database.open(path, skip_damaged)
     if not len(database):
         raise ValueError(f"{path} holds no frames yet")

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
-from ...datasets.label_files import find_label_files
-from ...deployment.verify import Verification
-from ...deployment.verify import verify as check
-from ...encoding.encoder import Refusal
 from ..options import Json
 from ..output import finish, note, print_json, print_table, progress_bar
+
+if TYPE_CHECKING:
+    from ...deployment.verify import Verification
 
 MISMATCH = 1
 """Exit code of a file that does not give what it should."""
@@ -36,9 +34,13 @@ def verify(
 
     Example: ssrvlad verify place.onnx --labels maps/monday
     """
+    from ...datasets.label_files import find_label_files
+    from ...deployment.verify import verify as check
+    from ...encoding.encoder import Refusal
+
     files = find_label_files(labels) if labels else []
-    with progress_bar("verifying", len(files)) as advance:
-        found = check(model, files, provider, advance)
+    with progress_bar("verifying", len(files)) as bar:
+        found = check(model, files, provider, bar.advance)
     for warning in found.warnings:
         note(f"{model}: {warning}")
     if as_json:
@@ -61,6 +63,8 @@ def _as_json(found: Verification) -> dict[str, Any]:
 
 
 def _print(model: Path, found: Verification) -> None:
+    from rich.table import Table
+
     table = Table("compared", "largest difference", "result")
     for one in found.checks:
         table.add_row(one.name, f"{one.difference:.2g}", one.problem or "equal")

@@ -7,15 +7,13 @@ from typing import Annotated
 
 import typer
 
-from ...baselines.region_features import RegionFeatures
-from ...baselines.vocabulary import train_vocabulary
-from .. import options
+from ..options import Weights
 
 
 def vocabulary(
     images: Annotated[Path, typer.Argument(help="Folder of images, and of folders of images.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="The .npy file to write.")],
-    weights: options.Weights = None,
+    weights: Weights = None,
     words: Annotated[int, typer.Option(min=1, help="Words, 256 or 128 in the paper.")] = 256,
     regions: Annotated[
         int, typer.Option(min=1, help="Regions of an image, 400 or 200 in the paper.")
@@ -26,6 +24,9 @@ def vocabulary(
 
     Example: ssrvlad vocabulary photos -o vocabulary.npy --weights alexnet_places365.caffemodel
     """
+    from ...baselines.region_features import RegionFeatures
+    from ...baselines.vocabulary import train_vocabulary
+
     features = RegionFeatures(weights, regions=regions)
     train_vocabulary(images, output, features, words, seed)
     print(f"{output}: {words} words")

@@ -1,4 +1,4 @@
-"""Running another method of `ssrvlad_torch.baselines` on frames on disk."""
+"""Finding the candidates of queries: in a database, or by another method on frames on disk."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from inspect import signature
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,17 +15,88 @@ import torch
 import yaml
 
 from .. import baselines
+from ..baselines.protocol import cosines
 from ..baselines.run import Retrieval, run
+from ..database.database import Database, FrameSet
 from ..datasets.frame_files import FrameFile, read_ahead
-from ..datasets.image_files import read_image
-from ..datasets.label_files import read_label_map
-from ..recognition.matching import Matches
+from ..datasets.image_files import find_image_files, read_image
+from ..datasets.label_files import find_label_files, read_label_map
+from ..evaluation.metrics import Convention
+from ..recognition.matching import Matches, match
 from ..taxonomy import label_space
-from .measure import TOP, Recognition
+from .measure import TOP, Recognition, wants_similarity
+from .options import MethodOptions
 from .output import progress_bar
-from .truth import Places
+from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
+from .report import CANDIDATES, Page
+from .sources import Source, encode_queries, with_labels_as
+from .truth import Places, counted
 
 _AHEAD = 16
+
+
+def by_database(
+    path: Path, source: Source, temporal: int, convention: Convention, page: Page | None
+) -> Recognition:
+    """The candidates of every query in a database.
+
+    Args:
+        temporal: t of Eq. 3, reference frames summed on each side; 0 for no sum.
+        page: the page that is wanted, if any.
+
+    Raises:
+        ValueError: the database is empty or damaged, or there are no queries.
+    """
+    database = Database.open(path)
+    references = database.load(temporal)
+    if not references.frames:
+        raise ValueError(f"{path} holds no frames yet")
+    queries, refused = encode_queries(database.config, source)
+    names = [refusal.frame for refusal in refused]
+    config = with_labels_as(database.config, source.labels_as)
+    return Recognition(
+        references=_places(references, counted(references.frames, source.whole)),
+        queries=_places(queries, counted(queries.frames, source.whole, names)),
+        found=match(queries.descriptors, references.descriptors, CANDIDATES if page else TOP),
+        similarity=_similarity(queries, references) if wants_similarity(convention) else None,
+        descriptors=(queries.descriptors, references.descriptors),
+        pictures=(
+            pictures_of_queries(source, config.labels_as),
+            pictures_of_references(path, source, page.pictures if page else (), config.labels_as),
+        ),
+        refused=refused,
+        told={"preset": config.preset, "fingerprint": config.fingerprint, "temporal": temporal},
+    )
+
+
+def by_method(
+    given: MethodOptions,
+    references: Path,
+    source: Source,
+    convention: Convention,
+    page: Page | None,
+) -> Recognition:
+    """The candidates of every query by another method.
+
+    Raises:
+        ValueError: no such method or setting, or its frames are not there.
+        OSError: its weights are not there.
+    """
+    assert given.method is not None
+    for name in given.named:
+        if not takes(given.method, name):
+            raise ValueError(f"method {given.method} takes no --{name.replace('_', '-')}")
+    method = make(given.method, {**parse_settings(given.settings or ()), **given.named})
+    labelled = "labels" in method.needs
+    if labelled and source.labels_as is None:
+        raise ValueError(f"method {method.name} reads label maps; wanted their --labels-as")
+    there = (find_label_files if labelled else find_image_files)([str(references)])
+    here = source.label_files() if labelled else source.image_files()
+    labels_as = source.labels_as if labelled else None
+    all_pairs = wants_similarity(convention) or page is not None
+    found = recognise(method, there, here, labels_as, source.given.workers, all_pairs)
+    pictures = pictures_of_files(here, labels_as), pictures_of_files(there, labels_as)
+    return dataclasses.replace(found, pictures=pictures)
 
 
 def make(name: str, settings: Mapping[str, Any]) -> baselines.Method:
@@ -91,13 +163,13 @@ def recognise(
     Raises:
         ValueError: a frame cannot be read, or the method refuses it; the message names it.
     """
-    with progress_bar(method.name, len(references) + len(queries)) as advance:
+    with progress_bar(method.name, len(references) + len(queries)) as bar:
         retrieval = run(
             method,
             _frames(queries, labels_as, workers),
             _frames(references, labels_as, workers),
             top=max(TOP, len(references)) if all_pairs else TOP,
-            progress=advance,
+            progress=bar.advance,
         )
     found = Matches(retrieval.scores, retrieval.indices)
     return Recognition(
@@ -132,6 +204,18 @@ def _unranked(found: Matches, references: int) -> npt.NDArray[np.float32]:
     rows, ranks = (found.indices >= 0).nonzero(as_tuple=True)
     scores[rows, found.indices[rows, ranks]] = found.scores[rows, ranks]
     similarity: npt.NDArray[np.float32] = scores.numpy()
+    return similarity
+
+
+def _places(frames: FrameSet, counted: tuple[str, ...]) -> Places:
+    return Places(frames.frames, frames.poses, counted)
+
+
+def _similarity(queries: FrameSet, references: FrameSet) -> npt.NDArray[np.float32]:
+    """Cosines of all pairs, ``(Q, R)``; -inf where a frame is empty and matches nothing."""
+    similarity: npt.NDArray[np.float32] = cosines(
+        queries.descriptors, references.descriptors
+    ).numpy()
     return similarity
 
 

@@ -1,0 +1,68 @@
+"""The command line: ``ssrvlad COMMAND``. Results go to stdout, notes and errors to stderr.
+
+The module of a command holds what the user types and sees. It imports what does the work inside
+the command, so that help needs no torch.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from .. import __version__
+from .commands.bench import bench
+from .commands.city import city
+from .commands.compare import compare
+from .commands.db import db
+from .commands.demo import demo
+from .commands.encode import encode
+from .commands.evaluate import evaluate
+from .commands.export import export
+from .commands.fuse import fuse
+from .commands.loops import loops
+from .commands.query import query
+from .commands.show import show
+from .commands.verify import verify
+from .commands.vocabulary import vocabulary
+from .options import expand
+
+app = typer.Typer(
+    name="ssrvlad", add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None
+)
+
+
+@app.callback(invoke_without_command=True)
+def ssrvlad(
+    context: typer.Context,
+    version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
+    debug: Annotated[
+        bool,
+        typer.Option("--debug", help="Show the traceback of an error; anywhere on the line."),
+    ] = False,
+) -> None:
+    """Place recognition from semantic segmentation (SSR-VLAD)."""
+    del debug  # `main` has looked for it in the whole line
+    if version:
+        print(f"ssrvlad {__version__}")
+    elif context.invoked_subcommand is None:
+        print(context.get_help())
+
+
+for command in (
+    demo,
+    city,
+    encode,
+    query,
+    evaluate,
+    loops,
+    compare,
+    vocabulary,
+    export,
+    fuse,
+    verify,
+    show,
+    bench,
+):
+    app.command()(expand(command))
+app.add_typer(db, name="db")
