@@ -48,13 +48,16 @@ def load_model(path: Path) -> onnx.ModelProto:
     return model
 
 
-def open_session(source: Path | bytes, name: object, provider: str = CPU) -> Any:
+def open_session(
+    source: Path | bytes, name: object, provider: str = CPU, otherwise: str | None = None
+) -> Any:
     """A session of ONNX Runtime.
 
     Args:
         source: a file, or the content of one.
         name: what messages call it.
         provider: execution provider; what it lacks runs on the CPU.
+        otherwise: the provider to take where ONNX Runtime does not have the first.
 
     Raises:
         ValueError: ONNX Runtime does not have the provider, or cannot run the graph.
@@ -65,6 +68,7 @@ def open_session(source: Path | bytes, name: object, provider: str = CPU) -> Any
     except ImportError as error:
         raise ImportError(_NEEDED) from error
     at_hand = onnxruntime.get_available_providers()
+    provider = provider if provider in at_hand else otherwise or provider
     if provider not in at_hand:
         raise ValueError(f"no execution provider {provider!r}; wanted one of {', '.join(at_hand)}")
     options = onnxruntime.SessionOptions()
@@ -73,6 +77,23 @@ def open_session(source: Path | bytes, name: object, provider: str = CPU) -> Any
         return onnxruntime.InferenceSession(source, options, [*dict.fromkeys((provider, CPU))])
     except Exception as error:  # each kind of failure has its own type, not all of them public
         raise ValueError(f"{name} cannot run in ONNX Runtime: {one_line(error)}") from error
+
+
+def external_files(path: Path) -> list[Path]:
+    """The files beside a graph that hold its weights; where there are none, all is in it."""
+    try:
+        import onnx
+    except ImportError as error:
+        raise ImportError(_NEEDED) from error
+    model = onnx.load(path, load_external_data=False)
+    tensors = onnx.external_data_helper._get_all_tensors(model)
+    names = {
+        entry.value
+        for tensor in tensors
+        for entry in tensor.external_data
+        if entry.key == "location"
+    }
+    return sorted(path.parent / name for name in names)
 
 
 def graph_digest(model: onnx.ModelProto) -> str:

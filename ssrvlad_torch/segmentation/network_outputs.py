@@ -1,19 +1,23 @@
-"""Outputs of segmentation networks: which of them, known by its shape, and what labels it means."""
+"""Outputs of segmentation networks: which of them holds labels, and the class of every pixel."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import interpolate
 
-from ..datasets.label_files import LabelMap
 from ..taxonomy import LabelSpace
 
+Classes = tuple[int, int] | None
+"""First channel of the scores that is taken and the one after the last; ``None`` for all."""
+
 _USUAL_NAMES = ("out", "logits")
+
+
+class UnrecognisedError(ValueError):
+    """No output of a network holds labels, or several could."""
 
 
 class Form(NamedTuple):
@@ -35,7 +39,9 @@ class Form(NamedTuple):
         return f"({', '.join('?' if n is None else str(n) for n in self.shape)}) {self.dtype}"
 
 
-def choose_output(forms: Mapping[str, Form], space: LabelSpace, name: str | None = None) -> str:
+def choose_output(
+    forms: Mapping[str, Form], space: LabelSpace, name: str | None = None, classes: Classes = None
+) -> str:
     """The name of the output that holds labels: class scores, or integer ids.
 
     Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with a class count of the label
@@ -46,34 +52,42 @@ def choose_output(forms: Mapping[str, Form], space: LabelSpace, name: str | None
         forms: the outputs by name.
         space: label space of the classes.
         name: the output to take.
+        classes: the channels to take, which then must be a class count of the label space.
 
     Raises:
-        ValueError: none fits, or several do; the message has them all.
+        UnrecognisedError: none fits, or several do; the message has them all.
     """
     if name is not None and name not in forms:
-        raise ValueError(f"there is no output {name!r}; the outputs are {_list(forms)}")
+        raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(forms)}")
     at_hand = forms if name is None else {name: forms[name]}
-    fitting = {key: form for key, form in at_hand.items() if _fits(form, space)}
+    fitting = {key: form for key, form in at_hand.items() if _fits(form, space, classes)}
     if not fitting:
-        raise ValueError(
-            f"no output fits label space {space.name}: got {_list(at_hand)}; wanted "
-            f"(B, C, h, w) class scores, C = {_counts(space)}, or (B, h, w) integer ids"
+        raise UnrecognisedError(
+            f"no output fits label space {space.name}: got {_list(at_hand)}; expected "
+            f"(B, C, h, w) class scores, C = {_counts(space, classes)}, or (B, h, w) integer ids"
+            f"{_hint(at_hand, space, classes)}"
         )
     usual = [key for key in _USUAL_NAMES if key in fitting]
     if len(fitting) > 1 and not usual:
-        raise ValueError(f"several outputs could be labels: {_list(fitting)}; wanted output: NAME")
+        raise UnrecognisedError(
+            f"several outputs could be labels: {_list(fitting)}; expected output: NAME"
+        )
     return usual[0] if len(fitting) > 1 else next(iter(fitting))
 
 
 def take_output(
-    result: object, space: LabelSpace, name: str | None = None, channels_last: bool = False
+    result: object,
+    space: LabelSpace,
+    name: str | None = None,
+    classes: Classes = None,
+    channels_last: bool = False,
 ) -> Tensor:
     """The output that holds labels, among all that a network gave.
 
     Args:
         result: a tensor, a mapping of names to tensors, an object with ``logits``, or a tuple,
             whose tensors are named ``0``, ``1`` and so on.
-        space, name: as for `choose_output`.
+        space, name, classes: as for `choose_output`.
         channels_last: which axis holds the classes should both be as long: the last, not the
             second.
 
@@ -81,54 +95,66 @@ def take_output(
         ``(B, C, h, w)`` floating class scores or ``(B, h, w)`` integer ids.
 
     Raises:
-        ValueError: see `choose_output`.
+        UnrecognisedError: see `choose_output`.
     """
     tensors = dict(_named_tensors(result))
     forms = {key: _form(tensor) for key, tensor in tensors.items()}
-    output = tensors[choose_output(forms, space, name)]
+    output = tensors[choose_output(forms, space, name, classes)]
     if output.ndim == 3:
         return output
-    counts = space.channel_counts if output.is_floating_point() else range(1, 2)
-    axis = next(a for a in ((3, 1) if channels_last else (1, 3)) if output.shape[a] in counts)
-    return output.movedim(axis, 1) if output.is_floating_point() else output.squeeze(axis)
+    if not output.is_floating_point():
+        return output.squeeze(class_axis(output.shape, range(1, 2), channels_last))
+    scores = output.movedim(
+        class_axis(output.shape, channel_counts(space, classes), channels_last), 1
+    )
+    return scores if classes is None else scores[:, slice(*classes)]
 
 
-def label_map(output: Tensor, size: tuple[int, int]) -> LabelMap:
-    """The label map of one image.
+def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
+    """How many channels the scores of a network may have for a label space."""
+    if classes is None:
+        return space.channel_counts
+    first, last = classes
+    fits = last - first in space.channel_counts
+    return range(last, 1 << 16) if fits else range(0)
 
-    Scores are enlarged bilinearly, corners not aligned, and the largest wins, the first of
-    equals; ids go by the nearest pixel. Classes are compared one after another, so that the
-    enlarged scores of all are never in memory.
+
+def class_axis(shape: tuple[int | None, ...], counts: range, channels_last: bool) -> int:
+    """The axis of an output that holds the classes: the second or the last."""
+    order = (3, 1) if channels_last else (1, 3)
+    return next(axis for axis in order if shape[axis] in counts)
+
+
+def classes_of(output: Tensor) -> Tensor:
+    """The one rule of which class a pixel is: the largest score wins, the first of equals.
+
+    Every way goes through here, `Segmenter`, `SSRVLAD` on class scores and the files of `fuse`.
 
     Args:
-        output: ``(C, h, w)`` class scores or ``(h, w)`` ids, from `take_output`.
-        size: height and width of the label map.
+        output: ``(B, C, h, w)`` floating class scores, or ``(B, h, w)`` ids, which stay.
 
     Returns:
-        ``(H, W)`` of the narrowest of uint8, uint16 and int64.
-
-    Raises:
-        ValueError: scores hold NaN.
+        ``(B, h, w)`` integers.
     """
-    if not output.is_floating_point():
-        plane = output[None, None].to(torch.float64)  # holds ids up to 2 ** 53
-        resized = (
-            plane if plane.shape[2:] == size else interpolate(plane, size, mode="nearest-exact")
-        )
-        return _narrowest(resized[0, 0].to(torch.int64))
-    if bool(output.isnan().any()):
-        raise ValueError(f"class scores hold {int(output.isnan().sum())} NaN values; wanted none")
-    best = torch.full(size, -torch.inf, device=output.device)
-    ids = torch.zeros(size, dtype=torch.int64, device=output.device)
-    for label_id, scores in enumerate(output.float()):
-        plane = scores
-        if scores.shape != size:
-            enlarged = interpolate(scores[None, None], size, mode="bilinear", align_corners=False)
-            plane = enlarged[0, 0]
-        better = plane > best
-        best = torch.where(better, plane, best)
-        ids.masked_fill_(better, label_id)
-    return _narrowest(ids)
+    return output.argmax(1) if output.is_floating_point() else output
+
+
+def enlarged(labels: Tensor, height: int, width: int) -> Tensor:
+    """Label maps at another size: each pixel takes the label of the cell that its middle is in.
+
+    Integers only, so that every backend gives the same pixels.
+
+    Args:
+        labels: ``(B, h, w)`` integers.
+        height, width: of what is returned.
+
+    Returns:
+        ``(B, height, width)`` of the same dtype.
+    """
+    device = labels.device
+    rows = (2 * torch.arange(height, device=device) + 1) * labels.shape[1] // (2 * height)
+    columns = (2 * torch.arange(width, device=device) + 1) * labels.shape[2] // (2 * width)
+    return labels.index_select(1, rows).index_select(2, columns)
 
 
 def _named_tensors(result: object) -> Iterator[tuple[str, Tensor]]:
@@ -142,7 +168,7 @@ def _named_tensors(result: object) -> Iterator[tuple[str, Tensor]]:
         named = {"logits": getattr(result, "logits", None)}
     tensors = [(str(key), value) for key, value in named.items() if isinstance(value, Tensor)]
     if not tensors:
-        raise ValueError(f"the network gives a {type(result).__name__} without tensors")
+        raise UnrecognisedError(f"the network gives a {type(result).__name__} without tensors")
     yield from tensors
 
 
@@ -154,30 +180,36 @@ def _form(tensor: Tensor) -> Form:
     return Form(tuple(tensor.shape), dtype, "ids" if integers else "")
 
 
-def _fits(form: Form, space: LabelSpace) -> bool:
+def _fits(form: Form, space: LabelSpace, classes: Classes) -> bool:
     if not form.kind or form.shape is None:
         return bool(form.kind)
     if form.kind == "ids" and len(form.shape) == 3:
         return True
     if len(form.shape) != 4:
         return False
-    counts = space.channel_counts if form.kind == "scores" else range(1, 2)
+    counts = channel_counts(space, classes) if form.kind == "scores" else range(1, 2)
     _, second, third, last = form.shape
     free = second is None or (last is None and third is not None)  # h and w are free together
     return free or second in counts or last in counts
 
 
-def _counts(space: LabelSpace) -> str:
-    return " or ".join(map(str, space.channel_counts)) or "none, for its ids have gaps"
+def _counts(space: LabelSpace, classes: Classes) -> str:
+    counts = " or ".join(map(str, space.channel_counts)) or "none, for its ids have gaps"
+    return counts if classes is None else f"{counts} of channels {classes[0]}:{classes[1]}"
+
+
+def _hint(forms: Mapping[str, Form], space: LabelSpace, classes: Classes) -> str:
+    """What to do where the network has more channels than the label space has classes."""
+    most = max(space.channel_counts, default=0)
+    more = any(
+        form.kind == "scores"
+        and form.shape
+        and len(form.shape) == 4
+        and (form.shape[1] or 0) > most
+        for form in forms.values()
+    )
+    return f"; --classes 0:{most} takes the first {most}" if more and most and not classes else ""
 
 
 def _list(forms: Mapping[str, Form]) -> str:
     return ", ".join(f"{name} {form}" for name, form in forms.items())
-
-
-def _narrowest(ids: Tensor) -> LabelMap:
-    labels = ids.numpy(force=True)
-    for dtype in (np.uint8, np.uint16):
-        if labels.min() >= 0 and labels.max() <= np.iinfo(dtype).max:
-            return labels.astype(dtype)
-    return labels

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,16 +14,18 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from ..deployment.model_file import CPU, external_files, open_session
 from .network_outputs import Form
+from .preparation import Form as InputForm
 
 _COLOURS = 3
 _DTYPES = {
-    "tensor(float)": np.float32,
-    "tensor(float16)": np.float16,
-    "tensor(double)": np.float64,
-    "tensor(uint8)": np.uint8,
+    "tensor(float)": torch.float32,
+    "tensor(float16)": torch.float16,
+    "tensor(double)": torch.float64,
+    "tensor(uint8)": torch.uint8,
 }
-_ONLY_FATAL = 4
+_NAMES = ("id2label", "names", "classes", "class_names")
 
 
 class OnnxNetwork(nn.Module):
@@ -32,12 +36,11 @@ class OnnxNetwork(nn.Module):
 
     Attributes:
         size: height and width that the graph takes, ``None`` where it takes any.
-        takes_bytes: whether its input is uint8.
-        channels_last: whether its input is ``(B, H, W, 3)``, as in graphs that come from TFLite.
+        form: dtype and layout that its input takes.
         outputs: the form of every output by name, as far as the graph declares it.
 
     Shape:
-        - input: ``(B, 3, H, W)`` float32; turned into the layout, dtype and batches of the graph.
+        - input: ``(B, 3, H, W)`` or ``(B, H, W, 3)`` in the form of the graph.
         - output: a mapping of the names that were asked for, or all, to tensors.
 
     Raises:
@@ -48,76 +51,82 @@ class OnnxNetwork(nn.Module):
     def __init__(self, path: str | Path) -> None:
         super().__init__()
         self.path = Path(path)
-        self._session = _session(self.path)
+        if not self.path.is_file():
+            raise ValueError(f"{path} does not exist or is no file; expected an ONNX graph")
+        self._session = open_session(self.path, path, "CUDAExecutionProvider", otherwise=CPU)
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
             names = ", ".join(given.name for given in inputs)
-            raise ValueError(f"{path} has inputs {names}; wanted one, for images")
-        self._input: str = inputs[0].name
+            raise ValueError(f"{path} has inputs {names}; expected one, for images")
+        self.input: str = inputs[0].name
         shape = _shape(inputs[0])
         form = Form(shape, inputs[0].type, "")
         if shape is None or len(shape) != 4 or inputs[0].type not in _DTYPES:
-            raise ValueError(f"{path} takes {form}; wanted (B, 3, H, W) floats or bytes")
-        self.channels_last = shape[1] != _COLOURS and shape[3] == _COLOURS
-        height, width, channels = shape[1:] if self.channels_last else (*shape[2:], shape[1])
+            raise ValueError(f"{path} takes {form}; expected (B, 3, H, W) floats or bytes")
+        last = shape[1] != _COLOURS and shape[3] == _COLOURS
+        height, width, channels = shape[1:] if last else (*shape[2:], shape[1])
         if channels not in (None, _COLOURS):
-            raise ValueError(f"{path} takes {form}; wanted images of 3 channels")
+            raise ValueError(f"{path} takes {form}; expected images of 3 channels")
         self.size = (height, width)
-        self.takes_bytes = inputs[0].type == "tensor(uint8)"
+        self.form = InputForm(_DTYPES[inputs[0].type], last)
+        self.batch = shape[0]
         self.outputs: Mapping[str, Form] = {
             output.name: Form(_shape(output), output.type, _kind(output.type))
             for output in self._session.get_outputs()
         }
-        self._batch = shape[0]
-        self._dtype = _DTYPES[inputs[0].type]
 
     def forward(self, images: Tensor, names: Iterable[str] = ()) -> dict[str, Tensor]:
         """Runs the graph, in batches of its own length if that is fixed."""
-        wanted = list(names) or list(self.outputs)
-        array = images.numpy(force=True)
-        if self.channels_last:
-            array = array.transpose(0, 2, 3, 1)
-        array = np.ascontiguousarray(array, self._dtype)
-        length = self._batch or len(array)
-        parts = [self._run(array[i : i + length], wanted) for i in range(0, len(array), length)]
+        expected = list(names) or list(self.outputs)
+        array = np.ascontiguousarray(images.numpy(force=True))
+        length = self.batch or len(array)
+        parts = [self._run(array[i : i + length], expected) for i in range(0, len(array), length)]
         return {
             name: torch.from_numpy(np.concatenate(arrays))
-            for name, arrays in zip(wanted, zip(*parts, strict=True), strict=True)
+            for name, arrays in zip(expected, zip(*parts, strict=True), strict=True)
         }
+
+    def class_names(self) -> dict[int, str]:
+        """Names of its classes by channel, from the metadata that exporters write; or none."""
+        properties = self._session.get_modelmeta().custom_metadata_map
+        for key in _NAMES:
+            if key in properties:
+                return _names(properties[key])
+        return {}
 
     def digest(self) -> str:
         """BLAKE2b-128 of the file and of its external weights, in hex."""
         content = hashlib.blake2b(digest_size=16)
-        for path in (self.path, *_external_files(self.path)):
+        for path in (self.path, *external_files(self.path)):
             with path.open("rb") as file:
                 content.update(hashlib.file_digest(file, "blake2b").digest())
         return content.hexdigest()
 
     def _run(self, images: npt.NDArray[Any], names: list[str]) -> list[npt.NDArray[Any]]:
         count = len(images)
-        if self._batch and count < self._batch:
-            filling = np.repeat(images[-1:], self._batch - count, axis=0)
+        if self.batch and count < self.batch:
+            filling = np.repeat(images[-1:], self.batch - count, axis=0)
             images = np.concatenate([images, filling])
-        return [array[:count] for array in self._session.run(names, {self._input: images})]
+        return [array[:count] for array in self._session.run(names, {self.input: images})]
 
 
-def _session(path: Path) -> Any:
+def _names(text: str) -> dict[int, str]:
+    """Class names of a metadata property: JSON, or a Python literal as Ultralytics writes it; a
+    mapping, or a list."""
     try:
-        import onnxruntime
-    except ImportError as error:
-        raise ImportError("an ONNX graph needs: pip install ssrvlad-torch[onnx]") from error
-    if not path.is_file():
-        raise ValueError(f"{path} does not exist or is no file; wanted an ONNX graph")
-    options = onnxruntime.SessionOptions()
-    options.log_severity_level = _ONLY_FATAL
-    at_hand = onnxruntime.get_available_providers()
-    wanted = ("CUDAExecutionProvider", "CPUExecutionProvider")
-    providers = [provider for provider in wanted if provider in at_hand]
+        found = json.loads(text)
+    except json.JSONDecodeError:
+        try:
+            found = ast.literal_eval(text)
+        except (ValueError, SyntaxError):
+            return {}
+    if not isinstance(found, list | dict):
+        return {}
+    entries: Any = enumerate(found) if isinstance(found, list) else found.items()
     try:
-        return onnxruntime.InferenceSession(path, options, providers=providers)
-    except Exception as error:  # each kind of failure has its own type, not all of them public
-        reason = " ".join(str(error).split())
-        raise ValueError(f"{path} is no ONNX graph that can be run: {reason}") from error
+        return {int(number): str(name) for number, name in entries}
+    except (TypeError, ValueError):
+        return {}
 
 
 def _shape(value: Any) -> tuple[int | None, ...] | None:
@@ -131,26 +140,3 @@ def _kind(dtype: str) -> str:
     if dtype in ("tensor(float)", "tensor(float16)", "tensor(double)"):
         return "scores"
     return "ids" if dtype.startswith(("tensor(int", "tensor(uint")) else ""
-
-
-def _external_files(path: Path) -> list[Path]:
-    """The files beside a graph that hold its weights; where there are none, all is in it."""
-    try:
-        import onnx
-    except ImportError as error:
-        raise ImportError("an ONNX graph needs: pip install ssrvlad-torch[onnx]") from error
-    return sorted(
-        path.parent / name for name in _locations(onnx.load(path, load_external_data=False))
-    )
-
-
-def _locations(message: Any) -> set[str]:
-    """Where the tensors of a protobuf message lie, those of subgraphs and functions among them."""
-    if hasattr(message, "external_data"):
-        return {entry.value for entry in message.external_data if entry.key == "location"}
-    found: set[str] = set()
-    for field, value in message.ListFields():
-        if field.message_type is not None:
-            for part in [value] if hasattr(value, "ListFields") else value:
-                found |= _locations(part)
-    return found

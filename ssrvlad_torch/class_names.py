@@ -1,0 +1,83 @@
+"""Label spaces by name: what the classes of a network are called says which category they are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from functools import cache
+from importlib import resources
+
+import yaml
+
+from .taxonomy import CATEGORIES, DYNAMIC, VOID, LabelClass, LabelSpace
+
+_MEANS_NOTHING = re.compile(r"[^a-z0-9]+")
+_ENDINGS = ("other", "stuff", "merged")
+
+
+def category_of_name(name: str) -> str | None:
+    """The category of a class by its name, from ``class_names.yaml``.
+
+    Returns:
+        one of `CATEGORIES`, `DYNAMIC` for what moves, `VOID` for what is known and has no
+        category, or ``None`` for a name that is not in the table.
+
+    Example:
+        >>> category_of_name("construction--flat--road")
+        'ground'
+    """
+    table = _table()
+    return next((table[form] for form in _forms(name) if form in table), None)
+
+
+def label_space_of_names(names: Mapping[int, str], name: str) -> LabelSpace:
+    """The label space of a network whose classes have these names.
+
+    A class whose name is not in the table has no category, like one that is void.
+
+    Args:
+        names: of the classes, by channel.
+        name: of the label space.
+
+    Raises:
+        ValueError: no name has a category.
+
+    Example:
+        >>> label_space_of_names({0: "road", 1: "car"}, "mine").classes[1].category
+        'dynamic'
+    """
+    if not any(category_of_name(each) in CATEGORIES for each in names.values()):
+        few = ", ".join(list(names.values())[:3])
+        raise ValueError(
+            f"none of the {len(names)} class names of {name} ({few}, ...) has a category; "
+            "give --labels-as"
+        )
+    classes = (
+        LabelClass(number, names[number], category_of_name(names[number]) or VOID, None)
+        for number in sorted(names)
+    )
+    return LabelSpace(name, "the network's own class names", tuple(classes))
+
+
+@cache
+def _table() -> dict[str, str]:
+    text = resources.files(__package__).joinpath("class_names.yaml").read_text("utf-8")
+    document = yaml.safe_load(text)
+    assert set(document) == {*CATEGORIES, DYNAMIC, VOID}
+    return {name: category for category, names in document.items() for name in names}
+
+
+def _forms(name: str) -> Iterator[str]:
+    """How a name may stand in the table, the most exact first."""
+    for synonym in re.split(r"[,;]", name):
+        parts = synonym.split("--")
+        for first in range(len(parts)):
+            words = _plain(" ".join(parts[first:]))
+            yield words
+            while words.endswith(_ENDINGS) and " " in words:
+                words = words.rpartition(" ")[0]
+                yield words
+
+
+def _plain(name: str) -> str:
+    return _MEANS_NOTHING.sub(" ", name.casefold()).strip()

@@ -1,0 +1,260 @@
+"""Networks by name: a graph, a YAML file, a published model, or a function that makes one."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from torch import Tensor, nn
+
+from ..datasets.frame_files import one_line
+from .onnx_network import OnnxNetwork
+from .preparation import SegmenterConfig
+
+AUTO = "auto"
+"""The label space that the class names of the network itself give."""
+
+_MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
+_WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL, MODULE:NAME"
+
+
+@dataclass(frozen=True)
+class NamedNetwork:
+    """A network that was found by its name.
+
+    Attributes:
+        name: as it was given.
+        network: the module.
+        config: what its pictures are to be.
+        class_names: of its channels, as far as it says.
+        labels_as: label space, if the file that names the network says.
+    """
+
+    name: str
+    network: nn.Module
+    config: SegmenterConfig
+    class_names: Mapping[int, str] = field(default_factory=dict)
+    labels_as: str | None = None
+
+
+def open_network(name: str | Path) -> NamedNetwork:
+    """A network by its name.
+
+    Args:
+        name: one of
+
+            - the path of an ``.onnx`` file;
+            - the path of a ``.yaml`` file with ``network``, one of these names, where a path is
+              relative to the file, and what settings of `SegmenterConfig` differ; also
+              ``labels_as``, and ``arguments`` for a function;
+            - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
+              that format (extra ``hf``): any model for semantic segmentation, with the settings
+              of its own image processor;
+            - ``torchhub:REPO/MODEL``, where REPO is that of `torch.hub.load` or a folder;
+            - ``MODULE:NAME``, a function in a Python module that gives an `nn.Module`.
+
+            What a name of the hub stands for is downloaded if it is not there yet; nothing else
+            ever is.
+
+    Raises:
+        ValueError: the name or its settings mean nothing, or the network cannot be used.
+        OSError: the network cannot be downloaded.
+        ImportError: a missing extra.
+    """
+    return _open(str(name), {}, {})
+
+
+def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> NamedNetwork:
+    path = Path(name)
+    if path.suffix.lower() in (".yaml", ".yml"):
+        return _of_file(path)
+    if path.suffix.lower() == ".onnx":
+        graph = OnnxNetwork(path)
+        return NamedNetwork(name, graph, SegmenterConfig(**settings), graph.class_names())
+    if name.startswith("hf:") or path.is_dir():
+        return _of_hub(name, settings)
+    if name.startswith("torchhub:"):
+        network = _of_torch_hub(name, arguments)
+    elif ":" in name:
+        network = _of_function(name, arguments)
+    else:
+        raise ValueError(f"no network {name!r}; expected {_WHERE}")
+    if not isinstance(network, nn.Module):
+        raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
+    return NamedNetwork(name, network, SegmenterConfig(**settings))
+
+
+def _of_file(path: Path) -> NamedNetwork:
+    """The network that a YAML file names, with its settings."""
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        raise ValueError(f"cannot read the settings {path}: {one_line(error)}") from error
+    if not isinstance(document, dict) or not isinstance(document.get("network"), str):
+        raise ValueError(f"{path} names no network; expected network: NAME, and settings")
+    name = document.pop("network")
+    if name.startswith((".", "/")) or (path.parent / name).exists() or name.endswith(".onnx"):
+        name = str(path.parent / name)
+    labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
+    known = [each.name for each in dataclasses.fields(SegmenterConfig)]
+    unknown = [key for key in document if key not in known]
+    if unknown:
+        expected = ", ".join(("network", "labels_as", "arguments", *known))
+        raise ValueError(f"{path}: unknown setting {unknown[0]!r}; expected {expected}")
+    if isinstance(document.get("classes"), str):
+        document["classes"] = channels(document["classes"])
+    settings: dict[str, Any] = {
+        k: tuple(v) if isinstance(v, list) else v for k, v in document.items()
+    }
+    try:
+        SegmenterConfig(**settings)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    found = _open(name, settings, arguments)
+    if labels_as and (path.parent / str(labels_as)).is_file():
+        labels_as = str(path.parent / labels_as)
+    return dataclasses.replace(found, labels_as=labels_as)
+
+
+def channels(text: str) -> tuple[int, int]:
+    """``"0:19"`` as two numbers.
+
+    Raises:
+        ValueError: it is no such text.
+    """
+    first, colon, last = text.partition(":")
+    if not colon or not last.isdigit() or not (first or "0").isdigit():
+        raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {text!r}")
+    return int(first or 0), int(last)
+
+
+def _of_torch_hub(name: str, arguments: dict[str, Any]) -> nn.Module:
+    repository, slash, model = name.removeprefix("torchhub:").rpartition("/")
+    if not slash:
+        raise ValueError(f"{name} names no model; expected torchhub:OWNER/REPOSITORY[:REF]/MODEL")
+    source = "local" if Path(repository).is_dir() else "github"
+    with _quiet(name):
+        network: nn.Module = torch.hub.load(
+            repository, model, source=source, trust_repo=True, **arguments
+        )
+    return network
+
+
+def _of_function(name: str, arguments: dict[str, Any]) -> nn.Module:
+    module, _, function = name.partition(":")
+    sys.path.insert(0, str(Path.cwd()))
+    try:
+        make: Callable[..., nn.Module] = getattr(import_module(module), function)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
+    finally:
+        sys.path.pop(0)
+    return make(**arguments)
+
+
+class MaskScores(nn.Module):
+    """Class scores of a network that gives masks, each with the scores of its class.
+
+    Args:
+        network: of the family of MaskFormer.
+        task: what OneFormer is told, ``(1, length)``; for the others ``None``.
+    """
+
+    def __init__(self, network: nn.Module, task: Tensor | None) -> None:
+        super().__init__()
+        self.network = network
+        self.task: Tensor | None
+        self.register_buffer("task", task, persistent=False)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """``(B, C, h, w)``: each mask gives its pixels the scores of its class."""
+        told = {} if self.task is None else {"task_inputs": self.task.expand(len(images), -1)}
+        found = self.network(pixel_values=images, **told)
+        classes = found.class_queries_logits.softmax(-1)[..., :-1]
+        masks = found.masks_queries_logits.sigmoid()
+        return torch.einsum("bqc,bqhw->bchw", classes, masks)
+
+
+def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
+    """A published model, or a folder in that format, with its own image processor's settings."""
+    try:
+        import transformers as hub
+    except ImportError as error:
+        raise ImportError(f"{name} needs: pip install ssrvlad-torch[hf]") from error
+    place, _, revision = name.removeprefix("hf:").partition("@")
+    pinned = {"revision": revision} if revision else {}
+    with _quiet(name):
+        config = hub.AutoConfig.from_pretrained(place, **pinned)
+        family: Any = hub.AutoModelForSemanticSegmentation
+        if config.model_type in _MASK_NETWORKS:
+            family = hub.AutoModelForUniversalSegmentation
+        network: nn.Module = family.from_pretrained(place, **pinned)
+        kind = hub.AutoProcessor if config.model_type == "oneformer" else hub.AutoImageProcessor
+        processor = kind.from_pretrained(place, backend="pil", **pinned)
+    if config.model_type in _MASK_NETWORKS:
+        task = None
+        if config.model_type == "oneformer":
+            task = processor._preprocess_text(["the task is semantic"])
+            processor = processor.image_processor
+        network = MaskScores(network, task)
+    try:
+        own = _settings_of(processor, settings)
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+    return NamedNetwork(name, network, SegmenterConfig(**own), dict(config.id2label))
+
+
+def _settings_of(processor: Any, given: dict[str, Any]) -> dict[str, Any]:
+    """The settings of an image processor, where they are not given.
+
+    Raises:
+        ValueError: the processor does what no setting says.
+    """
+    settings: dict[str, Any] = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
+    if processor.do_normalize:
+        settings |= {"mean": tuple(processor.image_mean), "std": tuple(processor.image_std)}
+    settings["white"] = 255 * (processor.rescale_factor if processor.do_rescale else 1)
+    if "size" in given:
+        return settings | given
+    if getattr(processor, "do_center_crop", False):
+        raise ValueError("its image processor cuts off the borders; give a size in a YAML file")
+    divisor = getattr(processor, "size_divisor", None) or 1
+    if processor.do_resize:
+        size = processor.size
+        if size.height and size.width:
+            kept = getattr(processor, "keep_aspect_ratio", False)
+            settings["size"] = min(size.height, size.width) if kept else (size.height, size.width)
+            divisor = getattr(processor, "ensure_multiple_of", None) or divisor
+        elif size.shortest_edge:
+            settings |= {"size": size.shortest_edge, "longest": size.longest_edge}
+        else:
+            raise ValueError(f"its image processor resizes to {size}; give a size in a YAML file")
+    return settings | {"multiple": divisor} | given
+
+
+@contextmanager
+def _quiet(name: str) -> Iterator[None]:
+    """Errors of a hub in one line, without what its libraries log on the way."""
+    loggers = [logging.getLogger(each) for each in ("huggingface_hub", "transformers")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    except OSError as error:
+        reason = one_line(error).partition(" Check your internet")[0]
+        raise OSError(f"{name} cannot be had: {reason}") from error
+    except Exception as error:  # what the libraries raise has no bounds
+        raise ValueError(f"{name} cannot be used: {one_line(error)}") from error
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)

@@ -1,0 +1,168 @@
+"""What is done to pictures before a network: the settings, and the module that does it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+
+_IMAGENET_MEAN = (0.485, 0.456, 0.406)
+_IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class SegmenterConfig:
+    """What a network wants its images to be. The defaults are those of torchvision, transformers
+    and segmentation-models-pytorch: ImageNet statistics, RGB.
+
+    Attributes:
+        size: what every image is resized to (bilinear, antialiased): height and width, the aspect
+            not kept; or the shorter side, the aspect kept; ``None`` leaves each at its own size,
+            or is the size that an ONNX graph fixes.
+        longest: with the shorter side as ``size``, the most that the longer side may have.
+        multiple: both sides become multiples of this number, unless ``size`` gives both.
+        white: the number for the brightest pixel: 1, or 255 for networks that count in bytes.
+        mean, std: subtracted, then divided by, in the network's order of colours.
+        colour_order: ``"rgb"`` or ``"bgr"``.
+        output: name of the output to take, where a network has several that would do.
+        classes: first channel of the class scores that is taken and the one after the last, for a
+            network with more channels than the label space has classes. ``None`` takes all.
+
+    Raises:
+        ValueError: a setting is outside its range; the message names it and what was got.
+    """
+
+    size: tuple[int, int] | int | None = None
+    longest: int | None = None
+    multiple: int = 1
+    white: float = 1.0
+    mean: tuple[float, float, float] = _IMAGENET_MEAN
+    std: tuple[float, float, float] = _IMAGENET_STD
+    colour_order: str = "rgb"
+    output: str | None = None
+    classes: tuple[int, int] | None = None
+
+    def __post_init__(self) -> None:
+        sides = self.size if isinstance(self.size, tuple) else (self.size or 1,)
+        if not _are_numbers(sides, len(sides), int, above=0) or len(sides) > 2:
+            raise ValueError(
+                f"size must be height and width in pixels, or the shorter side, got {self.size!r}"
+            )
+        if self.longest is not None and not _are_numbers((self.longest,), 1, int, above=0):
+            raise ValueError(f"longest must be a number of pixels, got {self.longest!r}")
+        if not _are_numbers((self.multiple,), 1, int, above=0):
+            raise ValueError(f"multiple must be a number of pixels, got {self.multiple!r}")
+        if not _are_numbers((self.white,), 1, (int, float), above=0):
+            raise ValueError(f"white must be a number above 0, got {self.white!r}")
+        if not _are_numbers(self.mean, 3, (int, float)):
+            raise ValueError(f"mean must be three numbers, got {self.mean!r}")
+        if not _are_numbers(self.std, 3, (int, float), above=0):
+            raise ValueError(f"std must be three numbers above 0, got {self.std!r}")
+        if self.colour_order not in ("rgb", "bgr"):
+            raise ValueError(f"colour_order must be rgb or bgr, got {self.colour_order!r}")
+        if not isinstance(self.output, str | None):
+            raise ValueError(f"output must be a name, got {self.output!r}")
+        if self.classes is not None and (
+            not _are_numbers(self.classes, 2, int, above=-1) or self.classes[0] >= self.classes[1]
+        ):
+            raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {self.classes!r}")
+
+    @property
+    def resizes(self) -> bool:
+        """Whether images are brought to another size than their own."""
+        return self.size is not None or self.multiple > 1
+
+    def network_size(self, height: int, width: int) -> tuple[int, int]:
+        """Height and width at which the network is given an image of this height and width."""
+        if isinstance(self.size, tuple):
+            return self.size
+        if self.size is not None:
+            short = torch.sym_min(height, width)
+            wanted = self.size
+            if self.longest is not None:  # the shorter side where the longer one is at its most
+                wanted = torch.sym_min(wanted, self.longest * short // torch.sym_max(height, width))
+            height, width = height * wanted // short, width * wanted // short
+        step = self.multiple
+        if step == 1:
+            return height, width
+        sides = (torch.sym_max(step, (side + step // 2) // step * step) for side in (height, width))
+        return next(sides), next(sides)
+
+
+class Form(nn.Module):
+    """The last step of a preparation: the dtype and the layout that a graph takes.
+
+    Args:
+        dtype: of the numbers; bytes are rounded to.
+        channels_last: ``(B, H, W, 3)`` in place of ``(B, 3, H, W)``.
+    """
+
+    def __init__(self, dtype: torch.dtype = torch.float32, channels_last: bool = False) -> None:
+        super().__init__()
+        self.dtype, self.channels_last = dtype, channels_last
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The same images in that form."""
+        if self.dtype == torch.uint8:
+            images = images.round().clamp(0, 255)
+        images = images.permute(0, 2, 3, 1) if self.channels_last else images
+        return images.to(self.dtype)
+
+
+class Preparation(nn.Module):
+    """Pictures as they come -> what a network takes, of Kornia's operators.
+
+    ``nn.Sequential(Preparation(config), network, head)`` is a PyTorch module from pictures to
+    places; `torch.onnx.export` traces it, for any number of pictures of any size.
+
+    Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`,
+    which is that of Pillow without its rounding to bytes, and of the ONNX operator ``Resize``:
+    PyTorch and ONNX Runtime differ by less than 1e-5. Kornia's own ``Resize`` blurs first, with a
+    kernel whose size is a Python number and cannot be traced.
+
+    Args:
+        config: the settings.
+        form: what the network takes, if it is not ``(B, 3, h, w)`` float32.
+
+    Shape:
+        - input: ``(B, H, W, 3)`` uint8 in RGB.
+        - output: ``(B, 3, h, w)`` float32, or another form.
+
+    Example:
+        >>> Preparation(SegmenterConfig(size=(64, 128)))(torch.zeros(1, 9, 9, 3)).shape
+        torch.Size([1, 3, 64, 128])
+    """
+
+    def __init__(self, config: SegmenterConfig, form: Form | None = None) -> None:
+        super().__init__()
+        from kornia.color import RgbToBgr
+        from kornia.enhance import Normalize
+
+        self.config = config
+        mean, std = (torch.tensor(v) / config.white for v in (config.mean, config.std))
+        self.steps = nn.Sequential(
+            RgbToBgr() if config.colour_order == "bgr" else nn.Identity(),
+            Normalize(mean, std),
+            form or Form(),
+        )
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The numbers that the network is given."""
+        planes = images.permute(0, 3, 1, 2).float() / 255
+        if self.config.resizes:
+            size = self.config.network_size(*images.shape[1:3])
+            planes = interpolate(planes, size, mode="bilinear", antialias=True)
+        numbers: Tensor = self.steps(planes)
+        return numbers
+
+
+def _are_numbers(values: object, count: int, kind: Any, above: float = float("-inf")) -> bool:
+    return (
+        isinstance(values, tuple)
+        and len(values) == count
+        and all(isinstance(v, kind) and not isinstance(v, bool) for v in values)
+        and all(above < v < float("inf") for v in values)
+    )
