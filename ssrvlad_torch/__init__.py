@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from .config import SSRVLADConfig as SSRVLADConfig
     from .database.database import Database as Database
-    from .database.database import FrameSet as FrameSet
+    from .database.frames import FrameRecord as FrameRecord
+    from .database.frames import FrameSet as FrameSet
     from .datasets.layouts import open_dataset as open_dataset
     from .deployment.export import export_head as export_head
     from .descriptor import SSRVLAD as SSRVLAD
@@ -26,7 +27,8 @@ __version__ = "0.1.0"
 
 _ROOMS = {
     "Database": "database.database",
-    "FrameSet": "database.database",
+    "FrameRecord": "database.frames",
+    "FrameSet": "database.frames",
     "LabelSpace": "taxonomy",
     "LoopConfig": "loops.config",
     "LoopDetector": "loops.detector",

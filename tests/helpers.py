@@ -13,7 +13,7 @@ from drawings import blobs
 from PIL import Image
 from torch import Tensor
 
-from ssrvlad_torch.database.database import FrameRecord
+from ssrvlad_torch.database.frames import FrameRecord
 
 GRAY, COLOUR, GRAY_ALPHA, COLOUR_ALPHA = 0, 2, 4, 6
 """Colour types of PNG."""
@@ -61,9 +61,8 @@ def flip_byte(path: Path, position: int, bits: int = 0x55) -> None:
 
 def record(frame: str, **fields: object) -> FrameRecord:
     """The record of a frame by its id."""
-    sequence, _, name = frame.rpartition("/")
-    plain = {"labels_as": "camvid-11", "height": 24, "width": 32, "digest": f"digest of {frame}"}
-    return FrameRecord(sequence, name, **{**plain, **fields})  # type: ignore[arg-type]
+    plain = {"height": 24, "width": 32, "digest": f"digest of {frame}"}
+    return FrameRecord.of_id(frame)._replace(**{**plain, **fields})
 
 
 def descriptors(seed: int, count: int, length: int = 480) -> Tensor:

@@ -1,5 +1,7 @@
 """Other forms of a database, each read back by its own library."""
 
+import json
+
 import numpy as np
 import pytest
 from helpers import descriptors, record
@@ -27,27 +29,19 @@ def names(file):
 
 def test_an_array_and_names(database, tmp_path):
     file = tmp_path / "out.npy"
-    assert export_database(database, "npy", file) == [file, tmp_path / "out.npy.frames.txt"]
+    beside = [
+        file.with_name(f"out.npy{end}") for end in (".frames.txt", ".fingerprint.txt", ".json")
+    ]
+    assert export_database(database, "npy", file) == [file, *beside]
+    assert beside[1].read_text().strip() == CONFIG.fingerprint
+    assert json.loads(beside[2].read_text())["config"] == CONFIG.to_dict()
     np.testing.assert_array_equal(np.load(file), database.load().descriptors.numpy())
     assert names(file) == ["a/1", "a/2", "a/10", "b/straße 🚗"]
 
 
-def test_an_index_of_faiss_finds_each_frame(database, tmp_path):
-    faiss = pytest.importorskip("faiss", reason="needs the extra search")
-    file = tmp_path / "out.faiss"
-    export_database(database, "faiss", file)
-    index = faiss.read_index(str(file))
-    wanted = database.load().descriptors.numpy()
-    scores, rows = index.search(wanted, 1)
-    assert index.ntotal == 4
-    assert rows[1:, 0].tolist() == [1, 2, 3]
-    np.testing.assert_allclose(scores[1:, 0], 1, atol=1e-6)
-    assert names(file) == list(database.load().frames)
-
-
 def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
     """By what its ``list_h5_names`` and ``get_descriptors`` do."""
-    h5py = pytest.importorskip("h5py", reason="needs the extra search")
+    h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
     file = tmp_path / "out.h5"
     assert export_database(database, "hloc", file) == [file]
     frames = database.load()
@@ -65,10 +59,10 @@ def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
             )
 
 
-@pytest.mark.parametrize("form", ["npy", "faiss", "hloc"])
+@pytest.mark.parametrize("form", ["npy", "hloc"])
 def test_an_empty_database_has_empty_forms(tmp_path, form):
-    pytest.importorskip("faiss", reason="needs the extra search")
-    pytest.importorskip("h5py", reason="needs the extra search")
+    pytest.importorskip("faiss", reason="needs the extra hloc")
+    pytest.importorskip("h5py", reason="needs the extra hloc")
     export_database(Database.create(tmp_path / "db", CONFIG), form, tmp_path / "out")
     assert (tmp_path / "out").is_file()
 

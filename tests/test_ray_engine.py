@@ -5,10 +5,10 @@ import os
 import pytest
 import torch
 from helpers import write_street
+from ssrvlad_torch.database.storage.verification import verify
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.database.database import Database
-from ssrvlad_torch.database.storage.verification import verify
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.remote_files import find_remote_files
 from ssrvlad_torch.encoding import encoder as encoding

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ssrvlad_torch.database.database import FrameSet, natural_key
+from ssrvlad_torch.database.frames import FrameSet, natural_key
 from ssrvlad_torch.database.selection import neighbours, select
 from ssrvlad_torch.recognition.matching import match
 
@@ -19,6 +19,7 @@ def frame_set(*frames):
         sequences=tuple(frame.rpartition("/")[0] for frame in ordered),
         descriptors=torch.zeros(len(ordered), 0),
         poses=np.zeros((len(ordered), 3)),
+        stamps=np.zeros(len(ordered)),
         empty=np.zeros(len(ordered), bool),
     )
 

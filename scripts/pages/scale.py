@@ -26,11 +26,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from ssrvlad_torch.database.searching import Ivfpq, load_mapped
+from ssrvlad_torch.database.storage.verification import verify
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
 from ssrvlad_torch.database.database import Database, FrameRecord
-from ssrvlad_torch.database.searching import Ivfpq, load_mapped
-from ssrvlad_torch.database.storage.verification import verify
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.encoder import PART_ROWS, encode_to_memory

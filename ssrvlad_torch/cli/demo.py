@@ -20,7 +20,7 @@ from ..encoding.encoder import encode_to_database, encode_to_memory
 from ..evaluation.ground_truth_files import from_file, of_known
 from ..evaluation.metrics import evaluate
 from ..files import replacing
-from ..recognition.matching import match
+from ..recognition.matching import match, temporal_sum
 from ..taxonomy import colourise, label_space
 
 LABELS_AS = "cityscapes-trainids"
@@ -75,9 +75,10 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     query_files = find_label_files([str(city / "query")])
     encode_to_database(head, reference_files, database, progress=progress)
     queries, _ = encode_to_memory(head, query_files, progress=progress)
-    references = database.load(TEMPORAL)
+    references = database.load()
+    summed = temporal_sum(references.descriptors, references.sequences, TEMPORAL)
 
-    scores, rows = match(queries.descriptors, references.descriptors, top=10)
+    scores, rows = match(queries.descriptors, summed, top=10)
     _, truth = of_known(from_file(city / "ground_truth.json", queries.frames, references.frames))
     metrics = evaluate(scores.numpy(), rows.numpy(), truth)
     metrics["references"] = len(references.frames)

@@ -26,6 +26,9 @@ from ..baselines import METHODS
 from ..evaluation.metrics import Convention
 
 DatabaseFolder = Annotated[Path, typer.Argument(help="Folder of the database.")]
+AsOf = Annotated[
+    int | None, typer.Option("--as-of", help="Version of the database, see ssrvlad db history.")
+]
 LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
 Preset = Annotated[str, typer.Option(help="paper (SSR-VLAD) or default (ours).")]
 MaybePreset = Annotated[

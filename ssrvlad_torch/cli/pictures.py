@@ -24,13 +24,6 @@ Pictures = Callable[[str], Picture]
 """From a frame's id to its picture; no file is looked for before it is called."""
 
 
-class Stored(NamedTuple):
-    """What a database knows of a label map."""
-
-    labels_as: str
-    digest: str
-
-
 class Traces(NamedTuple):
     """Files that may be of one frame.
 
@@ -108,7 +101,7 @@ def pictures_of_queries(source: Source, labels_as: str) -> Pictures:
 
 
 def pictures_of_references(
-    database: Path, source: Source, given: Sequence[str], labels_as: str
+    database: Database, source: Source, given: Sequence[str], labels_as: str
 ) -> Pictures:
     """Pictures of the frames of a database, which has neither label maps nor where they were.
 
@@ -122,11 +115,7 @@ def pictures_of_references(
         labels_as: label space of the segmenter, if the source has one.
     """
 
-    @cache
-    def stored() -> dict[str, Stored]:
-        table = Database.open(database).table(["sequence", "name", "labels_as", "digest"])
-        columns = table.to_pydict().values()
-        return {f"{s}/{name}": Stored(*known) for s, name, *known in zip(*columns, strict=True)}
+    stored = cache(database.known)
 
     @cache
     def found() -> tuple[Files, Files, Files]:
@@ -141,7 +130,10 @@ def pictures_of_references(
         (labels, images, photos), name = found(), frame.rpartition("/")[2]
         traces = Traces(labels.get(name, ()), images.get(name, ()), photos.get(frame, ()))
         with suppress(ValueError):
-            return traces.look(stored()[frame].labels_as, segmenter(), stored()[frame].digest)
+            known = stored()[frame]
+            origin = database.origins.get(known.origin)
+            if origin and origin.label_space:
+                return traces.look(origin.label_space.name, segmenter(), known.digest)
         return Picture()
 
     return look

@@ -17,7 +17,8 @@ import yaml
 from .. import baselines
 from ..baselines.protocol import cosines
 from ..baselines.run import Retrieval, run
-from ..database.database import Database, FrameSet
+from ..database.database import Database
+from ..database.frames import FrameSet
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
@@ -29,14 +30,14 @@ from .options import MethodOptions
 from .output import progress_bar
 from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
 from .report import CANDIDATES, Page
-from .sources import Source, encode_queries, with_labels_as
+from .sources import Source, encode_queries, load_references, with_labels_as
 from .truth import Places, counted
 
 _AHEAD = 16
 
 
 def by_database(
-    path: Path, source: Source, temporal: int, convention: Convention, page: Page | None
+    database: Database, source: Source, temporal: int, convention: Convention, page: Page | None
 ) -> Recognition:
     """The candidates of every query in a database.
 
@@ -47,13 +48,11 @@ def by_database(
     Raises:
         ValueError: the database is empty or damaged, or there are no queries.
     """
-    database = Database.open(path)
-    references = database.load(temporal)
-    if not references.frames:
-        raise ValueError(f"{path} holds no frames yet")
-    queries, refused = encode_queries(database.config, source)
+    references = load_references(database, temporal)
+    queries, refused = encode_queries(database, source)
     names = [refusal.frame for refusal in refused]
     config = with_labels_as(database.config, source.labels_as)
+    given = page.pictures if page else ()
     return Recognition(
         references=_places(references, counted(references.frames, source.whole)),
         queries=_places(queries, counted(queries.frames, source.whole, names)),
@@ -62,7 +61,7 @@ def by_database(
         descriptors=(queries.descriptors, references.descriptors),
         pictures=(
             pictures_of_queries(source, config.labels_as),
-            pictures_of_references(path, source, page.pictures if page else (), config.labels_as),
+            pictures_of_references(database, source, given, config.labels_as),
         ),
         refused=refused,
         told={"preset": config.preset, "fingerprint": config.fingerprint, "temporal": temporal},

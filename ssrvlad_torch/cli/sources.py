@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..config import SSRVLADConfig
-from ..database.database import FrameSet
+from ..database.database import Damage, Database
+from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
@@ -16,6 +17,7 @@ from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import Refusal, encode_to_memory
+from ..recognition.matching import temporal_sum
 from ..segmentation.segmenter import Segmenter
 from .options import SourceOptions
 from .output import note, progress_bar
@@ -50,6 +52,11 @@ class Source:
             note(warning)
         labels_as = given.labels_as or (dataset.labels_as if dataset else None)
         return cls(given, dataset, whole, labels_as)
+
+    def database(self) -> Database | None:
+        """The database that the source is, if it is one."""
+        paths = self.given.paths
+        return Database.open(paths[0]) if len(paths) == 1 and Database.exists(paths[0]) else None
 
     def posed(self) -> Source:
         """The same, of a data set only the frames with a pose."""
@@ -92,13 +99,37 @@ class Source:
         return find_image_files(given.paths, given.sequence, given.every, given.start)
 
 
-def encode_queries(config: SSRVLADConfig, source: Source) -> tuple[FrameSet, list[Refusal]]:
-    """Frames encoded with the settings of a database, and the refused ones.
+def load_references(
+    database: Database, temporal: int, damage: list[Damage] | None = None
+) -> FrameSet:
+    """The frames of a database, summed over time if ``temporal`` is not 0; see `Database.load`.
 
     Raises:
-        ValueError: there are no frames.
+        ValueError: it is empty or damaged.
     """
-    config = with_labels_as(config, source.labels_as)
+    frames = database.load(damage)
+    if not frames.frames:
+        raise ValueError(f"{database.path} holds no frames yet")
+    if temporal:
+        temporal_sum(frames.descriptors, frames.sequences, temporal, out=frames.descriptors)
+    return frames
+
+
+def encode_queries(database: Database, source: Source) -> tuple[FrameSet, list[Refusal]]:
+    """Frames encoded with the settings of a database, and the refused ones; of a source that is
+    another database, its frames.
+
+    Raises:
+        ValueError: there are no frames, or the other database has another fingerprint.
+    """
+    if (other := source.database()) is not None:
+        if other.fingerprint != database.fingerprint:
+            raise ValueError(
+                f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
+                f"{database.fingerprint or 'none'}: they do not compare"
+            )
+        return other.load(), []
+    config = with_labels_as(database.config, source.labels_as)
     files, segmenter = source.frames(config.labels_as)
     with progress_bar("encoding", len(files)) as bar:
         return encode_to_memory(

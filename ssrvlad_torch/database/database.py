@@ -1,202 +1,255 @@
-"""A database of descriptors on disk: Parquet parts and a manifest.
+"""A database of descriptors on disk: one table of Lance (https://lance.org), a row a frame.
 
-A database is a folder with ``manifest.json`` and ``part-000000.parquet``, ``part-000001.parquet``
-and so on. A part holds one row a frame and is never changed once written. The manifest names the
-parts that count, so a part that a crash left behind is invisible. Both are written under a
-temporary name, flushed to the disk and renamed.
-
-A frame has one row. To replace or remove rows is to write the parts that held them anew under new
-numbers, and to name those in one new manifest. What no manifest names is deleted by the next
-writer, not at once, so that one who reads by the manifest of a moment ago finds its parts.
+Every change is one commit and makes a new version. Who has opened a version keeps it while others
+write. What made the descriptors stands in the table's metadata: the settings and their
+fingerprint, and each label space and segmenter that a row names as its origin.
 """
 
 from __future__ import annotations
 
-import fcntl
-import os
-import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+import hashlib
+import json
+import threading
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
-from typing import IO, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
-import torch
-from numpy.lib.format import open_memmap
-from torch import Tensor
 
 from ..config import SSRVLADConfig
-from ..recognition.matching import temporal_sum
-from .storage.manifest import MANIFEST, Manifest, is_part_name, read_manifest
-from .storage.parts import (
-    Damage,
-    FrameRecord,
-    Part,
-    matrix,
-    read_intact,
-    read_part,
-    schema,
-    to_table,
-    write_part,
-)
+from ..taxonomy import LabelSpace
+from . import engine
+from .frames import FrameRecord, FrameSet, Vectors, natural_key
+from .origin import Origin
+from .reading import Damage, read_intact, read_rows
+from .rows import OF_A_RECORD, POSE, matrix, schema, to_record, to_table
 
-__all__ = ["Damage", "Database", "FrameRecord", "FrameSet", "natural_key"]
+if TYPE_CHECKING:
+    from lance import LanceDataset
 
-DERIVED = "search-"
-"""What the names of files start with that are derived from a database and lie in its folder."""
+__all__ = [
+    "Damage",
+    "Database",
+    "FrameRecord",
+    "FrameSet",
+    "KnownFrames",
+    "Origin",
+    "Version",
+    "Written",
+]
 
-Array = npt.NDArray[Any]
+FORMAT = "ssrvlad-database-3"
 
-_LOCK = "lock"
-_POSE = ["x", "y", "heading"]
-_OF_FILES = ["digest", "stamp", *_POSE]
-_HALF_DONE = (f".{MANIFEST}.", ".part-", f".{DERIVED}")
+_OF_A_SET = ["frame", "sequence", *POSE, "stamp", "empty"]
+_META, _ORIGIN = "ssrvlad", "origin:"
+_COLUMNS_AT_ONCE = 16
 
 
-@dataclass(frozen=True)
-class FrameSet:
-    """Frames in memory, those of a sequence one after another in order.
+class Version(NamedTuple):
+    """One version of a database.
 
     Attributes:
-        frames: ids, ``<sequence>/<name>``.
-        sequences: the sequence of each frame.
-        descriptors: ``(R, D)`` float32, of references after Eq. 3 if it was asked for; float16 if
-            that was asked for.
-        poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
-        empty: ``(R,)`` bool, frames whose own descriptor is zero; they match nothing.
+        version: its number, for ``open``.
+        time: when it was made.
+        frames: how many frames it holds.
+        change: what was done.
     """
 
+    version: int
+    time: datetime
+    frames: int
+    change: str
+
+
+class Written(NamedTuple):
+    """Rows on the disk that do not count yet.
+
+    Attributes:
+        fragments: Lance's descriptions of the files, as JSON.
+        frames: ids.
+    """
+
+    fragments: tuple[str, ...]
     frames: tuple[str, ...]
-    sequences: tuple[str, ...]
-    descriptors: Tensor
-    poses: npt.NDArray[np.float64]
-    empty: npt.NDArray[np.bool_]
 
 
-@dataclass(frozen=True)
-class KnownFrames:
-    """The frames of a database and what tells whether their files have changed.
+class KnownFrames(Mapping[str, FrameRecord]):
+    """The records of a database by the frame's id, in the order in which they are stored.
 
-    Attributes:
-        rows: row of each frame by its id, in the order of addition.
-        columns: digest, stamp and pose of each row, in chunks as they were read.
+    A record is made when it is asked for: of a million frames only the ids are Python's.
     """
 
-    rows: dict[str, int]
-    columns: pa.Table
+    def __init__(self, table: pa.Table) -> None:
+        self._columns = [column.combine_chunks() for column in table.columns]
+        self._rows = {frame: row for row, frame in enumerate(table["frame"].to_pylist())}
 
-    @property
-    def digests(self) -> pa.ChunkedArray:
-        """Of each row's label map, in hex."""
-        return self.columns["digest"]
+    def __getitem__(self, frame: str) -> FrameRecord:
+        row = self._rows[frame]
+        return to_record(*(column[row].as_py() for column in self._columns))
 
-    @property
-    def stamps(self) -> npt.NDArray[np.int64]:
-        """``(R,)`` int64, of each row's file."""
-        stamps: npt.NDArray[np.int64] = self.columns["stamp"].to_numpy()
-        return stamps
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
 
-    @property
-    def poses(self) -> npt.NDArray[np.float64]:
-        """``(R, 3)`` float64, as in a `FrameSet`."""
-        return _poses(self.columns)
+    def __len__(self) -> int:
+        return len(self._rows)
 
 
 class Database:
-    """Descriptors of one fingerprint on disk.
+    """Descriptors of one kind on disk. Use `create` or `open`.
 
-    Use `create`, `open` or `open_or_create`.
+    Several processes and threads may write at once: each change is made whole, one after another.
 
     Attributes:
-        path: the folder.
-        damage: what was left out so far, if it was opened to read on past damage.
+        path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
+
+    Example:
+        >>> database = Database.create("town.ssrdb", width=3)
+        >>> database.append(["morning/000001"], torch.eye(3)[:1])
+        >>> len(database)
+        1
     """
 
-    def __init__(self, path: Path, manifest: Manifest, skip_damaged: bool = False) -> None:
+    def __init__(self, path: str, table: LanceDataset, pinned: bool) -> None:
         self.path = path
-        self.damage: list[Damage] = []
-        self._manifest = manifest
-        self._skip_damaged = skip_damaged
-        self._lock: IO[str] | None = None
-        self._known: tuple[tuple[Part, ...], KnownFrames] | None = None
+        self._pinned = pinned
+        self._writing = threading.Lock()
+        self._settle(table)
+
+    def _settle(self, table: LanceDataset) -> None:
+        self._table = table
+        self._meta = _Meta.of(table, self.path)
+
+    def __len__(self) -> int:
+        return int(self._table.count_rows())
+
+    def __repr__(self) -> str:
+        kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
+        return (
+            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}, {kind}, "
+            f"version {self.version}>"
+        )
 
     @staticmethod
     def exists(path: str | Path) -> bool:
-        """Whether a folder is a database."""
-        return (Path(path) / MANIFEST).is_file()
+        """Whether there is a database; one of an earlier format counts too."""
+        if engine.is_local(str(path)):
+            return any(Path(path, name).exists() for name in ("_versions", "manifest.json"))
+        try:
+            engine.opened(str(path))
+        except (OSError, ValueError):
+            return False
+        return True
 
     @classmethod
-    def create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
+    def create(
+        cls,
+        path: str | Path,
+        config: SSRVLADConfig | None = None,
+        label_space: LabelSpace | None = None,
+        segmenter: str = "",
+        width: int | None = None,
+    ) -> Database:
         """A new, empty database.
 
+        Args:
+            path: a new or an empty folder, or a URI.
+            config: the settings of every descriptor; without, they are a user's own, of which
+                nothing is claimed.
+            label_space, segmenter: of the first frames, see `add_origin`.
+            width: numbers of a descriptor, where there is no config.
+
         Raises:
-            ValueError: something is there: a file, or a folder that is not empty.
+            ValueError: something is there already, or neither config nor width is given.
             OSError: it cannot be written.
         """
-        path = Path(path)
-        if cls.exists(path):
-            raise ValueError(f"{path} is a database already")
-        if path.is_file() or (path.is_dir() and not _is_vacant(path)):
-            raise ValueError(f"{path} is there and is no database; wanted a new or an empty folder")
-        path.mkdir(parents=True, exist_ok=True)
-        with _locked(path):
-            if cls.exists(path):
-                raise ValueError(f"{path} is a database already")
-            Manifest(config).write(path)
-        return cls(path, Manifest(config))
+        text = str(path)
+        if (config is None) == (width is None):
+            raise ValueError("expected the config of the descriptors, or the width of one's own")
+        columns = schema(config.length if config else width or 0)
+        if cls.exists(text):
+            raise ValueError(f"{text} is a database already")
+        if engine.is_local(text) and (Path(text).is_file() or _is_used(Path(text))):
+            raise ValueError(f"{text} is there and is no database; expected a new or empty folder")
+        meta = _Meta(config, {})
+        if label_space is not None or segmenter:
+            origin = Origin(label_space, segmenter)
+            meta = _Meta(config, {origin.key: origin})
+        table = engine.create(text, columns.with_metadata(meta.to_dict()))
+        return cls(text, table, pinned=False)
 
     @classmethod
-    def open(cls, path: str | Path, skip_damaged: bool = False) -> Database:
+    def open(cls, path: str | Path, version: int | None = None) -> Database:
         """An existing database.
 
         Args:
-            path: the folder.
-            skip_damaged: read on where a part or the manifest is damaged: row groups that are
-                not whole are left out and noted in `damage`. Such a database is not written to,
-                but for `drop_damaged`.
+            path: the folder or URI.
+            version: one of `history`, which is then only read; without, the newest.
 
         Raises:
-            ValueError: the folder is no database, its manifest is damaged or of another format, or
-                its settings give other descriptors in this version of the method.
+            ValueError: there is none, it is damaged or of an earlier format, or its settings give
+                other descriptors in this version of the method.
         """
-        path = Path(path)
-        return cls(path, read_manifest(path, skip_damaged), skip_damaged)
+        text = str(path)
+        if engine.is_local(text) and Path(text, "manifest.json").exists():
+            raise ValueError(f"{text} was made by an earlier format of database: encode it again")
+        if engine.is_local(text) and not Path(text, "_versions").is_dir():
+            raise ValueError(f"{text} is not a database")
+        try:
+            table = engine.opened(text, version)
+        except (OSError, ValueError) as error:
+            raise ValueError(_why_closed(text, version, error)) from error
+        return cls(text, table, pinned=version is not None)
 
     @classmethod
-    def open_or_create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
+    def open_or_create(
+        cls, path: str | Path, config: SSRVLADConfig, label_space: LabelSpace | None = None
+    ) -> Database:
         """The database at ``path``, new if there is none.
 
         Raises:
             ValueError: the database there has another fingerprint; both are shown.
         """
-        path = Path(path)
         if not cls.exists(path):
-            return cls.create(path, config)
+            return cls.create(path, config, label_space)
         database = cls.open(path)
         database.require(config)
         return database
 
     @property
+    def version(self) -> int:
+        """Number of the version that is read; another one for any other content."""
+        return int(self._table.version)
+
+    @property
     def config(self) -> SSRVLADConfig:
-        """The settings of every descriptor; ``labels_as`` is that of the first frames."""
-        return self._manifest.config
+        """The settings of every descriptor.
+
+        Raises:
+            ValueError: they are a user's own, without settings.
+        """
+        if self._meta.config is None:
+            raise ValueError(f"{self.path} holds descriptors of a user's own, without settings")
+        return self._meta.config
 
     @property
     def fingerprint(self) -> str:
-        """Fingerprint of every descriptor in the database."""
-        return self.config.fingerprint
+        """Fingerprint of every descriptor, empty for a user's own."""
+        return self._meta.config.fingerprint if self._meta.config else ""
 
     @property
-    def content(self) -> str:
-        """64 hex digits that are others whenever a frame was added, replaced or removed."""
-        return self._manifest.checksum
+    def width(self) -> int:
+        """Numbers of a descriptor."""
+        return int(self._table.schema.field("descriptor").type.list_size)
 
-    def __len__(self) -> int:
-        return sum(part.rows for part in self._manifest.parts)
+    @property
+    def origins(self) -> dict[str, Origin]:
+        """What made the label maps, by the key that stands in a frame's record."""
+        return dict(self._meta.origins)
 
     def require(self, config: SSRVLADConfig) -> None:
         """Refuses descriptors made with other settings.
@@ -217,425 +270,406 @@ class Database:
             f"settings have {config.fingerprint} ({config.preset}): {'; '.join(differing)}"
         )
 
-    @contextmanager
-    def writing(self) -> Iterator[None]:
-        """Keeps other writers out, sees what they wrote, and deletes what they left half done.
-
-        What writes does this by itself; around several writes it makes them one writer's.
-
-        Raises:
-            ValueError: another process is writing, or the database was made anew meanwhile with
-                other settings, or it was opened to read on past damage.
-            OSError: the folder cannot be written.
-        """
-        if self._skip_damaged:
-            raise ValueError(f"{self.path} is damaged: wanted what is lost dropped before writing")
-        with self._alone():
-            yield
-
-    @contextmanager
-    def _alone(self) -> Iterator[None]:
-        if self._lock is not None:
-            yield
-            return
-        with _locked(self.path) as lock:
-            current = read_manifest(self.path, self._skip_damaged)
-            Database(self.path, current).require(self.config)
-            self._manifest, self._lock = current, lock
-            try:
-                self._sweep()
-                yield
-            finally:
-                self._lock = None
-
-    def let_go(self) -> None:
-        """In a process forked while `writing`: gives up its share of the lock."""
-        if self._lock is not None:
-            self._lock.close()
-
-    def append(self, records: Sequence[FrameRecord], descriptors: Tensor) -> None:
-        """Adds frames as one part; they are on the disk when it returns.
+    def add_origin(self, label_space: LabelSpace | None, segmenter: str = "") -> str:
+        """Says what made label maps; in a commit of its own, if the database does not know yet.
 
         Args:
-            records: N frames; ids that are already there are an error.
+            label_space: stored whole.
+            segmenter: identity of the network, empty for label maps that were there.
+
+        Returns:
+            The key that stands for it in a `FrameRecord`.
+        """
+        origin = Origin(label_space, segmenter)
+        if origin.key in self._meta.origins:
+            return origin.key
+        self._see_writable()
+        entry = {_ORIGIN + origin.key: origin.to_json()}
+        with self._writing:
+            self._settle(engine.add_metadata(self.path, entry))
+        return origin.key
+
+    def append(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
+        """Adds frames; they are on the disk when it returns.
+
+        Args:
+            frames: N records, or bare ids; one that is there already is an error.
             descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
 
         Raises:
-            ValueError: the numbers do not fit or are not finite, an id is there already, or another
-                process is writing.
+            ValueError: the numbers do not fit or are not finite, an id is there already, or the
+                database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
-        self._check(records, descriptors)
-        if not records:
-            return
-        with self.writing():
-            known = self.known().rows
-            for record in records:
-                if record.frame in known:
-                    raise ValueError(f"frame {record.frame!r} is in {self.path} already")
-            table = to_table(records, descriptors)
-            part = write_part(self.path, self._manifest.name(), table)
-            self._commit((*self._manifest.parts, part), new=1)
 
-    def part_name(self, number: int) -> str:
-        """Name under which another process writes the part ``number`` after those that are there,
-        for `adopt`; valid while `writing`."""
-        return self._manifest.name(number)
+        def plan(table: LanceDataset, rows: pa.Table) -> Any:
+            try:
+                merge = table.merge_insert("frame").when_not_matched_insert_all()
+                return merge.when_matched_fail().execute_uncommitted(rows)[0]
+            except OSError as error:
+                there = _there(table, rows)
+                if not there:
+                    raise
+                raise ValueError(f"frame {there[0]!r} is in {self.path} already") from error
 
-    def adopt(self, parts: Sequence[Part]) -> int:
-        """Adds parts that other processes wrote, in one commit, after reading them.
+        self._put(frames, descriptors, plan, "append", adds=True)
 
-        Args:
-            parts: written by `parts.write_part` in the database's folder, named by `part_name`.
+    def replace(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
+        """Puts frames in the place of those with the same ids, in one commit.
 
-        Returns:
-            How many of their frames are empty.
-
-        Raises:
-            ValueError: a part is missing or damaged, or a frame is there already.
-            OSError: the disk refused; the database is as it was.
+        Arguments and errors as for `append`, but the ids must be there.
         """
-        empty = 0
-        with self.writing():
-            seen = set(self.known().rows)
-            for part in parts:
-                table = read_part(self.path, part, self.config.length)
-                ids = _ids(table)
-                repeated = next((frame for frame in ids if frame in seen), None)
-                if repeated is not None or len(set(ids)) < len(ids):
-                    raise ValueError(f"frame {repeated or ids[0]!r} of {part.file} is there twice")
-                seen.update(ids)
-                empty += int((~matrix(table["descriptor"], self.config.length).any(axis=1)).sum())
-            if parts:
-                last = max(int(part.file[5:-8]) for part in parts)
-                new = last + 1 - self._manifest.next_part
-                self._commit((*self._manifest.parts, *parts), new)
-        return empty
 
-    def replace(self, records: Sequence[FrameRecord], descriptors: Tensor) -> None:
-        """Puts frames in the place of those with the same ids, all of them or none.
+        def plan(table: LanceDataset, rows: pa.Table) -> Any:
+            merge = table.merge_insert("frame").when_matched_update_all()
+            transaction, counts = merge.execute_uncommitted(rows)
+            if counts["num_updated_rows"] < len(rows):
+                there = set(_there(table, rows))
+                missing = next(f for f in rows["frame"].to_pylist() if f not in there)
+                raise ValueError(f"frame {missing!r} is not in {self.path}")
+            return transaction
 
-        The parts that hold them are written anew. Arguments and errors as for `append`, but the
-        ids must be there.
+        self._put(frames, descriptors, plan, "replace", adds=False)
+
+    def merge(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
+        """Adds frames, those with ids that are there in the place of these, in one commit.
+
+        Arguments and errors as for `append`.
         """
-        self._check(records, descriptors)
-        with self.writing():
-            known = self.known().rows
-            for record in records:
-                if record.frame not in known:
-                    raise ValueError(f"frame {record.frame!r} is not in {self.path}")
-            fresh = to_table(records, descriptors)
-            row = {record.frame: number for number, record in enumerate(records)}
-            self._rewrite(row, lambda table: _renewed(table, fresh, row))
+
+        def plan(table: LanceDataset, rows: pa.Table) -> Any:
+            merge = table.merge_insert("frame").when_not_matched_insert_all()
+            return merge.when_matched_update_all().execute_uncommitted(rows)[0]
+
+        self._put(frames, descriptors, plan, "merge", adds=True)
 
     def remove(self, frames: Collection[str]) -> None:
-        """Removes frames by their ids, all of them or none; ids that are not there are passed over.
-
-        The parts that hold them are written anew without them.
+        """Removes frames by their ids, in one commit; ids that are not there are passed over.
 
         Raises:
-            ValueError: another process is writing, or a part is damaged.
+            ValueError: the database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
-        gone = set(frames)
-        with self.writing():
-            self._rewrite(
-                gone, lambda table: table.filter(pa.array([f not in gone for f in _ids(table)]))
+        self._see_writable()
+        ids = pa.table({"frame": pa.array(sorted(set(frames)), pa.string())})
+
+        def plan(table: LanceDataset) -> Any:
+            transaction, counts = (
+                table.merge_insert("frame").when_matched_delete().execute_uncommitted(ids)
             )
+            return transaction.operation if counts["num_deleted_rows"] else None
+
+        if len(ids):
+            self._commit(plan, f"remove {len(ids)} frames", adds=False)
+
+    def write_apart(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> Written:
+        """Writes rows that do not count before they are given to `adopt`, here or elsewhere.
+
+        Arguments as for `append`. What is never adopted is deleted by a later `compact`.
+        """
+        rows = self._to_rows(frames, descriptors)
+        return Written(engine.write_apart(self._table, rows), tuple(rows["frame"].to_pylist()))
+
+    def adopt(self, written: Sequence[Written]) -> None:
+        """Adds rows that `write_apart` wrote, in one commit.
+
+        Raises:
+            ValueError: a frame is there already, or was written twice.
+            OSError: the disk refused; the database is as it was.
+        """
+        self._see_writable()
+        ids = pa.table({"frame": [frame for part in written for frame in part.frames]})
+        if len(pc.unique(ids["frame"])) < len(ids):
+            raise ValueError(f"frames for {self.path} were written twice")
+
+        def plan(table: LanceDataset) -> Any:
+            if there := _there(table, ids):
+                raise ValueError(f"frame {there[0]!r} is in {self.path} already")
+            return engine.addition([text for part in written for text in part.fragments])
+
+        if len(ids):
+            self._commit(plan, f"append {len(ids)} frames", adds=True)
+
+    def _put(
+        self,
+        frames: Sequence[FrameRecord | str],
+        descriptors: Vectors,
+        plan: Callable[[LanceDataset, pa.Table], Any],
+        verb: str,
+        adds: bool,
+    ) -> None:
+        self._see_writable()
+        rows = self._to_rows(frames, descriptors)
+        if len(rows):
+            message = f"{verb} {len(rows)} frames"
+            self._commit(lambda table: plan(table, rows).operation, message, adds)
+
+    def _to_rows(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> pa.Table:
+        records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]
+        return to_table(records, self._checked(records, descriptors))
+
+    def _commit(self, plan: engine.Plan, message: str, adds: bool) -> None:
+        with self._writing:
+            self._settle(engine.commit(self.path, plan, adds, message))
+
+    def _see_writable(self) -> None:
+        if self._pinned:
+            raise ValueError(f"{self.path} was opened as of version {self.version}, to read only")
+
+    def _checked(
+        self, records: Sequence[FrameRecord], descriptors: Vectors
+    ) -> npt.NDArray[np.float32]:
+        """The descriptors as an array, if they fit."""
+        detached = getattr(descriptors, "detach", None)
+        values = np.asarray(detached().cpu() if detached else descriptors, np.float32)
+        if values.shape != (len(records), self.width):
+            raise ValueError(
+                f"expected ({len(records)}, {self.width}) descriptors for {len(records)} frames, "
+                f"got {values.shape}"
+            )
+        if not np.isfinite(values).all():
+            raise ValueError("descriptors hold values that are not finite")
+        often = Counter(record.frame for record in records).most_common(1)
+        if often and often[0][1] > 1:
+            raise ValueError(f"frame {often[0][0]!r} is given {often[0][1]} times")
+        unknown = {record.origin for record in records} - {"", *self._meta.origins}
+        if unknown:
+            raise ValueError(f"origin {min(unknown)!r} is not in {self.path}: add_origin first")
+        return values
+
+    def known(self) -> KnownFrames:
+        """The records of all frames, without their descriptors."""
+        return KnownFrames(self._columns(OF_A_RECORD))
+
+    def frames(self) -> FrameSet:
+        """All frames as from `load`, without their descriptors, ``(R, 0)``, and not verified."""
+        table = self._columns(_OF_A_SET)
+        order = _order(table)
+        return _frame_set(table.take(order), np.empty((len(order), 0), np.float32))
+
+    def load(self, damage: list[Damage] | None = None) -> FrameSet:
+        """All frames in memory, every byte of them verified.
+
+        Args:
+            damage: where given, what is damaged is left out and told here.
+
+        Raises:
+            ValueError: a row or a file is missing or damaged; the message names it.
+        """
+        descriptors = np.empty((len(self), self.width), np.float32)
+        tables, done = [schema(self.width).empty_table().select(_OF_A_SET)], 0
+        for batch in read_rows(self._table, damage):
+            descriptors[done : done + len(batch)] = matrix(batch["descriptor"])
+            done += len(batch)
+            tables.append(pa.table(batch.select(_OF_A_SET)))
+        table = pa.concat_tables(tables)
+        order = _order(table)
+        twice = table.num_rows - len(pc.unique(table["frame"]))
+        if twice:
+            raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
+        return _frame_set(table.take(order), _sorted(descriptors[:done], order))
+
+    def _columns(self, names: list[str]) -> pa.Table:
+        try:
+            return self._table.to_table(columns=names, scan_in_order=True)
+        except (OSError, ValueError, RuntimeError) as error:
+            raise ValueError(f"{self.path} is damaged: {engine.one_line(error)}") from error
+
+    def verify(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
+        """Everything that is not as it was written, found by reading all of it.
+
+        Args:
+            progress: called with the number of frames done since the last call.
+        """
+        damage: list[Damage] = []
+        for batch in read_rows(self._table, damage):
+            if progress:
+                progress(len(batch))
+        return damage
 
     def drop_damaged(self) -> list[Damage]:
-        """Gives up what is damaged: parts that are not whole are written anew with what is.
-
-        Encoding the same files again then brings back what was lost.
+        """Gives up what is damaged, in one commit; encoding the same files again brings it back.
 
         Returns:
             What was damaged.
 
         Raises:
-            ValueError: the database was not opened with ``skip_damaged``, or another process is
-                writing.
+            ValueError: the database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
-        if not self._skip_damaged:
-            raise ValueError(f"{self.path} must be opened with skip_damaged")
-        with self._alone():
-            self.damage, parts, written = [], list[Part](), list[Part]()
-            for part in self._manifest.parts:
-                table, damage = read_intact(self.path, part, self.config.length)
-                self.damage += damage
-                if damage and len(table):
-                    name = self._manifest.name(len(written))
-                    written.append(write_part(self.path, name, table))
-                parts += written[-1:] if damage and len(table) else [] if damage else [part]
-            self._commit(tuple(parts), len(written))
-            damage, self.damage = self.damage, []
-            self._skip_damaged = False
+        self._see_writable()
+        damage: list[Damage] = []
+
+        def plan(table: LanceDataset) -> Any:
+            damage.clear()
+            gone, kept = [], list[pa.RecordBatch]()
+            for fragment in table.get_fragments():
+                batches, lost = read_intact(fragment)
+                if lost:
+                    damage.extend(lost)
+                    gone.append(fragment.fragment_id)
+                    kept += batches
+            fresh = engine.write_fragments(table, pa.Table.from_batches(kept, table.schema))
+            update = engine.lance().LanceOperation.Update
+            return update(removed_fragment_ids=gone, new_fragments=fresh) if gone else None
+
+        self._commit(plan, "drop what is damaged", adds=False)
         return damage
 
-    def known(self) -> KnownFrames:
-        """The frames that are there; what was read before is not read again."""
-        parts = self._manifest.parts
-        done, known = self._known or ((), _no_frames())
-        if parts[: len(done)] != done:
-            done, known = (), _no_frames()
-        if len(done) < len(parts):
-            columns = ["sequence", "name", *_OF_FILES]
-            known = _with(known, [self._read(part, columns) for part in parts[len(done) :]])
-        self._known = parts, known
-        return known
+    def history(self) -> list[Version]:
+        """The versions that are kept, the oldest first."""
+        told = []
+        for entry in self._table.versions():
+            number: Any = entry["version"]
+            time: Any = entry["timestamp"]
+            facts: Any = entry["metadata"]
+            change = engine.change(self._table, number)
+            told.append(Version(number, time, int(facts["total_rows"]), change))
+        return told
 
-    def digests(self) -> dict[str, str]:
-        """Digest of the label map of every frame, by the frame's id."""
-        known = self.known()
-        return dict(zip(known.rows, known.digests.to_pylist(), strict=True))
-
-    def table(self, columns: list[str] | None = None) -> pa.Table:
-        """The rows as they are stored, checksums verified, in the order of addition.
-
-        Raises:
-            ValueError: a part is missing or damaged; the message names it.
-        """
-        nothing = schema(self.config.length, columns).empty_table()
-        return pa.concat_tables([nothing, *self.tables(columns)])
-
-    def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
-        """As `table`, a part at a time."""
-        for part in self._manifest.parts:
-            yield self._read(part, columns)
-
-    def load(self, temporal: int = 0) -> FrameSet:
-        """All frames in memory, the descriptors once; beyond them one part at a time.
+    def compact(self, keep_days: float = 14) -> None:
+        """Joins small files, and forgets old versions with the files that only these need.
 
         Args:
-            temporal: t of Eq. 3, frames summed on either side; 0 gives the raw descriptors.
+            keep_days: versions younger than this stay, for those who read them.
 
         Raises:
-            ValueError: a part is missing or damaged; the message names it.
+            ValueError: the database was opened at a version.
+            OSError: the disk refused.
         """
-        return self._load(lambda shape: np.empty(shape, np.float32), temporal)
+        self._see_writable()
+        with self._writing:
+            self._settle(engine.compact(self.path, timedelta(days=keep_days)))
 
-    def load_into(
-        self, allocate: Callable[[tuple[int, int]], npt.NDArray[np.float32]], temporal: int = 0
-    ) -> FrameSet:
-        """All frames, their descriptors in a matrix of the caller's, for example on the disk.
-
-        Args:
-            allocate: gives an ``(R, D)`` float32 array to fill.
-            temporal: as for `load`.
-
-        Raises:
-            ValueError: as for `load`.
-        """
-        return self._load(allocate, temporal)
-
-    def frames(self) -> FrameSet:
-        """All frames as from `load`, without their descriptors: ``(R, 0)``."""
-        return self._load(None, 0)
-
-    def _load(
-        self, allocate: Callable[[tuple[int, int]], npt.NDArray[np.float32]] | None, temporal: int
-    ) -> FrameSet:
-        plain = self.table(["sequence", "name", *_POSE])
-        order = _order(plain)
-        frames, sequences = _names(plain, order)
-        poses = _poses(plain)[order]
-        empty = np.zeros(len(order), bool)
-        descriptors = np.empty((len(order), 0), np.float32)
-        if allocate is not None:
-            descriptors = allocate((len(order), self.config.length))
-            rank = np.empty_like(order)
-            rank[order] = np.arange(len(order))
-            self._fill(descriptors, empty, rank)
-        values = torch.from_numpy(descriptors)
-        if temporal and allocate is not None:
-            values = temporal_sum(values, sequences, temporal, out=values)
-        return FrameSet(frames, sequences, values, poses, empty)
-
-    def _fill(
-        self,
-        descriptors: npt.NDArray[np.float32],
-        empty: npt.NDArray[np.bool_],
-        rank: npt.NDArray[np.int64],
-    ) -> None:
-        """Reads the descriptors part by part, each row to its place."""
-        done = 0
-        for part in self._manifest.parts:
-            table = self._read(part, None)
-            rows = rank[done : done + len(table)]
-            values = matrix(table["descriptor"], self.config.length)
-            descriptors[rows] = values
-            empty[rows] = ~values.any(axis=1)
-            done += len(table)
-
-    def _check(self, records: Sequence[FrameRecord], descriptors: Tensor) -> None:
-        if descriptors.shape != (len(records), self.config.length):
-            raise ValueError(
-                f"wanted ({len(records)}, {self.config.length}) descriptors for "
-                f"{len(records)} frames, got {tuple(descriptors.shape)}"
-            )
-        if not bool(torch.isfinite(descriptors).all()):
-            raise ValueError("descriptors hold values that are not finite")
-        seen: set[str] = set()
-        for record in records:
-            if record.frame in seen:
-                raise ValueError(f"frame {record.frame!r} is in what goes into {self.path} already")
-            seen.add(record.frame)
-
-    def _read(self, part: Part, columns: list[str] | None) -> pa.Table:
-        if not self._skip_damaged:
-            return read_part(self.path, part, self.config.length, columns)
-        table, damage = read_intact(self.path, part, self.config.length, columns)
-        self.damage += [entry for entry in damage if entry not in self.damage]
-        return table
-
-    def _rewrite(self, frames: Iterable[str], change: Callable[[pa.Table], pa.Table]) -> None:
-        """Writes the parts that hold some frames anew, in one commit."""
-        known, ends = self.known().rows, np.cumsum([part.rows for part in self._manifest.parts])
-        rows = [known[frame] for frame in frames if frame in known]
-        touched = set(np.searchsorted(ends, rows, side="right").tolist())
-        parts, written = list[Part](), 0
-        for number, part in enumerate(self._manifest.parts):
-            if number not in touched:
-                parts.append(part)
-                continue
-            table = change(self._read(part, None))
-            if len(table):
-                parts.append(write_part(self.path, self._manifest.name(written), table))
-                written += 1
-        if touched:
-            self._commit(tuple(parts), written)
-
-    def _commit(self, parts: tuple[Part, ...], new: int) -> None:
-        manifest = self._manifest.replaced(parts, new)
-        manifest.write(self.path)
-        self._manifest = manifest
-
-    def _sweep(self) -> None:
-        """Deletes what writers that were killed left behind, and what no manifest names."""
-        kept = {part.file for part in self._manifest.parts}
-        for entry in list(self.path.iterdir()):
-            derived = entry.name.startswith(DERIVED)
-            stale = derived and not entry.name.startswith(f"{DERIVED}{self.content[:16]}-")
-            unnamed = is_part_name(entry.name) and entry.name not in kept
-            if stale or unnamed or entry.name.startswith(_HALF_DONE):
-                entry.unlink(missing_ok=True)
+    def info(self) -> dict[str, Any]:
+        """What is in the database, in numbers and words, ready for JSON; rows are not verified."""
+        table = self._columns(["sequence", "x", "empty", "origin"])
+        origins = {
+            _told(self._meta.origins.get(key)): count
+            for key, count in Counter(table["origin"].to_pylist()).items()
+        }
+        config = self._meta.config
+        return {
+            "frames": len(table),
+            "sequences": dict(Counter(table["sequence"].to_pylist())),
+            "empty": int(np.count_nonzero(table["empty"].to_numpy())),
+            "with_pose": int(np.count_nonzero(~np.isnan(table["x"].to_numpy()))),
+            "label_spaces": origins,
+            "width": self.width,
+            "preset": config.preset if config else None,
+            "fingerprint": self.fingerprint,
+            "config": config.to_dict() if config else None,
+            "version": self.version,
+        }
 
 
-def mapped_array(file: Path, shape: tuple[int, int], dtype: type = np.float32) -> Array:
-    """A new ``.npy`` file, memory-mapped. Its room on the disk is taken at once: where that ran
-    out later, the system would end the process.
+class _Meta(NamedTuple):
+    """What a table's metadata says: the settings, and the origins by their keys."""
 
-    Raises:
-        OSError: there is no room, or no such folder.
-    """
-    mapped = open_memmap(file, "w+", dtype, shape)
-    with file.open("r+b") as stream:
-        os.posix_fallocate(stream.fileno(), 0, file.stat().st_size)
-    return mapped
+    config: SSRVLADConfig | None
+    origins: dict[str, Origin]
 
+    def to_dict(self) -> dict[str, str]:
+        config = self.config and self.config.to_dict()
+        fingerprint = self.config.fingerprint if self.config else ""
+        content = {"format": FORMAT, "fingerprint": fingerprint, "config": config}
+        text = json.dumps(content, sort_keys=True)
+        origins = {_ORIGIN + key: origin.to_json() for key, origin in self.origins.items()}
+        return {_META: text, f"{_META}-digest": _digest(text), **origins}
 
-def natural_key(name: str) -> str:
-    """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
-    pieces = (piece for piece in re.split(r"(\d+)", name) if piece)
-    return "".join(map(_piece_key, pieces)) + f"\0{name}"
-
-
-def _piece_key(piece: str) -> str:
-    """The end of a name sorts before a number, that before other text; numbers by their size."""
-    if piece.isdecimal():
-        digits = str(int(piece))
-        return f"\1{chr(len(digits))}{digits}"
-    return f"\2{piece}\0"
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[IO[str]]:
-    """The lock of a database; it ends with the process, however that ends.
-
-    It is given up at the end, not only closed: a worker that was just forked shares it still.
-    """
-    with (path / _LOCK).open("a+", encoding="utf-8") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
-            file.seek(0)
-            holder = file.read(40).strip()
-            raise ValueError(
-                f"{path} is being written by another process"
-                f"{f' ({holder})' if holder else ''}; wait until it is done"
-            ) from error
-        file.truncate(0)
-        owner = os.getpid()
-        file.write(f"process {owner}")
-        file.flush()
-        try:
-            yield file
-        finally:
-            if os.getpid() == owner:
-                fcntl.flock(file, fcntl.LOCK_UN)
+    @classmethod
+    def of(cls, table: LanceDataset, path: str) -> _Meta:
+        entries = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
+        text = entries.get(_META, "")
+        content = json.loads(text) if text else {}
+        if content.get("format") != FORMAT:
+            raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
+        if entries.get(f"{_META}-digest") != _digest(text):
+            raise ValueError(f"{path} is damaged: the checksum of its settings does not fit")
+        origins = {}
+        for name, entry in entries.items():
+            if name.startswith(_ORIGIN):
+                key = name.removeprefix(_ORIGIN)
+                origins[key] = Origin.from_json(entry)
+                if origins[key].key != key:
+                    raise ValueError(f"{path} is damaged: origin {key} does not fit its content")
+        return cls(_config(content, path), origins)
 
 
-def _is_vacant(folder: Path) -> bool:
-    """Whether a folder is empty but for what a `Database.create` that was killed leaves behind."""
-    return all(
-        entry.name == _LOCK or entry.name.startswith(_HALF_DONE) for entry in folder.iterdir()
-    )
+def _config(content: dict[str, Any], path: str) -> SSRVLADConfig | None:
+    if content["config"] is None:
+        return None
+    try:
+        config = SSRVLADConfig.from_dict(content["config"])
+    except ValueError as error:
+        raise ValueError(f"{path} has settings of another version: {error}") from error
+    if config.fingerprint != content["fingerprint"]:
+        raise ValueError(
+            f"{path} has fingerprint {content['fingerprint']}, made by another version of the "
+            f"method; the same settings have {config.fingerprint} here: encode it again"
+        )
+    return config
 
 
-def _no_frames() -> KnownFrames:
-    return KnownFrames({}, schema(1, _OF_FILES).empty_table())
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def _with(known: KnownFrames, tables: Sequence[pa.Table]) -> KnownFrames:
-    """More frames than those known; their dictionary of rows is shared and grows."""
-    ids = (frame for table in tables for frame in _ids(table))
-    known.rows.update((frame, row) for row, frame in enumerate(ids, len(known.rows)))
-    more = [table.select(_OF_FILES) for table in tables]
-    return KnownFrames(known.rows, pa.concat_tables([known.columns, *more]))
+def _is_used(folder: Path) -> bool:
+    return folder.is_dir() and any(folder.iterdir())
 
 
-def _poses(table: pa.Table) -> npt.NDArray[np.float64]:
-    return np.stack([table[axis].to_numpy() for axis in _POSE], axis=1)
+def _why_closed(path: str, version: int | None, error: Exception) -> str:
+    if version is None:
+        return f"{path} is damaged or not a database: {engine.one_line(error)}"
+    return f"{path} has no version {version}, or it is damaged: {engine.one_line(error)}"
 
 
-def _ids(table: pa.Table) -> list[str]:
-    sequences = table["sequence"].cast(pa.string())
-    joined: list[str] = pc.binary_join_element_wise(sequences, table["name"], "/").to_pylist()
-    return joined
+def _there(table: LanceDataset, rows: pa.Table) -> list[str]:
+    """Ids of rows that a table holds already, in the order of the rows."""
+    there = pc.is_in(rows["frame"], table.to_table(columns=["frame"])["frame"])
+    ids: list[str] = rows["frame"].filter(there).to_pylist()
+    return ids
 
 
-def _renewed(table: pa.Table, fresh: pa.Table, row: dict[str, int]) -> pa.Table:
-    """A part's rows, those that have a fresh ``row`` replaced by it."""
-    new = np.array([row.get(frame, -1) for frame in _ids(table)], np.int64)
-    both = pa.concat_tables([table, fresh]).unify_dictionaries()
-    return both.take(pa.array(np.where(new < 0, np.arange(len(table)), len(table) + new)))
+def _told(origin: Origin | None) -> str:
+    if origin is None:
+        return "unknown"
+    name = origin.label_space.name if origin.label_space else "unknown"
+    return f"{name} by {origin.segmenter}" if origin.segmenter else name
 
 
 def _order(table: pa.Table) -> npt.NDArray[np.int64]:
     """Rows by sequence and name as a person would sort them."""
-    sequences, codes = _sequences(table)
+    coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
+    sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
     rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
     ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
-    keys = [natural_key(name) for name in table["name"].to_pylist()]
-    order = sorted(range(len(keys)), key=keys.__getitem__)
-    by_name = np.array(order, np.int64)
+    keys = [natural_key(frame.rpartition("/")[2]) for frame in table["frame"].to_pylist()]
+    by_name = np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
     return by_name[np.argsort(ranks[by_name], kind="stable")]
 
 
-def _names(
-    table: pa.Table, order: npt.NDArray[np.int64]
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Ids and sequences of rows in some order."""
-    sequences, codes = _sequences(table)
-    ids = _ids(table)
-    return tuple(ids[row] for row in order), tuple(sequences[code] for code in codes[order])
+def _sorted(
+    descriptors: npt.NDArray[np.float32], order: npt.NDArray[np.int64]
+) -> npt.NDArray[np.float32]:
+    """Rows in another order, in place: a million of them need no second place."""
+    if (order[1:] > order[:-1]).all():
+        return descriptors
+    for first in range(0, descriptors.shape[1], _COLUMNS_AT_ONCE):
+        some = slice(first, first + _COLUMNS_AT_ONCE)
+        descriptors[:, some] = descriptors[order, some]
+    return descriptors
 
 
-def _sequences(table: pa.Table) -> tuple[list[str], npt.NDArray[np.int32]]:
-    """The sequences of a table, and which of them each row has."""
-    column = table.select(["sequence"]).unify_dictionaries()["sequence"].combine_chunks()
-    if isinstance(column, pa.ChunkedArray):
-        column = pa.concat_arrays(column.chunks) if column.num_chunks else None
-    if column is None:
-        return [], np.empty(0, np.int32)
-    return column.dictionary.to_pylist(), column.indices.to_numpy()
+def _frame_set(table: pa.Table, descriptors: npt.NDArray[np.float32]) -> FrameSet:
+    import torch
+
+    return FrameSet(
+        frames=tuple(table["frame"].to_pylist()),
+        sequences=tuple(pc.dictionary_encode(table["sequence"]).to_pylist()),
+        descriptors=torch.from_numpy(descriptors),
+        poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
+        stamps=table["stamp"].to_numpy(),
+        empty=table["empty"].to_numpy(),
+    )

@@ -1,20 +1,22 @@
-"""Other forms of a database: NumPy, faiss, and hloc's HDF5."""
+"""Other forms of a database: NumPy, and hloc's HDF5."""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
+
 from ..files import replacing
-from .database import Database, FrameSet, mapped_array
+from .database import Database
+from .frames import FrameSet
 
-Format = Literal["npy", "faiss", "hloc"]
+Format = Literal["npy", "hloc"]
 
-_BLOCK = 1 << 14
 _BYTES_OF_A_GROUP = 1024
 
 
@@ -24,32 +26,47 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     Args:
         database: what is exported, its frames in order.
         form: ``npy``, an ``(R, D)`` float32 array, and beside it a text file with a frame's id a
-            line; ``faiss``, an ``IndexFlatIP`` of descriptors of length 1, and the same text
-            file; ``hloc``, an HDF5 file with a group a frame, named by its id, that holds
-            ``global_descriptor``, ``(D,)`` float32, as hloc's ``extract_features`` writes it
-            (https://github.com/cvg/Hierarchical-Localization).
+            line and a JSON file with the fingerprint and the settings; ``hloc``, an HDF5 file with
+            a group a frame, named by its id, that holds ``global_descriptor``, ``(D,)`` float32,
+            as hloc's ``extract_features`` writes it
+            (https://github.com/cvg/Hierarchical-Localization), and the same as attributes.
         file: where.
 
     Returns:
         The files written.
 
     Raises:
-        ValueError: a part is missing or damaged.
-        ImportError: the extra ``search`` is not installed.
+        ValueError: the database is damaged.
+        ImportError: the extra ``hloc`` is not installed.
         OSError: the files cannot be written.
     """
-    frames = _WRITERS[form](database, file)
+    frames, about = database.load(), _about(database)
     if form == "hloc":
+        _write_hloc(frames, about, file)
         return [file]
-    names = file.with_name(f"{file.name}.frames.txt")
-    with _written(names) as temporary:
-        temporary.write_text("".join(f"{frame}\n" for frame in frames.frames), encoding="utf-8")
-    return [file, names]
+    beside = {
+        ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
+        ".fingerprint.txt": f"{database.fingerprint}\n" if database.fingerprint else "",
+        ".json": json.dumps(about, indent=1) + "\n",
+    }
+    with _written(file) as temporary, temporary.open("wb") as stream:
+        np.save(stream, frames.descriptors.numpy())
+    written = [file]
+    for suffix, text in beside.items():
+        if text:
+            written.append(file.with_name(file.name + suffix))
+            with _written(written[-1]) as temporary:
+                temporary.write_text(text, encoding="utf-8")
+    return written
+
+
+def _about(database: Database) -> dict[str, object]:
+    return {name: database.info()[name] for name in ("fingerprint", "config", "label_spaces")}
 
 
 @contextmanager
 def _written(file: Path) -> Iterator[Path]:
-    """As `replacing`; what faiss, HDF5 and the system say of a full disk becomes one line."""
+    """As `replacing`; what HDF5 and the system say of a full disk becomes one line."""
     with replacing(file) as temporary:
         try:
             yield temporary
@@ -59,51 +76,22 @@ def _written(file: Path) -> Iterator[Path]:
             raise OSError(f"{file} cannot be written: {reason}") from error
 
 
-def _write_npy(database: Database, file: Path) -> FrameSet:
-    with _written(file) as temporary:
-        return database.load_into(partial(mapped_array, temporary))
-
-
-def _write_faiss(database: Database, file: Path) -> FrameSet:
-    try:
-        import faiss
-    except ImportError as error:
-        raise ImportError("an index of faiss needs: pip install ssrvlad-torch[search]") from error
-    frames = database.load()
-    index = faiss.IndexFlatIP(database.config.length)
-    for first in range(0, len(frames.frames), _BLOCK):
-        block = frames.descriptors[first : first + _BLOCK].numpy().copy()
-        faiss.normalize_L2(block)
-        index.add(block)
-    with _written(file) as temporary:
-        faiss.write_index(index, str(temporary))
-    return frames
-
-
-def _write_hloc(database: Database, file: Path) -> FrameSet:
+def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
     try:
         import h5py
     except ImportError as error:
-        raise ImportError("hloc's files need: pip install ssrvlad-torch[search]") from error
-    frames = database.load()
+        raise ImportError("hloc's files need: pip install ssrvlad-torch[hloc]") from error
     with _written(file) as temporary:
         _see_room(temporary, frames)
         with h5py.File(temporary, "w", libver="latest") as target:
+            target.attrs["ssrvlad"] = json.dumps(about)
             for frame, descriptor in zip(frames.frames, frames.descriptors.numpy(), strict=True):
                 target.create_group(frame).create_dataset("global_descriptor", data=descriptor)
-    return frames
 
 
 def _see_room(file: Path, frames: FrameSet) -> None:
     """Takes the room of an HDF5 file for a moment: HDF5 ends the process where it runs out."""
     names = sum(len(frame.encode()) for frame in frames.frames)
-    wanted = 4 * frames.descriptors.numel() + _BYTES_OF_A_GROUP * (len(frames.frames) + 1) + names
+    expected = 4 * frames.descriptors.numel() + _BYTES_OF_A_GROUP * (len(frames.frames) + 1) + names
     with file.open("wb") as stream:
-        os.posix_fallocate(stream.fileno(), 0, wanted)
-
-
-_WRITERS: dict[Format, Callable[[Database, Path], FrameSet]] = {
-    "npy": _write_npy,
-    "faiss": _write_faiss,
-    "hloc": _write_hloc,
-}
+        os.posix_fallocate(stream.fileno(), 0, expected)

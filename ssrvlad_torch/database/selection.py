@@ -9,7 +9,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from .database import FrameSet, natural_key
+from .frames import FrameSet, natural_key
 
 
 def select(

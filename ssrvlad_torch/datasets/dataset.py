@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from ..database.database import natural_key
+from ..database.frames import natural_key
 from ..taxonomy import label_space
 from .frame_files import FrameFile
 from .label_files import SUFFIXES as LABEL_SUFFIXES

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from numpy.lib.format import open_memmap
 
-from ..database.database import natural_key
+from ..database.frames import natural_key
 from ..files import absolute_folder
 from .poses import UNKNOWN, Pose, find_poses
 

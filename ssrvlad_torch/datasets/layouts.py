@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import islice
 from pathlib import Path
 
-from ..database.database import natural_key
+from ..database.frames import natural_key
 from . import camvid, cityscapes, extended_cmu, folders, robotcar, synthia, vpr_bench
 from .dataset import Dataset, Layout, folders_in, shortened
 

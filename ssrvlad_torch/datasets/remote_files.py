@@ -12,7 +12,7 @@ from pathlib import Path, PurePosixPath
 
 from pyarrow.fs import FileInfo, FileSelector, FileSystem, FileType
 
-from ..database.database import natural_key
+from ..database.frames import natural_key
 from .frame_files import FrameFile
 from .label_files import SUFFIXES
 

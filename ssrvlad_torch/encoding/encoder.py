@@ -15,7 +15,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..database.database import Database, FrameRecord, FrameSet, KnownFrames
+from ..database.database import Database, KnownFrames
+from ..database.frames import FrameRecord, FrameSet
 from ..datasets.frame_files import FrameFile, one_line
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..datasets.remote_files import RemoteFile
@@ -117,15 +118,16 @@ def encode_to_database(
     if prune and not complete:
         raise ValueError("prune wants to know all files of a sequence: complete")
     tell = progress or _tell_nobody
-    with database.writing(), deferred_interruption() as check:
+    origin = database.add_origin(head.label_space, segmenter.key() if segmenter else "")
+    with deferred_interruption() as check:
         known = database.known()
-        fresh, digests = _to_do(files, known)
+        fresh, digests = _to_do(files, known, origin)
         summary = Summary(already_there=len(files) - len(fresh))
         if complete:
             summary.gone = _gone(files, known)
         tell(summary.already_there)
-        results = _encode(head, fresh, digests, workers, segmenter, database.let_go)
-        with _Writer(database, summary, known) as writer:
+        results = _encode(head, fresh, digests, workers, segmenter)
+        with _Writer(database, summary, known, origin) as writer:
             for result in results:
                 if isinstance(result, Refusal):
                     summary.refused.append(result)
@@ -167,6 +169,7 @@ def encode_to_memory(
         sequences=tuple(record.sequence for record in records),
         descriptors=descriptors,
         poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
+        stamps=np.array([record.stamp for record in records], np.float64),
         empty=~descriptors.any(dim=1).numpy(),
     )
     return frames, refused
@@ -247,8 +250,11 @@ _Result = _Described | Refusal | Unchanged
 class _Writer:
     """Puts frames into a database, a part at a time; what waits at the end too."""
 
-    def __init__(self, database: Database, summary: Summary, known: KnownFrames) -> None:
+    def __init__(
+        self, database: Database, summary: Summary, known: KnownFrames, origin: str
+    ) -> None:
         self._database = database
+        self._origin = origin
         self._summary = summary
         self._known = known
         self._fresh: list[Encoded] = []
@@ -263,7 +269,8 @@ class _Writer:
             both.callback(self._write_fresh)
 
     def add(self, frame: Encoded) -> None:
-        if frame.record.frame in self._known.rows:
+        frame = frame._replace(record=frame.record._replace(origin=self._origin))
+        if frame.record.frame in self._known:
             self._changed.append(frame)
         else:
             self._fresh.append(frame)
@@ -293,24 +300,23 @@ def _write(put: Callable[[Sequence[FrameRecord], Tensor], None], frames: Sequenc
 
 
 def _to_do(
-    files: Sequence[FrameFile], known: KnownFrames
+    files: Sequence[FrameFile], known: KnownFrames, origin: str
 ) -> tuple[list[FrameFile], dict[str, str]]:
     """Files of frames that are new or may have changed; of the latter, digests of what is there.
 
     A frame whose pose has changed has no digest here: it must be written, whatever it holds.
     """
     fresh, digests = [], {}
-    poses, stamps = known.poses, known.stamps
     for file in files:
-        row = known.rows.get(file.frame)
-        if row is not None:
+        there = known.get(file.frame)
+        if there is not None and there.origin == origin:
             moved = not np.isnan(file.pose[0]) and not np.array_equal(
-                file.pose, poses[row], equal_nan=True
+                file.pose, (there.x, there.y, there.heading), equal_nan=True
             )
-            if not moved and stamps[row] == stamp(file):
+            if not moved and there.signature == str(stamp(file)):
                 continue
             if not moved:
-                digests[file.frame] = known.digests[row].as_py()
+                digests[file.frame] = there.digest
         fresh.append(file)
     return fresh, digests
 
@@ -319,9 +325,7 @@ def _gone(files: Iterable[FrameFile], known: KnownFrames) -> list[str]:
     there = {file.frame for file in files}
     sequences = {file.sequence for file in files}
     return [
-        frame
-        for frame in known.rows
-        if frame not in there and frame.rpartition("/")[0] in sequences
+        frame for frame in known if frame not in there and frame.rpartition("/")[0] in sequences
     ]
 
 
@@ -331,7 +335,6 @@ def _encode(
     digests: Mapping[str, str],
     workers: int,
     segmenter: Segmenter | None,
-    begin: Callable[[], None] | None = None,
 ) -> Iterator[Encoded | Refusal | Unchanged]:
     """`encode`, but for frames that still have a digest that was given."""
     items = _items(head, files, digests, workers, segmenter)
@@ -340,9 +343,9 @@ def _encode(
     workers = workers if len(files) > size else 0
     read, describe = partial(_read, head.label_space), partial(_describe, head)
     if next(head.buffers()).device.type == "cpu":
-        described = in_order(lambda chunk: describe(read(chunk)), chunks, workers, begin)
+        described = in_order(lambda chunk: describe(read(chunk)), chunks, workers)
     else:
-        described = map(describe, in_order(read, chunks, workers, begin))
+        described = map(describe, in_order(read, chunks, workers))
     for result in chain.from_iterable(described):
         if isinstance(result, _Described):
             yield Encoded(result.record, torch.from_numpy(result.descriptor))
@@ -438,15 +441,15 @@ def _describe_batch(head: SSRVLAD, batch: Sequence[Item]) -> list[_Result]:
             file = batch[0].file
             return [Refusal(file.frame, f"{_place(file)}: {error}")]
         return [result for item in batch for result in _describe_batch(head, [item])]
-    records = [_record(item, head.config.labels_as) for item in batch]
+    records = [_record(item) for item in batch]
     return [_Described(*pair) for pair in zip(records, descriptors, strict=True)]
 
 
-def _record(item: Item, labels_as: str) -> FrameRecord:
-    height, width = np.asarray(item.labels).shape
-    size = (height, width, item.digest)
-    return FrameRecord(
-        item.file.sequence, item.file.name, labels_as, *size, *item.file.pose, item.stamp
+def _record(item: Item) -> FrameRecord:
+    file, (height, width) = item.file, np.asarray(item.labels).shape
+    record = FrameRecord(file.sequence, file.name, *file.pose)
+    return record._replace(
+        signature=str(item.stamp), digest=item.digest, height=height, width=width
     )
 
 

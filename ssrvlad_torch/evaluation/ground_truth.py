@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..database.database import natural_key
+from ..database.frames import natural_key
 from .outcomes import Rows
 
 _ROUNDING = 1e-9

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..database.database import Database, FrameRecord
+from ..database.database import Database
+from ..database.frames import FrameRecord
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD
 from .config import LoopConfig
@@ -112,7 +114,9 @@ class LoopDetector:
             raise ValueError(f"a frame's id must be <sequence>/<name>, got {frame_id!r}")
         place = _pose(pose, frame_id)
         descriptor, keypoints, labels = self._describe(torch.as_tensor(view))
-        record = FrameRecord(sequence, name, self.head.config.labels_as, *labels, *place)
+        height, width, content = labels
+        seconds = math.nan if stamp is None else stamp
+        record = FrameRecord(sequence, name, *place, seconds, "", content, height, width)
         return self.observe(record, descriptor, stamp, keypoints)
 
     def observe(
@@ -169,7 +173,7 @@ class LoopDetector:
                     f"{database.path} holds {len(database)} frames; {saved} of this stream were "
                     "saved"
                 )
-            write_state(database.path / STATE_FILE, state)
+            write_state(Path(database.path) / STATE_FILE, state)
             descriptors = [torch.from_numpy(vector) for _, vector in fresh]
             if fresh:
                 database.append([record for record, _ in fresh], torch.stack(descriptors))
@@ -201,17 +205,17 @@ class LoopDetector:
         head = head or SSRVLAD(database.config)
         database.require(head.config)
         detector = cls(config, head, pose_gate, geometry)
-        frames, sorted_frames = _in_order_of_addition(database), database.load()
+        frames, sorted_frames = list(database.known()), database.load()
         row = {frame: number for number, frame in enumerate(sorted_frames.frames)}
         order = [row[frame] for frame in frames]
         descriptors = sorted_frames.descriptors.numpy()[order]
         reach = detector.config.temporal
         detector._memory = OnlineMemory.of_frames(frames, descriptors, reach)
-        state = read_state(database.path / STATE_FILE)
+        state = read_state(Path(database.path) / STATE_FILE)
         try:
             detector._log.restore(frames, sorted_frames.poses[order], state)
         except ValueError as error:
-            raise ValueError(f"{database.path / STATE_FILE} does not fit: {error}") from error
+            raise ValueError(f"{Path(database.path) / STATE_FILE} does not fit: {error}") from error
         return detector
 
     def _describe(self, view: Tensor) -> tuple[Tensor, KeyPoints | None, tuple[int, int, str]]:
@@ -254,12 +258,6 @@ class LoopDetector:
         if self._pose_gate and not np.isfinite(pose[:2]).all():
             raise ValueError(f"frame {frame!r} has no pose, which the pose gate wants")
         return Sighting(frame, pose, -math.inf if stamp is None else stamp, keypoints)
-
-
-def _in_order_of_addition(database: Database) -> list[str]:
-    columns = database.table(["sequence", "name"]).to_pydict()
-    rows = zip(columns["sequence"], columns["name"], strict=True)
-    return [f"{sequence}/{name}" for sequence, name in rows]
 
 
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:

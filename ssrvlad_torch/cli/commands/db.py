@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import typer
 
-from ..options import DatabaseFolder, Json
+from ..options import AsOf, DatabaseFolder, Json
 from ..output import SOME_REFUSED, note, print_json, progress_bar
 
 db = typer.Typer(help="Look into a database, verify it, export it.", rich_markup_mode=None)
@@ -20,12 +19,12 @@ def _look() -> None:
 
 
 @db.command()
-def info(database: DatabaseFolder, as_json: Json = False) -> None:
+def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) -> None:
     """What is in a database.
 
     Example: ssrvlad db info town.ssrdb
     """
-    report = contents(database)
+    report = contents(database, as_of)
     if as_json:
         print_json(report)
         return
@@ -36,13 +35,50 @@ def info(database: DatabaseFolder, as_json: Json = False) -> None:
 
 
 @db.command()
+def history(database: DatabaseFolder, as_json: Json = False) -> None:
+    """The versions of a database that are kept, the oldest first; --as-of takes their numbers.
+
+    Example: ssrvlad db history town.ssrdb
+    """
+    from ...database.database import Database
+
+    for entry in Database.open(database).history():
+        if as_json:
+            print_json({**entry._asdict(), "time": entry.time.isoformat()})
+        else:
+            when = entry.time.isoformat(" ", "seconds")
+            print(f"{entry.version}  {when}  {entry.frames} frames  {entry.change}")
+
+
+@db.command()
+def compact(
+    database: DatabaseFolder,
+    keep_days: Annotated[
+        float, typer.Option(min=0, help="Keep the versions of the last so many days.")
+    ] = 14,
+) -> None:
+    """Join small files, and forget old versions with the files that only these need.
+
+    Example: ssrvlad db compact town.ssrdb --keep-days 0
+    """
+    from ...database.database import Database
+
+    opened = Database.open(database)
+    before = len(opened.history())
+    opened.compact(keep_days)
+    print(
+        f"{database}: {len(opened)} frames, {before} versions before, {len(opened.history())} now"
+    )
+
+
+@db.command()
 def verify(
     database: DatabaseFolder,
     drop_damaged: Annotated[
         bool,
         typer.Option(
             "--drop-damaged",
-            help="Give up the row groups that are not whole; encoding again brings them back.",
+            help="Give up the frames that are damaged; encoding again brings them back.",
         ),
     ] = False,
     as_json: Json = False,
@@ -52,17 +88,17 @@ def verify(
     Example: ssrvlad db verify town.ssrdb
     """
     from ...database.database import Database
-    from ...database.storage.verification import verify as find_damage
 
-    opened = Database.open(database, skip_damaged=True)
-    with progress_bar("verifying", len(opened)) as bar:
-        damage = find_damage(database, bar.advance)
+    opened = Database.open(database)
+    frames = len(opened)
+    with progress_bar("verifying", frames) as bar:
+        damage = opened.verify(bar.advance)
     if as_json:
-        print_json({"frames": len(opened), "damage": [entry._asdict() for entry in damage]})
+        print_json({"frames": frames, "damage": [entry._asdict() for entry in damage]})
     else:
-        print(f"{database}: {len(opened)} frames, {len(damage) or 'no'} damage")
+        print(f"{database}: {frames} frames, {sum(entry.rows for entry in damage)} damaged")
     for entry in damage:
-        note(f"{database / entry.file}{entry.place}: {entry.reason}")
+        note(f"{database / entry.file}: {entry.rows} frames lost: {entry.reason}")
     if damage and drop_damaged:
         opened.drop_damaged()
         note(f"{database} now holds the {len(opened)} frames that are whole")
@@ -75,13 +111,14 @@ def export(
     database: DatabaseFolder,
     output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")],
     form: Annotated[
-        Literal["npy", "faiss", "hloc"],
+        Literal["npy", "hloc"],
         typer.Option(
             "--format",
-            help="npy: an array, and the frames' ids in a text file; faiss: an exact index of "
-            "faiss, and the same text file; hloc: global descriptors in HDF5.",
+            help="npy: an array, the frames' ids, the fingerprint and the settings beside it; "
+            "hloc: global descriptors in HDF5.",
         ),
     ],
+    as_of: AsOf = None,
 ) -> None:
     """Write the descriptors of a database in another form.
 
@@ -90,29 +127,12 @@ def export(
     from ...database.database import Database
     from ...database.exporting import export_database
 
-    for file in export_database(Database.open(database), form, output):
+    for file in export_database(Database.open(database, as_of), form, output):
         print(file)
 
 
-def contents(path: Path) -> dict[str, Any]:
+def contents(path: Path, as_of: int | None = None) -> dict[str, Any]:
     """What is in a database, in numbers and words."""
-    import numpy as np
-
     from ...database.database import Database
-    from ...database.storage.parts import matrix
 
-    database = Database.open(path)
-    frames, length, empty, spaces = database.frames(), database.config.length, 0, Counter[str]()
-    for table in database.tables(["labels_as", "descriptor"]):
-        empty += int((~matrix(table["descriptor"], length).any(axis=1)).sum())
-        spaces.update(table["labels_as"].to_pylist())
-    return {
-        "frames": len(frames.frames),
-        "sequences": dict(Counter(frames.sequences)),
-        "empty": empty,
-        "with_pose": int((~np.isnan(frames.poses[:, 0])).sum()),
-        "label_spaces": dict(spaces),
-        "preset": database.config.preset,
-        "fingerprint": database.fingerprint,
-        "config": database.config.to_dict(),
-    }
+    return Database.open(path, as_of).info()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..options import Json, MethodOptions, RecognitionOptions, SourceOptions, TruthOptions
+from ..options import AsOf, Json, MethodOptions, RecognitionOptions, SourceOptions, TruthOptions
 from ..output import finish, print_json
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def evaluate(
     at_recall: Annotated[
         float, typer.Option(min=0, max=1, help="Recall at which the precision is told.")
     ] = 0.5,
+    as_of: AsOf = None,
     as_json: Json = False,
     report: Annotated[
         Path | None,
@@ -52,6 +53,7 @@ def evaluate(
 
     Example: ssrvlad evaluate photos/monday photos/today --method hog --tolerance-metres 5
     """
+    from ...database.database import Database
     from ..measure import measure, print_metrics
     from ..recognise import by_database, by_method
     from ..report import title_and_settings
@@ -64,7 +66,8 @@ def evaluate(
     true = TrueMatches.by(truth, opened.dataset.truth if opened.dataset else None)
     if method.method is None:
         opened = opened.posed() if true.metres is not None else opened
-        found = by_database(database, opened, recognition.t, truth.convention, page)
+        references = Database.open(database, as_of)
+        found = by_database(references, opened, recognition.t, truth.convention, page)
     else:
         found = by_method(method, database, opened, truth.convention, page)
     matches = true.among(found.references, found.queries)

@@ -2,22 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated
 
 import typer
 
-from ..options import DatabaseFolder, Json, RecognitionOptions, SourceOptions
+from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions
 from ..output import finish, note, print_json
-
-if TYPE_CHECKING:
-    from ...database.database import FrameSet
-    from ...recognition.matching import Matches
-
-Index = Literal["exact", "mapped", "faiss-ivfpq"]
-Precision = Literal["float32", "float16"]
 
 
 def query(
@@ -46,16 +36,7 @@ def query(
             help="No candidates from a query's own sequence that are at most so many frames away.",
         ),
     ] = None,
-    index: Annotated[
-        Index,
-        typer.Option(
-            help="exact: descriptors in memory; mapped: exact, read from the disk as they are "
-            "needed; faiss-ivfpq: an index of faiss, for more than memory."
-        ),
-    ] = "exact",
-    precision: Annotated[
-        Precision, typer.Option(help="float16 halves what exact and mapped hold.")
-    ] = "float32",
+    as_of: AsOf = None,
     skip_damaged: Annotated[
         bool, typer.Option("--skip-damaged", help="Read on past what is damaged.")
     ] = False,
@@ -65,19 +46,23 @@ def query(
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
-    from ...database.database import Database
+    from ...database.database import Damage, Database
     from ...database.selection import neighbours, select
-    from ..sources import Source, encode_queries
+    from ...recognition.matching import match
+    from ..sources import Source, encode_queries, load_references
 
     opened = Source.open(source)
     first, last = _window(window)
-    references, searcher = _open(database, recognition.t, index, precision, skip_damaged)
+    town, damage = Database.open(database, as_of), list[Damage]()
+    references = load_references(town, recognition.t, damage if skip_damaged else None)
+    for entry in damage:
+        note(f"left out {entry.rows} frames of {database / entry.file}: {entry.reason}")
     where = None
     if from_sequence or window:
         where = select(references, from_sequence, first, last)
-    queries, refused = encode_queries(Database.open(database, skip_damaged).config, opened)
+    queries, refused = encode_queries(town, opened)
     near = None if exclude is None else neighbours(queries.frames, references, exclude)
-    found = searcher(queries.descriptors, top, threshold, where, near)
+    found = match(queries.descriptors, references.descriptors, top, threshold, where, near)
     for frame, scores, rows in zip(queries.frames, *found, strict=True):
         candidates = [
             {"frame": references.frames[row], "score": score}
@@ -90,38 +75,6 @@ def query(
             ranked = ", ".join(f"{c['frame']} {c['score']:.4f}" for c in candidates)
             print(f"{frame}: {ranked or 'no candidate'}")
     finish(refused)
-
-
-def _open(
-    path: Path, temporal: int, index: Index, precision: Precision, skip_damaged: bool
-) -> tuple[FrameSet, Callable[..., Matches]]:
-    """The references, and what finds the best of them, called as `match` but without them."""
-    from ...database.database import Database
-    from ...database.searching import Ivfpq, load_mapped
-    from ...recognition.matching import match
-
-    database = Database.open(path, skip_damaged)
-    if not len(database):
-        raise ValueError(f"{path} holds no frames yet")
-    if index == "exact":
-        references = database.load(temporal)
-        if precision == "float16":
-            references = replace(references, descriptors=references.descriptors.half())
-    else:
-        references = load_mapped(database, temporal, precision)
-    for entry in database.damage:
-        note(f"left out {path / entry.file}{entry.place}: {entry.reason}")
-    descriptors = references.descriptors
-    if index != "faiss-ivfpq":
-        return references, lambda queries, *limits: match(queries, descriptors, *limits)
-    searcher = Ivfpq.of(database, descriptors, temporal)
-    if searcher.report:
-        at = searcher.report.recall_at
-        note(
-            f"built an index of {searcher.report.lists} lists, {searcher.report.bytes} bytes; of "
-            f"the exact best it finds {at[1]:.3f} at 1 and {at[10]:.3f} at 10"
-        )
-    return references, searcher.match
 
 
 def _window(text: str | None) -> tuple[int | None, int | None]:

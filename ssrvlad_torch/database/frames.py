@@ -1,0 +1,101 @@
+"""Frames as a database takes and gives them, and the order of their names."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32]"
+
+_NAN = float("nan")
+
+
+class FrameRecord(NamedTuple):
+    """What is stored of a frame beside its descriptor.
+
+    Attributes:
+        sequence, name: a frame's id is ``<sequence>/<name>``, or the name where there is no
+            sequence. A name holds no ``/``.
+        x, y: position in metres, NaN where unknown.
+        heading: radians, counter-clockwise from +x, NaN where unknown.
+        stamp: when the frame was taken, in seconds, NaN where unknown.
+        signature: a text that changes whenever the frame's source does.
+        digest: of the label map, in hex.
+        height, width: size of the label map in pixels.
+        origin: which label space and segmenter made the label map; from `Database.add_origin`.
+    """
+
+    sequence: str
+    name: str
+    x: float = _NAN
+    y: float = _NAN
+    heading: float = _NAN
+    stamp: float = _NAN
+    signature: str = ""
+    digest: str = ""
+    height: int = 0
+    width: int = 0
+    origin: str = ""
+
+    @property
+    def frame(self) -> str:
+        """The frame's id."""
+        return f"{self.sequence}/{self.name}" if self.sequence else self.name
+
+    @classmethod
+    def of_id(cls, frame: str) -> FrameRecord:
+        """A record of nothing but the frame's id."""
+        sequence, _, name = frame.rpartition("/")
+        return cls(sequence, name)
+
+
+@dataclass(frozen=True)
+class FrameSet:
+    """Frames in memory, those of a sequence one after another in the order of their names.
+
+    Attributes:
+        frames: ids.
+        sequences: the sequence of each frame.
+        descriptors: ``(R, D)`` float32, raw: neither summed over time nor centred.
+        poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
+        stamps: ``(R,)`` float64, seconds, NaN where unknown.
+        empty: ``(R,)`` bool, frames whose descriptor is zero; they match nothing.
+    """
+
+    frames: tuple[str, ...]
+    sequences: tuple[str, ...]
+    descriptors: Tensor
+    poses: npt.NDArray[np.float64]
+    stamps: npt.NDArray[np.float64]
+    empty: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __repr__(self) -> str:
+        posed = int((~np.isnan(self.poses[:, 0])).sum())
+        return (
+            f"<FrameSet: {len(self)} frames of {len(set(self.sequences))} sequences, descriptors "
+            f"of {self.descriptors.shape[1]}, {int(self.empty.sum())} empty, {posed} with a pose>"
+        )
+
+
+def natural_key(name: str) -> str:
+    """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
+    pieces = (piece for piece in re.split(r"(\d+)", name) if piece)
+    return "".join(map(_piece_key, pieces)) + f"\0{name}"
+
+
+def _piece_key(piece: str) -> str:
+    """The end of a name sorts before a number, that before other text; numbers by their size."""
+    if piece.isdecimal():
+        digits = str(int(piece))
+        return f"\1{chr(len(digits))}{digits}"
+    return f"\2{piece}\0"

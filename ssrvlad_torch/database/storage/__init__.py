@@ -1,1 +1,0 @@
-"""What a `Database` is on the disk: Parquet parts and a manifest."""
