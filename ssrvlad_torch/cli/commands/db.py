@@ -64,11 +64,8 @@ def compact(
     from ...database.database import Database
 
     opened = Database.open(database)
-    before = len(opened.history())
     opened.compact(keep_days)
-    print(
-        f"{database}: {len(opened)} frames, {before} versions before, {len(opened.history())} now"
-    )
+    print(f"{database}: {len(opened)} frames, {len(opened.history())} versions kept")
 
 
 @db.command()
