@@ -17,7 +17,9 @@ if TYPE_CHECKING:
     from .encoding.encoder import encode_to_database as encode_to_database
     from .loops.config import LoopConfig as LoopConfig
     from .loops.detector import LoopDetector as LoopDetector
+    from .recognition.follow import follow as follow
     from .recognition.matching import match as match
+    from .recognition.standardise import standardise as standardise
     from .segmentation.segmenter import Segmenter as Segmenter
     from .soft.descriptor import SoftSSRVLAD as SoftSSRVLAD
     from .soft.place_loss import multi_similarity as multi_similarity
@@ -38,8 +40,10 @@ _ROOMS = {
     "SoftSSRVLAD": "soft.descriptor",
     "encode_to_database": "encoding.encoder",
     "export_head": "deployment.export",
+    "follow": "recognition.follow",
     "match": "recognition.matching",
     "multi_similarity": "soft.place_loss",
+    "standardise": "recognition.standardise",
     "open_dataset": "datasets.layouts",
 }
 """Where each public name lives."""

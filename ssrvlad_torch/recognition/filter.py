@@ -1,0 +1,140 @@
+"""Filter: the place of a sequence after each of its frames, by the forward algorithm."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from .motion import GAP, SPEEDS, Motion, evidence, moved, moved_back, prior_of_speeds
+
+
+class Belief(NamedTuple):
+    """Probabilities: ``(8, cells)`` float32 by speed and cell, and that of no row of the map."""
+
+    mapped: Tensor
+    unmapped: float
+
+
+class Filter:
+    """A hidden Markov model over the rows of a map, which may grow; see `follow`.
+
+    Cells are the rows in their order, with empty ones between sequences, which no speed crosses.
+
+    Args:
+        sequences: the sequence of each row; the rows of one stand together and in order.
+        motion: what sequences do.
+
+    Attributes:
+        belief: after the last `step`.
+
+    Example:
+        >>> track = Filter(["drive"] * 30)
+        >>> for scores in torch.eye(30)[10:20]:
+        ...     track.step(scores)
+        >>> track.rows().argmax()
+        tensor(19)
+    """
+
+    def __init__(self, sequences: Sequence[str] = (), motion: Motion | None = None) -> None:
+        self.motion = motion or Motion()
+        self._cells = torch.zeros(0, dtype=torch.int64)
+        self._inside = torch.zeros(GAP)
+        self._sequence: str | None = None
+        self.belief = Belief(torch.zeros(len(SPEEDS), GAP), 1.0)
+        self.extend(sequences)
+        self.restart()
+
+    def __len__(self) -> int:
+        return len(self._cells)
+
+    def extend(self, sequences: Sequence[str]) -> None:
+        """Adds rows at the end of the map; nothing is believed of them yet."""
+        if not sequences:
+            return
+        changes = [a != b for a, b in zip(sequences, [self._sequence, *sequences], strict=False)]
+        gaps = torch.tensor(changes).cumsum(0) * GAP
+        end = len(self._inside) - (0 if self._sequence is None else GAP)
+        start = end - (GAP if self._sequence is None else 0)
+        cells = start + gaps + torch.arange(len(sequences))
+        self._sequence = sequences[-1]
+        self._cells = torch.cat((self._cells, cells))
+        length = int(cells[-1]) + 1 + GAP
+        self._inside = torch.zeros(length)
+        self._inside[self._cells] = 1
+        mapped = self.belief.mapped
+        more = mapped.new_zeros(len(SPEEDS), length - mapped.shape[1])
+        self.belief = self.belief._replace(mapped=torch.cat((mapped, more), 1))
+
+    def restart(self) -> None:
+        """Forgets the place: another sequence begins."""
+        unmapped = self.motion.unmapped if len(self) else 1.0
+        each = (1 - unmapped) / max(1, len(self))
+        self.belief = Belief(prior_of_speeds() * (self._inside * each), unmapped)
+        self._begins = True
+
+    def step(self, scores: Tensor) -> None:
+        """Takes in the next frame.
+
+        Args:
+            scores: ``(R,)`` float cosines, -inf where there can be no match.
+
+        Raises:
+            ValueError: it is not a score for each row.
+        """
+        told = self.evidence(scores)
+        before = self.belief if self._begins else self.predicted(self.belief)
+        self.belief, self._begins = updated(before, told), False
+
+    def rows(self, belief: Belief | None = None) -> Tensor:
+        """``(R,)`` float32, the probability of each row, now or by a belief."""
+        return (belief or self.belief).mapped.sum(0)[self._cells]
+
+    def evidence(self, scores: Tensor) -> Tensor:
+        """``(cells,)`` float32, see `motion.evidence`; 0 between the sequences."""
+        if scores.shape != (len(self),):
+            got = tuple(scores.shape)
+            raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
+        told = torch.zeros_like(self._inside)
+        told[self._cells] = evidence(scores, self.motion)
+        return told
+
+    def predicted(self, belief: Belief) -> Belief:
+        """The belief one frame later, before it is seen."""
+        motion = self.motion
+        mapped = moved(belief.mapped, motion) * self._inside
+        lost = max(0.0, 1 - belief.unmapped - float(mapped.sum()))
+        arriving = lost * (1 - motion.unmapped) + belief.unmapped * (1 - motion.stay)
+        if not len(self):
+            return Belief(mapped, 1.0)
+        mapped += prior_of_speeds() * (self._inside * (arriving / len(self)))
+        return Belief(mapped, lost * motion.unmapped + belief.unmapped * motion.stay)
+
+    def before(self, told: Tensor, after: Belief) -> Belief:
+        """The backward algorithm: how likely the later frames are from each state.
+
+        Args:
+            told: evidence of the next frame.
+            after: likewise for the frames after it; not normalised.
+        """
+        motion, seen = self.motion, after.mapped * told
+        anywhere = float((prior_of_speeds() * seen).sum()) / max(1, len(self))
+        left = (1 - motion.unmapped) * anywhere + motion.unmapped * after.unmapped
+        kept = moved_back(self._inside.expand(len(SPEEDS), -1).contiguous(), motion)
+        mapped = moved_back(seen, motion) + (1 - kept) * left
+        unmapped = motion.stay * after.unmapped + (1 - motion.stay) * anywhere
+        size = max(unmapped, float((mapped * self._inside).max()))
+        return Belief(mapped * (self._inside / size), unmapped / size)
+
+    def no_future(self) -> Belief:
+        """What `before` starts from."""
+        return Belief(self._inside.expand(len(SPEEDS), -1), 1.0)
+
+
+def updated(belief: Belief, told: Tensor) -> Belief:
+    """A belief after a frame was seen, or in the light of those that came after."""
+    mapped = belief.mapped * told
+    total = float(mapped.sum()) + belief.unmapped
+    return Belief(mapped.div_(total), belief.unmapped / total)

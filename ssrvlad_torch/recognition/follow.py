@@ -1,0 +1,194 @@
+"""Follow: places of whole sequences, by a hidden Markov model over the frames of the map.
+
+One frame is often ambiguous, a sequence of them seldom. The hidden state is the row of the map at
+which the camera is, and how fast it moves along it (see `motion.SPEEDS`): it advances by so many
+rows as its speed says, give or take one, seldom changes speed, and now and then jumps anywhere.
+One more state is a place that the map does not have. Not in the paper.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import Literal, NamedTuple, Protocol
+
+import torch
+from torch import Tensor
+
+from .filter import Belief, Filter, updated
+from .motion import Motion
+
+NEAR = 3
+"""Rows on each side of a row that show the same place."""
+
+Mode = Literal["online", "offline"]
+
+
+class Places(NamedTuple):
+    """Where each query is.
+
+    Attributes:
+        scores: ``(Q, top)`` float32, probabilities of the candidates, falling; -inf for none.
+        indices: ``(Q, top)`` int64, rows of the map; -1 for none.
+        near: ``(Q,)`` float32, the probability to be within `NEAR` rows of the first candidate.
+        unmapped: ``(Q,)`` float32, the probability of a place that the map lacks.
+    """
+
+    scores: Tensor
+    indices: Tensor
+    near: Tensor
+    unmapped: Tensor
+
+
+class Scores(Protocol):
+    """``scores[i]``: the ``(R,)`` float scores of query ``i``. A matrix, or what computes it."""
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, query: int, /) -> Tensor: ...
+
+
+@torch.no_grad()
+def follow(
+    scores: Tensor | Scores,
+    sequences: Sequence[str],
+    queries: Sequence[str] | None = None,
+    mode: Mode = "offline",
+    delay: int = 0,
+    top: int = 5,
+    motion: Motion | None = None,
+) -> Places:
+    """Where the queries are, each in the light of its sequence.
+
+    Online a query is judged by those before it, itself and ``delay`` after it (forward
+    algorithm); offline by its whole sequence (forward-backward). Time is linear in the map for
+    each query; memory holds ``2 * sqrt(Q)`` beliefs of 8 numbers a row.
+
+    Args:
+        scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference. Of an
+            empty query all are, and it is placed by its neighbours alone.
+        sequences: the sequence of each row; the rows of one stand together and in order.
+        queries: the sequence of each query likewise; without, all are one.
+        mode: ``"online"`` or ``"offline"``.
+        delay: queries for which an online answer waits.
+        top: candidates of each query.
+        motion: what sequences do.
+
+    Raises:
+        ValueError: the scores do not fit the sequences, or a setting is outside its range.
+
+    Example:
+        >>> scores = torch.eye(30)[10:20]
+        >>> follow(scores, ["drive"] * 30).indices[:, 0].tolist()
+        [10, 11, 12, 13, 14, 15, 16, 17, 18, 19]
+    """
+    if mode not in ("online", "offline"):
+        raise ValueError(f"mode: expected online or offline, got {mode!r}")
+    if delay < 0 or top < 1:
+        raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
+    drives = [""] * len(scores) if queries is None else queries
+    if len(drives) != len(scores):
+        got = len(drives)
+        raise ValueError(f"expected a sequence for each of {len(scores)} queries, got {got}")
+    track = Filter(sequences, motion)
+    ends = NearSums(sequences)
+    found: list[Places] = []
+    first = 0
+    for _, same in itertools.groupby(drives):
+        last = first + len(list(same))
+        part = range(first, last)
+        beliefs = (
+            _offline(track, scores, part)
+            if mode == "offline"
+            else _online(track, scores, part, delay)
+        )
+        found += [ends.places(track.rows(belief), belief.unmapped, top) for belief in beliefs]
+        first = last
+    if not found:
+        none = torch.zeros(0)
+        return Places(none.view(0, top), none.view(0, top).long(), none, none)
+    return Places(*(torch.stack(values) for values in zip(*found, strict=True)))
+
+
+class NearSums:
+    """Candidates of beliefs over the rows of sequences."""
+
+    def __init__(self, sequences: Sequence[str]) -> None:
+        lengths = [len(list(same)) for _, same in itertools.groupby(sequences)]
+        ends = torch.tensor([0, *itertools.accumulate(lengths)])
+        self._starts = ends[:-1].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
+        self._ends = ends[1:].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
+
+    def places(self, rows: Tensor, unmapped: float, top: int) -> Places:
+        """Candidates by falling probability, the first of equals first."""
+        scores, indices = rows.new_full((top,), -torch.inf), torch.full((top,), -1)
+        count = min(top, len(rows))
+        chosen = rows.sort(descending=True, stable=True) if count == len(rows) else rows.topk(count)
+        scores[:count], indices[:count] = chosen.values[:count], chosen.indices[:count]
+        return Places(scores, indices, self.near(rows, int(indices[0])), torch.tensor(unmapped))
+
+    def near(self, rows: Tensor, row: int) -> Tensor:
+        """The probability to be within `NEAR` rows of one, in its sequence."""
+        if row < 0:
+            return torch.tensor(0.0)
+        start = max(row - NEAR, int(self._starts[row]))
+        return rows[start : min(row + NEAR + 1, int(self._ends[row]))].sum()
+
+
+def _online(track: Filter, scores: Tensor | Scores, part: range, delay: int) -> Iterator[Belief]:
+    """Beliefs of one sequence of queries, each in the light of ``delay`` later ones."""
+    track.restart()
+    kept: list[tuple[Belief, Tensor]] = []
+    for query in part:
+        track.step(scores[query])
+        if not delay:
+            yield track.belief
+            continue
+        kept.append((track.belief, track.evidence(scores[query])))
+        if len(kept) > delay:
+            yield _looking_back(track, kept)
+            kept.pop(0)
+    while kept:
+        yield _looking_back(track, kept)
+        kept.pop(0)
+
+
+def _looking_back(track: Filter, kept: Sequence[tuple[Belief, Tensor]]) -> Belief:
+    """The first belief in the light of what the later frames told."""
+    future = track.no_future()
+    for _, told in reversed(kept[1:]):
+        future = track.before(told, future)
+    return _smoothed(kept[0][0], future)
+
+
+def _offline(track: Filter, scores: Tensor | Scores, part: range) -> list[Belief]:
+    """Beliefs of one sequence of queries in the light of all of it.
+
+    Of the forward pass one belief in ``sqrt(Q)`` is kept; the others are computed again.
+    """
+    track.restart()
+    stride = max(1, math.isqrt(len(part)))
+    kept: dict[int, Belief] = {}
+    for query in part:
+        track.step(scores[query])
+        if (query - part.start) % stride == 0:
+            kept[query] = track.belief
+    found: list[Belief] = []
+    future = track.no_future()
+    for start in reversed(range(part.start, part.stop, stride)):
+        stretch = range(start, min(start + stride, part.stop))
+        told = {query: track.evidence(scores[query]) for query in stretch}
+        forward = [kept[start]]
+        for query in stretch[1:]:
+            forward.append(updated(track.predicted(forward[-1]), told[query]))
+        for query, belief in zip(reversed(stretch), reversed(forward), strict=True):
+            found.append(_smoothed(belief, future))
+            future = track.before(told[query], future)
+    return found[::-1]
+
+
+def _smoothed(belief: Belief, future: Belief) -> Belief:
+    mapped, unmapped = belief.mapped * future.mapped, belief.unmapped * future.unmapped
+    total = float(mapped.sum()) + unmapped
+    return Belief(mapped / total, unmapped / total)

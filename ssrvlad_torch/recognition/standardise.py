@@ -1,0 +1,74 @@
+"""Standardise: what all frames of a traverse have in common says nothing of their places.
+
+Schubert, Neubert and Protzel (ICRA 2020) take the mean of each traverse off its descriptors: light,
+season, camera and the mistakes of a network shift the descriptors of a traverse alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .matching import Vectors
+
+
+@torch.no_grad()
+def standardise(
+    descriptors: Vectors, sequences: Sequence[str] | None = None, running: bool = False
+) -> Tensor:
+    """Descriptors less the mean of their traverse, and normalised again.
+
+    Empty frames, whose descriptors are zero, stay zero and count in no mean.
+
+    Args:
+        descriptors: ``(N, D)`` float, or ``(N, S, D)`` of a sweep, whose mean is over all anchors.
+        sequences: the traverse of each frame; without, all are one.
+        running: the mean is over the frames so far, as a live stream knows them. The first frame
+            of a traverse is then left as it is.
+
+    Returns:
+        float32 of the same shape, of length 1 or zero.
+
+    Raises:
+        ValueError: the descriptors are of another shape, or their number is not that of sequences.
+
+    Example:
+        >>> standardise(torch.tensor([[1.0, 0.0], [0.0, 1.0]]))
+        tensor([[ 0.7071, -0.7071],
+                [-0.7071,  0.7071]])
+    """
+    single = F.normalize(torch.as_tensor(descriptors).float(), dim=-1)
+    if single.ndim not in (2, 3):
+        raise ValueError(f"expected descriptors (N, D) or (N, S, D), got {tuple(single.shape)}")
+    names = [""] * len(single) if sequences is None else sequences
+    if len(names) != len(single):
+        raise ValueError(f"expected a sequence for each of {len(single)} frames, got {len(names)}")
+    after = torch.empty_like(single)
+    drives = np.unique(np.asarray(names, str), return_inverse=True)[1]
+    for drive in range(drives.max(initial=-1) + 1):
+        rows = torch.from_numpy(np.flatnonzero(drives == drive))
+        after[rows] = _less_mean(single[rows], running)
+    return after
+
+
+def _less_mean(single: Tensor, running: bool) -> Tensor:
+    flat = single if single.ndim == 3 else single[:, None]
+    counted = flat.any(dim=2).sum(1).double()
+    totals = flat.sum(1).double()
+    if running:
+        counted, totals = counted.cumsum(0), totals.cumsum(0)
+    else:
+        counted, totals = counted.sum(0, keepdim=True), totals.sum(0, keepdim=True)
+    mean = (totals / counted.clamp(min=1)[:, None]).float()[:, None]
+    less = F.normalize(flat - mean, dim=2)
+    first = (flat - mean).abs().amax(dim=2, keepdim=True) <= _ROUNDING
+    less = torch.where(first, flat, less) * flat.any(dim=2, keepdim=True)
+    return less.view_as(single)
+
+
+_ROUNDING = 1e-6
+"""A frame this near to the mean of its traverse is alone in it, or like all others."""

@@ -1,0 +1,104 @@
+"""Sweep: a query described from several anchors, so that a camera that is turned still fits.
+
+References stay one descriptor each, and a reference scores its best anchor. Not in the paper.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .matching import Vectors, _cosines, _unit
+from .motion import nearness
+from .standardise import standardise
+
+COLUMNS = tuple(range(-24, 25, 4))
+"""Anchors of a query: columns of the working grid from the vanishing column."""
+
+
+@torch.no_grad()
+def score(queries: Vectors, references: Vectors) -> Tensor:
+    """``(Q, R)`` float32 cosines (Eq. 4) of queries to all references.
+
+    Args:
+        queries: ``(Q, D)`` float, or ``(Q, S, D)`` of a sweep: each reference scores its best.
+        references: ``(R, D)`` float.
+
+    Returns:
+        -inf for empty references and for empty queries, whose descriptors are zero.
+
+    Raises:
+        ValueError: the shapes do not fit, or values are not finite.
+    """
+    swept = torch.as_tensor(queries)
+    swept = swept[:, None] if swept.ndim == 2 else swept
+    fixed = torch.as_tensor(references)
+    if swept.ndim != 3 or fixed.ndim != 2 or swept.shape[2] != fixed.shape[1]:
+        raise ValueError(
+            "expected queries (Q, D) or (Q, S, D) and references (R, D) of one width D, got "
+            f"{tuple(swept.shape)} and {tuple(fixed.shape)}"
+        )
+    known = _unit(fixed, "references")
+    best: Tensor | None = None
+    for anchor in range(swept.shape[1]):
+        wanted = _unit(swept[:, anchor], "queries")
+        cosines = _cosines(wanted, known)
+        cosines[~wanted.any(dim=1)] = -torch.inf
+        best = cosines if best is None else torch.maximum(best, cosines)
+    assert best is not None
+    return best
+
+
+@torch.no_grad()
+def narrowed(
+    queries: Vectors, references: Vectors, columns: tuple[int, ...] = COLUMNS
+) -> tuple[Tensor, int]:
+    """The sweep of one traverse, as wide as its own scores ask for.
+
+    A wide sweep finds a camera that is turned or moved aside, and costs a little where it is not.
+    That width is taken at which the first candidate is farthest ahead of the best row elsewhere:
+    the mean, over up to `_SAMPLE` queries, of the difference of their nearness. No label is used.
+
+    Args:
+        queries: ``(Q, S, D)`` raw descriptors of one traverse.
+        references: ``(R, D)``, standardised as the queries will be.
+        columns: the S anchors, rising and symmetric about 0.
+
+    Returns:
+        ``(Q, S', D)``, standardised, and the width in columns on each side.
+
+    Raises:
+        ValueError: there are not as many columns as anchors, or none is 0.
+    """
+    swept = torch.as_tensor(queries)
+    if swept.ndim != 3 or swept.shape[1] != len(columns) or 0 not in columns:
+        raise ValueError(
+            f"expected (Q, {len(columns)}, D) for columns {columns}, one of which is 0, "
+            f"got {tuple(swept.shape)}"
+        )
+    widths = sorted({abs(column) for column in columns})
+    chosen, most = swept, -torch.inf
+    width = 0
+    for reach in widths:
+        part = standardise(swept[:, [abs(column) <= reach for column in columns]])
+        ahead = _lead(score(part[:: max(1, len(part) // _SAMPLE)], references))
+        if ahead > most:
+            chosen, most, width = part, ahead, reach
+    return chosen, width
+
+
+_SAMPLE = 200
+_ELSEWHERE = 5
+
+
+def _lead(scores: Tensor) -> float:
+    """How much nearer first candidates are than the best of the rows elsewhere, on average."""
+    told = scores.amax(1).isfinite() if scores.numel() else torch.zeros(0, dtype=torch.bool)
+    if not told.any() or scores.shape[1] <= 2 * _ELSEWHERE + 1:
+        return 0.0
+    near = nearness(scores[told])
+    first = near.argmax(1, keepdim=True)
+    apart = (torch.arange(near.shape[1]) - first).abs()
+    other = near.masked_fill(apart <= _ELSEWHERE, -torch.inf).amax(1)
+    lead = near.amax(1) - other
+    return float(lead[lead.isfinite()].mean()) if lead.isfinite().any() else 0.0

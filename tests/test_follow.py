@@ -1,0 +1,175 @@
+"""`recognition.follow`: the sequence filter against a plain dense one, and what it is for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from ssrvlad_torch.recognition.filter import Filter
+from ssrvlad_torch.recognition.follow import NEAR, follow
+from ssrvlad_torch.recognition.motion import SPEEDS, Motion, evidence
+
+
+def transitions(sequences: list[str], motion: Motion) -> np.ndarray:
+    """The whole transition matrix over (speed, row) and the unmapped state, the last one."""
+    rows, speeds = len(sequences), len(SPEEDS)
+    size = speeds * rows + 1
+    prior = np.array([chance for chance, _ in SPEEDS])
+    enter = np.append(np.repeat(prior, rows) / rows, 0.0)
+    matrix = np.zeros((size, size))
+    for before in range(speeds):
+        for row in range(rows):
+            here = before * rows + row
+            for after, (chance, steps) in enumerate(SPEEDS):
+                turned = motion.change * chance + (1 - motion.change) * (after == before)
+                for step, part in steps.items():
+                    there = row + step
+                    if 0 <= there < rows and sequences[there] == sequences[row]:
+                        matrix[here, after * rows + there] += (1 - motion.jump) * turned * part
+            lost = 1 - matrix[here].sum()
+            matrix[here] += lost * (1 - motion.unmapped) * enter
+            matrix[here, -1] += lost * motion.unmapped
+    matrix[-1] = (1 - motion.stay) * enter
+    matrix[-1, -1] += motion.stay
+    return matrix
+
+
+def plain(scores: Tensor, sequences: list[str], motion: Motion, future: int) -> np.ndarray:
+    """``(Q, R + 1)`` probabilities, each query in the light of ``future`` later ones."""
+    rows, speeds = len(sequences), len(SPEEDS)
+    prior = np.array([chance for chance, _ in SPEEDS])
+    matrix = transitions(sequences, motion)
+    told = [np.append(np.tile(evidence(row, motion).numpy(), speeds), 1.0) for row in scores]
+    start = np.append(np.repeat(prior, rows) / rows * (1 - motion.unmapped), motion.unmapped)
+    forward = [start * told[0]]
+    for each in told[1:]:
+        forward.append((forward[-1] / forward[-1].sum()) @ matrix * each)
+    found = []
+    for query, belief in enumerate(forward):
+        back = np.ones(len(start))
+        for later in reversed(told[query + 1 : query + 1 + future]):
+            back = matrix @ (later * back)
+            back /= back.max()
+        both = belief * back / (belief * back).sum()
+        found.append(np.append(both[:-1].reshape(speeds, rows).sum(0), both[-1]))
+    return np.array(found)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    lengths=st.lists(st.integers(1, 12), min_size=1, max_size=3),
+    queries=st.integers(1, 9),
+    future=st.sampled_from((0, 2, 100)),
+)
+def test_equals_the_plain_model(seed, lengths, queries, future):
+    generator = torch.Generator().manual_seed(seed)
+    sequences = [name for name, n in zip("abc", lengths, strict=False) for _ in range(n)]
+    scores = torch.rand(queries, len(sequences), generator=generator) * 1.2 - 0.3
+    motion = Motion(change=0.1, jump=0.05, unmapped=0.2, stay=0.8, weight=1.0, level=0.5)
+    expected = plain(scores, sequences, motion, future)
+    mode = "offline" if future == 100 else "online"
+    top = len(sequences)
+    found = follow(scores, sequences, mode=mode, delay=future % 100, top=top, motion=motion)
+    got = torch.zeros(queries, top).scatter(1, found.indices, found.scores)
+    np.testing.assert_allclose(got.numpy(), expected[:, :-1], atol=2e-5)
+    np.testing.assert_allclose(found.unmapped.numpy(), expected[:, -1], atol=2e-5)
+
+
+def noisy(track: list[int], rows: int, seed: int = 0, strength: float = 0.25) -> Tensor:
+    """Scores in which the true row stands out only on average."""
+    generator = torch.Generator().manual_seed(seed)
+    scores = torch.rand(len(track), rows, generator=generator) * 0.5
+    scores[range(len(track)), track] += strength
+    return scores
+
+
+TRACKS = {
+    "as fast": list(range(20, 80)),
+    "three times as fast": list(range(10, 160, 3)),
+    "half as fast": [20 + i // 2 for i in range(80)],
+    "backwards": list(range(120, 60, -1)),
+    "with a stop": [*range(20, 50), *[50] * 20, *range(51, 80)],
+    "with a jump": [*range(20, 60), *range(130, 170)],
+}
+
+
+@pytest.mark.parametrize("name", TRACKS)
+def test_follows_where_single_frames_do_not(name):
+    track = torch.tensor(TRACKS[name])
+    scores = noisy(TRACKS[name], 200)
+    single = ((scores.argmax(1) - track).abs() <= NEAR).float().mean()
+    followed = follow(scores, ["map"] * 200).indices[:, 0]
+    assert ((followed - track).abs() <= NEAR).float().mean() > max(0.9, single + 0.1)
+
+
+def test_a_branch_leads_from_one_sequence_into_another():
+    sequences = ["a"] * 100 + ["b"] * 100
+    track = torch.tensor([*range(20, 60), *range(130, 170)])
+    followed = follow(noisy(track.tolist(), 200), sequences).indices[:, 0]
+    assert ((followed - track).abs() <= NEAR).float().mean() > 0.9
+
+
+def test_no_speed_crosses_from_one_sequence_into_the_next():
+    track = Filter(["a"] * 10 + ["b"] * 10, Motion(jump=0.0, change=1.0))
+    scores = torch.zeros(20)
+    scores[9] = 1.0
+    for _ in range(6):
+        track.step(scores)
+    track.belief = track.predicted(track.belief)
+    assert track.rows()[10:].max() < 0.05 < track.rows()[7:10].sum()
+
+
+def test_queries_of_another_sequence_start_anew():
+    scores = noisy(list(range(10, 30)), 60)
+    both = follow(torch.cat((scores, scores)), ["m"] * 60, ["a"] * 20 + ["b"] * 20)
+    once = follow(scores, ["m"] * 60)
+    assert torch.equal(both.indices, torch.cat((once.indices, once.indices)))
+
+
+def test_an_empty_query_is_placed_by_its_neighbours():
+    scores = noisy(list(range(10, 40)), 60, strength=0.6)
+    scores[15] = -torch.inf
+    assert follow(scores, ["m"] * 60).indices[15, 0] == 25
+
+
+def test_a_place_that_the_map_lacks_is_told():
+    generator = torch.Generator().manual_seed(1)
+    scores = torch.rand(60, 200, generator=generator) * 0.5
+    scores[range(30), range(40, 70)] += 0.7
+    found = follow(scores, ["m"] * 200, motion=Motion(weight=1.0, level=3.0))
+    assert found.unmapped[:25].max() < 0.1 and found.unmapped[40:].min() > 0.9
+
+
+def test_a_map_that_grows_is_the_map_that_was_whole():
+    whole, grown = Filter(["a"] * 7 + ["b"] * 5), Filter(["a"] * 4)
+    grown.extend(["a"] * 3)
+    grown.extend(["b"] * 5)
+    grown.restart()
+    for scores in noisy([3, 4, 5, 6], 12):
+        whole.step(scores)
+        grown.step(scores)
+    assert torch.equal(whole.rows(), grown.rows())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"mode": "both"}, "online or offline, got 'both'"),
+        ({"delay": -1}, "a delay from 0"),
+        ({"queries": ["a"]}, "each of 3 queries, got 1"),
+        ({"sequences": ["m"] * 4}, "each of 4 rows, got"),
+    ],
+)
+def test_refuses(arguments, said):
+    with pytest.raises(ValueError, match=said):
+        follow(torch.rand(3, 5), **{"sequences": ["m"] * 5, **arguments})
+
+
+def test_refuses_a_motion_out_of_range():
+    with pytest.raises(ValueError, match="jump: expected a chance"):
+        Motion(jump=1.5)
