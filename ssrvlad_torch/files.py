@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, and the names of folders."""
+"""Files that are written whole or not at all, folders, and errors in one line."""
 
 from __future__ import annotations
 
@@ -56,6 +56,25 @@ def flush(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+def empty_folder(path: Path) -> Path:
+    """A folder without anything in it, made if it is missing.
+
+    Raises:
+        ValueError: something is in it.
+        OSError: it cannot be made.
+    """
+    path.mkdir(parents=True, exist_ok=True)
+    if any(path.iterdir()):
+        raise ValueError(f"{path} is not empty; expected a new or an empty folder")
+    return path
+
+
+def one_line(error: Exception) -> str:
+    """An error in one line that is never empty; of the system's errors, what the system says."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return " ".join(reason.split()) or type(error).__name__
 
 
 def absolute_folder(folder: Path) -> Path:

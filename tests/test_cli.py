@@ -18,6 +18,7 @@ from drives import write_maps, write_photos
 from networks import photo, write_graph
 from PIL import Image
 
+from ssrvlad_torch import __version__
 from ssrvlad_torch.cli.app import app
 from ssrvlad_torch.database.database import Database
 
@@ -38,6 +39,51 @@ def test_every_command_has_help_with_an_example(ssrvlad, command):
     code, out, _ = ssrvlad(*command.split(), "--help")
     assert code == 0
     assert f"Example: ssrvlad {command}" in " ".join(out.split())
+
+
+def test_bare_it_prints_help(ssrvlad):
+    code, out, err = ssrvlad()
+    assert (code, err) == (0, [])
+    assert out.startswith("Usage: ")
+
+
+def test_version(ssrvlad):
+    assert ssrvlad("--version") == (0, f"ssrvlad {__version__}\n", [])
+
+
+@pytest.mark.parametrize("command", ["--help", "encode --help", "db info --help"])
+def test_help_needs_no_torch(command):
+    program = (
+        "import sys\n"
+        "from ssrvlad_torch.cli.main import main\n"
+        "try: main()\n"
+        "finally: sys.exit('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", program, *command.split()], check=False)
+    assert done.returncode == 0
+
+
+def test_debug_shows_the_traceback(ssrvlad):
+    code, _, err = ssrvlad("query", "none", "none", "--debug")
+    assert code == 2
+    assert err[0].startswith("Traceback")
+    assert err[-1].startswith("ssrvlad: ")
+
+
+def test_a_reader_that_has_enough_is_no_error(database, maps):
+    """What `ssrvlad query ... | head -1` does, with a pipe that nobody reads."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "ssrvlad_torch", "query", database, maps]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+def test_a_tour_is_written(ssrvlad, tmp_path):
+    code, out, _ = ssrvlad("city", tmp_path / "town", "--tour", "--frames", 3)
+    assert (code, out) == (0, f"{tmp_path / 'town' / 'tour'}: 3 frames\n")
+    assert len((tmp_path / "town" / "poses.csv").read_text().splitlines()) == 4
 
 
 def test_city_then_encode_then_query_then_evaluate(ssrvlad, tmp_path):
@@ -96,6 +142,9 @@ WRONG_USES = [
     ),
     (f"encode none -o none {CAMVID}", "none does not exist"),
     (f"encode folder -o none {CAMVID}", "folder holds no label maps"),
+    (f"encode jpegs -o none {CAMVID}", "jpegs holds images and no label maps; name the network"),
+    ("city monday", "monday is not empty; expected a new or an empty folder"),
+    ("demo --out monday", "monday is not empty; expected a new or an empty folder"),
     (f"encode monday -o file {CAMVID}", "no database"),
     (f"encode monday -o file/db {CAMVID}", "file"),
     (
@@ -138,6 +187,8 @@ def test_wrong_use_is_one_line_and_exit_code_2(
 ):
     (tmp_path / "truth.json").write_text('{"tuesday/000": []}')
     (tmp_path / "folder").mkdir()
+    (tmp_path / "jpegs").mkdir()
+    Image.new("RGB", (8, 8)).save(tmp_path / "jpegs" / "0.jpg")
     (tmp_path / "file").write_text("no folder")
     write_photos(tmp_path, range(1)).joinpath("000.png").rename(tmp_path / "photo.png")
     write_maps(tmp_path / "short", range(1))

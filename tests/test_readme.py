@@ -120,11 +120,10 @@ def test_the_commands_on_onnx_files(run, photos):
         assert run(line.removeprefix("$ "))
 
 
-@pytest.mark.parametrize("block", range(len(PYTHON)))
-def test_python(block, run, maps, monkeypatch):
+def test_python(run, maps, monkeypatch):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
     monkeypatch.chdir(maps)
-    exec("\n".join(PYTHON[: block + 1]), {})
+    exec("\n".join(PYTHON), {})
 
 
 @pytest.mark.parametrize("command", COMMANDS)

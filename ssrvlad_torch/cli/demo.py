@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,12 +18,11 @@ from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode_to_database, encode_to_memory
 from ..evaluation.ground_truth_files import from_file, of_known
 from ..evaluation.metrics import evaluate
-from ..files import replacing
-from ..recognition.matching import match, temporal_sum
+from ..files import empty_folder, replacing
+from ..recognition.matching import match
 from ..taxonomy import colourise, label_space
 
 LABELS_AS = "cityscapes-trainids"
-TEMPORAL = 0
 PICTURED = 8
 STEPS = 4
 """Rounds of work for each frame: two to render, one to encode, one to query."""
@@ -56,7 +54,7 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     """Renders a city, encodes the reference drive, recognises the query drive, draws the result.
 
     Args:
-        out: gets ``city/``, ``city.ssrdb`` (anew) and ``demo.png``.
+        out: folder, new or empty, that gets ``city/``, ``city.ssrdb`` and ``demo.png``.
         frames: frames of each drive.
         seed: of the city.
         progress: told of the steps that are done, `STEPS` a frame in all.
@@ -64,25 +62,22 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     Raises:
         OSError: ``out`` cannot be written.
     """
-    city = out / "city"
+    city = empty_folder(out) / "city"
     write_city(city, frames=frames, seed=seed, progress=progress)
     head = SSRVLAD(SSRVLADConfig.from_preset("default", labels_as=LABELS_AS))
 
-    if Database.exists(out / "city.ssrdb"):
-        shutil.rmtree(out / "city.ssrdb")
     database = Database.create(out / "city.ssrdb", head.config)
     reference_files = find_label_files([str(city / "reference")])
     query_files = find_label_files([str(city / "query")])
     encode_to_database(head, reference_files, database, progress=progress)
     queries, _ = encode_to_memory(head, query_files, progress=progress)
     references = database.load()
-    summed = temporal_sum(references.descriptors, references.sequences, TEMPORAL)
 
-    scores, rows = match(queries.descriptors, summed, top=10)
+    scores, rows = match(queries.descriptors, references.descriptors, top=10)
     _, truth = of_known(from_file(city / "ground_truth.json", queries.frames, references.frames))
     metrics = evaluate(scores.numpy(), rows.numpy(), truth)
     metrics["references"] = len(references.frames)
-    metrics["fingerprint"] = database.fingerprint
+    metrics |= {"temporal": 0, "fingerprint": database.fingerprint}
 
     recognised = [
         Recognition(query, reference_files[row], float(score), row in matches)

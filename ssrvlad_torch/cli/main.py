@@ -41,8 +41,8 @@ def _run(arguments: list[str], debug: bool) -> int:
     try:
         code: int = app(arguments, standalone_mode=False)
         return code
-    except BrokenPipeError:
-        raise
+    except SystemExit:  # what typer makes of a broken pipe
+        raise BrokenPipeError from None
     except typer.Abort:
         return INTERRUPTED
     except typer.TyperException as error:

@@ -99,7 +99,9 @@ def counts(metrics: Mapping[str, Any]) -> str:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
         whose = f"method {metrics['method']}: encode {encode:.1f} ms, match {match:.1f} ms a query"
     else:
-        whose = f"temporal sum t = {metrics['temporal']}, fingerprint {metrics['fingerprint']}"
+        t = metrics["temporal"]
+        summed = f"temporal sum t = {t}" if t else "no temporal sum"
+        whose = f"{summed}, fingerprint {metrics['fingerprint']}"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
         f"{metrics['references']} references, {whose}"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import os
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -89,7 +91,15 @@ class Source:
         given = self.given
         if self.dataset:
             return self.dataset.label_files(given.every, given.start)
-        return find_label_files(given.paths, given.sequence, given.every, given.start)
+        try:
+            return find_label_files(given.paths, given.sequence, given.every, given.start)
+        except ValueError:
+            if not _any(find_label_files, given.paths) and _any(find_image_files, given.paths):
+                raise ValueError(
+                    f"{' '.join(given.paths)} holds images and no label maps; name the network "
+                    "that labels them with --segmenter"
+                ) from None
+            raise
 
     def image_files(self) -> list[FrameFile]:
         """The frames that are images."""
@@ -153,6 +163,12 @@ def _open_dataset(given: SourceOptions) -> Dataset | None:
         )
     name = None if given.layout == "auto" else given.layout
     return open_dataset(given.paths[0], name, given.labels, given.labels_as)
+
+
+def _any(find: Callable[[list[str]], list[FrameFile]], paths: list[str]) -> bool:
+    with suppress(ValueError):
+        return bool(find(paths))
+    return False
 
 
 def _user_cache() -> Path:

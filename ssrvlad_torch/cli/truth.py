@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from natsort import natsorted
 
-from ..database.frames import natural_key
 from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
@@ -118,7 +118,7 @@ class TrueMatches:
         if self.file and missing:
             note(
                 f"{len(missing)} of the references that {self.file} names are not in the database, "
-                f"the first is {min(missing, key=_natural_order)}"
+                f"the first is {_in_order(missing)[0]}"
             )
         return truth
 
@@ -131,7 +131,7 @@ def counted(
     sequences = {frame.rpartition("/")[0] for frame in ids}
     if dataset:
         ids |= {frame.frame for frame in dataset.frames if frame.sequence in sequences}
-    return tuple(sorted(ids, key=_natural_order))
+    return tuple(_in_order(ids))
 
 
 def _rows(truth: Known, references: Places) -> tuple[Known, Collection[str]]:
@@ -147,6 +147,6 @@ def _rows(truth: Known, references: Places) -> tuple[Known, Collection[str]]:
     return there, missing
 
 
-def _natural_order(frame: str) -> tuple[str, str]:
-    sequence, _, name = frame.rpartition("/")
-    return natural_key(sequence), natural_key(name)
+def _in_order(frames: Iterable[str]) -> list[str]:
+    """By sequence, then by name, each in natural order."""
+    return natsorted(sorted(frames), key=lambda frame: frame.rpartition("/")[::2])

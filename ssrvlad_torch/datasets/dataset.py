@@ -11,7 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from ..database.frames import natural_key
+from natsort import natsorted
+
 from ..taxonomy import label_space
 from .frame_files import FrameFile
 from .label_files import SUFFIXES as LABEL_SUFFIXES
@@ -90,7 +91,7 @@ class Traverse:
         """A traverse of all frames that have an image or a label map, by their names."""
         frames = tuple(
             Frame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
-            for key in sorted({*images, *labels}, key=natural_key)
+            for key in natsorted(sorted({*images, *labels}))
         )
         return cls(name, frames, role)
 
@@ -298,7 +299,7 @@ def folders_in(folder: Path) -> list[Path]:
     """The folders in a folder, sorted as a person would; none if it is no folder."""
     entries = folder.iterdir() if folder.is_dir() else ()
     folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
-    return sorted(folders, key=lambda entry: natural_key(entry.name))
+    return natsorted(sorted(folders), key=lambda entry: entry.name)
 
 
 def shortened(names: Sequence[str], most: int = 8) -> str:

@@ -132,12 +132,6 @@ def is_npy(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 
 
-def one_line(error: Exception) -> str:
-    """An error in one line that is never empty; of the system's errors, what the system says."""
-    reason = getattr(error, "strerror", None) or str(error)
-    return " ".join(reason.split()) or type(error).__name__
-
-
 def _expand(source: str, sequence: str | None, kind: FileKind) -> list[FrameFile]:
     path = Path(source)
     matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]

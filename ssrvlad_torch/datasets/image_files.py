@@ -11,7 +11,8 @@ import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX, open_memmap, write_array
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from .frame_files import FileKind, FrameFile, find_frames, one_line
+from ..files import one_line
+from .frame_files import FileKind, FrameFile, find_frames
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")

@@ -13,8 +13,9 @@ from numpy.lib.format import open_memmap
 from PIL import Image
 from PIL.ImageFile import ImageFile
 
+from ..files import one_line
 from ..taxonomy import LabelSpace
-from .frame_files import FileKind, FrameFile, find_frames, is_npy, one_line
+from .frame_files import FileKind, FrameFile, find_frames, is_npy
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
 _FORMATS = ("PNG", "TIFF", "BMP")

@@ -5,7 +5,8 @@ from __future__ import annotations
 from itertools import islice
 from pathlib import Path
 
-from ..database.frames import natural_key
+from natsort import natsorted
+
 from . import camvid, cityscapes, extended_cmu, folders, robotcar, synthia, vpr_bench
 from .dataset import Dataset, Layout, folders_in, shortened
 
@@ -88,4 +89,4 @@ def _found(root: Path, most: int = 1000) -> str:
         for entry in [*islice(folder.iterdir(), most)] or [Path()]
     ]
     files = [entry.name for entry in islice(root.iterdir(), most) if not entry.is_dir()]
-    return shortened(sorted(inside + files, key=natural_key))
+    return shortened(natsorted(sorted(inside + files)))

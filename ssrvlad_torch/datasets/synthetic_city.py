@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from ..files import replacing
+from ..files import empty_folder, replacing
 from ..taxonomy import label_space, palette
 from .city.blocks import block_sides, standing
 from .city.bodies import Bodies, pack
@@ -183,15 +183,19 @@ def write_city(
     A query traverse whose `spacing` is at most the reference's stays on the mapped stretch.
 
     Args:
-        out: folder, made if missing; files of the same name in it are replaced.
+        out: folder, new or empty.
         frames: frames of each traverse.
         seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
         query: conditions of the query traverse; those of the reference traverse are `REFERENCE`.
         radius: metres (>= 0).
         progress: told of every frame that is written, 1 at a time.
+
+    Raises:
+        ValueError: a value is out of range, or there is something in the folder.
     """
     require(radius >= 0, "radius", radius, "metres >= 0")
-    out, city = Path(out), SyntheticCity(seed)
+    require(frames >= 1, "frames", frames, "at least 1")
+    city, out = SyntheticCity(seed), empty_folder(Path(out))
     files = CityFiles(
         out / "reference", out / "query", out / "poses.csv", out / "ground_truth.json"
     )
@@ -220,7 +224,7 @@ def write_tour(
     The files are as `write_city` writes them.
 
     Args:
-        out: folder, made if missing, that gets ``poses.csv`` and the folder ``tour``.
+        out: folder, new or empty, that gets ``poses.csv`` and the folder ``tour``.
         frames: number of frames; without, the whole tour, about 1100.
         seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
         conditions: of the drive.
@@ -229,7 +233,7 @@ def write_tour(
     Returns:
         the folder of the label PNGs.
     """
-    folder = Path(out) / "tour"
+    folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
     length = sys.maxsize if frames is None else frames
     traverse = city.traverse(length, conditions, size, labels_as, TOUR)

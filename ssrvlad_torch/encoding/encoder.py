@@ -17,10 +17,11 @@ from torch import Tensor
 
 from ..database.database import Database, KnownFrames
 from ..database.frames import FrameRecord, FrameSet
-from ..datasets.frame_files import FrameFile, one_line
+from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..datasets.remote_files import RemoteFile
 from ..descriptor import SSRVLAD
+from ..files import one_line
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
 from .interruption import deferred_interruption

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
+from natsort import natsorted
 
-from ..database.frames import natural_key
 from .outcomes import Rows
 
 _ROUNDING = 1e-9
@@ -111,7 +111,7 @@ def _numbers(frames: set[str]) -> dict[str, int]:
     """Position of each frame in its sequence."""
     counts: dict[str, int] = {}
     numbers = {}
-    for frame in sorted(frames, key=natural_key):
+    for frame in natsorted(sorted(frames)):
         numbers[frame] = counts.get(_sequence(frame), 0)
         counts[_sequence(frame)] = numbers[frame] + 1
     return numbers

@@ -18,9 +18,10 @@ import torch
 from torch import Tensor, nn
 
 from ..class_names import label_space_of_names
-from ..datasets.frame_files import FrameFile, one_line, read_ahead
+from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import Pixels, decode_image, image_bytes
 from ..datasets.label_files import LabelMap
+from ..files import one_line
 from ..taxonomy import LabelSpace, label_space
 from .cache import LARGEST, LabelMapCache
 from .network_outputs import (

@@ -35,6 +35,7 @@ def demo(
 def _print_metrics(metrics: Mapping[str, Any]) -> None:
     from rich.table import Table
 
+    from ..measure import counts
     from ..output import figure, print_table
 
     table = Table("metric", "value")
@@ -43,7 +44,4 @@ def _print_metrics(metrics: Mapping[str, Any]) -> None:
     table.add_row("AUC-PR", figure(metrics["auc_pr"]))
     table.add_row("Recall@100%Precision", figure(metrics["recall_at_100_precision"]))
     print_table(table)
-    print(
-        f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
-        f"{metrics['references']} references, fingerprint {metrics['fingerprint']}"
-    )
+    print(counts(metrics))
