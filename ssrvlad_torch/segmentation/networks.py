@@ -16,7 +16,7 @@ import torch
 import yaml
 from torch import Tensor, nn
 
-from ..datasets.frame_files import one_line
+from ..files import one_line
 from .onnx_network import OnnxNetwork
 from .preparation import SegmenterConfig
 
