@@ -13,9 +13,10 @@ import torch
 
 from ..config import SSRVLADConfig
 from ..database.database import Database, Written
-from ..datasets.frame_files import FrameFile, one_line
+from ..datasets.frame_files import FrameFile
 from ..datasets.remote_files import RemoteFile
 from ..descriptor import SSRVLAD
+from ..files import one_line
 from ..taxonomy import label_space
 from . import encoder as encoding
 from .encoder import Encoded, Progress, Refusal, Summary, encode, encode_to_database
