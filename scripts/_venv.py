@@ -22,7 +22,9 @@ def install(extra: str) -> None:
     if sys.version_info < (3, 11):  # noqa: UP036 - the very thing to find out
         version = sys.version.split()[0]
         sys.exit(f"{Path(sys.argv[0]).name}: wanted Python 3.11 or newer, got {version}")
-    wanted = [ROOT / "pyproject.toml", ROOT / "constraints.txt"]
+    names = ("pyproject.toml", "constraints.txt", "hatch_build.py")
+    core = sorted((ROOT / "ssrvlad_torch" / "native").glob("ssrvlad.*"))
+    wanted = [*(ROOT / name for name in names), *core]
     content = b"".join(file.read_bytes() for file in wanted)
     stamp = VENV / f"installed-{extra}-{hashlib.sha256(content).hexdigest()[:16]}"
     if stamp.exists():

@@ -1,0 +1,99 @@
+"""The native core: the whole method in one C++ file without torch, as an operator of torch.
+
+It is built with the package where a C++ compiler is at hand, and serves label maps in the memory
+of a CPU. Without it, and elsewhere, the stages in torch do the work: the same numbers.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+from functools import cache
+from pathlib import Path
+from typing import NamedTuple
+
+FOLDER = Path(__file__).parent
+
+
+class Settings(ctypes.Structure):
+    """``ssrvlad_settings`` of ssrvlad.h."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_double)
+            for name in (
+                *("opening", "closing", "hole_area", "region_area", "radius", "inner_radius"),
+                *("skeleton_weight", "sharpening", "power"),
+            )
+        ),
+        *(
+            (name, ctypes.c_int32)
+            for name in (
+                *("working_size", "rings", "sectors", "harmonics"),
+                *("thinning", "context", "aggregation", "anchor"),
+            )
+        ),
+    )
+
+
+class Table(ctypes.Structure):
+    """``ssrvlad_table`` of ssrvlad.h."""
+
+    _fields_ = (
+        ("categories", ctypes.c_void_p),
+        ("entries", ctypes.c_int64),
+        ("origin", ctypes.c_int64),
+    )
+
+
+class Labels(ctypes.Structure):
+    """``ssrvlad_labels`` of ssrvlad.h."""
+
+    _fields_ = (
+        ("ids", ctypes.c_void_p),
+        ("bytes", ctypes.c_int32),
+        ("images", ctypes.c_int64),
+        ("height", ctypes.c_int64),
+        ("width", ctypes.c_int64),
+    )
+
+
+class Core(NamedTuple):
+    """The loaded library, or ``None`` and why there is none."""
+
+    library: ctypes.CDLL | None
+    status: str
+
+
+@cache
+def core() -> Core:
+    """The native core. It is refused if the C++ file beside it is not the one it was built from."""
+    path = FOLDER / "libssrvlad.so"
+    try:
+        library = ctypes.CDLL(str(path))
+    except OSError:
+        reason = "cannot be loaded" if path.exists() else "was not built"
+        return Core(None, f"torch, for the native core {reason}")
+    library.ssrvlad_source.restype = ctypes.c_char_p
+    source = b"".join((FOLDER / name).read_bytes() for name in ("ssrvlad.cpp", "ssrvlad.h"))
+    if library.ssrvlad_source().decode() != hashlib.sha256(source).hexdigest():
+        return Core(None, "torch, for the native core is of another version: install again")
+    size, pointer = ctypes.c_int64, ctypes.c_void_p
+    planes = (pointer, size, size, size)
+    library.ssrvlad_new.restype = pointer
+    library.ssrvlad_new.argtypes = [ctypes.POINTER(Settings)]
+    library.ssrvlad_free.argtypes = [pointer]
+    library.ssrvlad_describe.restype = size
+    library.ssrvlad_describe.argtypes = [
+        *(pointer, ctypes.POINTER(Labels), ctypes.POINTER(Table), ctypes.c_int, pointer)
+    ]
+    library.ssrvlad_vote.restype = size
+    library.ssrvlad_vote.argtypes = [
+        *(ctypes.POINTER(Labels), ctypes.POINTER(Table), size, size, pointer)
+    ]
+    library.ssrvlad_open_and_close.argtypes = [*planes, size, size, pointer]
+    library.ssrvlad_fill_holes.argtypes = [*planes, size, pointer]
+    library.ssrvlad_drop_regions.argtypes = [*planes, size, pointer]
+    library.ssrvlad_thin.argtypes = [*planes, ctypes.c_int, pointer]
+    library.ssrvlad_keypoints.argtypes = [*planes, pointer, pointer]
+    return Core(library, "the native core")

@@ -1,0 +1,91 @@
+"""``torch.ops.ssrvlad.describe``: `torch.compile` and `torch.export` see one operator."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import weakref
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from ..config import AGGREGATIONS, ANCHORS, CONTEXTS, THINNINGS, SSRVLADConfig
+from . import Labels, Settings, Table, core
+
+_KEPT_HEADS = 16
+_CHOICES = {
+    "thinning": THINNINGS,
+    "context": CONTEXTS,
+    "aggregation": AGGREGATIONS,
+    "anchor": ANCHORS,
+}
+_READ_AS_THEY_ARE = (torch.uint8, torch.int16, torch.int32, torch.int64)
+
+
+class UnknownIdError(ValueError):
+    """A label map holds an id that the table does not know."""
+
+
+@torch.library.custom_op("ssrvlad::describe", mutates_args=(), device_types="cpu")
+def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
+    """The descriptors of a batch of label maps; torch's threads share the images.
+
+    Args:
+        labels: ``(B, H, W)`` ids, of any integer dtype but uint64.
+        table, origin: from `category_table`.
+        settings: `SSRVLADConfig.to_dict` as JSON.
+
+    Returns:
+        ``(B, D)`` float32.
+
+    Raises:
+        UnknownIdError: an id is not in the table.
+    """
+    head = _head(settings)
+    if labels.dtype not in _READ_AS_THEY_ARE:
+        labels = labels.to(torch.int64)
+    labels, table = labels.contiguous(), table.contiguous()
+    descriptors = torch.empty((len(labels), head.length))
+    found = head.library.ssrvlad_describe(
+        head.handle,
+        Labels(labels.data_ptr(), labels.element_size(), *labels.shape),
+        Table(table.data_ptr(), len(table), origin),
+        torch.get_num_threads(),
+        descriptors.data_ptr(),
+    )
+    if found > 0:
+        raise UnknownIdError(f"{found} pixels of the label maps have ids outside the label space")
+    if found < 0:
+        problem = "not enough memory for" if found == -1 else "the native core does not take"
+        raise RuntimeError(f"{problem} label maps {tuple(labels.shape)}")
+    return descriptors
+
+
+@describe.register_fake
+def _(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
+    length = SSRVLADConfig.from_dict(json.loads(settings)).length
+    return labels.new_empty((labels.shape[0], length), dtype=torch.float32)
+
+
+class _Head:
+    """A head of the library, freed with this object."""
+
+    def __init__(self, config: SSRVLADConfig) -> None:
+        library = core().library
+        if library is None:
+            raise RuntimeError("the native core was not built")
+        self.library, self.length = library, config.length
+        values = {name: getattr(config, name) for name, *_ in Settings._fields_}
+        values.update({name: among.index(values[name]) for name, among in _CHOICES.items()})
+        self.handle = library.ssrvlad_new(
+            Settings(**{**values, "working_size": config.working_size or 0})
+        )
+        if not self.handle:
+            raise RuntimeError("the native core refuses the settings, or memory is short")
+        weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))
+
+
+@lru_cache(maxsize=_KEPT_HEADS)
+def _head(settings: str) -> _Head:
+    return _Head(SSRVLADConfig.from_dict(json.loads(settings)))

@@ -1,0 +1,1431 @@
+// The method in C++17 and nothing else: see ssrvlad.h for what it promises.
+//
+// A layer is a plane of bits, a row of 64-bit words after another, the leftmost pixel in the lowest
+// bit. Every row ends with at least one bit of background, so the bit to the left of a row's first
+// pixel, the last of the row before, is off. Thinning works on tiles of 8 x 8 pixels in a word: a
+// boundary of any direction then touches few words.
+
+#include "ssrvlad.h"
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <list>
+#include <memory>
+#include <mutex>
+#include <new>
+#include <system_error>
+#include <thread>
+#include <vector>
+
+// Loops over many words are compiled for several processors; the loader takes the best.
+#if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
+    !defined(SSRVLAD_ONE_TARGET)
+#define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define SSRVLAD_CLONES
+#endif
+
+#if defined(__GNUC__)
+#define SSRVLAD_INLINE inline __attribute__((always_inline))
+#else
+#define SSRVLAD_INLINE inline
+#endif
+
+namespace {
+
+using Word = std::uint64_t;
+using Size = std::int64_t;
+
+constexpr int LAYERS = SSRVLAD_LAYERS;
+constexpr int KINDS = LAYERS + 1;  // the categories and no layer
+constexpr Word ALL = ~Word{0};
+constexpr Word LEFT = 0x0101010101010101, RIGHT = LEFT << 7, TOP = 0xff, BOTTOM = TOP << 56;
+constexpr Size MOST_PIXELS = Size{1} << 31;
+
+constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
+
+inline int lowest_bit(Word word) {
+#if defined(__GNUC__)
+  return __builtin_ctzll(word);
+#else
+  int bit = 0;
+  while (!(word >> bit & 1)) ++bit;
+  return bit;
+#endif
+}
+
+SSRVLAD_INLINE int count_bits(Word word) {
+  word -= word >> 1 & 0x5555555555555555;
+  word = (word & 0x3333333333333333) + (word >> 2 & 0x3333333333333333);
+  word = (word + (word >> 4)) & 0x0f0f0f0f0f0f0f0f;
+  return static_cast<int>(word * 0x0101010101010101 >> 56);
+}
+
+// ---------------------------------------------------------------------------------- planes of bits
+
+struct Grid {
+  Size height, width, pitch;  // words in a row
+
+  Grid(Size height, Size width) : height(height), width(width), pitch(width / 64 + 1) {}
+  Size words() const { return height * pitch; }
+  // Bits of the image in word `i` of a row.
+  Word inside(Size i) const {
+    return i < width / 64 ? ALL : (Word{1} << width % 64) - 1;
+  }
+};
+
+using Words = std::vector<Word>;
+
+SSRVLAD_INLINE bool any(const Word *words, Size count) {
+  Word seen = 0;
+  for (Size i = 0; i < count; ++i) seen |= words[i];
+  return seen != 0;
+}
+
+void complement(Word *plane, const Grid &grid) {
+  for (Size y = 0; y < grid.height; ++y, plane += grid.pitch)
+    for (Size i = 0; i < grid.pitch; ++i) plane[i] = ~plane[i] & grid.inside(i);
+}
+
+// Bytes whose bit k is layer k -> eight planes, and back.
+Word transposed(Word bits) {  // 8 x 8 bits; Warren, Hacker's Delight, 7-3
+  Word swap = (bits ^ bits >> 7) & 0x00aa00aa00aa00aa;
+  bits ^= swap ^ swap << 7;
+  swap = (bits ^ bits >> 14) & 0x0000cccc0000cccc;
+  bits ^= swap ^ swap << 14;
+  swap = (bits ^ bits >> 28) & 0x00000000f0f0f0f0;
+  return bits ^ swap ^ swap << 28;
+}
+
+void unpack(const std::uint8_t *bytes, const Grid &grid, Word *planes) {
+  for (Size y = 0; y < grid.height; ++y)
+    for (Size i = 0; i < grid.pitch; ++i) {
+      Word found[LAYERS] = {};
+      for (Size x = i * 64; x < std::min(grid.width, i * 64 + 64); x += 8) {
+        Word eight = 0;
+        const Size count = std::min<Size>(8, grid.width - x);
+        for (Size j = 0; j < count; ++j) eight |= Word{bytes[y * grid.width + x + j]} << 8 * j;
+        if (!eight) continue;
+        eight = transposed(eight);
+        for (int k = 0; k < LAYERS; ++k) found[k] |= (eight >> 8 * k & 255) << x % 64;
+      }
+      for (int k = 0; k < LAYERS; ++k) planes[k * grid.words() + y * grid.pitch + i] = found[k];
+    }
+}
+
+void pack(const Word *planes, const Grid &grid, std::uint8_t *bytes) {
+  for (Size y = 0; y < grid.height; ++y)
+    for (Size x = 0; x < grid.width; x += 8) {
+      Word eight = 0;
+      for (int k = 0; k < LAYERS; ++k) {
+        const Word word = planes[k * grid.words() + y * grid.pitch + x / 64];
+        eight |= (word >> x % 64 & 255) << 8 * k;
+      }
+      eight = transposed(eight);
+      const Size count = std::min<Size>(8, grid.width - x);
+      for (Size j = 0; j < count; ++j)
+        bytes[y * grid.width + x + j] = static_cast<std::uint8_t>(eight >> 8 * j);
+    }
+}
+
+// ------------------------------------------------------------- label ids -> categories (Table II)
+
+// What a pixel of each id counts as; ids beyond the table are its first or last entry, unknown.
+template <class Entry>
+class Lookup {
+ public:
+  template <class Meaning>
+  Lookup(const ssrvlad_table &table, Meaning meaning)
+      : origin_(table.origin), entries_(static_cast<std::size_t>(table.entries + 2)) {
+    entries_.front() = entries_.back() = meaning(SSRVLAD_UNKNOWN);
+    for (Size i = 0; i < table.entries; ++i)
+      entries_[static_cast<std::size_t>(i + 1)] = meaning(table.categories[i]);
+    for (Size id = 0; id < 256; ++id) bytes_[static_cast<std::size_t>(id)] = entries_[place(id)];
+  }
+  SSRVLAD_INLINE Entry operator[](std::uint8_t id) const { return bytes_[id]; }
+  SSRVLAD_INLINE Entry operator[](Size id) const { return entries_[place(id)]; }
+
+ private:
+  std::size_t place(Size id) const {
+    const Size last = static_cast<Size>(entries_.size()) - 1;
+    const Size within = std::max(-origin_ - 1, std::min(id, last - 1 - origin_));
+    return static_cast<std::size_t>(within + origin_ + 1);
+  }
+  Size origin_;
+  std::vector<Entry> entries_;
+  std::array<Entry, 256> bytes_;
+};
+
+SSRVLAD_INLINE bool eight_alike(const std::uint8_t *ids) {
+  Word eight;
+  std::memcpy(&eight, ids, 8);
+  return eight == *ids * LEFT;
+}
+template <class Id>
+SSRVLAD_INLINE bool eight_alike(const Id *) {
+  return false;
+}
+
+template <class Id>
+SSRVLAD_INLINE auto as_id(Id id) {
+  if constexpr (sizeof(Id) == 1) return static_cast<std::uint8_t>(id);
+  else return static_cast<Size>(id);
+}
+
+// Pixels of each category share a word while it is counted, 7 bits each; the highest bit: unknown.
+constexpr int BALLOT_BITS = 7, MOST_BALLOTS = (1 << BALLOT_BITS) - 1;
+constexpr Word UNKNOWN_BALLOT = Word{1} << 63;
+
+Word ballot_of(std::uint8_t category) {
+  return category < KINDS ? Word{1} << BALLOT_BITS * category : UNKNOWN_BALLOT;
+}
+
+int winner(Word ballots, const std::array<Word, KINDS> &counted) {
+  int best = 0;
+  Word most = 0;
+  for (int kind = 0; kind < KINDS; ++kind) {
+    const Word votes = counted[static_cast<std::size_t>(kind)] +
+                       (ballots >> BALLOT_BITS * kind & MOST_BALLOTS);
+    if (votes > most) most = votes, best = kind;
+  }
+  return best;
+}
+
+// Whether every pixel of a cell has the id of its first.
+SSRVLAD_INLINE bool alike(const std::uint8_t *ids, Size pitch, Size rows, Size columns) {
+  if (columns < 8) return false;  // the votes are as soon counted
+  const Word first = *ids * LEFT;
+  Word other = 0, eight;
+  for (Size y = 0; y < rows; ++y, ids += pitch)
+    for (Size x = 0; x < columns; x += 8) {
+      std::memcpy(&eight, ids + std::min(x, columns - 8), 8);
+      other |= eight ^ first;
+    }
+  return !other;
+}
+template <class Id>
+SSRVLAD_INLINE bool alike(const Id *ids, Size pitch, Size rows, Size columns) {
+  Id other = 0;
+  const Id first = *ids;
+  for (Size y = 0; y < rows; ++y, ids += pitch)
+    for (Size x = 0; x < columns; ++x) other = static_cast<Id>(other | (ids[x] ^ first));
+  return !other;
+}
+
+// The commonest category of a cell, the lowest of equally common ones; `seen` gathers ballots.
+template <class Id>
+int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup<Word> &lookup,
+                Word &seen) {
+  if (alike(ids, pitch, rows, columns)) {
+    const Word ballot = lookup[as_id(*ids)];
+    seen |= ballot;
+    return std::min(lowest_bit(ballot) / BALLOT_BITS, KINDS - 1);
+  }
+  std::array<Word, KINDS> counted{};
+  Word ballots = 0;
+  Size pending = 0;
+  for (Size y = 0; y < rows; ++y, ids += pitch)
+    for (Size x = 0; x < columns;) {
+      const Size end = x + std::min(columns - x, MOST_BALLOTS - pending);
+      pending += end - x;
+      for (; x < end; ++x) {
+        const Word ballot = lookup[as_id(ids[x])];
+        ballots += ballot, seen |= ballot;
+      }
+      if (pending < MOST_BALLOTS) continue;
+      for (int kind = 0; kind < KINDS; ++kind)
+        counted[static_cast<std::size_t>(kind)] += ballots >> BALLOT_BITS * kind & MOST_BALLOTS;
+      ballots = 0, pending = 0;
+    }
+  return winner(ballots, counted);
+}
+
+// The first pixel of each cell of a line, and the end of the last: pixel i is in i * cells / pixels.
+std::vector<Size> cell_bounds(Size pixels, Size cells) {
+  std::vector<Size> bounds;
+  for (Size cell = 0; cell <= cells; ++cell) bounds.push_back((cell * pixels + cells - 1) / cells);
+  return bounds;
+}
+
+// The category of every cell. False if an id is unknown.
+template <class Id>
+bool vote(const Id *ids, Size height, Size width, const Lookup<Word> &lookup, Size rows,
+          Size columns, std::uint8_t *categories) {
+  Word seen = 0;
+  const std::vector<Size> tops = cell_bounds(height, rows), lefts = cell_bounds(width, columns);
+  for (std::size_t row = 0; row + 1 < tops.size(); ++row)
+    for (std::size_t column = 0; column + 1 < lefts.size(); ++column) {
+      const Size top = tops[row], left = lefts[column];
+      *categories++ = static_cast<std::uint8_t>(
+          cell_winner(ids + top * width + left, width, tops[row + 1] - top,
+                      lefts[column + 1] - left, lookup, seen));
+    }
+  return !(seen & UNKNOWN_BALLOT);
+}
+
+// The layers as planes of bits. An entry of the lookup has the bit of its layer, an unknown one bit 8.
+constexpr std::uint16_t UNKNOWN_LAYER = 256;
+
+std::uint16_t layer_of(std::uint8_t category) {
+  if (category > LAYERS) return UNKNOWN_LAYER;
+  return static_cast<std::uint16_t>(category < LAYERS ? 1 << category : 0);
+}
+
+template <class Id>
+bool split(const Id *ids, const Grid &grid, const Lookup<std::uint16_t> &lookup, Word *planes) {
+  unsigned seen = 0;
+  for (Size y = 0; y < grid.height; ++y, ids += grid.width)
+    for (Size i = 0; i < grid.pitch; ++i) {
+      Word found[LAYERS] = {};
+      const Size end = std::min(grid.width, i * 64 + 64);
+      Size x = i * 64;
+      for (; x + 8 <= end; x += 8) {
+        if (eight_alike(ids + x)) {
+          const unsigned layer = lookup[as_id(ids[x])];
+          seen |= layer;
+          if (layer & 255) found[lowest_bit(layer)] |= Word{255} << x % 64;
+          continue;
+        }
+        Word eight = 0;
+        for (int j = 0; j < 8; ++j) {
+          const unsigned layer = lookup[as_id(ids[x + j])];
+          seen |= layer, eight |= Word{layer & 255} << 8 * j;
+        }
+        eight = transposed(eight);
+        for (int k = 0; k < LAYERS; ++k) found[k] |= (eight >> 8 * k & 255) << x % 64;
+      }
+      for (; x < end; ++x) {
+        const unsigned layer = lookup[as_id(ids[x])];
+        seen |= layer;
+        if (layer & 255) found[lowest_bit(layer)] |= Word{1} << x % 64;
+      }
+      for (int k = 0; k < LAYERS; ++k) planes[k * grid.words() + y * grid.pitch + i] = found[k];
+    }
+  return !(seen & UNKNOWN_LAYER);
+}
+
+// ------------------------------------------------------------------------------------- morphology
+
+// words[i] |= what stands `whole` words and `bits` bits after it.
+SSRVLAD_CLONES void or_later(Word *words, Size count, Size whole, int bits) {
+  const Word *later = words + whole;
+  if (bits == 0)
+    for (Size i = 0; i < count; ++i) words[i] |= later[i];
+  else
+    for (Size i = 0; i < count; ++i) words[i] |= later[i] >> bits | later[i + 1] << (64 - bits);
+}
+
+// Calls `spread` with steps that double the reach of a running OR up to `2 * radius + 1` pixels.
+template <class Spread>
+void by_doubling(Size radius, Spread spread) {
+  for (Size reach = 1, step; reach < 2 * radius + 1; reach += step) {
+    step = std::min(reach, 2 * radius + 1 - reach);
+    spread(step);
+  }
+}
+
+// Dilation by a square. The plane is moved `radius` rows down and pixels right in a larger one, so
+// that the window of a pixel begins at it.
+void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
+  radius = std::min(radius, std::max(grid.height, grid.width));  // farther there is nothing
+  const Size pitch = grid.pitch + 2 * radius / 64 + 1, rows = grid.height + 2 * radius;
+  const Size total = rows * pitch, whole = radius / 64;
+  const int bits = static_cast<int>(radius % 64);
+  larger.assign(static_cast<std::size_t>(total + 2 * pitch), 0);
+  for (Size y = 0; y < grid.height; ++y) {
+    const Word *row = plane + y * grid.pitch;
+    Word *moved = larger.data() + (y + radius) * pitch + whole;
+    for (Size i = 0; i < grid.pitch; ++i) {
+      moved[i] |= row[i] << bits;
+      if (bits) moved[i + 1] |= row[i] >> (64 - bits);
+    }
+  }
+  by_doubling(radius, [&](Size step) {
+    or_later(larger.data(), total, step / 64, static_cast<int>(step % 64));
+  });
+  by_doubling(radius, [&](Size step) {
+    or_later(larger.data(), total - step * pitch, step * pitch, 0);
+  });
+  for (Size y = 0; y < grid.height; ++y)
+    for (Size i = 0; i < grid.pitch; ++i)
+      plane[y * grid.pitch + i] = larger[static_cast<std::size_t>(y * pitch + i)] & grid.inside(i);
+}
+
+void erode(Word *plane, const Grid &grid, Size radius, Words &buffer) {
+  complement(plane, grid);
+  dilate(plane, grid, radius, buffer);
+  complement(plane, grid);
+}
+
+void open_and_close(Word *plane, const Grid &grid, Size opening, Size closing, Words &buffer) {
+  if (opening > 0) {
+    erode(plane, grid, opening, buffer);
+    dilate(plane, grid, opening, buffer);
+  }
+  if (closing > 0) {
+    dilate(plane, grid, closing, buffer);
+    erode(plane, grid, closing, buffer);
+  }
+}
+
+// -------------------------------------------------------------------------------------- components
+
+// Horizontal runs of a plane and the region of each: union-find, the lowest run being the root.
+class Regions {
+ public:
+  // Regions of what is on, or of what is off; `diagonal`: pixels that touch at a corner are joined.
+  void find(const Word *plane, const Grid &grid, bool of_background, bool diagonal) {
+    count_ = 0;
+    rows_.resize(static_cast<std::size_t>(grid.height + 1));
+    Size above = 0;
+    for (Size y = 0; y < grid.height; ++y, plane += grid.pitch) {
+      const Size here = count_;
+      rows_[static_cast<std::size_t>(y)] = here;
+      add_row(plane, grid, of_background);
+      join(above, here, diagonal);
+      above = here;
+    }
+    rows_.back() = count_;
+    for (Size i = 0; i < count_; ++i) runs_[i].region = runs_[runs_[i].region].region;
+  }
+
+  // Clears or sets the runs of regions of fewer than `area` pixels; a run at the border of the image
+  // counts `area` more if `enclosed` regions only are meant.
+  void paint_small(Word *plane, const Grid &grid, Size area, bool enclosed, bool on) {
+    for (Size i = 0; i < count_; ++i) runs_[i].size = 0;
+    for (Size y = 0; y < grid.height; ++y)
+      for (Size i = begin(y); i < begin(y + 1); ++i) {
+        const Run &run = runs_[i];
+        const bool border =
+            y == 0 || y == grid.height - 1 || run.first == 0 || run.end == grid.width;
+        runs_[run.region].size += run.end - run.first + (enclosed && border ? area : 0);
+      }
+    for (Size y = 0; y < grid.height; ++y, plane += grid.pitch)
+      for (Size i = begin(y); i < begin(y + 1); ++i)
+        if (runs_[runs_[i].region].size < area) paint(plane, runs_[i].first, runs_[i].end, on);
+  }
+
+ private:
+  struct Run {
+    std::int32_t first, end;
+    std::int32_t region;
+    Size size;  // of the region, at its root
+  };
+
+  Size begin(Size y) const { return rows_[static_cast<std::size_t>(y)]; }
+
+  void add_row(const Word *row, const Grid &grid, bool of_background) {
+    const Size most = count_ + grid.width / 2 + 1;
+    if (most > capacity_) {
+      capacity_ = 2 * most;
+      std::unique_ptr<Run[]> more(new Run[static_cast<std::size_t>(capacity_)]);
+      std::copy(runs_.get(), runs_.get() + count_, more.get());
+      runs_ = std::move(more);
+    }
+    Word before = 0;
+    Run *run = runs_.get() + count_;
+    bool open = false;
+    for (Size i = 0; i < grid.pitch; ++i) {
+      const Word word = of_background ? ~row[i] & grid.inside(i) : row[i];
+      Word steps = word ^ (word << 1 | before);
+      before = word >> 63;
+      for (; steps; steps &= steps - 1) {
+        const auto x = static_cast<std::int32_t>(i * 64 + lowest_bit(steps));
+        if (!open) {
+          run->first = x;
+          run->region = static_cast<std::int32_t>(run - runs_.get());
+        } else {
+          (run++)->end = x;
+        }
+        open = !open;
+      }
+    }
+    count_ = run - runs_.get();
+  }
+
+  std::int32_t root(std::int32_t run) {
+    while (runs_[run].region != run) run = runs_[run].region = runs_[runs_[run].region].region;
+    return run;
+  }
+
+  void join(Size above, Size here, bool diagonal) {
+    const std::int32_t reach = diagonal ? 1 : 0;
+    const Size end = here;
+    for (Size i = here; i < count_; ++i) {
+      const Run run = runs_[i];
+      while (above < end && runs_[above].end + reach <= run.first) ++above;
+      for (Size j = above; j < end && runs_[j].first < run.end + reach; ++j) {
+        const std::int32_t one = root(static_cast<std::int32_t>(i));
+        const std::int32_t other = root(static_cast<std::int32_t>(j));
+        runs_[std::max(one, other)].region = std::min(one, other);
+      }
+    }
+  }
+
+  static void paint(Word *row, Size first, Size end, bool on) {
+    for (Size i = first / 64; i <= (end - 1) / 64; ++i) {
+      Word bits = ALL;
+      if (i == first / 64) bits &= ALL << first % 64;
+      if (i == (end - 1) / 64) bits &= ALL >> (63 - (end - 1) % 64);
+      row[i] = on ? row[i] | bits : row[i] & ~bits;
+    }
+  }
+
+  std::unique_ptr<Run[]> runs_;
+  Size count_ = 0, capacity_ = 0;
+  std::vector<Size> rows_;
+};
+
+void fill_holes(Word *plane, const Grid &grid, Size area, Regions &regions) {
+  if (area <= 1) return;
+  regions.find(plane, grid, true, false);
+  regions.paint_small(plane, grid, area, true, true);
+}
+
+void drop_regions(Word *plane, const Grid &grid, Size area, Regions &regions) {
+  if (area <= 1) return;
+  regions.find(plane, grid, false, true);
+  regions.paint_small(plane, grid, area, false, false);
+}
+
+// ------------------------------------------------------------------------------------------- tiles
+
+// A plane as tiles: pixel (y, x) of a tile is bit 8 * y + x. A tile of background ends each row, and
+// rows of them lie above and below.
+struct Tiles {
+  Size rows = 0, columns = 0, pitch = 0;
+  Words words;
+
+  void shape_for(const Grid &grid) {
+    rows = (grid.height + 7) / 8, columns = (grid.width + 7) / 8, pitch = columns + 1;
+    words.assign(static_cast<std::size_t>((rows + 2) * pitch + 2), 0);
+  }
+  Size first(Size row) const { return (row + 1) * pitch + 1; }
+};
+
+// Rows of eight words <-> eight tiles: the bytes of an 8 x 8 square change places. Its own inverse.
+void transpose_bytes(Word square[8]) {
+  for (int step = 4; step; step /= 2) {
+    const int bits = 8 * step;
+    const Word low = step == 4 ? 0x00000000ffffffff
+                               : step == 2 ? 0x0000ffff0000ffff : 0x00ff00ff00ff00ff;
+    for (int i = 0; i < 8; ++i) {
+      if (i & step) continue;
+      const Word swap = (square[i] >> bits ^ square[i + step]) & low;
+      square[i + step] ^= swap, square[i] ^= swap << bits;
+    }
+  }
+}
+
+void to_tiles(const Word *plane, const Grid &grid, Tiles &tiles) {
+  tiles.shape_for(grid);
+  for (Size row = 0; row < tiles.rows; ++row)
+    for (Size i = 0; i < grid.pitch; ++i) {
+      Word square[8] = {}, seen = 0;
+      const Size lines = std::min<Size>(8, grid.height - 8 * row);
+      for (Size y = 0; y < lines; ++y) seen |= square[y] = plane[(8 * row + y) * grid.pitch + i];
+      if (!seen) continue;
+      transpose_bytes(square);
+      const Size count = std::min<Size>(8, tiles.columns - 8 * i);
+      std::copy(square, square + count, &tiles.words[static_cast<std::size_t>(tiles.first(row) + 8 * i)]);
+    }
+}
+
+void from_tiles(const Tiles &tiles, const Grid &grid, Word *plane) {
+  for (Size row = 0; row < tiles.rows; ++row)
+    for (Size i = 0; i < grid.pitch; ++i) {
+      Word square[8] = {};
+      const Size count = std::min<Size>(8, tiles.columns - 8 * i);
+      const Word *from = &tiles.words[static_cast<std::size_t>(tiles.first(row) + 8 * i)];
+      if (count > 0) std::copy(from, from + count, square);
+      transpose_bytes(square);
+      const Size lines = std::min<Size>(8, grid.height - 8 * row);
+      for (Size y = 0; y < lines; ++y) plane[(8 * row + y) * grid.pitch + i] = square[y];
+    }
+}
+
+// The eight neighbours of the pixels of a tile, p2 ... p9 of the thinning papers.
+struct Ring {
+  Word n, ne, e, se, s, sw, w, nw;
+};
+
+// From a tile and the eight around it, in reading order.
+SSRVLAD_INLINE Ring ring_of(Word a, Word b, Word c, Word d, Word here, Word f, Word g, Word h,
+                            Word i) {
+  const auto west = [](Word left, Word middle) {
+    return (middle & ~RIGHT) << 1 | (left & RIGHT) >> 7;
+  };
+  const auto east = [](Word middle, Word right) {
+    return (middle & ~LEFT) >> 1 | (right & LEFT) << 7;
+  };
+  const Word north_of_left = d << 8 | a >> 56, north = here << 8 | b >> 56;
+  const Word north_of_right = f << 8 | c >> 56;
+  const Word south_of_left = d >> 8 | g << 56, south = here >> 8 | h << 56;
+  const Word south_of_right = f >> 8 | i << 56;
+  return {north,           east(north, north_of_right), east(here, f), east(south, south_of_right),
+          south,           west(south_of_left, south),  west(d, here), west(north_of_left, north)};
+}
+
+Ring ring_at(const Word *tile, Size pitch) {
+  return ring_of(tile[-pitch - 1], tile[-pitch], tile[-pitch + 1], tile[-1], tile[0], tile[1],
+                 tile[pitch - 1], tile[pitch], tile[pitch + 1]);
+}
+
+// The 0 -> 1 steps around a pixel in four planes; there is at most one in a quarter.
+struct Steps {
+  Word a, b, c, d;
+};
+
+SSRVLAD_INLINE Steps steps_around(const Ring &r) {
+  return {(r.ne | r.e) & ~(r.n & r.ne), (r.se | r.s) & ~(r.e & r.se),
+          (r.sw | r.w) & ~(r.s & r.sw), (r.nw | r.n) & ~(r.w & r.nw)};
+}
+
+SSRVLAD_INLINE Word exactly_one(Word a, Word b, Word c, Word d) {
+  return (a | b | c | d) & ~((a & b) | (c & d) | ((a | b) & (c | d)));
+}
+
+SSRVLAD_INLINE Word two_or_more(Word a, Word b, Word c, Word d) {
+  return (a & b) | (c & d) | ((a | b) & (c | d));
+}
+
+// ---------------------------------------------------------------------------------------- thinning
+
+// Pixels that a sub-iteration of Zhang & Suen, CACM 27(3), 1984, deletes: A = 1, 2 <= B <= 6 and two
+// products that are zero. Why B need not be counted: stages/skeleton.py.
+template <bool FIRST>
+SSRVLAD_INLINE Word zhang_suen(Word here, const Ring &r) {
+  const Steps s = steps_around(r);
+  const Word north_west = r.n | r.w, south_east = r.e | r.s;
+  const Word two_on = (north_west | south_east) & (r.ne | r.se | r.sw | r.nw);
+  const Word kept = FIRST ? r.e & r.s & north_west : r.n & r.w & south_east;
+  const Word seven_on = FIRST ? r.se & ((r.ne & ~r.e) | (r.sw & ~r.s))
+                              : r.nw & ((r.sw & ~r.w) | (r.ne & ~r.n));
+  return here & exactly_one(s.a, s.b, s.c, s.d) & two_on & ~(kept | seven_on);
+}
+
+// Likewise for algorithm A1 of Guo & Hall, CACM 32(3), 1989: C = 1, 2 <= N <= 3 and a product.
+template <bool FIRST>
+SSRVLAD_INLINE Word guo_hall(Word here, const Ring &r) {
+  const Word one_group = exactly_one(~r.n & (r.ne | r.e), ~r.e & (r.se | r.s),
+                                     ~r.s & (r.sw | r.w), ~r.w & (r.nw | r.n));
+  const Word a = r.nw | r.n, b = r.ne | r.e, c = r.se | r.s, d = r.sw | r.w;
+  const Word e = r.n | r.ne, f = r.e | r.se, g = r.s | r.sw, h = r.w | r.nw;
+  const Word two_at_least = two_or_more(a, b, c, d) & two_or_more(e, f, g, h);
+  const Word three_at_most = ~((a & b & c & d) & (e & f & g & h));
+  const Word kept = FIRST ? (r.n | r.ne | ~r.se) & r.e : (r.s | r.sw | ~r.nw) & r.w;
+  return here & one_group & two_at_least & three_at_most & ~kept;
+}
+
+constexpr Size BLOCK = 128;
+using Block = std::array<std::array<Word, BLOCK>, 9>;
+
+template <class Rule>
+SSRVLAD_INLINE void delete_from(const Block &t, Word *gone, Rule rule) {
+  for (std::size_t i = 0; i < BLOCK; ++i)
+    gone[i] = rule(t[4][i], ring_of(t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i],
+                                    t[7][i], t[8][i]));
+}
+
+SSRVLAD_CLONES void delete_pixels(const Block &around, int thinning, bool first, Word *gone) {
+  if (thinning == SSRVLAD_ZHANG_SUEN) {
+    if (first) delete_from(around, gone, zhang_suen<true>);
+    else delete_from(around, gone, zhang_suen<false>);
+  } else {
+    if (first) delete_from(around, gone, guo_hall<true>);
+    else delete_from(around, gone, guo_hall<false>);
+  }
+}
+
+// Thins tiles until nothing changes. A sub-iteration looks only at tiles whose pixels, or pixels
+// beside them, changed since the one of its kind before: in the two sub-iterations before it.
+class Thinning {
+ public:
+  void thin(Tiles &tiles, int thinning) {
+    start(tiles);
+    for (int kind = 0; due_[0].count + due_[1].count; kind ^= 1) {
+      std::swap(due_[kind], now_);
+      due_[kind].count = 0;
+      for (Size i = 0; i < now_.count; ++i) waiting_[now_[i]] &= static_cast<std::uint8_t>(~(1 << kind));
+      for (Size i = 0; i < now_.count; i += BLOCK) look_at(tiles, i, thinning, kind == 0);
+      for (Size i = 0; i < now_.count; ++i)
+        if (gone_[static_cast<std::size_t>(i)]) take(tiles, now_[i], gone_[static_cast<std::size_t>(i)]);
+    }
+  }
+
+ private:
+  struct Places {
+    std::vector<std::uint32_t> places;
+    Size count = 0;
+    Size operator[](Size i) const { return places[static_cast<std::size_t>(i)]; }
+  };
+
+  // Due at first: what is on, but for tiles that are full and have full tiles around.
+  void start(const Tiles &tiles) {
+    const std::size_t total = tiles.words.size();
+    waiting_.assign(total, 0);
+    gone_.resize(total + BLOCK);
+    for (Places *list : {&due_[0], &due_[1], &now_}) list->places.resize(total + 1), list->count = 0;
+    const Size pitch = tiles.pitch;
+    for (Size row = 0; row < tiles.rows; ++row)
+      for (Size i = tiles.first(row); i < tiles.first(row) + tiles.columns; ++i) {
+        const Word *tile = &tiles.words[static_cast<std::size_t>(i)];
+        if (!*tile) continue;
+        const bool full = (tile[-pitch - 1] & tile[-pitch] & tile[-pitch + 1] & tile[-1] & tile[0] &
+                           tile[1] & tile[pitch - 1] & tile[pitch] & tile[pitch + 1]) == ALL;
+        if (!full) call(tiles, i);
+      }
+  }
+
+  SSRVLAD_INLINE void call(const Tiles &tiles, Size place) {
+    if (!tiles.words[static_cast<std::size_t>(place)]) return;
+    const unsigned missing = 3u & ~waiting_[static_cast<std::size_t>(place)];
+    waiting_[static_cast<std::size_t>(place)] = 3;
+    due_[0].places[static_cast<std::size_t>(due_[0].count)] = static_cast<std::uint32_t>(place);
+    due_[0].count += missing & 1;
+    due_[1].places[static_cast<std::size_t>(due_[1].count)] = static_cast<std::uint32_t>(place);
+    due_[1].count += missing >> 1;
+  }
+
+  void look_at(const Tiles &tiles, Size from, int thinning, bool first) {
+    const Size count = std::min(BLOCK, now_.count - from), pitch = tiles.pitch;
+    const Word *words = tiles.words.data();
+    for (Size i = 0; i < count; ++i) {
+      const Word *tile = words + now_[from + i];
+      const auto at = static_cast<std::size_t>(i);
+      block_[0][at] = tile[-pitch - 1], block_[1][at] = tile[-pitch];
+      block_[2][at] = tile[-pitch + 1], block_[3][at] = tile[-1];
+      block_[4][at] = tile[0], block_[5][at] = tile[1];
+      block_[6][at] = tile[pitch - 1], block_[7][at] = tile[pitch];
+      block_[8][at] = tile[pitch + 1];
+    }
+    delete_pixels(block_, thinning, first, &gone_[static_cast<std::size_t>(from)]);
+  }
+
+  void take(Tiles &tiles, Size place, Word gone) {
+    tiles.words[static_cast<std::size_t>(place)] &= ~gone;
+    const Size above = place - tiles.pitch, below = place + tiles.pitch;
+    call(tiles, place);
+    if (gone & TOP) call(tiles, above);
+    if (gone & BOTTOM) call(tiles, below);
+    if (gone & LEFT) {
+      call(tiles, place - 1);
+      if (gone & LEFT & TOP) call(tiles, above - 1);
+      if (gone & LEFT & BOTTOM) call(tiles, below - 1);
+    }
+    if (gone & RIGHT) {
+      call(tiles, place + 1);
+      if (gone & RIGHT & TOP) call(tiles, above + 1);
+      if (gone & RIGHT & BOTTOM) call(tiles, below + 1);
+    }
+  }
+
+  Places due_[2], now_;
+  std::vector<std::uint8_t> waiting_;  // bit 0, bit 1: due in the next first, second sub-iteration
+  Words gone_;
+  Block block_{};
+};
+
+// --------------------------------------------------------------------------------------- keypoints
+
+// End points have at most one neighbour. Intersections have three steps around them or more, and none
+// such W, NW, N or NE of them.
+void keypoints(const Tiles &skeleton, Tiles &ends, Tiles &crossings, Tiles &buffer) {
+  const auto like = [&](Tiles &tiles) {
+    tiles.rows = skeleton.rows, tiles.columns = skeleton.columns, tiles.pitch = skeleton.pitch;
+    tiles.words.assign(skeleton.words.size(), 0);
+  };
+  like(ends), like(crossings), like(buffer);
+  const auto each = [&](const Tiles &of, auto visit) {
+    for (Size row = 0; row < of.rows; ++row)
+      for (Size i = of.first(row); i < of.first(row) + of.columns; ++i)
+        if (of.words[static_cast<std::size_t>(i)]) visit(static_cast<std::size_t>(i));
+  };
+  each(skeleton, [&](std::size_t i) {
+    const Ring r = ring_at(&skeleton.words[i], skeleton.pitch);
+    Word seen = 0, again = 0;
+    for (const Word beside : {r.n, r.ne, r.e, r.se, r.s, r.sw, r.w, r.nw})
+      again |= seen & beside, seen |= beside;
+    ends.words[i] = skeleton.words[i] & ~again;
+    const auto [a, b, c, d] = steps_around(r);
+    buffer.words[i] = skeleton.words[i] & ((a & b & (c | d)) | (c & d & (a | b)));
+  });
+  each(buffer, [&](std::size_t i) {
+    const Ring r = ring_at(&buffer.words[i], buffer.pitch);
+    crossings.words[i] = buffer.words[i] & ~(r.w | r.nw | r.n | r.ne);
+  });
+}
+
+
+// -------------------------------------------------------- residuals around shape contexts (Eq. 1, 2)
+
+struct Point {
+  std::int32_t y, x;
+};
+
+// The pixels that are on in some of the tiles.
+void points_of(const Tiles &tiles, const Tiles *more, std::vector<Point> &points) {
+  points.clear();
+  for (Size row = 0; row < tiles.rows; ++row)
+    for (Size column = 0; column < tiles.columns; ++column) {
+      const auto i = static_cast<std::size_t>(tiles.first(row) + column);
+      Word word = tiles.words[i] | (more ? more->words[i] : 0);
+      for (; word; word &= word - 1) {
+        const int bit = lowest_bit(word);
+        points.push_back({static_cast<std::int32_t>(8 * row + bit / 8),
+                          static_cast<std::int32_t>(8 * column + bit % 8)});
+      }
+    }
+}
+
+// The centroid of a layer's pixels, rounded to the nearest pixel, halves up (Eq. 1).
+SSRVLAD_CLONES bool centroid(const Word *plane, const Grid &grid, Point &centre) {
+  Size area = 0, sum_y = 0, sum_x = 0;
+  for (Size y = 0; y < grid.height; ++y, plane += grid.pitch)
+    for (Size i = 0; i < grid.pitch; ++i) {
+      const Word word = plane[i];
+      if (!word) continue;
+      // Bit b of x is set in the pixels of the mask: their number times 2 ** b adds up to x.
+      static constexpr Word HALVES[6] = {0xaaaaaaaaaaaaaaaa, 0xcccccccccccccccc, 0xf0f0f0f0f0f0f0f0,
+                                         0xff00ff00ff00ff00, 0xffff0000ffff0000, 0xffffffff00000000};
+      const Size count = count_bits(word);
+      area += count, sum_y += y * count, sum_x += 64 * i * count;
+      if (word == ALL) sum_x += 63 * 32;
+      else
+        for (int b = 0; b < 6; ++b) sum_x += Size{count_bits(word & HALVES[b])} << b;
+    }
+  if (!area) return false;
+  centre.y = static_cast<std::int32_t>((2 * sum_y + area) / (2 * area));
+  centre.x = static_cast<std::int32_t>((2 * sum_x + area) / (2 * area));
+  return true;
+}
+
+// The bin of every offset in an image of some size: ring * sectors + sector, or `total` for what is
+// in none. The offset (dy, dx) stands at `centre + dy * pitch + dx`.
+struct Bins {
+  Size height, width, pitch, centre;
+  int total;
+  std::vector<std::uint16_t> table;
+
+  Bins(Size height, Size width, const std::vector<Size> &limits, int sectors)
+      : height(height), width(width), pitch(2 * width - 1),
+        centre((height - 1) * pitch + width - 1),
+        total(static_cast<int>(limits.size()) * sectors),
+        table(static_cast<std::size_t>((2 * height - 1) * pitch), static_cast<std::uint16_t>(total)) {
+    for (Size dy = 1 - height; dy < height; ++dy)
+      for (Size dx = 1 - width; dx < width; ++dx) {
+        const Size squared = dy * dy + dx * dx;
+        if (squared == 0 || squared > limits.back()) continue;
+        int ring = 0;
+        while (squared > limits[static_cast<std::size_t>(ring)]) ++ring;
+        table[static_cast<std::size_t>(centre + dy * pitch + dx)] =
+            static_cast<std::uint16_t>(ring * sectors + sector_of(dy, dx, sectors));
+      }
+  }
+
+  // Sector m begins at the angle 2 pi m / M, counted from +x towards +y. Integer offsets meet a
+  // boundary only at multiples of 45 degrees; every other is farther from one than the nudge.
+  static int sector_of(Size dy, Size dx, int sectors) {
+    const double turn = std::atan2(static_cast<double>(dy), static_cast<double>(dx)) / (2 * M_PI);
+    const int sector = static_cast<int>(std::floor(turn * sectors + 1e-12));
+    return (sector % sectors + sectors) % sectors;
+  }
+};
+
+// Adds, for each bin, how many context points stand in it around a reference point.
+void shape_context(Point reference, const std::vector<Point> &context, const Bins &bins,
+                   std::vector<Size> &counts) {
+  const std::uint16_t *table =
+      bins.table.data() + bins.centre - reference.y * bins.pitch - reference.x;
+  for (const Point &point : context) ++counts[table[point.y * bins.pitch + point.x]];
+}
+
+void normalise(double *values, Size count) {
+  double squares = 0;
+  for (Size i = 0; i < count; ++i) squares += values[i] * values[i];
+  const double norm = std::max(std::sqrt(squares), 1e-12);  // zeros stay zeros
+  for (Size i = 0; i < count; ++i) values[i] /= norm;
+}
+
+// -------------------------------------------- harmonics around the vanishing column (not in the paper)
+
+// Columns right of the middle to where ground, sidewalk and sky leave the view open.
+Size vanishing_column(const Word *planes, const Grid &grid, std::vector<Size> &open) {
+  constexpr Size LEVELS = 64, ONE = Size{1} << 20, PULL = 20;
+  constexpr int SHIFT = 6 * 8 - 20;
+  open.assign(static_cast<std::size_t>(grid.width), 0);
+  for (Size y = 0; y < grid.height; ++y)
+    for (Size x = 0; x < grid.width; x += 64) {
+      const Size i = y * grid.pitch + x / 64;
+      const Word word = planes[i] | planes[grid.words() + i] | planes[5 * grid.words() + i];
+      const Size count = std::min<Size>(64, grid.width - x);
+      for (Size j = 0; j < count; ++j) open[static_cast<std::size_t>(x + j)] += word >> j & 1;
+    }
+  Size moment = 0, total = grid.width * ONE / PULL;
+  for (Size x = 0; x < grid.width; ++x) {
+    const Size level = open[static_cast<std::size_t>(x)] * LEVELS / grid.height;
+    const Size squared = level * level, fourth = squared * squared;
+    const Size weight = fourth * fourth >> SHIFT;
+    moment += weight * (2 * x - (grid.width - 1)), total += weight;
+  }
+  const Size twice_from_left = moment + total + 2 * total * grid.width;  // nothing negative is divided
+  return twice_from_left / (2 * total) - grid.width;
+}
+
+using Cells = std::array<double, CELLS>;
+
+// The fraction of each of 24 x 32 cells that a layer covers, the image moved `shift` columns left.
+// Integers up to the division: a row of W pixels is W * 32 units long, a cell W of them.
+SSRVLAD_CLONES bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
+  std::array<Size, CELLS> sums{};
+  std::array<Size, CELL_COLUMNS + 1> bounds;
+  const Size units = grid.width * CELL_COLUMNS;
+  for (Size c = 0; c <= CELL_COLUMNS; ++c)
+    bounds[static_cast<std::size_t>(c)] =
+        std::max<Size>(0, std::min(units, c * grid.width + shift * CELL_COLUMNS));
+  bool seen = false;
+  for (Size y = 0; y < grid.height; ++y, plane += grid.pitch) {
+    if (!any(plane, grid.pitch)) continue;
+    seen = true;
+    std::array<Size, CELL_COLUMNS> across;
+    Size word = 0, before_word = 0, before = 0;
+    for (std::size_t c = 0; c <= CELL_COLUMNS; ++c) {
+      const Size x = bounds[c] / CELL_COLUMNS, part = bounds[c] % CELL_COLUMNS;
+      for (; word < x / 64; ++word) before_word += count_bits(plane[word]);
+      const Word here = plane[word] >> x % 64;
+      const Size up_to = before_word + count_bits(plane[word] ^ here << x % 64);
+      const Size reached = up_to * CELL_COLUMNS + (here & 1 ? part : 0);
+      if (c) across[c - 1] = reached - before;
+      before = reached;
+    }
+    const Size top = y * CELL_ROWS, bottom = top + CELL_ROWS;
+    for (Size row = top / grid.height; row * grid.height < bottom; ++row) {
+      const Size overlap = std::min(bottom, (row + 1) * grid.height) - std::max(top, row * grid.height);
+      Size *sum = &sums[static_cast<std::size_t>(row * CELL_COLUMNS)];
+      for (std::size_t c = 0; c < CELL_COLUMNS; ++c) sum[c] += overlap * across[c];
+    }
+  }
+  const auto area = static_cast<double>(grid.height * grid.width);
+  for (std::size_t i = 0; i < CELLS; ++i) cells[i] = static_cast<double>(sums[i]) / area;
+  return seen;
+}
+
+// The mean over each soft bin, as the bins that a cell counts in and how much. Ring n is centred on
+// radius * inner_radius ** (1 - n / (N - 1)) of the diagonal, sector m on the angle 2 pi m / M; each of
+// 4 x 4 samples of a cell counts in the two nearest rings and the two nearest sectors, linearly.
+struct SoftBins {
+  struct Entry {
+    std::size_t bin;
+    double weight;
+  };
+  std::size_t total;
+  std::array<std::vector<Entry>, CELLS> entries;
+
+  explicit SoftBins(const ssrvlad_settings &s)
+      : total(static_cast<std::size_t>(s.rings * s.sectors)) {
+    constexpr int SAMPLES = 4;
+    std::vector<Cells> weights(total, Cells{});
+    for (int i = 0; i < CELL_ROWS * SAMPLES; ++i)
+      for (int j = 0; j < CELL_COLUMNS * SAMPLES; ++j) {
+        const double y = (i + 0.5) / SAMPLES - CELL_ROWS / 2.0;
+        const double x = (j + 0.5) / SAMPLES - CELL_COLUMNS / 2.0;
+        const double distance = std::hypot(y, x) / std::hypot(CELL_ROWS, CELL_COLUMNS);
+        if (distance > s.radius) continue;
+        const double steps = s.inner_radius < 1
+                                 ? std::log(distance / s.radius) / std::log(1 / s.inner_radius)
+                                 : -1;
+        const double ring = std::max(0.0, std::min<double>(s.rings - 1, (s.rings - 1) * (1 + steps)));
+        const double turn = std::atan2(y, x) / (2 * M_PI);
+        const double sector = (turn - std::floor(turn)) * s.sectors;
+        for (int n = 0; n < s.rings; ++n)
+          for (int m = 0; m < s.sectors; ++m) {
+            const double apart = std::abs(sector - m);
+            const double in_ring = std::max(0.0, 1 - std::abs(ring - n));
+            const double in_sector = std::max(0.0, 1 - apart) + std::max(0.0, 1 - (s.sectors - apart));
+            const int cell = i / SAMPLES * CELL_COLUMNS + j / SAMPLES;
+            weights[static_cast<std::size_t>(n * s.sectors + m)][static_cast<std::size_t>(cell)] +=
+                in_ring * in_sector;
+          }
+      }
+    for (std::size_t bin = 0; bin < total; ++bin) {
+      double sum = 0;
+      for (const double weight : weights[bin]) sum += weight;
+      for (std::size_t cell = 0; cell < CELLS; ++cell)
+        if (weights[bin][cell] > 0)
+          entries[cell].push_back({bin, weights[bin][cell] / std::max(sum, 1e-12)});
+    }
+  }
+
+  void means(const Cells &cells, std::vector<double> &bins) const {
+    bins.assign(total, 0);
+    for (std::size_t cell = 0; cell < CELLS; ++cell)
+      if (cells[cell] > 0)
+        for (const Entry &entry : entries[cell]) bins[entry.bin] += entry.weight * cells[cell];
+  }
+};
+
+// The smoothest waves over the bins, for each bin its value in every wave: a cosine over the rings times a wave around.
+// One that changes u / 2 times over the rings and v times around has f ** 2 = u ** 2 + v ** 2 and the
+// length (1 + f ** 2) ** (spectral_weight / 2).
+std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
+  std::vector<std::array<int, 4>> waves;  // f ** 2, u, v, sine
+  for (int u = 0; u < s.rings; ++u)
+    for (int v = 0; v < (s.sectors + 1) / 2; ++v)
+      for (int sine = 0; sine <= (v ? 1 : 0); ++sine) waves.push_back({u * u + v * v, u, v, sine});
+  std::sort(waves.begin(), waves.end());
+  waves.resize(static_cast<std::size_t>(s.harmonics));
+  const auto total = static_cast<std::size_t>(s.rings * s.sectors);
+  std::vector<double> basis(total * waves.size()), wave;
+  for (std::size_t i = 0; i < waves.size(); ++i) {
+    const auto &[squared, u, v, sine] = waves[i];
+    wave.clear();
+    for (int n = 0; n < s.rings; ++n)
+      for (int m = 0; m < s.sectors; ++m) {
+        const double angle = v * (m * (2 * M_PI / s.sectors)) - (sine ? M_PI / 2 : 0.0);
+        wave.push_back(std::cos(M_PI * u * (n + 0.5) / s.rings) * std::cos(angle));
+      }
+    normalise(wave.data(), static_cast<Size>(wave.size()));
+    const double length = std::pow(1.0 + squared, s.spectral_weight / 2);
+    for (std::size_t bin = 0; bin < total; ++bin)
+      basis[bin * waves.size() + i] = wave[bin] * length;
+  }
+  return basis;
+}
+
+// ------------------------------------------------------------------------------------------ a head
+
+// Fractions of the image in pixels, as SSRVLADConfig has them.
+Size parts(double fraction, double unit) { return static_cast<Size>(std::nearbyint(fraction * unit)); }
+Size rounded(Size numerator, Size denominator) { return (2 * numerator + denominator) / (2 * denominator); }
+
+Size radius_pixels(double fraction, const Grid &grid) {
+  return rounded(parts(fraction, 1e6) * std::min(grid.height, grid.width), 1000000);
+}
+
+Size area_pixels(double fraction, const Grid &grid) {
+  return (parts(fraction, 1e6) * grid.height * grid.width + 999999) / 1000000;
+}
+
+// What one thread works in.
+struct Scratch {
+  std::vector<std::uint8_t> categories;
+  Words layers, clean, skeleton, buffer;
+  Regions regions;
+  Tiles tiles, ends, crossings, more;
+  Thinning thinning;
+  std::vector<Point> references, context;
+  std::vector<Size> around_points, around_centre, columns;
+  std::vector<double> values, histogram, length_histogram;
+};
+
+bool in_range(double value, double lowest, double highest) {
+  return value >= lowest && value <= highest;
+}
+
+bool valid(const ssrvlad_settings &s) {
+  const bool fractions =
+      in_range(s.opening, 0, 0.5) && in_range(s.closing, 0, 0.5) && in_range(s.hole_area, 0, 1) &&
+      in_range(s.region_area, 0, 1) && in_range(s.radius, 1e-300, 1) &&
+      in_range(s.inner_radius, 1e-300, 1) && in_range(s.skeleton_weight, 0, 100) &&
+      in_range(s.spectral_weight, 0, 4) && in_range(s.power, 0.5, 1);
+  const bool counts = in_range(s.working_size, 0, 1 << 14) && in_range(s.rings, 1, 64) &&
+                      in_range(s.sectors, 1, 360) && in_range(s.harmonics, 1, 1 << 12);
+  const bool choices = in_range(s.thinning, 0, 1) && in_range(s.context, 0, 1) &&
+                       in_range(s.aggregation, 0, 1) && in_range(s.anchor, 0, 1);
+  const int most = s.rings * (2 * ((s.sectors + 1) / 2) - 1);
+  return fractions && counts && choices &&
+         (s.aggregation == SSRVLAD_RESIDUALS || s.harmonics <= most);
+}
+
+bool valid(const ssrvlad_labels &labels) {
+  const Size h = labels.height, w = labels.width;
+  const bool type = labels.bytes == 1 || labels.bytes == 2 || labels.bytes == 4 || labels.bytes == 8;
+  return labels.ids && type && labels.images > 0 && h > 0 && w > 0 && h < MOST_PIXELS / w;
+}
+
+bool valid(const ssrvlad_table &table) {
+  return table.categories && table.entries > 0 && table.origin >= 0 && table.origin < table.entries;
+}
+
+// Calls `visit` with the ids of the batch in their type.
+template <class Visit>
+auto with_ids(const ssrvlad_labels &labels, Visit visit) {
+  switch (labels.bytes) {
+    case 1: return visit(static_cast<const std::uint8_t *>(labels.ids));
+    case 2: return visit(static_cast<const std::int16_t *>(labels.ids));
+    case 4: return visit(static_cast<const std::int32_t *>(labels.ids));
+    default: return visit(static_cast<const std::int64_t *>(labels.ids));
+  }
+}
+
+Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
+  const Lookup<std::uint8_t> is_unknown(
+      table, [](std::uint8_t category) { return static_cast<std::uint8_t>(category > LAYERS); });
+  return with_ids(labels, [&](const auto *ids) {
+    Size count = 0;
+    for (Size i = 0; i < labels.images * labels.height * labels.width; ++i)
+      count += is_unknown[as_id(ids[i])];
+    return count;
+  });
+}
+
+// Shares `count` jobs among threads, the caller's first. False if memory is short.
+template <class Job>
+bool in_parallel(Size count, int threads, Job job) {
+  std::atomic<Size> next{0};
+  std::atomic<bool> failed{false};
+  const auto work = [&]() noexcept {
+    try {
+      job(next);
+    } catch (const std::bad_alloc &) {
+      failed = true;
+    }
+  };
+  std::vector<std::thread> others;
+  try {
+    for (Size i = 1; i < std::min<Size>(threads, count); ++i) others.emplace_back(work);
+  } catch (const std::system_error &) {  // no more threads to be had: fewer do it
+  }
+  work();
+  for (std::thread &other : others) other.join();
+  return !failed;
+}
+
+}  // namespace
+
+struct ssrvlad_head {
+  explicit ssrvlad_head(const ssrvlad_settings &settings) : settings(settings) {
+    if (settings.aggregation == SSRVLAD_RESIDUALS) return;
+    soft_bins = std::make_unique<SoftBins>(settings);
+    basis = harmonic_basis(settings);
+  }
+
+  Size length() const {
+    const bool residuals = settings.aggregation == SSRVLAD_RESIDUALS;
+    return LAYERS * Size{residuals ? settings.rings * settings.sectors : settings.harmonics};
+  }
+
+  Grid grid(Size height, Size width) const {
+    const Size shorter = std::min(height, width), size = settings.working_size;
+    if (size == 0 || size >= shorter) return {height, width};
+    return {rounded(height * size, shorter), rounded(width * size, shorter)};
+  }
+
+  // One image, from its layers to its descriptor.
+  void describe(Scratch &s, const Grid &grid, float *descriptor) {
+    clean(s, grid);
+    s.values.assign(static_cast<std::size_t>(length()), 0);
+    if (settings.aggregation == SSRVLAD_RESIDUALS) residuals(s, grid);
+    else harmonics(s, grid);
+    normalise(s.values.data(), length());
+    for (const double value : s.values) *descriptor++ = static_cast<float>(value);
+  }
+
+  std::unique_ptr<Scratch> take_scratch() {
+    const std::lock_guard<std::mutex> hold(mutex);
+    if (spare.empty()) return std::make_unique<Scratch>();
+    auto scratch = std::move(spare.back());
+    spare.pop_back();
+    return scratch;
+  }
+
+  void give_back(std::unique_ptr<Scratch> scratch) {
+    const std::lock_guard<std::mutex> hold(mutex);
+    spare.push_back(std::move(scratch));
+  }
+
+  ssrvlad_settings settings;
+
+ private:
+  void clean(Scratch &s, const Grid &grid) {
+    const Size opening = radius_pixels(settings.opening, grid);
+    const Size closing = radius_pixels(settings.closing, grid);
+    const Size hole = area_pixels(settings.hole_area, grid);
+    const Size region = area_pixels(settings.region_area, grid);
+    s.clean = s.layers;
+    for (int k = 0; k < LAYERS; ++k) {
+      Word *plane = s.clean.data() + k * grid.words();
+      if (!any(plane, grid.words())) continue;
+      open_and_close(plane, grid, opening, closing, s.buffer);
+      fill_holes(plane, grid, hole, s.regions);
+      drop_regions(plane, grid, region, s.regions);
+    }
+  }
+
+  void thin(Scratch &s, const Grid &grid, int k) {
+    to_tiles(s.clean.data() + k * grid.words(), grid, s.tiles);
+    s.thinning.thin(s.tiles, settings.thinning);
+  }
+
+  void residuals(Scratch &s, const Grid &grid) {
+    const std::shared_ptr<const Bins> bins = bins_of(grid);
+    for (int k = 0; k < LAYERS; ++k) {
+      Point centre;
+      if (!centroid(s.clean.data() + k * grid.words(), grid, centre)) continue;
+      thin(s, grid, k);
+      keypoints(s.tiles, s.ends, s.crossings, s.more);
+      points_of(s.ends, &s.crossings, s.references);
+      points_of(s.tiles, nullptr, s.context);
+      const auto &context = settings.context == SSRVLAD_SKELETON ? s.context : s.references;
+      s.around_points.assign(static_cast<std::size_t>(bins->total + 1), 0);
+      s.around_centre = s.around_points;
+      for (const Point &point : s.references) shape_context(point, context, *bins, s.around_points);
+      shape_context(centre, context, *bins, s.around_centre);
+      double *vector = s.values.data() + Size{k} * bins->total;
+      const auto number = static_cast<Size>(s.references.size());
+      for (int i = 0; i < bins->total; ++i) {  // Eq. 2
+        const auto bin = static_cast<std::size_t>(i);
+        vector[i] = static_cast<double>(s.around_points[bin] - number * s.around_centre[bin]);
+      }
+      normalise(vector, bins->total);
+    }
+  }
+
+  void harmonics(Scratch &s, const Grid &grid) {
+    const bool moved = settings.anchor == SSRVLAD_VANISHING_COLUMN;
+    const Size shift = moved ? vanishing_column(s.clean.data(), grid, s.columns) : 0;
+    const double side = static_cast<double>(std::min(grid.height, grid.width)) / CELL_ROWS;
+    s.skeleton.resize(static_cast<std::size_t>(grid.words()));
+    for (int k = 0; k < LAYERS; ++k) {
+      Cells area, lengths;
+      if (!pool(s.layers.data() + k * grid.words(), grid, shift, area) &&
+          !any(s.clean.data() + k * grid.words(), grid.words()))
+        continue;
+      thin(s, grid, k);
+      from_tiles(s.tiles, grid, s.skeleton.data());
+      pool(s.skeleton.data(), grid, shift, lengths);
+      for (double &length : lengths) length *= side;
+      soft_bins->means(area, s.histogram);
+      soft_bins->means(lengths, s.length_histogram);
+      double *held = s.values.data() + Size{k} * settings.harmonics;
+      for (std::size_t bin = 0; bin < soft_bins->total; ++bin) {
+        const double there = std::sqrt(s.histogram[bin]) +
+                             settings.skeleton_weight * std::sqrt(s.length_histogram[bin]);
+        const double *wave = basis.data() + bin * static_cast<std::size_t>(settings.harmonics);
+        for (int i = 0; i < settings.harmonics; ++i) held[i] += there * wave[i];
+      }
+      for (int i = 0; i < settings.harmonics; ++i)
+        held[i] = std::copysign(std::pow(std::abs(held[i]), settings.power), held[i]);
+    }
+  }
+
+  // Tables of bins are kept for the last few sizes.
+  std::shared_ptr<const Bins> bins_of(const Grid &grid) {
+    constexpr std::size_t KEPT = 4;
+    const std::lock_guard<std::mutex> hold(mutex);
+    for (const auto &known : known_bins)
+      if (known->height == grid.height && known->width == grid.width) return known;
+    known_bins.push_front(
+        std::make_shared<Bins>(grid.height, grid.width, ring_limits(grid), settings.sectors));
+    if (known_bins.size() > KEPT) known_bins.pop_back();
+    return known_bins.front();
+  }
+
+  std::vector<Size> ring_limits(const Grid &grid) const {
+    const Size diagonal = grid.height * grid.height + grid.width * grid.width;
+    std::vector<Size> limits;
+    for (int ring = 0; ring < settings.rings; ++ring) {
+      const double step = settings.rings > 1 ? 1 - ring / (settings.rings - 1.0) : 0.0;
+      const double radius = settings.radius * std::pow(settings.inner_radius, step);
+      limits.push_back(parts(radius * radius, 1e9) * diagonal / 1000000000);
+    }
+    return limits;
+  }
+
+  std::unique_ptr<SoftBins> soft_bins;
+  std::vector<double> basis;
+  std::mutex mutex;
+  std::vector<std::unique_ptr<Scratch>> spare;
+  std::list<std::shared_ptr<const Bins>> known_bins;
+};
+
+namespace {
+
+// The layers of an image on its working grid. False if an id is unknown.
+template <class Id>
+bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const Grid &grid,
+                 const Lookup<Word> &ballots, const Lookup<std::uint16_t> &layers) {
+  s.layers.resize(static_cast<std::size_t>(LAYERS * grid.words()));
+  if (grid.height == labels.height && grid.width == labels.width)
+    return split(ids, grid, layers, s.layers.data());
+  s.categories.resize(static_cast<std::size_t>(grid.height * grid.width));
+  if (!vote(ids, labels.height, labels.width, ballots, grid.height, grid.width,
+            s.categories.data()))
+    return false;
+  static const Lookup<std::uint16_t> of_categories = [] {
+    const std::uint8_t each[KINDS] = {0, 1, 2, 3, 4, 5, 6, 7, SSRVLAD_NO_LAYER};
+    return Lookup<std::uint16_t>({each, KINDS, 0}, layer_of);
+  }();
+  return split(s.categories.data(), grid, of_categories, s.layers.data());
+}
+
+// Runs a stage on every plane of every image.
+template <class Stage>
+int on_planes(const std::uint8_t *planes, Size images, Size height, Size width, Stage stage) {
+  if (!planes || images < 1 || height < 1 || width < 1 || height >= MOST_PIXELS / width)
+    return SSRVLAD_WRONG_ARGUMENT;
+  try {
+    const Grid grid(height, width);
+    Words bits(static_cast<std::size_t>(LAYERS * grid.words()));
+    for (Size image = 0; image < images; ++image) {
+      const Size offset = image * height * width;
+      unpack(planes + offset, grid, bits.data());
+      stage(grid, bits, offset);
+    }
+  } catch (const std::bad_alloc &) {
+    return SSRVLAD_NO_MEMORY;
+  }
+  return SSRVLAD_OK;
+}
+
+template <class Stage>
+int on_each_plane(const std::uint8_t *planes, Size images, Size height, Size width,
+                  std::uint8_t *target, Stage stage) {
+  return on_planes(planes, images, height, width, [&](const Grid &grid, Words &bits, Size offset) {
+    for (int k = 0; k < LAYERS; ++k) stage(bits.data() + k * grid.words(), grid);
+    pack(bits.data(), grid, target + offset);
+  });
+}
+
+}  // namespace
+
+#ifndef SSRVLAD_SOURCE
+#define SSRVLAD_SOURCE ""
+#endif
+
+const char *ssrvlad_source(void) { return SSRVLAD_SOURCE; }
+
+int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
+  const bool paper = name && !std::strcmp(name, "paper");
+  if (!paper && (!name || std::strcmp(name, "default"))) return SSRVLAD_WRONG_ARGUMENT;
+  ssrvlad_settings s{};
+  s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
+  s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
+  s.skeleton_weight = 0.1, s.spectral_weight = 1.0, s.power = 0.75;
+  s.working_size = paper ? 0 : 120;
+  s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20, s.harmonics = 60;
+  s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
+  s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
+  s.anchor = SSRVLAD_VANISHING_COLUMN;
+  *settings = s;
+  return SSRVLAD_OK;
+}
+
+ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings) {
+  if (!settings || !valid(*settings)) return nullptr;
+  try {
+    return new ssrvlad_head(*settings);
+  } catch (const std::bad_alloc &) {
+    return nullptr;
+  }
+}
+
+void ssrvlad_free(ssrvlad_head *head) { delete head; }
+
+int64_t ssrvlad_length(const ssrvlad_head *head) { return head->length(); }
+
+int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
+                         const ssrvlad_table *table, int threads, float *descriptors) {
+  if (!head || !labels || !table || !descriptors || !valid(*labels) || !valid(*table))
+    return SSRVLAD_WRONG_ARGUMENT;
+  try {
+    const Lookup<Word> ballots(*table, ballot_of);
+    const Lookup<std::uint16_t> layers(*table, layer_of);
+    const Grid grid = head->grid(labels->height, labels->width);
+    std::atomic<bool> known{true};
+    const bool done = in_parallel(labels->images, threads, [&](std::atomic<Size> &next) {
+      auto scratch = head->take_scratch();
+      with_ids(*labels, [&](const auto *ids) {
+        for (Size i; known && (i = next++) < labels->images;) {
+          const auto *image = ids + i * labels->height * labels->width;
+          if (read_layers(*scratch, image, *labels, grid, ballots, layers))
+            head->describe(*scratch, grid, descriptors + i * head->length());
+          else known = false;
+        }
+      });
+      head->give_back(std::move(scratch));
+    });
+    if (!done) return SSRVLAD_NO_MEMORY;
+    return known ? Size{SSRVLAD_OK} : count_unknown(*labels, *table);
+  } catch (const std::bad_alloc &) {
+    return SSRVLAD_NO_MEMORY;
+  }
+}
+
+int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table, int64_t rows,
+                     int64_t columns, uint8_t *categories) {
+  const bool fits = labels && table && categories && valid(*labels) && valid(*table);
+  if (!fits || rows < 1 || columns < 1 || rows > labels->height || columns > labels->width)
+    return SSRVLAD_WRONG_ARGUMENT;
+  try {
+    const Lookup<Word> ballots(*table, ballot_of);
+    const bool known = with_ids(*labels, [&](const auto *ids) {
+      bool every = true;
+      for (Size i = 0; i < labels->images; ++i)
+        every &= vote(ids + i * labels->height * labels->width, labels->height, labels->width,
+                      ballots, rows, columns, categories + i * rows * columns);
+      return every;
+    });
+    return known ? Size{SSRVLAD_OK} : count_unknown(*labels, *table);
+  } catch (const std::bad_alloc &) {
+    return SSRVLAD_NO_MEMORY;
+  }
+}
+
+int ssrvlad_open_and_close(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                           int64_t opening, int64_t closing, uint8_t *target) {
+  Words buffer;
+  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
+    open_and_close(plane, grid, opening, closing, buffer);
+  });
+}
+
+int ssrvlad_fill_holes(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                       int64_t area, uint8_t *target) {
+  Regions regions;
+  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
+    fill_holes(plane, grid, area, regions);
+  });
+}
+
+int ssrvlad_drop_regions(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                         int64_t area, uint8_t *target) {
+  Regions regions;
+  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
+    drop_regions(plane, grid, area, regions);
+  });
+}
+
+int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t height, int64_t width,
+                 int thinning, uint8_t *target) {
+  if (!in_range(thinning, 0, 1)) return SSRVLAD_WRONG_ARGUMENT;
+  Tiles tiles;
+  Thinning state;
+  return on_each_plane(planes, images, height, width, target, [&](Word *plane, const Grid &grid) {
+    to_tiles(plane, grid, tiles);
+    state.thin(tiles, thinning);
+    from_tiles(tiles, grid, plane);
+  });
+}
+
+int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, int64_t width,
+                      uint8_t *end_points, uint8_t *intersections) {
+  Tiles tiles, ends, crossings, buffer;
+  return on_planes(skeletons, images, height, width, [&](const Grid &grid, Words &bits, Size offset) {
+    Words other = bits;
+    for (int k = 0; k < LAYERS; ++k) {
+      Word *plane = bits.data() + k * grid.words();
+      to_tiles(plane, grid, tiles);
+      keypoints(tiles, ends, crossings, buffer);
+      from_tiles(ends, grid, plane);
+      from_tiles(crossings, grid, other.data() + k * grid.words());
+    }
+    pack(bits.data(), grid, end_points + offset);
+    pack(other.data(), grid, intersections + offset);
+  });
+}

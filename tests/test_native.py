@@ -1,0 +1,278 @@
+"""The native core against the stages in torch: the same bits and counts."""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shutil
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+import torch
+from drawings import MASKS, VOID, mask, planes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
+from ssrvlad_torch.config import PRESETS, THINNINGS
+from ssrvlad_torch.stages.components import drop_regions, fill_holes
+from ssrvlad_torch.stages.keypoints import end_points, intersections
+from ssrvlad_torch.stages.layers import categorise, category_table
+from ssrvlad_torch.stages.morphology import open_and_close
+from ssrvlad_torch.stages.reduction import reduce_by_majority
+from ssrvlad_torch.stages.skeleton import RULES, thin
+from ssrvlad_torch.taxonomy import label_space
+
+ROOT = Path(__file__).parents[1]
+SPACE = "camvid-11"
+SIZES = st.integers(1, 140)
+
+pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def library():
+    """The core, built where a checkout has none of this source."""
+    if native.core().library is None:
+        subprocess.run([sys.executable, ROOT / "hatch_build.py"], check=True)
+        native.core.cache_clear()
+    return native.core().library
+
+
+def run(stage: str, some: Tensor, *arguments: int, results: int = 1) -> tuple[Tensor, ...]:
+    """A stage of the core on ``(B, H, W)`` bit-planes."""
+    targets = tuple(torch.empty_like(some) for _ in range(results))
+    function = getattr(native.core().library, f"ssrvlad_{stage}")
+    pointers = [target.data_ptr() for target in targets]
+    assert function(some.data_ptr(), *some.shape, *arguments, *pointers) == 0
+    return targets
+
+
+def assert_the_same(some: Tensor, radius: int = 1, area: int = 5) -> None:
+    """Every stage, on the same planes."""
+    for opening, closing in ((radius, 0), (0, radius), (radius, radius + 1)):
+        got = run("open_and_close", some, opening, closing)[0]
+        assert torch.equal(got, open_and_close(some, opening, closing))
+    assert torch.equal(run("fill_holes", some, area)[0], fill_holes(some, area))
+    assert torch.equal(run("drop_regions", some, area)[0], drop_regions(some, area))
+    for number, name in enumerate(THINNINGS):
+        assert torch.equal(run("thin", some, number)[0], thin(some, RULES[name]))
+    ends, crossings = run("keypoints", some, results=2)
+    assert torch.equal(ends, end_points(some))
+    assert torch.equal(crossings, intersections(some))
+
+
+@pytest.mark.parametrize("name", MASKS)
+def test_drawings(name):
+    assert_the_same(planes(mask(MASKS[name]), ~mask(MASKS[name])))
+
+
+def test_every_neighbourhood():
+    patterns = (torch.arange(512)[:, None] >> torch.arange(9) & 1).view(512, 3, 3)
+    assert_the_same(patterns.to(torch.uint8))
+
+
+def noise(seed: int, height: int, width: int, density: int) -> Tensor:
+    """Two images of pixels that are each on in about ``2 ** -density`` of the layers."""
+    generator = torch.Generator().manual_seed(seed)
+    some = torch.full((2, height, width), 255, dtype=torch.uint8)
+    for _ in range(density):
+        some &= torch.randint(256, some.shape, generator=generator, dtype=torch.uint8)
+    return some
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 10_000),
+    height=SIZES,
+    width=SIZES,
+    density=st.integers(1, 4),
+    inverted=st.booleans(),
+    radius=st.integers(0, 80),
+    area=st.integers(0, 60),
+)
+def test_noise(seed, height, width, density, inverted, radius, area):
+    some = noise(seed, height, width, density)
+    assert_the_same(~some if inverted else some, radius, area)
+
+
+def test_blobs_of_the_size_of_an_image():
+    """Wide regions, thinned over many rounds, across tiles and words."""
+    some = noise(3, 260, 330, 3)
+    assert_the_same(open_and_close(some, 0, 2), 3, 400)
+
+
+def maps(seed: int, count: int, height: int, width: int, grain: int = 8) -> Tensor:
+    """Label maps of blocks of ids 0 to 11 with some noise."""
+    generator = torch.Generator().manual_seed(seed)
+    shape = (count, -(-height // grain), -(-width // grain))
+    coarse = torch.randint(12, shape, generator=generator, dtype=torch.uint8)
+    fine = torch.randint(12, (count, height, width), generator=generator, dtype=torch.uint8)
+    large = coarse.repeat_interleave(grain, 1).repeat_interleave(grain, 2)[:, :height, :width]
+    return torch.where(torch.rand(fine.shape, generator=generator) < 0.1, fine, large)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 1000),
+    height=st.integers(1, 90),
+    width=st.integers(1, 300),
+    data=st.data(),
+    dtype=st.sampled_from([torch.uint8, torch.int16, torch.int32, torch.int64]),
+)
+def test_votes(seed, height, width, data, dtype):
+    grid = data.draw(st.integers(1, height)), data.draw(st.integers(1, width))
+    labels = maps(seed, 2, height, width).to(dtype)
+    table, origin = category_table(label_space(SPACE))
+    got = torch.empty((2, *grid), dtype=torch.uint8)
+    found = native.core().library.ssrvlad_vote(
+        native.Labels(labels.data_ptr(), labels.element_size(), *labels.shape),
+        native.Table(table.data_ptr(), len(table), origin),
+        *grid,
+        got.data_ptr(),
+    )
+    assert found == 0
+    assert torch.equal(got, reduce_by_majority(categorise(labels, table, origin), grid))
+
+
+def describe(labels: Tensor, config: SSRVLADConfig) -> Tensor:
+    from ssrvlad_torch.native.operator import describe as operator
+
+    table, origin = category_table(label_space(config.labels_as))
+    return operator(labels, table, origin, json.dumps(config.to_dict()))
+
+
+CONFIGS = {
+    "default": {},
+    "paper": {},
+    "default, small": {"working_size": 20, "anchor": "middle", "power": 0.5},
+    "paper, key-points": {"context": "keypoints", "opening": 0.02, "sectors": 7, "rings": 3},
+    "paper, guo-hall": {"thinning": "guo-hall", "working_size": 40, "hole_area": 0.0},
+}
+configs = pytest.mark.parametrize(
+    "config",
+    [
+        SSRVLADConfig.from_preset(name.split(",")[0], labels_as=SPACE, **own)
+        for name, own in CONFIGS.items()
+    ],
+    ids=CONFIGS,
+)
+
+
+@configs
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000), height=st.integers(1, 80), width=st.integers(1, 200))
+def test_descriptors(config, seed, height, width):
+    labels = maps(seed, 2, height, width)
+    expected = SSRVLAD(config).explain(labels).descriptor
+    torch.testing.assert_close(describe(labels, config), expected, rtol=0, atol=1e-6)
+
+
+@configs
+def test_descriptors_of_every_type_and_layout(config):
+    labels = maps(5, 3, 133, 190)
+    expected = describe(labels, config)
+    for dtype in (torch.int8, torch.int16, torch.uint16, torch.int32, torch.int64):
+        assert torch.equal(describe(labels.to(dtype), config), expected)
+    turned = labels.permute(2, 0, 1).contiguous().permute(1, 2, 0)
+    assert torch.equal(describe(turned, config), expected)
+
+
+def test_threads_and_batches():
+    config = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
+    labels = maps(6, 7, 60, 90)
+    expected = torch.cat([describe(image[None], config) for image in labels])
+    before = torch.get_num_threads()
+    try:
+        torch.set_num_threads(3)
+        assert torch.equal(describe(labels, config), expected)
+        with ThreadPoolExecutor(4) as pool:
+            every = pool.map(lambda _: describe(labels, config), range(8))
+            assert all(torch.equal(got, expected) for got in every)
+    finally:
+        torch.set_num_threads(before)
+
+
+def test_an_empty_image_gives_zeros():
+    labels = torch.full((1, 40, 70), VOID, dtype=torch.uint8)
+    for preset in PRESETS:
+        assert not describe(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE)).any()
+
+
+@pytest.mark.parametrize("bad", [12, 255, -1, 1 << 40, -(1 << 40)])
+@pytest.mark.parametrize("working_size", [None, 20])
+def test_unknown_ids(bad, working_size):
+    labels = maps(1, 2, 50, 60).to(torch.int64)
+    labels[1, 3, 4] = bad
+    config = SSRVLADConfig(labels_as=SPACE, working_size=working_size)
+    with pytest.raises(ValueError, match="1 pixels of the label maps have ids outside"):
+        describe(labels, config)
+
+
+def test_the_operator_keeps_the_rules_of_torch():
+    """Schema, fake kernel, ahead-of-time dispatch: torch's own check; then compile and export."""
+    from ssrvlad_torch.native.operator import describe as operator
+
+    config = SSRVLADConfig(labels_as=SPACE)
+    table, origin = category_table(label_space(SPACE))
+    labels, text = maps(2, 2, 40, 50), json.dumps(config.to_dict())
+    torch.library.opcheck(operator, (labels, table, origin, text))
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_presets_of_the_library(preset, library):
+    own = native.Settings()
+    assert library.ssrvlad_preset(preset.encode(), ctypes.byref(own)) == 0
+    config = SSRVLADConfig.from_preset(preset)
+    for name, _ in native.Settings._fields_:
+        value = getattr(config, name)
+        if isinstance(value, (float, int)):
+            assert getattr(own, name) == value
+    assert library.ssrvlad_preset(b"other", ctypes.byref(own)) < 0
+
+
+def test_wrong_settings_are_refused(library):
+    own = native.Settings()
+    library.ssrvlad_preset(b"default", ctypes.byref(own))
+    own.rings = 0
+    assert library.ssrvlad_new(ctypes.byref(own)) is None
+
+
+def test_sanitisers_find_nothing(tmp_path):
+    program = tmp_path / "sanitised"
+    folder = ROOT / "ssrvlad_torch" / "native"
+    flags = ["-std=c++17", "-O0", "-g", "-pthread", "-DSSRVLAD_ONE_TARGET", f"-I{folder}"]
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    sources = [ROOT / "tests" / "sanitised.cpp", folder / "ssrvlad.cpp"]
+    subprocess.run(["g++", *flags, *checks, *sources, "-o", program], check=True)
+    done = subprocess.run([program], check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "clean\n", "")
+
+
+def test_a_library_of_another_source_is_refused(tmp_path, monkeypatch):
+    for name in ("libssrvlad.so", "ssrvlad.cpp", "ssrvlad.h"):
+        shutil.copy(native.FOLDER / name, tmp_path)
+    with (tmp_path / "ssrvlad.cpp").open("a") as source:
+        source.write("// changed\n")
+    monkeypatch.setattr(native, "FOLDER", tmp_path)
+    got = native.core.__wrapped__()
+    assert got.library is None and "another version" in got.status
+
+
+def test_without_a_compiler(tmp_path, monkeypatch):
+    sys.path.insert(0, str(ROOT))
+    from hatch_build import build
+
+    folder = tmp_path / "ssrvlad_torch" / "native"
+    shutil.copytree(native.FOLDER, folder)
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    assert build(tmp_path) == "no-such-compiler: No such file or directory"
+    monkeypatch.delenv("CXX")
+    monkeypatch.setenv("PATH", "")
+    assert build(tmp_path) == "no C++ compiler"
+    monkeypatch.setattr(native, "FOLDER", folder)
+    assert native.core.__wrapped__().library is None
