@@ -37,7 +37,7 @@ _BLOCK = 1 << 14
 
 
 class Described(NamedTuple):
-    """``(D,)`` float32 of length 1, or zero for an empty frame, and ``(8,)`` int64 key-points."""
+    """``(D,)`` float32 of length 1, or zero for an empty frame, and ``(8,)`` int64 keypoints."""
 
     descriptor: Array
     keypoints: Array
@@ -302,7 +302,7 @@ def report(
         print(json.dumps(line))
     else:
         names = ", ".join(f"{name} {score:.4f}" for name, score in candidates)
-        print(f"{frame}: {sum(counts)} key-points" + (f"; {names}" if names else ""))
+        print(f"{frame}: {sum(counts)} keypoints" + (f"; {names}" if names else ""))
 
 
 def main() -> int:

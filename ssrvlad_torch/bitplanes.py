@@ -53,6 +53,22 @@ class Runs(NamedTuple):
     last: Tensor
 
 
+class Masks(NamedTuple):
+    """What the method sees of a batch, ``(B, h, w)`` uint8 bit-planes on the working grid.
+
+    Attributes:
+        layers: the categories of Table II after the reduction to the grid.
+        closed: after opening and closing.
+        clean: after small holes were filled and small regions dropped, too.
+        skeleton: of the clean layers.
+    """
+
+    layers: Tensor
+    closed: Tensor
+    clean: Tensor
+    skeleton: Tensor
+
+
 def pack(layers: Tensor) -> Tensor:
     """``(B, 8, H, W)`` bool layers -> ``(B, H, W)`` uint8 bit-planes."""
     return (layers.to(torch.uint8) << _bits(layers).view(1, LAYERS, 1, 1)).sum(1, dtype=torch.uint8)

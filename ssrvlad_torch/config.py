@@ -5,19 +5,22 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import os
 from dataclasses import dataclass
 from typing import Any
+
+from .taxonomy import CATEGORIES, LabelSpace
 
 METHOD_REVISION = 1
 """Raised whenever the same settings would give other numbers; part of every fingerprint."""
 
-CATEGORY_COUNT = 8
+CATEGORY_COUNT = len(CATEGORIES)
 """K of the paper: Table II has eight categories, and every descriptor has eight blocks."""
 
 THINNINGS = ("zhang-suen", "guo-hall")
 CONTEXTS = ("skeleton", "keypoints")
 AGGREGATIONS = ("residuals", "harmonics")
-ANCHORS = ("vista", "middle")
+ANCHORS = ("vanishing-column", "middle")
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {
@@ -30,7 +33,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
 }
 
-_ONLY_HARMONICS = ("anchor", "skeleton_weight", "harmonics", "sharpening", "power")
+_ONLY_HARMONICS = ("anchor", "skeleton_weight", "harmonics", "spectral_weight", "power")
 
 _AREA_UNIT = 10**6
 _RING_UNIT = 10**9
@@ -40,52 +43,54 @@ _RING_UNIT = 10**9
 class SSRVLADConfig:
     """Every setting of the descriptor. Where the paper is silent, the field says so.
 
-    Lengths are fractions of the image and become pixels on the working grid by the integer
-    rules of the methods below, so that every backend computes the same pixels.
+    Lengths and areas are fractions of the image. They become pixels on the working grid by the
+    integer rules of the methods below, so that every backend computes the same pixels.
 
     Attributes:
-        labels_as: name of a label space, or path of a YAML file that defines one. It says how
-            label ids are read and is *not* part of the fingerprint.
-        working_size: shorter side in pixels of the grid on which the geometry happens; a larger
-            label map is reduced to it by majority vote, a smaller one is used as it is. ``None``
-            is the native size (the paper).
-        opening: radius of the square that opens each layer, as a fraction of the shorter side.
-            Silent in the paper.
+        labels_as: the label space: its name, the path of a YAML file that defines it, or a
+            `LabelSpace`. It says how label ids are read and is *not* part of the fingerprint.
+        working_size: pixels, 1 to 16384: the shorter side of the grid on which the geometry
+            happens. A larger label map is reduced to it by majority vote, a smaller one is used
+            as it is. ``None`` is the native size (the paper).
+        opening: radius of the square that opens each layer, a fraction of the shorter side, 0 to
+            0.5. Silent in the paper.
         closing: radius of the square that then closes each layer, likewise. Silent in the paper.
-        hole_area: enclosed holes smaller than this fraction of the image are filled. Silent in
-            the paper.
-        region_area: regions smaller than this fraction of the image are dropped. Silent in the
-            paper.
+        hole_area: enclosed holes of fewer pixels than this fraction of the image are filled, 0 to
+            1. Silent in the paper.
+        region_area: regions of fewer pixels than this fraction of the image are dropped, 0 to 1.
+            Silent in the paper.
         thinning: ``"zhang-suen"`` or ``"guo-hall"``. Silent in the paper.
-        rings: N of the paper, log-spaced rings of the shape context.
-        sectors: M of the paper, equal sectors of the shape context.
-        radius: R of the paper as a fraction of the image diagonal. Silent in the paper.
-        inner_radius: outer radius of the first ring as a fraction of R; the rings between grow by
-            a constant factor (2 with five rings and 1/16, as in Belongie et al. 2002). Silent in
-            the paper.
+        rings: N of the paper, the number of log-spaced rings of the shape context, 1 to 64.
+        sectors: M of the paper, the number of equal sectors of the shape context, 1 to 360.
+        radius: R of the paper as a fraction of the image diagonal, above 0 to 1. Silent in the
+            paper.
+        inner_radius: outer radius of the first ring as a fraction of R, above 0 to 1. From ring to
+            ring the radius grows by a constant factor: 2 with five rings and 1/16, as in Belongie
+            et al. 2002. Silent in the paper.
         context: the points that the histograms of Eq. 2 count: ``"skeleton"`` pixels or
-            ``"keypoints"``. The paper can be read either way.
-        aggregation: ``"residuals"`` of the key-points' histograms to the centre's (Eq. 2), or
-            ``"harmonics"`` of one soft histogram of area and skeleton around an anchor. What
-            follows is for harmonics only and not in the paper.
-        anchor: where that histogram stands: the ``"vista"``, the column in which the view
-            opens, or the ``"middle"`` of the image.
-        skeleton_weight: weight of the skeleton's length beside the layer's area.
-        harmonics: numbers of each layer, the amounts of the smoothest patterns over the bins.
-        sharpening: exponent by which finer patterns weigh more.
-        power: to which every number's size is raised, its sign kept; 0.5 to 1. Below, what should
-            be zero and is rounded would be raised to something.
+            ``"keypoints"``. The paper can be read either way. For residuals only.
+        aggregation: ``"residuals"`` of the keypoints' histograms to the centre's (Eq. 2), or
+            ``"harmonics"`` of one soft histogram of area and skeleton. The fields that follow are
+            for harmonics only and not in the paper.
+        anchor: where that histogram stands: in the ``"vanishing-column"``, towards which the
+            street narrows, or in the ``"middle"`` of the image.
+        skeleton_weight: weight of the skeleton's length beside the layer's area, 0 to 100.
+        harmonics: numbers of each layer: the coefficients of the smoothest basis functions over
+            the bins. At most ``rings * (sectors - 1)``, or ``rings * sectors`` if sectors is odd.
+        spectral_weight: exponent, 0 to 4; the larger, the more the finer basis functions weigh.
+        power: exponent of the power normalisation, 0.5 to 1: every number's size is raised to it,
+            its sign kept. A lower exponent would enlarge rounding errors of zeros.
 
     Raises:
         ValueError: a setting is outside its range; the message names it, what was got and what
-            was wanted.
+            was expected.
 
     Example:
         >>> SSRVLADConfig.from_preset("paper", labels_as="camvid-11").preset
         'paper'
     """
 
-    labels_as: str = "cityscapes-trainids"
+    labels_as: str | os.PathLike[str] | LabelSpace = "cityscapes-trainids"
     working_size: int | None = 120
     opening: float = 0.0
     closing: float = 0.01
@@ -98,14 +103,19 @@ class SSRVLADConfig:
     inner_radius: float = 1 / 6
     context: str = "skeleton"
     aggregation: str = "harmonics"
-    anchor: str = "vista"
+    anchor: str = "vanishing-column"
     skeleton_weight: float = 0.1
     harmonics: int = 60
-    sharpening: float = 1.0
+    spectral_weight: float = 1.0
     power: float = 0.75
 
     def __post_init__(self) -> None:
-        _check_type("labels_as", self.labels_as, str)
+        if isinstance(self.labels_as, os.PathLike):
+            object.__setattr__(self, "labels_as", os.fspath(self.labels_as))
+        if not isinstance(self.labels_as, (str, LabelSpace)):
+            raise ValueError(
+                f"labels_as must be a name, a path or a LabelSpace, got {self.labels_as!r}"
+            )
         if self.working_size is not None:
             _check_integer("working_size", self.working_size, 1, 1 << 14)
         for name, highest in (("opening", 0.5), ("closing", 0.5), ("hole_area", 1.0)):
@@ -120,7 +130,7 @@ class SSRVLADConfig:
         _check_choice("aggregation", self.aggregation, AGGREGATIONS)
         _check_choice("anchor", self.anchor, ANCHORS)
         _check_fraction("skeleton_weight", self.skeleton_weight, 100.0)
-        _check_fraction("sharpening", self.sharpening, 4.0)
+        _check_fraction("spectral_weight", self.spectral_weight, 4.0)
         _check_fraction("power", self.power, 1.0, lowest=0.5)
         _check_integer("harmonics", self.harmonics, 1, 1 << 12)
         most = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
@@ -153,11 +163,17 @@ class SSRVLADConfig:
             raise ValueError(
                 f"unknown setting {unknown[0]!r}; the settings are {', '.join(sorted(known))}"
             )
+        space = settings.get("labels_as")
+        if isinstance(space, dict):
+            settings = {**settings, "labels_as": LabelSpace.from_dict(space, "labels_as")}
         return cls(**settings)
 
     def to_dict(self) -> dict[str, Any]:
-        """Every setting by name, ready for JSON."""
-        return dataclasses.asdict(self)
+        """Every setting by name, ready for JSON; a `LabelSpace` is a mapping in it."""
+        settings = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        if isinstance(self.labels_as, LabelSpace):
+            settings["labels_as"] = self.labels_as.to_dict()
+        return settings
 
     @property
     def preset(self) -> str:
@@ -166,6 +182,12 @@ class SSRVLADConfig:
             if self.from_preset(name, labels_as=self.labels_as) == self:
                 return name
         return "custom"
+
+    @property
+    def labels_name(self) -> str:
+        """``labels_as`` in a word: the name or the path, of a `LabelSpace` its name."""
+        space = self.labels_as
+        return space.name if isinstance(space, LabelSpace) else os.fspath(space)
 
     @property
     def fingerprint(self) -> str:
@@ -202,7 +224,7 @@ class SSRVLADConfig:
         )
 
     def radius_pixels(self, fraction: float, height: int, width: int) -> int:
-        """A morphology radius in pixels of an ``height x width`` grid."""
+        """A morphology radius in pixels of a ``height x width`` grid."""
         return _rounded(_parts(fraction, _AREA_UNIT) * min(height, width), _AREA_UNIT)
 
     def area_pixels(self, fraction: float, height: int, width: int) -> int:
@@ -229,11 +251,6 @@ def _parts(fraction: float, unit: int) -> int:
 
 def _rounded(numerator: int, denominator: int) -> int:
     return (2 * numerator + denominator) // (2 * denominator)
-
-
-def _check_type(name: str, value: object, wanted: type) -> None:
-    if not isinstance(value, wanted):
-        raise ValueError(f"{name} must be {wanted.__name__}, got {value!r}")
 
 
 def _check_integer(name: str, value: object, lowest: int, highest: int) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from .config import CATEGORY_COUNT, SSRVLADConfig
-from .taxonomy import NO_LAYER, label_space
+from .taxonomy import NO_LAYER, LabelSpace, label_space
 
 try:
     from skimage import measure, morphology
@@ -26,17 +26,17 @@ Mask = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
-CANVAS = (24, 32)
-"""Rows and columns of the cells around the vista."""
+CELLS = (24, 32)
+"""Rows and columns of the grid of cells."""
 
 
 @dataclass(frozen=True)
 class LayerTrace:
     """One layer of one image, step by step; points are ``(n, 2)`` rows and columns.
 
-    ``centre`` is ``None`` for a layer without pixels. For residuals ``point_histogram`` is the
-    sum of all d_i of Eq. 2 and ``centre_histogram`` is d_c, both ``(N, M)``; for harmonics
-    ``vista_histogram`` is what stands in the soft bins.
+    ``centre`` is ``None`` for a layer without pixels. ``histograms`` are ``(N, M)`` each: for
+    residuals ``points``, the sum of all d_i of Eq. 2, and ``centre``, d_c; for harmonics ``bins``,
+    what stands in the soft bins.
     """
 
     layer: Mask
@@ -45,10 +45,8 @@ class LayerTrace:
     end_points: Mask
     intersections: Mask
     centre: tuple[int, int] | None
+    histograms: dict[str, npt.NDArray[Any]]
     vector: Floats
-    point_histogram: Integers | None = None
-    centre_histogram: Integers | None = None
-    vista_histogram: Floats | None = None
 
 
 def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[np.float32]:
@@ -59,7 +57,7 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
         config: the settings.
 
     Returns:
-        ``(480,)`` float32 of length 1, or zeros for an image in which no layer has a key-point.
+        ``(480,)`` float32 of length 1, or zeros for an image in which no layer has a keypoint.
 
     Raises:
         ValueError: an id outside the label space.
@@ -69,13 +67,13 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
 
 def trace_layers(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[LayerTrace]:
     """The eight layers of one image, step by step; arguments and errors as for `describe`."""
-    categories = categorise(label_map, config.labels_as)
+    categories = categorise(label_map, label_space(config.labels_as))
     categories = reduce_by_majority(categories, config.grid(*categories.shape))
     layers = [categories == k for k in range(CATEGORY_COUNT)]
     clean = [clean_layer(layer, config) for layer in layers]
     if config.aggregation == "residuals":
         return [trace_residuals(*pair, config) for pair in zip(layers, clean, strict=True)]
-    shift = vista(clean) if config.anchor == "vista" else 0
+    shift = vanishing_column(clean) if config.anchor == "vanishing-column" else 0
     return [trace_harmonics(*pair, shift, config) for pair in zip(layers, clean, strict=True)]
 
 
@@ -96,21 +94,21 @@ def trace_residuals(layer: Mask, clean: Mask, config: SSRVLADConfig) -> LayerTra
         around_points += shape_context(point, context, limits, config.sectors)
     residual = around_points - len(points) * around_centre  # Eq. 2
     vector = normalise(residual.ravel().astype(np.float64))
-    steps = (layer, clean, skeleton, ends, crossings, centre, vector)
-    return LayerTrace(*steps, point_histogram=around_points, centre_histogram=around_centre)
+    histograms = {"points": around_points, "centre": around_centre}
+    return LayerTrace(layer, clean, skeleton, ends, crossings, centre, histograms, vector)
 
 
 def trace_harmonics(layer: Mask, clean: Mask, shift: int, config: SSRVLADConfig) -> LayerTrace:
-    """One layer around the vista, from its pixels to its amounts of the patterns."""
+    """One layer around the vanishing column, from its pixels to its coefficients."""
     skeleton = thin(clean, config.thinning)
-    area = np.sqrt(soft_histogram(canvas(layer, shift), config))
-    lengths = canvas(skeleton, shift) * (min(layer.shape) / CANVAS[0])
+    area = np.sqrt(soft_histogram(pool(layer, shift), config))
+    lengths = pool(skeleton, shift) * (min(layer.shape) / CELLS[0])
     histogram = area + config.skeleton_weight * np.sqrt(soft_histogram(lengths, config))
-    amounts = np.array([(pattern * histogram).sum() for pattern in patterns(config)])
-    vector = np.sign(amounts) * np.abs(amounts) ** config.power
+    found = np.array([(function * histogram).sum() for function in basis(config)])
+    vector = np.sign(found) * np.abs(found) ** config.power
     ends, crossings = end_points(skeleton), intersections(skeleton)
-    steps = (layer, clean, skeleton, ends, crossings, centroid(clean), vector)
-    return LayerTrace(*steps, vista_histogram=histogram)
+    masks = (layer, clean, skeleton, ends, crossings)
+    return LayerTrace(*masks, centroid(clean), {"bins": histogram}, vector)
 
 
 def concatenate(traces: list[LayerTrace]) -> npt.NDArray[np.float32]:
@@ -118,9 +116,8 @@ def concatenate(traces: list[LayerTrace]) -> npt.NDArray[np.float32]:
     return normalise(np.concatenate([trace.vector for trace in traces])).astype(np.float32)
 
 
-def categorise(label_map: npt.NDArray[Any], labels_as: str) -> Integers:
+def categorise(label_map: npt.NDArray[Any], space: LabelSpace) -> Integers:
     """Category 0 to 7 of every pixel (Table II), or `NO_LAYER`."""
-    space = label_space(labels_as)
     categories = np.full(label_map.shape, -1, np.int64)
     for label in space.classes:
         categories[label_map == label.id] = label.category_index
@@ -276,8 +273,8 @@ def shape_context(
     return histogram
 
 
-def vista(clean: list[Mask]) -> int:
-    """Columns from the middle to where ground, sidewalk and sky leave the view open.
+def vanishing_column(clean: list[Mask]) -> int:
+    """Columns from the middle to where ground, sidewalk and sky are tallest.
 
     A column weighs by the eighth power of its openness in 64ths, one that is wholly open 2 ** 20;
     the middle weighs as much as a twentieth of all columns, open. Halves are rounded up.
@@ -290,10 +287,10 @@ def vista(clean: list[Mask]) -> int:
     return int((moment + total) // (2 * total))
 
 
-def canvas(layer: Mask, shift: int) -> Floats:
-    """The share of each of 24 x 32 cells that a layer covers, once moved ``shift`` columns left."""
+def pool(layer: Mask, shift: int) -> Floats:
+    """The fraction of each cell that a layer covers, once moved ``shift`` columns left."""
     height, width = layer.shape
-    tall, wide = overlaps(height, CANVAS[0], 0), overlaps(width, CANVAS[1], shift)
+    tall, wide = overlaps(height, CELLS[0], 0), overlaps(width, CELLS[1], shift)
     sums = tall.T @ layer.astype(np.int64) @ wide
     return np.asarray(sums / (height * width))
 
@@ -325,7 +322,7 @@ def soft_bins(config: SSRVLADConfig) -> list[tuple[int, int, int, int, float]]:
     distance) and two sector centres counts in all four, linearly. Within the first ring's centre
     the first ring has it all; what is farther than the radius is not counted.
     """
-    rows, columns = CANVAS
+    rows, columns = CELLS
     found = []
     for sy, sx in np.ndindex(rows * 4, columns * 4):
         dy, dx = (sy + 0.5) / 4 - rows / 2, (sx + 0.5) / 4 - columns / 2
@@ -343,14 +340,14 @@ def soft_bins(config: SSRVLADConfig) -> list[tuple[int, int, int, int, float]]:
 
 
 def between(position: float) -> list[tuple[int, float]]:
-    """The two integers around a position, each with its share."""
+    """The two integers around a position, each with its weight."""
     below = math.floor(position)
     return [(below, 1 - (position - below)), (below + 1, position - below)]
 
 
 @lru_cache(maxsize=8)
-def patterns(config: SSRVLADConfig) -> list[Floats]:
-    """The smoothest patterns over the bins, ``(N, M)`` each, finer ones with more weight."""
+def basis(config: SSRVLADConfig) -> list[Floats]:
+    """The smoothest functions over the bins, ``(N, M)`` each, finer ones with more weight."""
     waves = []
     for u in range(config.rings):
         for v in range((config.sectors + 1) // 2):
@@ -359,8 +356,8 @@ def patterns(config: SSRVLADConfig) -> list[Floats]:
     for squared, u, v, sine in sorted(waves)[: config.harmonics]:
         rings = np.cos(np.pi * u * (np.arange(config.rings) + 0.5) / config.rings)
         turns = 2 * np.pi * v * np.arange(config.sectors) / config.sectors
-        pattern = np.outer(rings, np.sin(turns) if sine else np.cos(turns))
-        found.append(normalise(pattern) * (1 + squared) ** (config.sharpening / 2))
+        function = np.outer(rings, np.sin(turns) if sine else np.cos(turns))
+        found.append(normalise(function) * (1 + squared) ** (config.spectral_weight / 2))
     return found
 
 

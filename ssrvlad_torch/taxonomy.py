@@ -2,14 +2,18 @@
 
 A label space says what the ids of a label map mean. Each id belongs to one of the eight
 categories, or to `DYNAMIC` or `VOID`, which get no layer. The built-in spaces are YAML files in
-``label_spaces/``; a user's own space is a file of the same form.
+``label_spaces/``; your own space is a file, or a `LabelSpace`, of the same form.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 from collections import Counter
 from dataclasses import dataclass
-from functools import cache
+from difflib import get_close_matches
+from functools import lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -38,13 +42,20 @@ NO_LAYER = len(CATEGORIES)
 
 @dataclass(frozen=True)
 class LabelClass:
-    """One id of a label space: ``category`` is in `CATEGORIES`, or `DYNAMIC` or `VOID`; the colour
-    is what pictures of label maps show it in, if any."""
+    """One id of a label space.
+
+    Attributes:
+        id: -65535 to 65535.
+        name: of the class, for people.
+        category: one of `CATEGORIES`, or `DYNAMIC` or `VOID`.
+        colour: red, green and blue, 0 to 255, in which pictures of label maps show the class;
+            ``None`` where there is none.
+    """
 
     id: int
     name: str
     category: str
-    colour: tuple[int, int, int] | None
+    colour: tuple[int, int, int] | None = None
 
     @property
     def category_index(self) -> int:
@@ -54,11 +65,68 @@ class LabelClass:
 
 @dataclass(frozen=True)
 class LabelSpace:
-    """The ids that a label map may hold, and what they mean."""
+    """The ids that a label map may hold, and what they mean.
+
+    Attributes:
+        name: of the label space.
+        source: where the ids are defined: a paper, a data set, a network.
+        classes: one for each id.
+
+    Example:
+        >>> path = {"id": 7, "name": "path", "category": "ground"}
+        >>> space = LabelSpace.from_dict({"name": "mine", "source": "me", "classes": [path]})
+        >>> space.classes[0].category_index
+        0
+    """
 
     name: str
     source: str
     classes: tuple[LabelClass, ...]
+
+    @classmethod
+    def from_dict(cls, document: object, where: str = "label space") -> LabelSpace:
+        """The label space that `to_dict` wrote, or that a YAML file holds.
+
+        Args:
+            document: a mapping with ``name``, ``source`` and ``classes``, a list of mappings with
+                ``id``, ``name``, ``category`` and perhaps ``colour``.
+            where: what messages call it.
+
+        Raises:
+            ValueError: it does not define a label space; the message names the entry.
+        """
+        wanted = "expected a mapping with name, source and classes"
+        if not isinstance(document, dict) or not {"name", "source", "classes"} <= document.keys():
+            raise ValueError(f"{where} is not a label space: {wanted}")
+        if not isinstance(document["classes"], (list, tuple)) or not document["classes"]:
+            raise ValueError(f"{where}: classes must be a list with at least one class")
+        classes = tuple(_parse_class(entry, where) for entry in document["classes"])
+        counts = Counter(label.id for label in classes)
+        repeated = [label_id for label_id, count in counts.items() if count > 1]
+        if repeated:
+            raise ValueError(f"{where}: id {repeated[0]} is defined more than once")
+        if all(label.category == VOID for label in classes):
+            raise ValueError(f"{where}: every class is void, so no label map could mean anything")
+        return cls(str(document["name"]), str(document["source"]), classes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The label space as numbers, texts and lists, ready for JSON."""
+        classes = []
+        for label in self.classes:
+            colour = {} if label.colour is None else {"colour": list(label.colour)}
+            classes.append(
+                {"id": label.id, "name": label.name, "category": label.category, **colour}
+            )
+        return {"name": self.name, "source": self.source, "classes": classes}
+
+    @property
+    def digest(self) -> str:
+        """16 hex digits over the classes: ids, names, categories and colours, in the order of ids.
+
+        Label spaces of one digest read every label map alike, whatever they are called.
+        """
+        classes = sorted(self.to_dict()["classes"], key=lambda entry: int(entry["id"]))
+        return hashlib.sha256(json.dumps(classes, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def channel_counts(self) -> range:
@@ -89,13 +157,14 @@ def label_space_names() -> tuple[str, ...]:
     return tuple(sorted(file.name.removesuffix(".yaml") for file in files))
 
 
-@cache
-def label_space(name: str) -> LabelSpace:
-    """A built-in label space, or the one that a YAML file defines.
+def label_space(given: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
+    """A built-in label space, the one that a YAML file defines, or the given one as it is.
+
+    A file is read at every call: what was changed in it counts.
 
     Args:
-        name: a name in `label_space_names`, or the path of a file that ends in ``.yaml`` or
-            ``.yml``.
+        given: a name in `label_space_names`, the path of a file that ends in ``.yaml`` or
+            ``.yml``, or a label space.
 
     Raises:
         ValueError: no such space, or the file does not define one; the message names the entry.
@@ -104,58 +173,55 @@ def label_space(name: str) -> LabelSpace:
         >>> label_space("camvid-11").classes[0].category
         'sky'
     """
+    if isinstance(given, LabelSpace):
+        return given
+    name = os.fspath(given)
     if name.endswith((".yaml", ".yml")):
         try:
-            text = Path(name).read_text(encoding="utf-8")
+            return _parsed(Path(name).read_text(encoding="utf-8"), name)
         except (OSError, UnicodeDecodeError) as error:
             raise ValueError(f"cannot read the label space {name}: {error}") from error
-    elif name in label_space_names():
-        text = resources.files(__package__).joinpath(f"label_spaces/{name}.yaml").read_text("utf-8")
-    else:
+    names = label_space_names()
+    if name not in names:
+        close = get_close_matches(name, names, n=2, cutoff=0.6)
+        hint = f"did you mean {' or '.join(sorted(close))}? " if close else ""
         raise ValueError(
-            f"unknown label space {name!r}; wanted one of {', '.join(label_space_names())}, "
-            "or the path of a .yaml file"
+            f"unknown label space {name!r}: {hint}Expected one of {', '.join(names)}, or "
+            "the path of a .yaml file"
         )
+    file = resources.files(__package__).joinpath(f"label_spaces/{name}.yaml")
+    return _parsed(file.read_text("utf-8"), name)
+
+
+@lru_cache(maxsize=32)
+def _parsed(text: str, where: str) -> LabelSpace:
     try:
         document = yaml.safe_load(text)
     except yaml.YAMLError as error:
-        raise ValueError(f"{name} is not YAML: {' '.join(str(error).split())}") from error
-    return _parse(document, name)
+        raise ValueError(f"{where} is not YAML: {' '.join(str(error).split())}") from error
+    return LabelSpace.from_dict(document, where)
 
 
-def palette(name: str) -> npt.NDArray[np.uint8]:
+def palette(space: str | os.PathLike[str] | LabelSpace) -> npt.NDArray[np.uint8]:
     """(256, 3) colours of a label space's ids 0 to 255; black where it defines none."""
     colours = np.zeros((256, 3), np.uint8)
-    for label in label_space(name).classes:
+    for label in label_space(space).classes:
         if 0 <= label.id < 256 and label.colour:
             colours[label.id] = label.colour
     return colours
 
 
-def colourise(labels: npt.NDArray[Any], name: str) -> npt.NDArray[np.uint8]:
+def colourise(
+    labels: npt.NDArray[Any], space: str | os.PathLike[str] | LabelSpace
+) -> npt.NDArray[np.uint8]:
     """An ``(H, W)`` label map as an ``(H, W, 3)`` RGB picture in the label space's colours.
 
     Ids that the space does not define are magenta.
     """
     picture = np.full((*labels.shape, 3), (255, 0, 255), np.uint8)
-    for label in label_space(name).classes:
+    for label in label_space(space).classes:
         picture[labels == label.id] = label.colour or (0, 0, 0)
     return picture
-
-
-def _parse(document: object, where: str) -> LabelSpace:
-    wanted = "wanted a mapping with name, source and classes"
-    if not isinstance(document, dict) or not {"name", "source", "classes"} <= document.keys():
-        raise ValueError(f"{where} is not a label space: {wanted}")
-    if not isinstance(document["classes"], list) or not document["classes"]:
-        raise ValueError(f"{where}: classes must be a list with at least one class")
-    classes = tuple(_parse_class(entry, where) for entry in document["classes"])
-    repeated = [key for key, count in Counter(label.id for label in classes).items() if count > 1]
-    if repeated:
-        raise ValueError(f"{where}: id {repeated[0]} is defined more than once")
-    if all(label.category == VOID for label in classes):
-        raise ValueError(f"{where}: every class is void, so no label map could mean anything")
-    return LabelSpace(str(document["name"]), str(document["source"]), classes)
 
 
 def _parse_class(entry: object, where: str) -> LabelClass:
@@ -167,11 +233,13 @@ def _parse_class(entry: object, where: str) -> LabelClass:
     if category not in (*CATEGORIES, DYNAMIC, VOID):
         raise ValueError(
             f"{where}: id {identity} has category {category!r}; "
-            f"wanted one of {', '.join((*CATEGORIES, DYNAMIC, VOID))}"
+            f"expected one of {', '.join((*CATEGORIES, DYNAMIC, VOID))}"
         )
     colour = entry.get("colour")
     if colour is not None and not _is_colour(colour):
-        raise ValueError(f"{where}: id {identity} has colour {colour!r}; wanted three of 0 to 255")
+        raise ValueError(
+            f"{where}: id {identity} has colour {colour!r}; expected three of 0 to 255"
+        )
     return LabelClass(
         identity, str(entry["name"]), category, None if colour is None else tuple(colour)
     )

@@ -60,15 +60,12 @@ def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConf
             ("skeleton", trace.skeleton, view.skeleton),
             ("end points", trace.end_points, view.end_points),
             ("intersections", trace.intersections, view.intersections),
-            ("sum of histograms", trace.point_histogram, view.point_histograms),
-            ("histogram of the centre", trace.centre_histogram, view.centre_histograms),
         ):
-            assert (expected is None) == (got is None)
-            if got is not None:
-                np.testing.assert_array_equal(got[0, k].numpy(), expected, f"{name} of layer {k}")
-        if view.vista_histograms is not None:
-            got = view.vista_histograms[0, k].numpy()
-            np.testing.assert_allclose(got, trace.vista_histogram, rtol=1e-12, atol=1e-15)
+            np.testing.assert_array_equal(got[0, k].numpy(), expected, f"{name} of layer {k}")
+        for name, histogram in trace.histograms.items():
+            got = getattr(view.histograms, name)[0, k].numpy()
+            near = {"rtol": 1e-12, "atol": 1e-15} if name == "bins" else {"rtol": 0, "atol": 0}
+            np.testing.assert_allclose(got, histogram, **near, err_msg=f"{name} of layer {k}")
         assert tuple(view.centres[0, k].tolist()) == (trace.centre or (-1, -1)), f"centre {k}"
     expected = reference.concatenate(traces)
     np.testing.assert_allclose(view.descriptor[0].numpy(), expected, rtol=0, atol=1e-6)

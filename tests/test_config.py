@@ -39,10 +39,10 @@ OTHER = {
     "anchor": "middle",
     "skeleton_weight": 0.3,
     "harmonics": 30,
-    "sharpening": 0.5,
+    "spectral_weight": 0.5,
     "power": 0.5,
 }
-ONLY_HARMONICS = {"anchor", "skeleton_weight", "harmonics", "sharpening", "power"}
+ONLY_HARMONICS = {"anchor", "skeleton_weight", "harmonics", "spectral_weight", "power"}
 
 
 @pytest.mark.parametrize(
@@ -64,7 +64,7 @@ def test_every_setting_that_matters_is_in_the_fingerprint(aggregation, unused):
 def test_fingerprints_do_not_drift():
     """Databases carry these. Change them only together with METHOD_REVISION or a setting."""
     assert SSRVLADConfig.from_preset("paper").fingerprint == "fae2c61db07afbf9"
-    assert SSRVLADConfig.from_preset("default").fingerprint == "2ee5b63392b5432e"
+    assert SSRVLADConfig.from_preset("default").fingerprint == "abb6aa3806dc84bb"
 
 
 def test_dict_round_trip():
@@ -83,7 +83,7 @@ def test_dict_round_trip():
         ({"radius": 0}, "radius must be a fraction above 0"),
         ({"thinning": "lee"}, "thinning must be one of zhang-suen, guo-hall, got 'lee'"),
         ({"context": "area"}, "context must be one of skeleton, keypoints, got 'area'"),
-        ({"labels_as": 3}, "labels_as must be str, got 3"),
+        ({"labels_as": 3}, "labels_as must be a name, a path or a LabelSpace, got 3"),
     ],
 )
 def test_bad_settings_are_named(settings, message):

@@ -31,7 +31,7 @@ presets = pytest.mark.parametrize("preset", PRESETS)
 CUSTOM: dict[str, dict[str, Any]] = {
     "few bins": {"preset": "paper", "rings": 3, "sectors": 8},
     "one ring, odd sectors": {"preset": "paper", "rings": 1, "sectors": 5, "radius": 1.0},
-    "key-points as context": {"preset": "paper", "context": "keypoints"},
+    "keypoints as context": {"preset": "paper", "context": "keypoints"},
     "guo-hall": {"preset": "paper", "thinning": "guo-hall", "working_size": 50},
     "opening and closing": {"preset": "paper", "opening": 0.02, "closing": 0.03},
     "nothing cleaned": {"preset": "paper", "closing": 0.0, "hole_area": 0.0, "region_area": 0.0},
@@ -47,7 +47,7 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "sectors": 7,
         "harmonics": 9,
         "power": 1.0,
-        "sharpening": 0.0,
+        "spectral_weight": 0.0,
     },
 }
 

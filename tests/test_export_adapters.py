@@ -106,7 +106,7 @@ def test_bytes_above_127_are_not_negative(rtabmap):
 
 
 def test_gray_images_and_empty_ones(rtabmap):
-    """Where all colours are equal the first class, sky, is everywhere; it has no key-points."""
+    """Where all colours are equal the first class, sky, is everywhere; it has no keypoints."""
     rtabmap.init(480)
     gray = np.random.default_rng(0).integers(0, 255, (24, 32, 1), np.uint8)
     np.testing.assert_array_equal(

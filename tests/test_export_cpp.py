@@ -68,7 +68,7 @@ def test_it_prints_what_the_module_finds(place, town, tmp_path, name):
     assert (code, errors) == (0, [])
     assert lines[0] == "descriptor: 480 numbers, norm 1.000000"
     counts = town.keypoints[2].sum((1, 2)).tolist()
-    assert lines[1].split() == ["key-points:", *map(str, counts)]
+    assert lines[1].split() == ["keypoints:", *map(str, counts)]
     scores, rows = (part[0].tolist() for part in match(town.descriptor[2:3], town.descriptor, 4))
     assert [line.split()[0] for line in lines[2:]] == [f"maps/{row}" for row in rows]
     found = [float(line.split()[1]) for line in lines[2:]]

@@ -19,7 +19,7 @@ from helpers import COLOUR, GRAY, write_png
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
-from ssrvlad_torch.stages.harmonics import pattern_table
+from ssrvlad_torch.stages.harmonics import basis_table
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "export" / "web"
@@ -59,7 +59,7 @@ def site(tmp_path_factory):
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
     folder = tmp_path_factory.mktemp("site") / "web"
-    shutil.copytree(SOURCE, folder, ignore=shutil.ignore_patterns("node_modules"))
+    shutil.copytree(SOURCE, folder, ignore=shutil.ignore_basis("node_modules"))
     (folder / "node_modules").symlink_to(runtime())
     write_maps(folder / "maps", range(6))
     for preset, config in CONFIGS.items():
@@ -151,10 +151,10 @@ def test_what_is_drawn_is_what_the_module_finds(page, site, preset):
 
 
 def smooth_parts(targets, view, number):
-    """Each target is the projection of the histogram on the patterns, of one scale for all."""
+    """Each target is the projection of the histogram on the basis, of one scale for all."""
     config = CONFIGS["default"]
-    patterns = pattern_table(config.rings, config.sectors, config.harmonics, 0.0)
-    wanted = (view.vista_histograms[number].flatten(1) @ patterns.T @ patterns).numpy()
+    basis = basis_table(config.rings, config.sectors, config.harmonics, 0.0)
+    wanted = (view.histograms.bins[number].flatten(1) @ basis.T @ basis).numpy()
     scale = np.linalg.norm(wanted) / np.linalg.norm(targets)
     np.testing.assert_allclose(targets * scale, wanted, atol=1e-5)
 

@@ -13,14 +13,20 @@ from ssrvlad_torch.deployment.stages.harmonics import (
     coefficients_in_graph,
     soft_histograms_in_graph,
 )
-from ssrvlad_torch.stages.canvas import CELLS, COLUMNS, ROWS
-from ssrvlad_torch.stages.harmonics import amounts, bin_table, pattern_table, soft_histograms, waves
+from ssrvlad_torch.stages.grid_pooling import CELLS, COLUMNS, ROWS
+from ssrvlad_torch.stages.harmonics import (
+    basis_table,
+    bin_table,
+    coefficients,
+    soft_histograms,
+    waves,
+)
 
 CONFIGS = [
     SSRVLADConfig(),
     SSRVLADConfig(rings=1, sectors=1, harmonics=1),
     SSRVLADConfig(rings=3, sectors=2, harmonics=3, radius=0.3),
-    SSRVLADConfig(rings=5, sectors=12, harmonics=55, inner_radius=1.0, sharpening=0.0),
+    SSRVLADConfig(rings=5, sectors=12, harmonics=55, inner_radius=1.0, spectral_weight=0.0),
     SSRVLADConfig(rings=4, sectors=7, harmonics=20, radius=1.0, inner_radius=0.05),
 ]
 each_config = pytest.mark.parametrize("config", CONFIGS, ids=range(len(CONFIGS)))
@@ -29,18 +35,18 @@ each_config = pytest.mark.parametrize("config", CONFIGS, ids=range(len(CONFIGS))
 def tables(config: SSRVLADConfig) -> tuple[torch.Tensor, torch.Tensor]:
     return (
         bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
-        pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening),
+        basis_table(config.rings, config.sectors, config.harmonics, config.spectral_weight),
     )
 
 
 @each_config
 def test_tables_equal_the_reference(config):
-    bins, patterns = tables(config)
+    bins, basis = tables(config)
     cells = np.random.default_rng(0).random((ROWS, COLUMNS))
     expected = reference.soft_histogram(cells, config).ravel()
     np.testing.assert_allclose(bins @ torch.from_numpy(cells).flatten(), expected, rtol=1e-12)
-    expected = np.array(reference.patterns(config)).reshape(config.harmonics, -1)
-    np.testing.assert_allclose(patterns, expected, atol=1e-13)
+    expected = np.array(reference.basis(config)).reshape(config.harmonics, -1)
+    np.testing.assert_allclose(basis, expected, atol=1e-13)
 
 
 @each_config
@@ -63,17 +69,17 @@ def test_waves_rise_in_frequency_and_are_orthogonal():
     squared = [u * u + v * v for u, v, _ in waves(6, 20)]
     assert squared == sorted(squared)
     assert len(squared) == 6 * 19
-    table = pattern_table(6, 20, 6 * 19, 0.0)
+    table = basis_table(6, 20, 6 * 19, 0.0)
     torch.testing.assert_close(table @ table.T, torch.eye(114).double(), rtol=0, atol=1e-12)
 
 
 def test_a_mirrored_street_flips_the_sign_of_the_sines():
     """Left and right change places: angle a becomes pi - a."""
     config = SSRVLADConfig(sectors=12, power=1.0)
-    bins, patterns = tables(config)
+    bins, basis = tables(config)
     cells = torch.rand(1, 8, ROWS, COLUMNS, dtype=torch.float64)
     here, mirrored = (
-        amounts(soft_histograms(c, c, 0.1, bins), patterns, 1.0).view(8, -1)
+        coefficients(soft_histograms(c, c, 0.1, bins), basis, 1.0).view(8, -1)
         for c in (cells, cells.flip(3))
     )
     sign = [(-1) ** v * (-1 if phase else 1) for _, v, phase in waves(6, 12)[: config.harmonics]]
@@ -90,11 +96,11 @@ def test_root_and_weight_of_the_skeleton_by_hand():
 
 
 def test_empty_images_and_layers_are_exact_zeros():
-    config = dataclasses.replace(SSRVLADConfig(), sharpening=2.0)
-    bins, patterns = tables(config)
+    config = dataclasses.replace(SSRVLADConfig(), spectral_weight=2.0)
+    bins, basis = tables(config)
     area = torch.rand(2, 8, ROWS, COLUMNS, dtype=torch.float64)
     area[0], area[1, 4] = 0, 0
-    found = amounts(soft_histograms(area, area, 0.1, bins), patterns, 0.75).view(2, 8, -1)
+    found = coefficients(soft_histograms(area, area, 0.1, bins), basis, 0.75).view(2, 8, -1)
     assert not found[0].any()
     assert not found[1, 4].any()
     assert found[1].norm().item() == pytest.approx(1)
@@ -102,26 +108,26 @@ def test_empty_images_and_layers_are_exact_zeros():
 
 
 def test_power_keeps_signs_and_order():
-    patterns = torch.eye(4, dtype=torch.float64)
+    basis = torch.eye(4, dtype=torch.float64)
     held = torch.tensor([[[-4.0, -1.0, 0.0, 9.0]]], dtype=torch.float64)
-    found = amounts(held, patterns, 0.5)
+    found = coefficients(held, basis, 0.5)
     expected = torch.tensor([-2.0, -1.0, 0.0, 3.0]) / math.sqrt(14)
     torch.testing.assert_close(found[0], expected)
 
 
 @each_config
 def test_the_same_in_a_graph(config):
-    bins, patterns = tables(config)
+    bins, basis = tables(config)
 
     def in_graph(graph, area, lengths):
         found = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
-        return [found, coefficients_in_graph(graph, found, patterns, config.power)]
+        return [found, coefficients_in_graph(graph, found, basis, config.power)]
 
     area, lengths = torch.rand(2, 3, 8, ROWS, COLUMNS, dtype=torch.float64)
     area[1], lengths[1], area[0, 3] = 0, 0, 0
     histograms, descriptor = run(in_graph, area, lengths)
     expected = soft_histograms(area, lengths, config.skeleton_weight, bins)
     torch.testing.assert_close(histograms, expected, rtol=1e-12, atol=1e-15)
-    expected = amounts(expected, patterns, config.power)
+    expected = coefficients(expected, basis, config.power)
     torch.testing.assert_close(descriptor, expected, rtol=0, atol=1e-7)
     assert not descriptor[1].any()

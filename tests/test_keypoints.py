@@ -70,7 +70,7 @@ def test_drawings(name):
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))
 def test_any_mask(seed, height, width):
-    """Key-points are defined on any mask, thin or not."""
+    """Keypoints are defined on any mask, thin or not."""
     some = random_planes(seed, (2, height, width)) & random_planes(seed + 7, (2, height, width))
     for fast, plain in (
         (end_points, reference.end_points),

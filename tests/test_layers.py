@@ -50,7 +50,7 @@ def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown):
     categories = categorise(labels, *category_table(space))
     with pytest.raises(
         ValueError,
-        match=rf"label id {unknown} \(2 pixels\) is not in label space camvid-11; wanted 0 to 11",
+        match=rf"label id {unknown} \(2 pixels\) is not in label space camvid-11; expected 0 to 11",
     ):
         refuse_unknown(labels, categories, space)
 

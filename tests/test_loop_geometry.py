@@ -1,4 +1,4 @@
-"""Key-points that agree up to a shift: by hand, and against counting every pair."""
+"""Keypoints that agree up to a shift: by hand, and against counting every pair."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""LoST-X as a method: windows of references, key-points, ranking again, errors."""
+"""LoST-X as a method: windows of references, keypoints, ranking again, errors."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_frames_may_differ_in_size(method):
 
 
 def test_candidates_without_key_points_stand_behind_the_ranked(space):
-    """Two references see other classes at every place, so no pair of key-points is left."""
+    """Two references see other classes at every place, so no pair of keypoints is left."""
 
     def blind(images: Tensor) -> tuple[Tensor, Tensor]:
         features, scores = network(images)

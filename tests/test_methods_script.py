@@ -146,7 +146,7 @@ def test_watched_functions_are_timed_and_put_back(patch):
     costs = load("_costs", patch)
     module = types.SimpleNamespace(double=lambda x: 2 * x, other=None)
     double = module.double
-    with costs.watched(module, ["double"]) as taken:
+    with costs.watched([(module, "double")]) as taken:
         assert module.double(4) == 8
         assert module.double(5) == 10
     assert len(taken) == 2

@@ -160,16 +160,16 @@ def test_majority_of_a_cell_and_its_ties():
 
 
 def test_a_cross_describes_itself_by_hand():
-    """A cross of 13 pixels: five key-points, of which the centre's histogram is subtracted."""
+    """A cross of 13 pixels: five keypoints, of which the centre's histogram is subtracted."""
     labels = np.where(mask(CROSS), ROAD, VOID)
     trace = reference.trace_layers(labels, PLAIN)[0]
     assert trace.centre == (3, 3)
     assert len(np.argwhere(trace.end_points | trace.intersections)) == 5
     limits = PLAIN.ring_limits(7, 7)
     assert limits == (0, 0, 1, 6, 24)
-    assert trace.centre_histogram.sum(axis=1).tolist() == [0, 0, 4, 4, 4]
+    assert trace.histograms["centre"].sum(axis=1).tolist() == [0, 0, 4, 4, 4]
     ends_see = 4 + 6  # along their own arm up to R, and of the other arm
-    assert trace.point_histogram.sum() == 12 + 4 * ends_see
+    assert trace.histograms["points"].sum() == 12 + 4 * ends_see
     assert np.linalg.norm(trace.vector) == pytest.approx(1)
 
 
@@ -193,22 +193,22 @@ def test_a_street_bending_right_has_its_vista_there():
     weights[2] = weights[3] = 16**8 >> 28
     moment = sum(w * 2 * (x - 4) for x, w in enumerate(weights))
     total = sum(weights) + 9 * 2**20 // 20
-    assert reference.vista(list(layers)) == round(moment / (2 * total)) == 2
-    assert reference.vista(list(np.zeros((8, 4, 9), bool))) == 0
+    assert reference.vanishing_column(list(layers)) == round(moment / (2 * total)) == 2
+    assert reference.vanishing_column(list(np.zeros((8, 4, 9), bool))) == 0
 
 
 def test_canvas_shares_are_areas():
     layer = np.zeros((12, 16), bool)  # every pixel is 2 x 2 cells
     layer[0, 0] = layer[11, 15] = True
-    cells = reference.canvas(layer, 0)
+    cells = reference.pool(layer, 0)
     assert cells[:2, :2].tolist() == cells[-2:, -2:].tolist() == [[1, 1], [1, 1]]
     assert cells.sum() == 8
-    assert reference.canvas(layer, 1).sum() == 4  # one pixel left it
+    assert reference.pool(layer, 1).sum() == 4  # one pixel left it
 
 
 def test_soft_bins_hold_every_cell_once():
     config = SSRVLADConfig()
-    weight = np.zeros(reference.CANVAS)
+    weight = np.zeros(reference.CELLS)
     for row, column, ring, sector, share in reference.soft_bins(config):
         assert 0 <= ring < config.rings
         assert 0 <= sector < config.sectors
@@ -217,7 +217,7 @@ def test_soft_bins_hold_every_cell_once():
 
 
 def test_patterns_are_orthogonal_and_rise_in_frequency():
-    config = SSRVLADConfig(sharpening=0.0, harmonics=6 * 19)
-    table = np.array(reference.patterns(config)).reshape(114, -1)
+    config = SSRVLADConfig(spectral_weight=0.0, harmonics=6 * 19)
+    table = np.array(reference.basis(config)).reshape(114, -1)
     np.testing.assert_allclose(table @ table.T, np.eye(114), atol=1e-12)
     np.testing.assert_allclose(table[0], 120**-0.5)

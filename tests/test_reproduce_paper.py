@@ -109,7 +109,7 @@ def test_all_shifts_are_measured_beside_the_papers(page):
     names = [cells[1] for cells in noise[2:]]
     assert names[:4] == names[4:]
     assert [name.split(",")[0] for name in names[:4]] == [
-        *("paper", "paper", "paper with `context` key-points", "default")
+        *("paper", "paper", "paper with `context` keypoints", "default")
     ]
     for cells in noise[2:]:
         for cell in cells[2:]:

@@ -129,14 +129,14 @@ def test_the_harmonics_are_those_of_the_reference():
         for y, x in points:
             if 0 <= y < SIZE[0] and 0 <= x < SIZE[1]:
                 drawn[y, x] = True
-        lengths = reference.canvas(drawn, int(view.vista[0])) * (SIZE[0] / 24)
+        lengths = reference.pool(drawn, int(view.histograms.column[0])) * (SIZE[0] / 24)
         area = np.sqrt(
-            reference.soft_histogram(reference.canvas(layer, int(view.vista[0])), config)
+            reference.soft_histogram(reference.pool(layer, int(view.histograms.column[0])), config)
         )
         histogram = area + config.skeleton_weight * np.sqrt(
             reference.soft_histogram(lengths, config)
         )
-        held = np.array([(pattern * histogram).sum() for pattern in reference.patterns(config)])
+        held = np.array([(function * histogram).sum() for function in reference.basis(config)])
         vectors.append(np.sign(held) * np.abs(held) ** config.power)
     wanted = reference.normalise(np.concatenate(vectors))
     np.testing.assert_allclose(moved.descriptors()[0].numpy(), wanted, atol=1e-6)

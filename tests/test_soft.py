@@ -20,7 +20,7 @@ from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
 TINY = {"labels_as": SPACE, "closing": 0.2, "hole_area": 0.02, "region_area": 0.02}
 CONFIGS = {
     "paper": SSRVLADConfig.from_preset("paper", **TINY),
-    "paper, key-points": SSRVLADConfig.from_preset("paper", context="keypoints", **TINY),
+    "paper, keypoints": SSRVLADConfig.from_preset("paper", context="keypoints", **TINY),
     "paper, guo-hall": SSRVLADConfig.from_preset("paper", thinning="guo-hall", **TINY),
     "default": SSRVLADConfig.from_preset("default", **TINY),
     "default, 6 rows": SSRVLADConfig.from_preset("default", working_size=6, **TINY),
@@ -208,7 +208,7 @@ def test_a_wrong_temperature_is_refused(temperature):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        (torch.zeros(1, 4, 5), r"wanted \(B, C, H, W\) class scores, got \(1, 4, 5\)"),
+        (torch.zeros(1, 4, 5), r"expected \(B, C, H, W\) class scores, got \(1, 4, 5\)"),
         (torch.zeros(1, 4, 5, 6), "class scores have 4 classes"),
         (torch.zeros(1, 19, 5, 6, dtype=torch.int64), "must be floating point"),
         (torch.full((1, 19, 5, 6), torch.nan), "NaN"),
@@ -224,7 +224,7 @@ COST = """
 import sys, torch
 from pathlib import Path
 from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.soft import SoftSSRVLAD
+from ssrvlad_torch import SoftSSRVLAD
 coarse = torch.randn(8, 19, 8, 16, generator=torch.Generator().manual_seed(0)) * 5
 scores = torch.nn.functional.interpolate(coarse, size=(128, 256), mode="bilinear").requires_grad_()
 SoftSSRVLAD(SSRVLADConfig.from_preset(sys.argv[1]))(scores).square().sum().backward()

@@ -12,10 +12,9 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.bitplanes import count_points, pack, points, unpack
-from ssrvlad_torch.soft.stages.aggregation import soft_aggregate
-from ssrvlad_torch.soft.stages.canvas import soft_shares
 from ssrvlad_torch.soft.stages.centroid import soft_centroids, soft_points
-from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_amounts
+from ssrvlad_torch.soft.stages.grid_pooling import soft_pool
+from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_coefficients
 from ssrvlad_torch.soft.stages.keypoints import (
     soft_end_points,
     soft_intersections,
@@ -25,13 +24,14 @@ from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft
 from ssrvlad_torch.soft.stages.morphology import soft_dilate, soft_erode, soft_open_and_close
 from ssrvlad_torch.soft.stages.reduction import soft_majority
 from ssrvlad_torch.soft.stages.regions import soft_regions
+from ssrvlad_torch.soft.stages.residuals import soft_aggregate
 from ssrvlad_torch.soft.stages.shape_context import bin_masks, soft_shape_contexts
 from ssrvlad_torch.soft.stages.skeleton import COARSE, eroded_skeleton, soft_skeleton
-from ssrvlad_torch.soft.stages.vista import soft_vistas
-from ssrvlad_torch.stages.canvas import shares
+from ssrvlad_torch.soft.stages.vanishing_column import soft_vanishing_columns
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
-from ssrvlad_torch.stages.harmonics import amounts, bin_table, pattern_table, soft_histograms
+from ssrvlad_torch.stages.grid_pooling import pool
+from ssrvlad_torch.stages.harmonics import basis_table, bin_table, coefficients, soft_histograms
 from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import categorise, category_table, split
 from ssrvlad_torch.stages.morphology import open_and_close
@@ -39,7 +39,7 @@ from ssrvlad_torch.stages.reduction import reduce_by_majority
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 from ssrvlad_torch.stages.skeleton import thin, zhang_suen
-from ssrvlad_torch.stages.vista import vistas
+from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
 
 CPU = torch.device("cpu")
@@ -47,7 +47,7 @@ SIZE = 6, 7
 MEMBERS = membership(label_space(SPACE), 12)
 CELLS = 3, 4
 BINS = bin_table(CELLS, 2, 4, 0.5, 0.5)
-PATTERNS = pattern_table(2, 4, 3, 1.0)
+BASIS = basis_table(2, 4, 3, 1.0)
 HALF = torch.rand(1, 8, *SIZE, generator=torch.Generator().manual_seed(1)) < 0.5
 OTHER = torch.rand(1, 8, *SIZE, generator=torch.Generator().manual_seed(2)) < 0.5
 
@@ -66,19 +66,19 @@ STAGES = {
     "skeleton": lambda x: soft_skeleton(x, HALF, 0.3),
     "end points": lambda x: soft_end_points(x / 4),
     "intersections": soft_intersections,
-    "key-points": lambda x: soft_keypoints(x / 2),
+    "keypoints": lambda x: soft_keypoints(x / 2),
     "centroid": soft_centroids,
     "centres": lambda x: soft_points(soft_centroids(x), *SIZE),
     "shape context": lambda x: soft_shape_contexts(x, x.flip(-1), masks(0.5)),
     "aggregation": lambda x: soft_aggregate(x.flatten(2)),
-    "vista": lambda x: soft_vistas(x / 3),
-    "canvas": lambda x: soft_shares(x, x.sum((1, 2, 3)) / 99, CELLS),
-    "harmonics": lambda x: soft_amounts(
-        soft_shares(x, x.new_zeros(1), CELLS),
-        soft_shares(x.flip(-1), x.new_zeros(1), CELLS),
+    "vanishing column": lambda x: soft_vanishing_columns(x / 3),
+    "grid pooling": lambda x: soft_pool(x, x.sum((1, 2, 3)) / 99, CELLS),
+    "harmonics": lambda x: soft_coefficients(
+        soft_pool(x, x.new_zeros(1), CELLS),
+        soft_pool(x.flip(-1), x.new_zeros(1), CELLS),
         0.1,
         BINS,
-        PATTERNS,
+        BASIS,
         0.75,
     ),
 }
@@ -120,7 +120,9 @@ def test_gradients(stage):
     assert few.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("stage", ["key-points", "shape context", "vista", "harmonics", "centres"])
+@pytest.mark.parametrize(
+    "stage", ["keypoints", "shape context", "vanishing column", "harmonics", "centres"]
+)
 def test_gradients_number_by_number(stage):
     generator = torch.Generator().manual_seed(4)
     layers = torch.rand(1, 8, *SIZE, generator=generator, dtype=torch.float64)
@@ -273,7 +275,7 @@ def test_a_large_skeleton_keeps_its_length():
     assert 0.8 < length / (layers.shape[3] - 60) < 1.2
 
 
-# ---- key-points, centroid, shape context, aggregation
+# ---- keypoints, centroid, shape context, aggregation
 
 
 def test_key_points_of_skeletons(planes):
@@ -362,38 +364,38 @@ def test_a_faint_layer_does_not_weigh_as_a_clear_one():
     assert found[1, 4] < 0.02
 
 
-# ---- around the vista
+# ---- around the vanishing column
 
 
-def test_vistas_of_layers():
+def test_vanishing_columns_of_layers():
     planes = torch.cat([layers_of(blobs(seed, 40, 60, 14)) for seed in range(8)])
-    soft, hard = soft_vistas(unpack(planes).double()), vistas(planes)
+    soft, hard = soft_vanishing_columns(unpack(planes).double()), vanishing_columns(planes)
     assert hard.any()
     assert ((soft - hard).abs() <= 1.0).all()
 
 
 @pytest.mark.parametrize("shift", [0, 3, -7])
-def test_shares_of_whole_shifts(planes, shift):
+def test_pooling_of_whole_shifts(planes, shift):
     moved = torch.tensor([shift])
-    hard = shares(planes, moved)
-    soft = soft_shares(unpack(planes).double(), moved.double(), tuple(hard.shape[2:]))
+    hard = pool(planes, moved)
+    soft = soft_pool(unpack(planes).double(), moved.double(), tuple(hard.shape[2:]))
     torch.testing.assert_close(soft, hard, rtol=0, atol=1e-12)
 
 
-def test_shares_between_whole_shifts_are_between():
+def test_pooling_between_whole_shifts_are_between():
     layers = torch.rand(1, 8, 12, 16).double()
-    three = (soft_shares(layers, torch.tensor([x]).double(), CELLS) for x in (1.0, 1.25, 2.0))
+    three = (soft_pool(layers, torch.tensor([x]).double(), CELLS) for x in (1.0, 1.25, 2.0))
     one, between, two = three
     torch.testing.assert_close(between, 0.75 * one + 0.25 * two)
 
 
-def test_amounts_of_layers():
+def test_coefficients_of_layers():
     planes = torch.cat([layers_of(blobs(seed, 48, 64, 12)) for seed in range(3)])
     still = torch.zeros(3, dtype=torch.int64)
-    area, lengths = shares(planes, still), shares(thin(planes, zhang_suen), still)
-    bins, patterns = bin_table((24, 32), 6, 20, 0.5, 1 / 6), pattern_table(6, 20, 60, 1.0)
-    hard = amounts(soft_histograms(area, lengths, 0.1, bins), patterns, 0.75)
-    soft = soft_amounts(area, lengths, 0.1, bins, patterns, 0.75).float()
+    area, lengths = pool(planes, still), pool(thin(planes, zhang_suen), still)
+    bins, basis = bin_table((24, 32), 6, 20, 0.5, 1 / 6), basis_table(6, 20, 60, 1.0)
+    hard = coefficients(soft_histograms(area, lengths, 0.1, bins), basis, 0.75)
+    soft = soft_coefficients(area, lengths, 0.1, bins, basis, 0.75).float()
     assert ((hard * soft).sum(1) > 0.99).all()
 
 

@@ -56,12 +56,19 @@ def test_without_a_gradient_it_is_the_head(config):
     assert not head(given.detach()).requires_grad
     with torch.no_grad():
         assert not head(given).requires_grad
-    assert not SSRVLAD(config)(given).requires_grad
+
+
+def test_without_it_scores_that_require_a_gradient_are_warned_of_once(config):
+    head, given = SSRVLAD(config), scores()
+    with pytest.warns(UserWarning, match="use SSRVLAD.*surrogate=True") as warned:
+        assert not head(given).requires_grad
+        head(given)
+    assert len(warned) == 1
 
 
 def test_explanations_stay(config):
     view = SSRVLAD(config, surrogate=True).explain(scores())
-    assert torch.equal(view.descriptor, SSRVLAD(config)(scores()).detach())
+    assert torch.equal(view.descriptor, SSRVLAD(config)(scores().detach()))
 
 
 def test_the_preset_takes_it_and_nothing_else_changes():

@@ -125,13 +125,13 @@ def test_a_space_of_ones_own(tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("category: ground", "category: lava", "id 5 has category 'lava'; wanted one of ground"),
+        ("category: ground", "category: lava", "id 5 has category 'lava'; expected one of ground"),
         ("id: 300", "id: 5", "id 5 is defined more than once"),
         ("id: 300", "id: x", "id 'x' must be an integer"),
         ("[1, 2, 3]", "[1, 2, 999]", "id 5 has colour"),
         ("[1, 2, 3]", "7", "id 5 has colour 7"),
         ("name: dog, ", "", "must have id, name and category"),
-        ("source: my own robot", "", "is not a label space: wanted a mapping with name, source"),
+        ("source: my own robot", "", "is not a label space: expected a mapping with name, source"),
         ("classes:", "classes: [", "is not YAML"),
         (CUSTOM, "- 3", "is not a label space"),
         (CUSTOM, "{name: x, source: y, classes: []}", "at least one class"),
@@ -152,7 +152,9 @@ def test_what_is_wrong_with_a_file_is_named(tmp_path, old, new, message):
 
 
 def test_unknown_names_and_files(tmp_path):
-    with pytest.raises(ValueError, match="unknown label space 'camvid'; wanted one of camvid-11"):
+    with pytest.raises(
+        ValueError, match="unknown label space 'camvid': did you mean camvid-11 or camvid-32"
+    ):
         label_space("camvid")
     with pytest.raises(ValueError, match="cannot read the label space"):
         label_space(str(tmp_path / "none.yaml"))

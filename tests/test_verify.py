@@ -64,7 +64,7 @@ def with_property(name: str, value: Callable[[str], str]) -> Callable[[onnx.Mode
 
 
 def edit_table(model: onnx.ModelProto) -> None:
-    """Doubles the harmonics' patterns: the largest table of floats."""
+    """Doubles the harmonics' basis: the largest table of floats."""
     tables = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.DOUBLE]
     table = max(tables, key=lambda one: np.prod(one.dims))
     array = numpy_helper.to_array(table).copy()

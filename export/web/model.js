@@ -36,7 +36,7 @@ export class Model {
     this.dtype = JSON.parse(metadata.interface).inputs[this.input]?.dtype;
   }
 
-  /** Of an image of ids: descriptor, key-point counts and `skeleton`, see `unpackedSkeleton`. */
+  /** Of an image of ids: descriptor, keypoint counts and `skeleton`, see `unpackedSkeleton`. */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
     const ids = this.dtype === "int64" ? BigInt64Array.from(labels, BigInt) : Uint8Array.from(labels);

@@ -88,7 +88,7 @@ function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns
 function drawTargets({ config }, { descriptor, keypoints }) {
   element("legend").textContent =
     config.aggregation === "residuals"
-      ? "Rings by distance, sectors by direction: red where the key-points of a category see more " +
+      ? "Rings by distance, sectors by direction: red where the keypoints of a category see more " +
         "skeleton than its centre does, blue where they see less."
       : "Rings by distance from the point where the view opens, sectors by direction: what the " +
         "numbers of a category say about where it stands. Red is much, white nothing, " +
@@ -102,7 +102,7 @@ function drawTargets({ config }, { descriptor, keypoints }) {
     target.querySelector("canvas").setAttribute("aria-label", `target of ${name}`);
     target.querySelector("i").style.background = colour;
     target.querySelector("b").textContent = name;
-    target.querySelector("small").textContent = `${keypoints[k]} key-points`;
+    target.querySelector("small").textContent = `${keypoints[k]} keypoints`;
     drawTarget(target.querySelector("canvas"), targetOf(config, descriptor, k));
     return target;
   });

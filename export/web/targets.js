@@ -12,7 +12,7 @@ export function targetOf(config, descriptor, k) {
 }
 
 /** The smooth part of the histogram whose amounts of patterns the numbers are, of any scale. */
-function histogramOf({ rings, sectors, power, sharpening }, numbers) {
+function histogramOf({ rings, sectors, power, spectral_weight }, numbers) {
   const values = new Float64Array(rings * sectors);
   wavesOf(rings, sectors)
     .slice(0, numbers.length)
@@ -23,7 +23,7 @@ function histogramOf({ rings, sectors, power, sharpening }, numbers) {
         const outward = Math.cos((Math.PI * u * (ring + 0.5)) / rings);
         return outward * Math.cos((2 * Math.PI * v * sector) / sectors - phase);
       });
-      const weight = (1 + u * u + v * v) ** (sharpening / 2);
+      const weight = (1 + u * u + v * v) ** (spectral_weight / 2);
       wave.forEach((height, bin) => (values[bin] += (amount * height) / weight / Math.hypot(...wave)));
     });
   return values;

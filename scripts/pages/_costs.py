@@ -7,24 +7,24 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice, repeat
-from types import ModuleType
 from typing import Any
 
 from torch import Tensor
 
-from ssrvlad_torch import baselines, descriptor
+from ssrvlad_torch import baselines
 from ssrvlad_torch.baselines import Frame, region_vlad
 from ssrvlad_torch.cli.bench import threads
+from ssrvlad_torch.stages.harmonics import Harmonics
+from ssrvlad_torch.stages.residuals import Residuals
 
 ENCODED = 10
 """References that are really encoded: as many as LoST-X ranks again."""
 
-_RESIDUALS = ("log_polar_bins", "shape_contexts", "aggregate")
-_HARMONICS = ("vistas", "shares", "soft_histograms", "amounts")
-
-AGGREGATING: dict[str, tuple[ModuleType, tuple[str, ...]]] = {
-    "ssr-vlad": (descriptor, (*_RESIDUALS, *_HARMONICS)),
-    "region-vlad": (region_vlad, ("vlad",)),
+AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
+    "ssr-vlad": tuple(
+        (owner, name) for owner in (Residuals, Harmonics) for name in ("histograms", "descriptor")
+    ),
+    "region-vlad": ((region_vlad, "vlad"),),
 }
 """By the beginning of a method's name: what turns its features into the descriptor."""
 
@@ -102,7 +102,7 @@ class _Run:
     def work(self, number: int) -> None:
         """One frame; the one before the first is not counted."""
         frame = self._frames[number % len(self._frames)]
-        with watched(*self._watched or (descriptor, ())) as aggregating:
+        with watched(self._watched or ()) as aggregating:
             begin = time.perf_counter()
             query = self._method.encode_query([frame])
             encoded = time.perf_counter()
@@ -130,8 +130,8 @@ def _repeated(encoded: Any, count: int) -> Any:
 
 
 @contextmanager
-def watched(module: ModuleType, names: Sequence[str]) -> Iterator[list[float]]:
-    """The seconds of every call of some functions of a module, as long as it lasts."""
+def watched(places: Sequence[tuple[Any, str]]) -> Iterator[list[float]]:
+    """The seconds of every call of some functions, by owner and name, as long as it lasts."""
     taken: list[float] = []
 
     def timed(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -143,11 +143,11 @@ def watched(module: ModuleType, names: Sequence[str]) -> Iterator[list[float]]:
 
         return call
 
-    originals = {name: getattr(module, name) for name in names}
+    originals = [getattr(*place) for place in places]
     try:
-        for name, function in originals.items():
-            setattr(module, name, timed(function))
+        for (owner, name), function in zip(places, originals, strict=True):
+            setattr(owner, name, timed(function))
         yield taken
     finally:
-        for name, function in originals.items():
-            setattr(module, name, function)
+        for (owner, name), function in zip(places, originals, strict=True):
+            setattr(owner, name, function)

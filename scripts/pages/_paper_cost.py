@@ -45,7 +45,7 @@ RIVALS = (
 INTRODUCTION = f"""Milliseconds of a frame of {SIZE[0]} x {SIZE[1]} pixels, max/average/min. Ours:
 {{processor}}. The paper's: an i7-10700KF, SSR-VLAD in C++, the others in Python. {{frames}} All
 methods take turns on the same frames, {ROUNDS} of them ({ROUNDS_OF_NETWORKS} for the networks with
-random weights). Extraction goes from the label map to skeletons, key-points and centres, encoding
+random weights). Extraction goes from the label map to skeletons, keypoints and centres, encoding
 from there to the descriptor; where there is one number, the two are one step. SSR-VLAD has its
 thinning compiled where nothing else is said. Matching is one query against {REFERENCES} references
 (RobotCar's number), divided by them; LoST-X and tiny image are matched with {ENCODED}. What a

@@ -37,8 +37,8 @@ class Variant:
 
 VARIANTS = (
     Variant("paper, every skeleton pixel", False, "paper"),
-    Variant("paper, key-points", True, "paper"),
-    Variant("paper with `context` key-points, key-points", True, "paper", "keypoints"),
+    Variant("paper, keypoints", True, "paper"),
+    Variant("paper with `context` keypoints, keypoints", True, "paper", "keypoints"),
     Variant("default, every skeleton pixel", False, "default"),
 )
 
@@ -46,10 +46,10 @@ INTRODUCTION = f"""Each point of the extracted skeleton is shifted at random by 
 pixels in both coordinates, and the centres stay; Recall@1 is how often the shifted image finds its
 original among all originals. Mean of {_paper.REPEATS} repeats, in brackets the least and the most.
 The paper shifts "skeleton nodes". It does not say whether these are all pixels of the skeleton or
-its key-points, nor how many images it takes, of which size: here are the readings, on images of
+its keypoints, nor how many images it takes, of which size: here are the readings, on images of
 {SHORTER_SIDE} pixels on the shorter side. The preset `default` works on a grid of 120 pixels, on
 which a shift is a ninth, describes the area of a layer beside its skeleton, and has no use for
-key-points."""
+keypoints."""
 
 
 def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:

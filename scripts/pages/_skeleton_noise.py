@@ -12,7 +12,6 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
-from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -20,9 +19,9 @@ from torch import Tensor
 from ssrvlad_torch.bitplanes import LAYERS, Points, by_image, count_points, pack, points
 from ssrvlad_torch.config import SSRVLADConfig
 from ssrvlad_torch.descriptor import SSRVLAD
-from ssrvlad_torch.stages.canvas import CELLS, ROWS, shares
 from ssrvlad_torch.stages.centroid import centroids
-from ssrvlad_torch.stages.harmonics import amounts, bin_table, pattern_table, soft_histograms
+from ssrvlad_torch.stages.grid_pooling import ROWS, pool
+from ssrvlad_torch.stages.harmonics import coefficients, harmonic_tables, soft_histograms
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 
@@ -32,19 +31,19 @@ class SkeletonPoints:
     """The skeletons of some images as points that can be shifted, and what else is described.
 
     What is not skeleton stays: the centre of each layer (Eq. 1), and for harmonics its area and
-    the vista. Points may leave the image or fall onto one another: the shape context counts each
-    wherever it is, the canvas of the harmonics what is drawn inside the image.
+    the vanishing column. Points may leave the image or fall onto one another: the shape context
+    counts each wherever it is, the grid pooling of the harmonics what is drawn inside the image.
 
     Attributes:
         config: the settings.
         images: B.
         size: rows and columns of the label maps.
         skeleton: the skeleton pixels.
-        nodes: the key-points among them.
-        node_rows: ``(n,)`` int64, which skeleton pixel each key-point is.
+        nodes: the keypoints among them.
+        node_rows: ``(n,)`` int64, which skeleton pixel each keypoint is.
         centres: of the layers.
-        area: ``(B, 8, ROWS, COLUMNS)`` float64 shares of the canvas; ``None`` for residuals.
-        vista: ``(B,)`` int64 columns; ``None`` for residuals.
+        area: ``(B, 8, ROWS, COLUMNS)`` float64 fractions of the cells; ``None`` for residuals.
+        column: ``(B,)`` int64, the vanishing column; ``None`` for residuals.
         margin: pixels of the grid by which points may lie outside it.
 
     Example:
@@ -64,7 +63,7 @@ class SkeletonPoints:
     node_rows: Tensor
     centres: Points
     area: Tensor | None = None
-    vista: Tensor | None = None
+    column: Tensor | None = None
     margin: int = 0
 
     @classmethod
@@ -72,6 +71,7 @@ class SkeletonPoints:
         """The points of a batch; input and errors as for a call of the head."""
         view = head.explain(labels)
         skeleton = points(pack(view.skeleton))
+        column = getattr(view.histograms, "column", None)
         is_node = view.keypoints.transpose(0, 1).flatten(0, 1)[skeleton]
         node_rows = is_node.nonzero()[:, 0]
         return cls(
@@ -82,8 +82,8 @@ class SkeletonPoints:
             nodes=Points(*(part[node_rows] for part in skeleton)),
             node_rows=node_rows,
             centres=centroids(pack(view.clean_layers)),
-            area=None if view.vista is None else shares(pack(view.layers), view.vista),
-            vista=view.vista,
+            area=None if column is None else pool(pack(view.layers), column),
+            column=column,
         )
 
     @property
@@ -102,8 +102,8 @@ class SkeletonPoints:
         Args:
             pixels: 0 or more.
             generator: of the shifts.
-            nodes_only: the key-points are shifted and the skeleton that they see is not. Else
-                every skeleton pixel is, and a key-point goes with its own.
+            nodes_only: the keypoints are shifted and the skeleton that they see is not. Else
+                every skeleton pixel is, and a keypoint goes with its own.
 
         Raises:
             ValueError: ``pixels`` is negative.
@@ -124,9 +124,9 @@ class SkeletonPoints:
 
     def descriptors(self) -> Tensor:
         """``(B, 480)`` float32; of points that were not shifted, those of the head."""
-        if self.area is None or self.vista is None:
+        if self.area is None or self.column is None:
             return self._residuals()
-        return self._harmonics(self.area, self.vista)
+        return self._harmonics(self.area, self.column)
 
     def _residuals(self) -> Tensor:
         config, (height, width) = self.config, self.grid
@@ -138,24 +138,17 @@ class SkeletonPoints:
         around_centres = shape_contexts(self.centres, context, bins, self.images)
         return aggregate(around_nodes, around_centres, count_points(self.nodes, self.images))
 
-    def _harmonics(self, area: Tensor, vista: Tensor) -> Tensor:
+    def _harmonics(self, area: Tensor, column: Tensor) -> Tensor:
         config, (height, width) = self.config, self.grid
         group, y, x = self.skeleton
         inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
         drawn = torch.zeros(LAYERS * self.images, height, width, dtype=torch.bool)
         drawn[group[inside], y[inside], x[inside]] = True
-        lengths = shares(pack(by_image(drawn, self.images)), vista) * (min(self.grid) / ROWS)
-        bins, patterns = _tables(config)
+        lengths = pool(pack(by_image(drawn, self.images)), column) * (min(self.grid) / ROWS)
+        bins, basis = harmonic_tables(config)
         histogram = soft_histograms(area, lengths, config.skeleton_weight, bins)
-        return amounts(histogram, patterns, config.power)
+        return coefficients(histogram, basis, config.power)
 
 
 def _moved(listed: Points, shift: Tensor) -> Points:
     return Points(listed.group, listed.y + shift[0], listed.x + shift[1])
-
-
-@lru_cache(maxsize=4)
-def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
-    bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
-    patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
-    return bins, patterns

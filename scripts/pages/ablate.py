@@ -42,7 +42,7 @@ SETTINGS: dict[str, list[Any]] = {
     "sectors": [12, 16, 24],
     "inner_radius": [1 / 4, 1 / 8, 1 / 12],
     "harmonics": [15, 30, 45, 90, 114],
-    "sharpening": [0.0, 0.5, 1.5],
+    "spectral_weight": [0.0, 0.5, 1.5],
     "power": [0.5, 1.0],
 }
 BEHIND_THE_MASKS = tuple(SETTINGS)[list(SETTINGS).index("anchor") :]
@@ -68,10 +68,10 @@ plateau, not a tuned optimum.
 
 BOUNDS = """## What bounds it
 
-- **The vista is a guess.** Where nothing turns or moves aside, the middle of the image is the
-  better anchor (`anchor = middle`): there the preset can fall behind the label grid by a few
+- **The vanishing column is a guess.** Where nothing turns or moves aside, the middle of the image
+  is the better anchor (`anchor = middle`): there the preset can fall behind the label grid by a few
   queries, in conditions in which both recognise nearly everything. Where the camera turns or drives
-  in another lane the vista wins by far more than that.
+  in another lane the vanishing column wins by far more than that.
 - **Size.** With more `harmonics` the city gets better, and CamVid does not: 480 numbers are where
   the curve flattens.
 - **The skeleton carries little beside the area**: `skeleton_weight = 0` is as good within the

@@ -35,12 +35,12 @@ from bench_loops import loops_section
 from PIL import Image
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
-from ssrvlad_torch import descriptor as method
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, front_end, match, reference
 from ssrvlad_torch.cli.bench import Timing, heads, onnx_head, threads, time_in_turn
 from ssrvlad_torch.config import CATEGORY_COUNT
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.stages import harmonics, residuals
 from ssrvlad_torch.taxonomy import label_space
 
 SIZES = [(256, 256), (512, 512), (1024, 1024), (1024, 2048)]
@@ -261,7 +261,7 @@ def stage_seconds(head: SSRVLAD, labels: Tensor) -> dict[str, float]:
     stages = ["categorise", "reduce_by_majority", "split", "open_and_close", "fill_holes"]
     stages += ["drop_regions", "end_points", "intersections", "points", "centroids"]
     stages += ["log_polar_bins", "shape_contexts", "aggregate"]
-    stages += ["vistas", "shares", "soft_histograms", "amounts"]
+    stages += ["vanishing_columns", "pool", "soft_histograms", "coefficients"]
     taken = dict.fromkeys(["thin", *stages], 0.0)
 
     def timed(name: str, stage: Callable[..., Any], *arguments: Any) -> Any:
@@ -270,19 +270,21 @@ def stage_seconds(head: SSRVLAD, labels: Tensor) -> dict[str, float]:
         taken[name] += time.perf_counter() - begin
         return result
 
-    originals = {name: getattr(method, name) for name in stages}
-    thinning = head._thin
+    modules = (front_end, residuals, harmonics)
+    places = [(m, name) for m in modules for name in stages if hasattr(m, name)]
+    originals = [getattr(*place) for place in places]
+    thinning = head._front_end._thin
     try:
-        for name, stage in originals.items():
-            setattr(method, name, partial(timed, name, stage))
-        head._thin = partial(timed, "thin", thinning)
+        for (module, name), stage in zip(places, originals, strict=True):
+            setattr(module, name, partial(timed, name, stage))
+        head._front_end._thin = partial(timed, "thin", thinning)
         begin = time.perf_counter()
         head(labels)
         whole = time.perf_counter() - begin
     finally:
-        head._thin = thinning
-        for name, stage in originals.items():
-            setattr(method, name, stage)
+        head._front_end._thin = thinning
+        for (module, name), stage in zip(places, originals, strict=True):
+            setattr(module, name, stage)
     return {**taken, "all else": whole - sum(taken.values()), "together": whole}
 
 
@@ -291,7 +293,7 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes strewn over it,"
     yield "preset `paper`, one thread; `uncleaned` is without closing, hole filling and region"
     yield "removal, so that every speck is thinned and described. What it costs then are the pairs"
-    yield "of key-points and skeleton pixels: their memory is bounded, their number is not.\n"
+    yield "of keypoints and skeleton pixels: their memory is bounded, their number is not.\n"
     yield from head_row("specks", "way", "ms", "ms, uncleaned")
     paper = maps.config("paper")
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]

@@ -91,7 +91,7 @@ CHECKS = (
     Variant("ratio test", {"confirmations": 1}),
     Variant("confirmations", {"ratio": 1.0}),
     DEFAULT,
-    Variant("both and key-points", geometry=SharedKeypoints()),
+    Variant("both and keypoints", geometry=SharedKeypoints()),
     Variant("both and poses", pose_gate=near_by_odometry),
     Variant("all", pose_gate=near_by_odometry, geometry=SharedKeypoints()),
 )
@@ -161,7 +161,7 @@ def sections(learned: Tours, measured: Tours, page: Path) -> Iterator[str]:
         yield from table(CHECKS, learned[condition], tours)
         yield from where_and_why(threshold, tours)
     yield paragraph(
-        f"Key-points: `SharedKeypoints()`. Poses: a gate of {GATE_METRES:g} m around an odometry "
+        f"Keypoints: `SharedKeypoints()`. Poses: a gate of {GATE_METRES:g} m around an odometry "
         f"that drifts, with an error of {100 * SCALE_ERROR:g} % in scale and {TURN_ERROR:g} "
         "degrees a frame."
     )

@@ -12,18 +12,18 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.bitplanes import count_points, points
-from ssrvlad_torch.stages.canvas import CELLS, ROWS, shares
 from ssrvlad_torch.stages.centroid import centre_table, centroids
+from ssrvlad_torch.stages.grid_pooling import CELLS, ROWS, pool
 from ssrvlad_torch.stages.harmonics import (
-    amounts,
     bin_table,
-    pattern_table,
+    coefficients,
+    harmonic_tables,
     soft_histograms,
 )
 from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
-from ssrvlad_torch.stages.vista import vistas
+from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 
 DEFAULT = SSRVLADConfig()
 PAPER = SSRVLADConfig.from_preset("paper")
@@ -32,23 +32,27 @@ IMAGES_AT_ONCE = 16
 
 def harmonics(config: SSRVLADConfig) -> Describe:
     """The preset `default` with other settings behind its masks."""
-    bins, patterns = _tables(config)
+    bins, basis = harmonic_tables(config)
 
     def step(masks: Masks) -> Tensor:
-        anchor = vistas(masks.clean) if config.anchor == "vista" else _middle(masks)
+        anchor = (
+            vanishing_columns(masks.clean)
+            if config.anchor == "vanishing-column"
+            else _middle(masks)
+        )
         area, lengths = _cells(masks, anchor)
         histogram = soft_histograms(area, lengths, config.skeleton_weight, bins)
-        return amounts(histogram, patterns, config.power)
+        return coefficients(histogram, basis, config.power)
 
     return described_from_masks(step)
 
 
 def layers_of_one_length(masks: Masks) -> Tensor:
     """Every layer weighs the same, as in the paper: a pole as much as the sky."""
-    bins, patterns = _tables(DEFAULT)
-    area, lengths = _cells(masks, vistas(masks.clean))
+    bins, basis = harmonic_tables(DEFAULT)
+    area, lengths = _cells(masks, vanishing_columns(masks.clean))
     histogram = soft_histograms(area, lengths, DEFAULT.skeleton_weight, bins)
-    blocks = amounts(histogram, patterns, DEFAULT.power).unflatten(1, (8, -1))
+    blocks = coefficients(histogram, basis, DEFAULT.power).unflatten(1, (8, -1))
     return F.normalize(F.normalize(blocks, dim=2).flatten(1))
 
 
@@ -62,36 +66,36 @@ def residuals_with_root_and_area(masks: Masks) -> Tensor:
     sums, centres, counts = _residuals(masks)
     held = (sums - counts[..., None] * centres).double()
     layers = F.normalize(held.sign() * held.abs().sqrt(), dim=2)
-    area = shares(masks.clean, _middle(masks)).mean((2, 3)).sqrt()
+    area = pool(masks.clean, _middle(masks)).mean((2, 3)).sqrt()
     return F.normalize((layers * area[..., None]).flatten(1)).float()
 
 
 def anchored_at_each_layers_centre(masks: Masks) -> Tensor:
     """The soft histogram of each layer around its own centroid's column, as Eq. 1 has it."""
-    bins, patterns = _tables(DEFAULT)
+    bins, basis = harmonic_tables(DEFAULT)
     columns = centre_table(centroids(masks.clean), len(masks.clean))[..., 1]
     shifts = torch.where(columns < 0, 0, columns - (masks.clean.shape[2] - 1) // 2)
     found = []
     for k in range(8):
         area, lengths = (cells[:, k : k + 1] for cells in _cells(masks, shifts[:, k]))
         found.append(soft_histograms(area, lengths, DEFAULT.skeleton_weight, bins))
-    return amounts(torch.cat(found, 1), patterns, DEFAULT.power)
+    return coefficients(torch.cat(found, 1), basis, DEFAULT.power)
 
 
 def dynamic_objects_filled(masks: Masks) -> Tensor:
     """What cars and people hide is filled with what stands around it."""
-    bins, patterns = _tables(DEFAULT)
-    area, lengths = _cells(masks, vistas(masks.clean))
+    bins, basis = harmonic_tables(DEFAULT)
+    area, lengths = _cells(masks, vanishing_columns(masks.clean))
     blurred = F.avg_pool2d(area, 5, 1, 2)
     missing = (1 - area.sum(1, keepdim=True)).clamp(min=0)
     filled = area + missing * blurred / blurred.sum(1, keepdim=True).clamp(min=0.02)
     histogram = soft_histograms(filled, lengths, DEFAULT.skeleton_weight, bins)
-    return amounts(histogram, patterns, DEFAULT.power)
+    return coefficients(histogram, basis, DEFAULT.power)
 
 
 def waves_over_the_picture(masks: Masks) -> Tensor:
     """Cosines over rows and columns (a DCT) in place of harmonics over rings and sectors."""
-    area, _ = _cells(masks, vistas(masks.clean))
+    area, _ = _cells(masks, vanishing_columns(masks.clean))
     rows, columns = (_cosines(n) for n in area.shape[-2:])
     every = (rows @ area.sqrt() @ columns.T).flatten(2)
     down, across = torch.meshgrid(*(torch.arange(n) for n in area.shape[-2:]), indexing="ij")
@@ -104,7 +108,7 @@ def waves_over_the_picture(masks: Masks) -> Tensor:
 def plain_bins(masks: Masks) -> Tensor:
     """Square-rooted soft bins themselves, 5 x 12 of them, without harmonics."""
     bins = bin_table(CELLS, 5, 12, DEFAULT.radius, DEFAULT.inner_radius)
-    area, _ = _cells(masks, vistas(masks.clean))
+    area, _ = _cells(masks, vanishing_columns(masks.clean))
     return F.normalize((area.flatten(2) @ bins.T).sqrt().flatten(1)).float()
 
 
@@ -122,16 +126,9 @@ REJECTED: dict[str, Describe] = {
 }
 
 
-def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
-    return (
-        bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
-        pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening),
-    )
-
-
 def _cells(masks: Masks, shift: Tensor) -> tuple[Tensor, Tensor]:
-    lengths = shares(masks.skeleton, shift) * (min(masks.skeleton.shape[1:]) / ROWS)
-    return shares(masks.layers, shift), lengths
+    lengths = pool(masks.skeleton, shift) * (min(masks.skeleton.shape[1:]) / ROWS)
+    return pool(masks.layers, shift), lengths
 
 
 def _middle(masks: Masks) -> Tensor:
@@ -139,7 +136,7 @@ def _middle(masks: Masks) -> Tensor:
 
 
 def _residuals(masks: Masks) -> tuple[Tensor, Tensor, Tensor]:
-    """Sums of the key-points' histograms, the centres' histograms, numbers of key-points."""
+    """Sums of the keypoints' histograms, the centres' histograms, numbers of keypoints."""
     grid, found = masks.clean.shape[1:], []
     bins = log_polar_bins(*grid, PAPER.ring_limits(*grid), PAPER.sectors, masks.clean.device)
     parts = (plane.split(IMAGES_AT_ONCE) for plane in (masks.clean, masks.skeleton))

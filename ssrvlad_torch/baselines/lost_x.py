@@ -25,13 +25,13 @@ _CANDIDATES = 10
 
 @dataclass(frozen=True)
 class LoSTEncodings:
-    """Encoded frames: a descriptor, and one key-point a feature channel where it is strongest.
+    """Encoded frames: a descriptor, and one keypoint a feature channel where it is strongest.
 
     Attributes:
         descriptors: ``(N, S * D)`` float32.
-        places: ``(N, D)`` int64, index of each key-point among the places of its image.
+        places: ``(N, D)`` int64, index of each keypoint among the places of its image.
         labels: ``(N, D)`` int64, the most likely class there.
-        columns: ``(N, D)`` int64, x of the key-points.
+        columns: ``(N, D)`` int64, x of the keypoints.
         widths: ``(N, 1)`` int64, columns of the feature maps.
         features: ``(P, D)`` float32 of each image, place by place, of length 1.
     """
@@ -64,7 +64,7 @@ class LoSTEncodings:
 
 
 class LoSTX:
-    """Descriptors of features by class; the best ten are ranked again by their key-points.
+    """Descriptors of features by class; the best ten are ranked again by their keypoints.
 
     References take the mean features over 15 frames of their sequence, i - 7 to i + 7; a query
     has only itself. The authors' program also scales every dimension over all queries and over
@@ -76,7 +76,7 @@ class LoSTX:
         network: any network with features and class probabilities, in place of a file.
         labels_as: label space of its classes.
         classes: names of the classes in that space, the paper's by default.
-        opposite: the two traverses run in opposite directions: the key-points of queries are
+        opposite: the two traverses run in opposite directions: the keypoints of queries are
             mirrored left to right. The descriptor has no directions in it.
 
     Raises:
@@ -118,7 +118,7 @@ class LoSTX:
     def scores(self, queries: LoSTEncodings, references: LoSTEncodings) -> Tensor:
         """``(Q, R)``: for the ten references with the highest cosine, minus the cosine distance
         times the cost of the layout. The others come after them in the order of their cosines,
-        and so do those of the ten with fewer than two pairs of key-points.
+        and so do those of the ten with fewer than two pairs of keypoints.
         """
         distances = 1 - cosines(queries.descriptors, references.descriptors)
         for q, row in enumerate(distances):

@@ -1,7 +1,7 @@
-"""How well the key-points of two images agree (Garg, Suenderhauf, Milford, RSS 2018).
+"""How well the keypoints of two images agree (Garg, Suenderhauf, Milford, RSS 2018).
 
 The paper and the authors' program (github.com/oravus/lostX, ``match_lost_kc.py``) differ here:
-the paper thins out key-points that crowd together and takes weighted Euclidean distances, the
+the paper thins out keypoints that crowd together and takes weighted Euclidean distances, the
 program does neither. The program is followed, because every step of it is defined.
 """
 
@@ -15,7 +15,7 @@ from torch import Tensor
 
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
-    """Cost of M pairs of key-points, low where they keep their order along the image.
+    """Cost of M pairs of keypoints, low where they keep their order along the image.
 
     A pair weighs the more, the nearer its features are: w_k is the largest of the distances less
     that of the pair, all of them divided by their sum; equal weights where all pairs are equally
@@ -23,7 +23,7 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     columns, over the length of w and over M.
 
     Args:
-        columns: x of the key-points in the one image and the other, ``(M,)`` float each.
+        columns: x of the keypoints in the one image and the other, ``(M,)`` float each.
         distances: ``(M,)`` float, cosine distances between the features at each pair.
 
     Returns:

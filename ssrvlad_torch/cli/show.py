@@ -10,8 +10,10 @@ import numpy.typing as npt
 import torch
 
 from ..datasets.label_files import LabelMap
-from ..descriptor import SSRVLAD, Explanation
+from ..descriptor import SSRVLAD
+from ..explanation import Explanation
 from ..files import replacing
+from ..stages.harmonics import HarmonicHistograms
 from ..taxonomy import CATEGORIES, colourise
 
 if TYPE_CHECKING:
@@ -34,11 +36,11 @@ _LAYER_COLOURS = (
 def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
     """Writes a picture of one frame.
 
-    On the left stands the label map. For each category follow its clean layer with skeleton,
-    end points, intersections and centre, and the vista where there is one, and under it the
-    layer's histogram as the target that it is: rings by distance, sectors by direction. Red is
-    what stands in the bin around the vista; for residuals red is where the key-points see more
-    skeleton than the centre does, and blue where they see less.
+    On the left stands the label map. For each category follow its clean layer with skeleton, end
+    points, intersections and centre, and the vanishing column where there is one. Under it stands
+    the layer's histogram as a target: rings by distance, sectors by direction. Red is what stands
+    in the bin; for residuals red is where the keypoints see more skeleton than the centre does,
+    and blue where they see less.
 
     Args:
         labels: ``(H, W)`` integer ids of the head's label space.
@@ -72,7 +74,7 @@ def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
 
 
 def _draw_labels(axes: Axes, labels: LabelMap, head: SSRVLAD, title: str) -> None:
-    axes.imshow(colourise(labels, head.config.labels_as))
+    axes.imshow(colourise(labels, head.label_space))
     axes.set_title(f"{title}: {labels.shape[0]} x {labels.shape[1]}, {head.label_space.name}")
     axes.set_axis_off()
 
@@ -80,15 +82,15 @@ def _draw_labels(axes: Axes, labels: LabelMap, head: SSRVLAD, title: str) -> Non
 def _draw_key(axes: Axes, view: Explanation) -> None:
     from matplotlib.lines import Line2D
 
-    if view.vista is None:
+    if not isinstance(view.histograms, HarmonicHistograms):
         targets = [
-            _marker("o", "#b2182b", "target: key-points see more skeleton than the centre", 10),
+            _marker("o", "#b2182b", "target: keypoints see more skeleton than the centre", 10),
             _marker("o", "#2166ac", "target: they see less (Eq. 2)", 10),
         ]
     else:
         targets = [
-            Line2D([], [], color="tab:red", ls="--", label="vista: where the view opens"),
-            _marker("o", "#b2182b", "target: area and skeleton around the vista", 10),
+            Line2D([], [], color="tab:red", ls="--", label="vanishing column"),
+            _marker("o", "#b2182b", "target: area and skeleton around the vanishing column", 10),
         ]
 
     entries = [
@@ -123,13 +125,14 @@ def _draw_layer(axes: Axes, view: Explanation, k: int, category: str) -> None:
     ):
         y, x = mask[0, k].numpy().nonzero()
         axes.plot(x, y, shape, mfc=colour, mec="black", mew=0.4, ms=4)
-    if view.vista is not None:
-        axes.axvline((clean.shape[1] - 1) / 2 + int(view.vista[0]), color="tab:red", ls="--", lw=1)
+    if isinstance(view.histograms, HarmonicHistograms):
+        column = (clean.shape[1] - 1) / 2 + int(view.histograms.column[0])
+        axes.axvline(column, color="tab:red", ls="--", lw=1)
     y, x = view.centres[0, k].tolist()
     if y >= 0:
         axes.plot(x, y, "*", mfc="gold", mec="black", mew=0.6, ms=12)
     points = int(view.keypoints[0, k].sum())
-    axes.set_title(f"{category}: {points} key-points" if y >= 0 else f"{category}: none", size=10)
+    axes.set_title(f"{category}: {points} keypoints" if y >= 0 else f"{category}: none", size=10)
     axes.set_xticks([])
     axes.set_yticks([])
 
@@ -142,7 +145,9 @@ def _draw_vector(axes: Axes, view: Explanation, k: int) -> None:
     scale = max(1e-9, np.abs(vector).max())
     axes.pcolormesh(angles, np.arange(rings + 1), arcs, cmap="RdBu_r", vmin=-scale, vmax=scale)
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]
-    if view.vista is not None:  # a soft sector lies around its angle, not after it
+    if isinstance(
+        view.histograms, HarmonicHistograms
+    ):  # a soft sector lies around its angle, not after it
         axes.set_theta_offset(np.pi / sectors)  # type: ignore[attr-defined]
     axes.set_xticks(angles[:-1:_ARC_STEPS], [])
     axes.set_yticks(np.arange(1, rings + 1), [])
@@ -151,9 +156,7 @@ def _draw_vector(axes: Axes, view: Explanation, k: int) -> None:
 
 def _target(view: Explanation, k: int) -> npt.NDArray[Any]:
     """``(N, M)``, what the layer's target shows."""
-    if view.vista_histograms is not None:
-        return view.vista_histograms[0, k].numpy()
-    assert view.point_histograms is not None
-    assert view.centre_histograms is not None
-    points = view.keypoints[0, k].sum()
-    return (view.point_histograms[0, k] - points * view.centre_histograms[0, k]).numpy()
+    found = view.histograms
+    if isinstance(found, HarmonicHistograms):
+        return np.asarray(found.bins[0, k])
+    return np.asarray(found.points[0, k] - found.counts[0, k] * found.centre[0, k])

@@ -140,7 +140,7 @@ def encode_queries(database: Database, source: Source) -> tuple[FrameSet, list[R
             )
         return other.load(), []
     config = with_labels_as(database.config, source.labels_as)
-    files, segmenter = source.frames(config.labels_as)
+    files, segmenter = source.frames(config.labels_name)
     with progress_bar("encoding", len(files)) as bar:
         return encode_to_memory(
             SSRVLAD(config), files, source.given.workers, bar.advance, segmenter

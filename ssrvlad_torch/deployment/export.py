@@ -27,7 +27,7 @@ def export_head(
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
-    The file runs on the CPU in ONNX Runtime 1.15 or newer, with nothing else. Key-point counts
+    The file runs on the CPU in ONNX Runtime 1.15 or newer, with nothing else. Keypoint counts
     are those of `SSRVLAD`, descriptors differ by less than 1e-6. A graph cannot refuse an id
     outside the label space: such pixels belong to no layer, and the output ``unknown`` counts
     them. It does not notice NaN scores.

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ..config import SSRVLADConfig
-from ..stages.canvas import CELLS, ROWS
-from ..stages.harmonics import bin_table, pattern_table
+from ..stages.grid_pooling import ROWS
+from ..stages.harmonics import harmonic_tables
 from ..stages.layers import category_table
 from ..stages.skeleton import RULES
 from ..taxonomy import label_space
@@ -112,21 +112,22 @@ def _residuals(
 def _harmonics(
     graph: Graph, config: SSRVLADConfig, layers: Words, clean: Words, skeleton: Words
 ) -> Symbol:
-    """The descriptor around the vista."""
+    """The coefficients of the soft histograms around the anchor."""
     grid = layers.grid
     with graph.stage("vanishing_column"):
-        vista = graph.full([grid.images], 0, "int64")
-        if config.anchor == "vista":
-            vista = vanishing_columns_in_graph(graph, clean)
+        column = graph.full([grid.images], 0, "int64")
+        if config.anchor == "vanishing-column":
+            column = vanishing_columns_in_graph(graph, clean)
     with graph.stage("grid_pooling"):
         side = graph.Min(grid.height, grid.width).to("float64") / ROWS
-        area = pool_in_graph(graph, layers, vista)
-        lengths = pool_in_graph(graph, skeleton, vista) * side
+        area = pool_in_graph(graph, layers, column)
+        lengths = pool_in_graph(graph, skeleton, column) * side
     with graph.stage("harmonics"):
-        bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
-        patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
-        histogram = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
-        return coefficients_in_graph(graph, histogram, patterns, config.power)
+        tables = harmonic_tables(config)
+        histogram = soft_histograms_in_graph(
+            graph, area, lengths, config.skeleton_weight, tables.bins
+        )
+        return coefficients_in_graph(graph, histogram, tables.basis, config.power)
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:

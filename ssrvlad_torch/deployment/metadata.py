@@ -29,7 +29,7 @@ class Metadata:
         version: of this package.
         config: every setting by name, as `SSRVLADConfig.to_dict`.
         fingerprint: of the config.
-        label_space: ``name`` and ``classes``, a list of ``id``, ``name`` and ``category``.
+        label_space: as `LabelSpace.to_dict`.
         interface: ``opset``, and ``inputs`` and ``outputs``, which give ``dtype`` and ``shape`` by
             name; an axis with a name is dynamic.
         golden: an input and the module's outputs for it; each array by name as ``dtype``, ``shape``
@@ -48,15 +48,11 @@ class Metadata:
         cls, config: SSRVLADConfig, space: LabelSpace, interface: dict[str, Any], golden: Arrays
     ) -> Metadata:
         """The metadata of a head with these settings."""
-        classes = [
-            {"id": label.id, "name": label.name, "category": label.category}
-            for label in space.classes
-        ]
         return cls(
             version=__version__,
             config=config.to_dict(),
             fingerprint=config.fingerprint,
-            label_space={"name": space.name, "classes": classes},
+            label_space=space.to_dict(),
             interface=interface,
             golden={name: _to_text(array) for name, array in golden.items()},
         )

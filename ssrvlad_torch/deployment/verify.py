@@ -7,7 +7,6 @@ import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,6 +16,7 @@ from .. import __version__
 from ..config import SSRVLADConfig
 from ..datasets.label_files import LabelFile, LabelMap, read_label_map
 from ..descriptor import SSRVLAD
+from ..taxonomy import LabelSpace
 from .fuse import (
     DIGEST,
     HEAD_GOLDEN,
@@ -294,10 +294,8 @@ def _config(metadata: Metadata) -> SSRVLADConfig:
 
 def _module(config: SSRVLADConfig, metadata: Metadata) -> SSRVLAD:
     """The module with the label space that the file holds, wherever it came from."""
-    with TemporaryDirectory() as folder:
-        space = Path(folder) / "space.yaml"
-        space.write_text(json.dumps({"source": PREFIX, **metadata.label_space}))
-        return SSRVLAD(replace(config, labels_as=str(space)))
+    space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
+    return SSRVLAD(replace(config, labels_as=space))
 
 
 def _is_step(name: str, labels: str, numbered: str) -> bool:

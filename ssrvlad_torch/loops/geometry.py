@@ -1,4 +1,4 @@
-"""A geometric check for loop closures: do the key-points of two frames agree up to a shift?"""
+"""A geometric check for loop closures: do the keypoints of two frames agree up to a shift?"""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from .sighting import KeyPoints, Sighting
 
 @dataclass(frozen=True)
 class SharedKeypoints:
-    """Whether enough key-points of two frames stand in the same places; a `GeometricCheck`.
+    """Whether enough keypoints of two frames stand in the same places; a `GeometricCheck`.
 
-    Frames without key-points, from a database or given as descriptors, are let through.
+    Frames without keypoints, from a database or given as descriptors, are let through.
 
     Attributes:
-        share: least share of the key-points of the frame that has fewer, see `shared_keypoints`.
+        share: least share of the keypoints of the frame that has fewer, see `shared_keypoints`.
         shift: largest shift between the two frames in pixels of the working grid, each way.
     """
 
@@ -33,7 +33,7 @@ class SharedKeypoints:
 
 
 def shared_keypoints(here: KeyPoints, there: KeyPoints, shift: int) -> float:
-    """Pairs of key-points of one category that agree on a shift, by the size of the smaller set.
+    """Pairs of keypoints of one category that agree on a shift, by the size of the smaller set.
 
     Every such pair votes for its shift, as in a Hough transform; votes that differ by a pixel each
     way are counted together.
@@ -43,7 +43,7 @@ def shared_keypoints(here: KeyPoints, there: KeyPoints, shift: int) -> float:
         shift: largest shift of rows and of columns, in pixels.
 
     Returns:
-        0 or more; 0 if a frame has no key-points. It may pass 1 where key-points crowd.
+        0 or more; 0 if a frame has no keypoints. It may pass 1 where keypoints crowd.
     """
     side = 2 * shift + 1
     votes = np.zeros((side + 2, side + 2), np.int64)

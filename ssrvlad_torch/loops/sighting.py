@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 KeyPoints = npt.NDArray[np.int16]
-"""``(P, 3)``: category, row and column of each key-point on the working grid."""
+"""``(P, 3)``: category, row and column of each keypoint on the working grid."""
 
 
 class Sighting(NamedTuple):

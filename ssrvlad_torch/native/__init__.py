@@ -23,7 +23,7 @@ class Settings(ctypes.Structure):
             (name, ctypes.c_double)
             for name in (
                 *("opening", "closing", "hole_area", "region_area", "radius", "inner_radius"),
-                *("skeleton_weight", "sharpening", "power"),
+                *("skeleton_weight", "spectral_weight", "power"),
             )
         ),
         *(

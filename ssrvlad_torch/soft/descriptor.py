@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import cast
 
 import torch
 from torch import Tensor, nn
 
-from ..bitplanes import pack, unpack
+from ..bitplanes import Masks, unpack
 from ..config import SSRVLADConfig
-from ..descriptor import SSRVLAD, Explanation
-from ..stages.canvas import CELLS, ROWS
-from ..stages.harmonics import bin_table, pattern_table
-from ..stages.morphology import open_and_close
+from ..front_end import FrontEnd
+from ..stages.grid_pooling import CELLS, ROWS
+from ..stages.harmonics import harmonic_tables
+from ..stages.layers import best_class
 from ..taxonomy import NO_LAYER
-from .stages.aggregation import soft_aggregate
-from .stages.canvas import soft_shares
 from .stages.centroid import soft_centroids, soft_points
-from .stages.harmonics import soft_amounts
+from .stages.grid_pooling import soft_pool
+from .stages.harmonics import soft_coefficients
 from .stages.keypoints import soft_keypoints
 from .stages.layers import are_probabilities, membership, soft_layers
 from .stages.morphology import soft_open_and_close
 from .stages.reduction import soft_majority
 from .stages.regions import soft_regions
+from .stages.residuals import soft_aggregate
 from .stages.shape_context import bin_masks, soft_shape_contexts
 from .stages.skeleton import soft_skeleton
-from .stages.vista import soft_vistas
+from .stages.vanishing_column import soft_vanishing_columns
 
-HARD_SHARE = 0.95
-"""At temperature 1, the share of the thinned skeleton in the soft one, and of a bin that it does
+HARD_FRACTION = 0.95
+"""At temperature 1, the fraction of the thinned skeleton in the soft one, and of a bin that it does
 not share with the next."""
 
 
@@ -65,51 +65,52 @@ class SoftSSRVLAD(nn.Module):
             raise ValueError(f"temperature must be a number above 0, got {temperature!r}")
         self.config = config or SSRVLADConfig()
         self.temperature = temperature
-        self._masks = SSRVLAD(replace(self.config, aggregation="harmonics", harmonics=1))
-        self._tables = _tables(self.config)
+        self._front_end = FrontEnd(self.config)
+        self._tables = harmonic_tables(self.config)
 
     @property
     def softness(self) -> float:
-        """From 0 to 1: share of the eroded skeleton, and of a bin that the next one shares."""
-        return float(1 - HARD_SHARE**self.temperature)
+        """From 0 to 1: fraction of the eroded skeleton, and of a bin that the next one shares."""
+        return float(1 - HARD_FRACTION**self.temperature)
 
-    def forward(self, scores: Tensor, view: Explanation | None = None) -> Tensor:
-        """The descriptors of a batch; ``view`` is what `SSRVLAD.explain` has of it, if known."""
+    def forward(self, scores: Tensor, masks: Masks | None = None) -> Tensor:
+        """The descriptors of a batch; ``masks`` are what the hard method sees of it, if known."""
         if scores.ndim != 4:
-            raise ValueError(f"wanted (B, C, H, W) class scores, got {tuple(scores.shape)}")
+            raise ValueError(f"expected (B, C, H, W) class scores, got {tuple(scores.shape)}")
         with torch.autocast(scores.device.type, enabled=False):
             wide = scores.float() if scores.dtype in (torch.half, torch.bfloat16) else scores
-            return self._describe(wide, view or self._seen(wide.detach()))
+            return self._describe(wide, masks or self._seen(wide.detach()))
 
-    def _seen(self, scores: Tensor) -> Explanation:
+    def _seen(self, scores: Tensor) -> Masks:
         """The hard masks; of probabilities, what is missing to 1 has no layer where it is most."""
-        view = self._masks.explain(scores)
-        no_layer = [c.id for c in self._masks.label_space.classes if c.category_index == NO_LAYER]
+        masks = cast(Masks, self._front_end(scores))
+        classes = self._front_end.label_space.classes
+        no_layer = [label.id for label in classes if label.category_index == NO_LAYER]
         if not (no_layer and are_probabilities(scores)):
-            return view
+            return masks
         void = 1 - scores.sum(1) > scores.amax(1)
         if not bool(void.any()):
-            return view
-        return self._masks.explain(scores.argmax(1).masked_fill(void, no_layer[0]))
+            return masks
+        void_or_best = best_class(scores).masked_fill(void, no_layer[0])
+        return cast(Masks, self._front_end(void_or_best))
 
-    def _describe(self, scores: Tensor, view: Explanation) -> Tensor:
-        config, grid = self.config, (view.layers.shape[2], view.layers.shape[3])
+    def _describe(self, scores: Tensor, masks: Masks) -> Tensor:
+        config, grid = self.config, (masks.clean.shape[1], masks.clean.shape[2])
         radii = [config.radius_pixels(part, *grid) for part in (config.opening, config.closing)]
 
-        members = membership(self._masks.label_space, scores.shape[1])
+        members = membership(self._front_end.label_space, scores.shape[1])
         layers = soft_layers(scores, members, self.temperature)  # Table II
         layers = soft_majority(layers, grid, self.temperature)
-        closed = unpack(open_and_close(pack(view.layers), radii[0], radii[1]))
-        clean = soft_open_and_close(layers, radii[0], radii[1])
-        clean = soft_regions(clean, closed, view.clean_layers)
+        clean = soft_open_and_close(layers, *radii)
+        clean = soft_regions(clean, unpack(masks.closed), unpack(masks.clean))
 
-        skeleton = soft_skeleton(clean, view.skeleton, self.softness)
+        skeleton = soft_skeleton(clean, unpack(masks.skeleton), self.softness)
         if config.aggregation == "residuals":
             return self._residuals(clean, skeleton)
         return self._harmonics(layers, clean, skeleton)
 
     def _residuals(self, clean: Tensor, skeleton: Tensor) -> Tensor:
-        """Eq. 2 in one correlation: each key-point counts, the centre as often less."""
+        """Eq. 2 in one correlation: each keypoint counts, the centre as often less."""
         config, grid = self.config, (clean.shape[2], clean.shape[3])
         keypoints = soft_keypoints(skeleton)
         centres = soft_points(soft_centroids(clean), *grid)  # Eq. 1
@@ -127,25 +128,21 @@ class SoftSSRVLAD(nn.Module):
         return soft_aggregate(soft_shape_contexts(references, context, masks))  # Eq. 2
 
     def _harmonics(self, layers: Tensor, clean: Tensor, skeleton: Tensor) -> Tensor:
-        """The descriptor around the vista."""
+        """The coefficients of the soft histograms around the anchor."""
         config = self.config
-        vista = soft_vistas(clean) if config.anchor == "vista" else clean.new_zeros(len(clean))
-        bins, patterns = (table.to(clean) for table in self._tables)
-        return soft_amounts(
-            soft_shares(layers, vista, CELLS),
-            soft_shares(skeleton, vista, CELLS) * (min(clean.shape[2:]) / ROWS),
+        column = clean.new_zeros(len(clean))
+        if config.anchor == "vanishing-column":
+            column = soft_vanishing_columns(clean)
+        bins, basis = (table.to(clean) for table in self._tables)
+        return soft_coefficients(
+            soft_pool(layers, column, CELLS),
+            soft_pool(skeleton, column, CELLS) * (min(clean.shape[2:]) / ROWS),
             config.skeleton_weight,
             bins,
-            patterns,
+            basis,
             config.power,
         )
 
     def extra_repr(self) -> str:
         """What ``print(twin)`` shows: the temperature."""
         return f"temperature={self.temperature:g}"
-
-
-def _tables(config: SSRVLADConfig) -> tuple[Tensor, Tensor]:
-    bins = bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius)
-    patterns = pattern_table(config.rings, config.sectors, config.harmonics, config.sharpening)
-    return bins, patterns

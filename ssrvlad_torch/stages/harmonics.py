@@ -1,31 +1,107 @@
-"""Harmonics: one soft shape context around the vista, told by its smooth patterns.
+"""Harmonics: one soft shape context of each layer, told by coefficients of smooth functions.
 
 The paper's N log-spaced rings and M sectors are laid around one point, with soft bins: a cell
-counts in the two nearest rings and the two nearest sectors. Boundaries then cost nothing, and
-what moves a little changes the counts a little. Not in the paper.
+counts in the two nearest rings and the two nearest sectors. What moves a little then changes the
+histogram a little. Not in the paper.
+
+It is one of the two aggregations, which are made of other stages: masks -> histograms ->
+descriptor. `residuals` is the other.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
+
+from ..bitplanes import Masks
+from ..config import SSRVLADConfig
+from .grid_pooling import CELLS, ROWS, pool
+from .vanishing_column import vanishing_columns
 
 _SAMPLES = 4
 """Points on each side of a cell at which the bins are evaluated."""
 
 
+class HarmonicHistograms(NamedTuple):
+    """What stands in the soft bins around the anchor.
+
+    Attributes:
+        bins: ``(B, 8, N, M)`` float64, 0 or more.
+        column: ``(B,)`` int64, columns of the working grid from the middle of the image to the
+            anchor, negative to the left.
+    """
+
+    bins: Tensor
+    column: Tensor
+
+
+class Tables(NamedTuple):
+    """The two tables of a config: `bin_table` and `basis_table`."""
+
+    bins: Tensor
+    basis: Tensor
+
+
+class Harmonics(nn.Module):
+    """The aggregation of the preset ``default``.
+
+    Its tables are buffers of float64. They are stored as int64 words of the same bits, so that
+    ``half()`` does not round them.
+
+    Args:
+        config: the settings.
+    """
+
+    def __init__(self, config: SSRVLADConfig) -> None:
+        super().__init__()
+        self.config = config
+        for name, table in harmonic_tables(config)._asdict().items():
+            self.register_buffer(name, table.view(torch.int64), persistent=False)
+
+    def histograms(self, masks: Masks) -> HarmonicHistograms:
+        """The soft histogram of each layer's area and skeleton around the anchor."""
+        config, (images, *grid) = self.config, masks.clean.shape
+        column = torch.zeros(images, dtype=torch.int64, device=masks.clean.device)
+        if config.anchor == "vanishing-column":
+            column = vanishing_columns(masks.clean)
+
+        area = pool(masks.layers, column)
+        lengths = pool(masks.skeleton, column) * (min(grid) / ROWS)
+        table = self._table("bins", column.device)
+        bins = soft_histograms(area, lengths, config.skeleton_weight, table)
+        return HarmonicHistograms(bins.view(images, -1, config.rings, config.sectors), column)
+
+    def descriptor(self, histograms: HarmonicHistograms) -> Tensor:
+        """``(B, 8 * harmonics)`` float32 descriptors."""
+        bins = histograms.bins.flatten(2)
+        return coefficients(bins, self._table("basis", bins.device), self.config.power)
+
+    def _table(self, name: str, device: torch.device) -> Tensor:
+        return self.get_buffer(name).to(device).view(torch.float64)
+
+
+@torch.inference_mode(False)
+def harmonic_tables(config: SSRVLADConfig) -> Tables:
+    """The tables of a config, no inference tensors wherever they are made."""
+    return Tables(
+        bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
+        basis_table(config.rings, config.sectors, config.harmonics, config.spectral_weight),
+    )
+
+
 def soft_histograms(area: Tensor, skeleton: Tensor, skeleton_weight: float, bins: Tensor) -> Tensor:
     """What stands in every bin of every layer.
 
-    The square root of the share of the bin that the layer covers, plus the weighted square root
-    of the length of its skeleton there, per cell and in sides of a cell. The root is Hellinger's:
-    much of a layer must not drown little of another.
+    The square root of the fraction of the bin that the layer covers, plus the weighted square
+    root of the length of its skeleton there, per cell and in sides of a cell. The root is
+    Hellinger's: much of a layer must not drown little of another.
 
     Args:
-        area: ``(B, 8, rows, columns)`` float64, the share of each cell that a layer covers.
+        area: ``(B, 8, rows, columns)`` float64, the fraction of each cell that a layer covers.
         skeleton: likewise, lengths of their skeletons.
         skeleton_weight: 0 or more.
         bins: `bin_table`.
@@ -33,23 +109,24 @@ def soft_histograms(area: Tensor, skeleton: Tensor, skeleton_weight: float, bins
     Returns:
         ``(B, 8, N * M)`` float64.
     """
-    shares, lengths = (area.flatten(2) @ bins.T).sqrt(), (skeleton.flatten(2) @ bins.T).sqrt()
-    return shares + skeleton_weight * lengths
+    covered, lengths = (area.flatten(2) @ bins.T).sqrt(), (skeleton.flatten(2) @ bins.T).sqrt()
+    return covered + skeleton_weight * lengths
 
 
-def amounts(histogram: Tensor, patterns: Tensor, power: float) -> Tensor:
-    """The descriptor of each image: how much of each pattern its histograms hold.
+def coefficients(histogram: Tensor, basis: Tensor, power: float) -> Tensor:
+    """The descriptor of each image: the coefficients of its histograms in the basis.
 
     Args:
         histogram: ``(B, 8, N * M)`` float64 from `soft_histograms`.
-        patterns: `pattern_table`.
-        power: to which the size of every number is raised, its sign kept.
+        basis: `basis_table`.
+        power: exponent of the power normalisation: each number's size is raised to it, its sign
+            kept.
 
     Returns:
         ``(B, 8 * harmonics)`` float32 of length 1; exact zeros for an image without layers.
     """
-    held = histogram @ patterns.T
-    damped = (held.sign() * held.abs() ** power).flatten(1)
+    found = histogram @ basis.T
+    damped = (found.sign() * found.abs() ** power).flatten(1)
     return F.normalize(damped, dim=1).float()
 
 
@@ -77,28 +154,30 @@ def bin_table(
     return F.normalize(samples.sum((2, 4)).flatten(1), p=1, dim=1)
 
 
-def pattern_table(rings: int, sectors: int, harmonics: int, sharpening: float) -> Tensor:
-    """The smoothest patterns over the bins: a cosine over the rings times a wave over the sectors.
+def basis_table(rings: int, sectors: int, harmonics: int, spectral_weight: float) -> Tensor:
+    """The smoothest functions over the bins: a cosine over the rings times a wave over the sectors.
 
-    A pattern that changes ``u / 2`` times over the rings and ``v`` times around has frequency
-    ``f ** 2 = u ** 2 + v ** 2``. They come by rising ``f``, then ``u``, then ``v``, the cosine
-    before the sine, each of length ``(1 + f ** 2) ** (sharpening / 2)``: coarse patterns, which
-    all streets share, weigh less than fine ones.
+    A function that changes ``u / 2`` times over the rings and ``v`` times around has frequency
+    ``f ** 2 = u ** 2 + v ** 2``. They are sorted by ``f``, then ``u``, then ``v``, the cosine
+    before the sine, and each has the length ``(1 + f ** 2) ** (spectral_weight / 2)``: coarse
+    functions, which all streets share, weigh less than fine ones.
 
     Returns:
         ``(harmonics, N * M)`` float64.
     """
     ring = torch.arange(rings).double()[:, None] + 0.5
     turn = torch.arange(sectors).double()[None] * (2 * math.pi / sectors)
-    patterns = []
+    functions = []
     for u, v, phase in waves(rings, sectors)[:harmonics]:
         wave = torch.cos(math.pi * u * ring / rings) * torch.cos(v * turn - phase)
-        patterns.append(wave.flatten() / wave.norm() * (1 + u * u + v * v) ** (sharpening / 2))
-    return torch.stack(patterns)
+        functions.append(
+            wave.flatten() / wave.norm() * (1 + u * u + v * v) ** (spectral_weight / 2)
+        )
+    return torch.stack(functions)
 
 
 def waves(rings: int, sectors: int) -> list[tuple[int, int, float]]:
-    """Frequency over the rings, around, and phase of every pattern, in their order."""
+    """Frequency over the rings, around, and phase of every basis function, in their order."""
     around = [(v, phase) for v in range((sectors + 1) // 2) for phase in (0.0, math.pi / 2)]
     every = [(u, v, phase) for u in range(rings) for v, phase in around[:1] + around[2:]]
     return sorted(every, key=lambda wave: (wave[0] ** 2 + wave[1] ** 2, *wave))

@@ -1,4 +1,4 @@
-"""Key-points: the end points and intersections of the skeletons."""
+"""Keypoints: the end points and intersections of the skeletons."""
 
 from __future__ import annotations
 

@@ -10,6 +10,25 @@ from ..taxonomy import LabelSpace
 UNKNOWN = 255
 
 
+def best_class(scores: Tensor) -> Tensor:
+    """The class of the largest score at each pixel, the first of equal ones.
+
+    Args:
+        scores: ``(B, C, H, W)`` floating class scores.
+
+    Returns:
+        ``(B, H, W)`` int64.
+
+    Raises:
+        ValueError: a score is NaN.
+    """
+    largest, label = scores.max(1)  # as argmax(1), several times faster on a CPU; NaN wins
+    if bool(largest.isnan().any()):
+        count = int(scores.isnan().sum())
+        raise ValueError(f"class scores hold {count} NaN values; expected none")
+    return label
+
+
 def category_table(space: LabelSpace) -> tuple[Tensor, int]:
     """Look-up table of a label space, and the entry of id 0.
 
@@ -65,7 +84,7 @@ def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> Non
     more = f" and {int(unknown.sum()) - 1} other ids" if int(unknown.sum()) > 1 else ""
     raise ValueError(
         f"label id {int(ids[unknown][0])} ({int(counts[unknown][0])} pixels){more} is not in "
-        f"label space {space.name}; wanted {space.describe_ids()}"
+        f"label space {space.name}; expected {space.describe_ids()}"
     )
 
 

@@ -1,23 +1,77 @@
-"""Aggregation: residuals to the centre's histogram, layer by layer (Eq. 2), and concatenation."""
+"""Residuals: how each layer's histograms differ from the one around its centre (Eq. 2).
+
+It is one of the two aggregations, which are made of other stages: masks -> histograms ->
+descriptor. `harmonics` is the other.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..bitplanes import Masks, count_points, points
+from ..config import SSRVLADConfig
+from .centroid import centroids
+from .keypoints import end_points, intersections
+from .shape_context import log_polar_bins, shape_contexts
 
-def aggregate(point_sums: Tensor, centres: Tensor, point_counts: Tensor) -> Tensor:
+
+class ResidualHistograms(NamedTuple):
+    """The histograms of Eq. 2, int64.
+
+    Attributes:
+        points: ``(B, 8, N, M)``, the sum of all d_i of each layer.
+        centre: ``(B, 8, N, M)``, d_c of each layer.
+        counts: ``(B, 8)``, the number of keypoints of each layer.
+    """
+
+    points: Tensor
+    centre: Tensor
+    counts: Tensor
+
+
+class Residuals:
+    """The paper's aggregation.
+
+    Args:
+        config: the settings.
+    """
+
+    def __init__(self, config: SSRVLADConfig) -> None:
+        self.config = config
+
+    def histograms(self, masks: Masks) -> ResidualHistograms:
+        """Shape contexts around the keypoints and the centre of each layer."""
+        config, (images, *grid) = self.config, masks.clean.shape
+        keypoints = points(end_points(masks.skeleton) | intersections(masks.skeleton))
+        centres = centroids(masks.clean)  # Eq. 1
+        context = points(masks.skeleton) if config.context == "skeleton" else keypoints
+
+        limits, device = config.ring_limits(*grid), masks.clean.device
+        bins = log_polar_bins(*grid, limits, config.sectors, device)
+        around_points = shape_contexts(keypoints, context, bins, images)
+        around_centre = shape_contexts(centres, context, bins, images)
+        shape = (images, -1, config.rings, config.sectors)
+        counts = count_points(keypoints, images)
+        return ResidualHistograms(around_points.view(shape), around_centre.view(shape), counts)
+
+    def descriptor(self, histograms: ResidualHistograms) -> Tensor:
+        """``(B, 8 * N * M)`` float32 descriptors."""
+        return aggregate(*histograms)  # Eq. 2
+
+
+def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:
     """The descriptor of each image.
 
     Args:
-        point_sums: ``(B, K, N * M)`` int64, sum of the key-points' histograms of each layer.
-        centres: ``(B, K, N * M)`` int64, histogram around each layer's centre.
-        point_counts: ``(B, K)`` int64, number of key-points of each layer.
+        points, centre, counts: as in `ResidualHistograms`.
 
     Returns:
-        ``(B, K * N * M)`` float32: the layer vectors, each of length 1 or exactly zero, put one
+        ``(B, 8 * N * M)`` float32: the layers' vectors, each of length 1 or exactly zero, put one
         after another and normalised; exact zeros for an image in which every layer is zero.
     """
-    residuals = point_sums - point_counts[..., None] * centres  # Eq. 2, numerator
+    residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
     layers = F.normalize(residuals.double(), dim=-1)  # Eq. 2; zeros stay zeros
     return F.normalize(layers.flatten(1), dim=-1).float()

@@ -16,7 +16,7 @@ def show(
     labels_as: LabelsAs,
     preset: Preset = "default",
 ) -> None:
-    """Picture what the method sees in one frame: layers, skeletons, key-points, centres,
+    """Picture what the method sees in one frame: layers, skeletons, keypoints, centres,
     histograms.
 
     Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11

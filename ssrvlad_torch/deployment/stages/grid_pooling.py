@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...bitplanes import LAYERS
-from ...stages.canvas import COLUMNS, ROWS
+from ...stages.grid_pooling import COLUMNS, ROWS
 from ..graph import Graph, Symbol
 from ..words import Words, planes_of
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...stages.vista import LEVELS, ONE, OPEN_LAYERS, POWER, PULL, SHIFT
+from ...stages.vanishing_column import LEVELS, ONE, OPEN_LAYERS, POWER, PULL, SHIFT
 from ..graph import Graph, Symbol
 from ..words import Words, planes_of
 

@@ -1,4 +1,4 @@
-"""Soft key-points: how much of an end point and of an intersection each skeleton pixel is."""
+"""Soft keypoints: how much of an end point and of an intersection each skeleton pixel is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 
 
 def soft_keypoints(skeleton: Tensor) -> Tensor:
-    """The weight of every pixel as a key-point of its layer.
+    """The weight of every pixel as a keypoint of its layer.
 
     Args:
         skeleton: ``(B, 8, h, w)``, 0 to 1.

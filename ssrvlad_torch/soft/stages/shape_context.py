@@ -36,6 +36,7 @@ def soft_shape_contexts(references: Tensor, context: Tensor, masks: Tensor) -> T
 
 
 @lru_cache(maxsize=2)
+@torch.inference_mode(False)  # what is cached is used for training, too
 def bin_masks(
     height: int,
     width: int,

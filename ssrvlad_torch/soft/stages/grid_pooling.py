@@ -1,4 +1,4 @@
-"""Soft canvas: each layer as shares of square cells, moved by any number of columns."""
+"""Soft grid pooling: what fraction of each cell a layer covers, moved by any number of columns."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import torch
 from torch import Tensor
 
 
-def soft_shares(layers: Tensor, shift: Tensor, cells: tuple[int, int]) -> Tensor:
-    """The share of every cell that each layer covers, the image moved ``shift`` columns left.
+def soft_pool(layers: Tensor, shift: Tensor, cells: tuple[int, int]) -> Tensor:
+    """The fraction of every cell that each layer covers, the image moved ``shift`` columns left.
 
     Args:
         layers: ``(B, 8, h, w)``, 0 to 1.
         shift: ``(B,)`` columns, not whole ones only, negative to move right.
-        cells: rows and columns of the canvas.
+        cells: rows and columns of the grid of cells.
 
     Returns:
-        ``(B, 8, rows, columns)``, 0 to 1. It is what `shares` gives for whole layers and shifts.
+        ``(B, 8, rows, columns)``, 0 to 1. It is what `pool` gives for whole layers and shifts.
     """
     upright = soft_overlaps(layers.shape[2], cells[0], shift.new_zeros(1))
     across = soft_overlaps(layers.shape[3], cells[1], shift)

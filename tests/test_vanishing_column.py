@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.deployment.stages.vanishing_column import vanishing_columns_in_graph
-from ssrvlad_torch.stages import vista
-from ssrvlad_torch.stages.vista import LEVELS, ONE, POWER
+from ssrvlad_torch.stages import vanishing_column
+from ssrvlad_torch.stages.vanishing_column import LEVELS, ONE, POWER
 
 SKY, GROUND, BUILDING = 5, 0, 2
 
@@ -20,9 +20,9 @@ def in_graph(graph, words):
     return [vanishing_columns_in_graph(graph, words)]
 
 
-def vistas(planes):
+def columns(planes):
     """On tensors and in a graph, which must agree."""
-    found = vista.vistas(planes)
+    found = vanishing_column.vanishing_columns(planes)
     assert torch.equal(run_on_planes(in_graph, planes)[0], found)
     return found
 
@@ -37,9 +37,9 @@ def street(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
     return layers
 
 
-def test_the_vista_lies_where_the_street_opens():
+def test_it_lies_where_the_street_narrows():
     assert ONE.bit_length() - 1 == (LEVELS.bit_length() - 1) * POWER - 28
-    found = [int(vistas(pack(street(column)))) for column in (15, 30, 44)]
+    found = [int(columns(pack(street(column)))) for column in (15, 30, 44)]
     assert found == sorted(found)
     assert found[0] < -9
     assert abs(found[1]) <= 1
@@ -47,7 +47,7 @@ def test_the_vista_lies_where_the_street_opens():
 
 
 def test_it_follows_a_turning_camera():
-    here, turned = vistas(pack(street(25))), vistas(pack(street(31)))
+    here, turned = columns(pack(street(25))), columns(pack(street(31)))
     assert 4 <= turned - here <= 6
 
 
@@ -56,20 +56,20 @@ def test_nothing_or_the_same_everywhere_is_the_middle(layer):
     layers = torch.zeros(2, 8, 13, 21, dtype=torch.bool)
     if layer is not None:
         layers[:, layer] = True
-    assert vistas(pack(layers)).tolist() == [0, 0]
+    assert columns(pack(layers)).tolist() == [0, 0]
 
 
-def test_mirrored_streets_have_mirrored_vistas():
+def test_mirrored_streets_have_mirrored_columns():
     layers = street(17)
-    assert int(vistas(pack(layers.flip(3)))) == -int(vistas(pack(layers)))
+    assert int(columns(pack(layers.flip(3)))) == -int(columns(pack(layers)))
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
 def test_equals_the_reference(seed, height, width, density):
     layers = np.random.default_rng(seed).random((2, 8, height, width)) < density
-    found = vistas(pack(torch.from_numpy(layers)))
+    found = columns(pack(torch.from_numpy(layers)))
     assert found.dtype == torch.int64
-    assert found.tolist() == [reference.vista(list(image)) for image in layers]
+    assert found.tolist() == [reference.vanishing_column(list(image)) for image in layers]
     assert (2 * found.abs() <= width).all()
 
 
@@ -77,4 +77,4 @@ def test_large_images_do_not_overflow():
     planes = torch.full((1, 3000, 5000), 1 << SKY, dtype=torch.uint8)
     planes[:, :, :4000] = 0
     weight, pull = 1000 * 2**20, 5000 * 2**20 // 20
-    assert int(vistas(planes)) == round(weight * (4499.5 - 2499.5) / (weight + pull))
+    assert int(columns(planes)) == round(weight * (4499.5 - 2499.5) / (weight + pull))

@@ -1,9 +1,9 @@
-"""Vista: where the view down the street opens, the descriptor's anchor in the picture.
+"""Vanishing column: the column towards which the street narrows, where the histograms stand.
 
 A camera that is turned a little, or a car in another lane, shifts what it sees sideways. The
-column in which ground and sky leave most of the view open moves with it: it stands for the
-vanishing point, which a label map does not show. Not in the paper, whose anchor is the centroid
-of each layer.
+column in which ground, sidewalk and sky together are tallest moves with it. It stands for the
+vanishing point, which a label map does not show. Not in the paper, which counts around the
+centroid of each layer.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ of the image weighs as much as a twentieth of all columns, open: it decides wher
 SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 
 
-def vistas(planes: Tensor) -> Tensor:
-    """How many columns right of the middle the view opens, in each image.
+def vanishing_columns(planes: Tensor) -> Tensor:
+    """How many columns right of the middle the vanishing column is, in each image.
 
     Integers only: the open pixels of a column in 64ths of its height, to the eighth power, are
     its weight, and the weighted mean of the columns is rounded to the nearest, halves up.

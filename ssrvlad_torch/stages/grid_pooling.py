@@ -1,4 +1,4 @@
-"""Canvas: each layer as shares of 24 x 32 cells, at any size of image. Not in the paper."""
+"""Grid pooling: what fraction of each of 24 x 32 cells a layer covers. Not in the paper."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from torch import Tensor
 from ..bitplanes import unpack
 
 CELLS = ROWS, COLUMNS = 24, 32
-"""Cells of the canvas. They are square: any image is seen as one of 4:3."""
+"""Rows and columns of cells. They are square: any image is seen as one of 4:3."""
 
 _PIXELS_AT_ONCE = 1 << 20
 
 
-def shares(planes: Tensor, shift: Tensor) -> Tensor:
-    """The share of every cell that each layer covers, the image moved ``shift`` columns left.
+def pool(planes: Tensor, shift: Tensor) -> Tensor:
+    """The fraction of every cell that each layer covers, the image moved ``shift`` columns left.
 
     A pixel counts in every cell that it overlaps, by the overlap. Overlaps are integers in units
     of ``1 / (H * ROWS)`` and ``1 / (W * COLUMNS)``, and so are all sums: they are exact in any

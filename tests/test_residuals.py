@@ -3,7 +3,7 @@ import torch
 from graphs import run
 
 from ssrvlad_torch.deployment.stages.residuals import aggregate_in_graph
-from ssrvlad_torch.stages import residuals as aggregation
+from ssrvlad_torch.stages import residuals
 
 
 def in_graph(graph, sums, centres, counts):
@@ -12,7 +12,7 @@ def in_graph(graph, sums, centres, counts):
 
 def aggregate(sums, centres, counts):
     """On tensors and in a graph, which must agree."""
-    descriptor = aggregation.aggregate(sums, centres, counts)
+    descriptor = residuals.aggregate(sums, centres, counts)
     (got,) = run(in_graph, sums, centres, counts)
     assert got.dtype == descriptor.dtype
     torch.testing.assert_close(got, descriptor, rtol=0, atol=1e-7)

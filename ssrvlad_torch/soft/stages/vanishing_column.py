@@ -1,4 +1,4 @@
-"""Soft vista: the column in which the view opens, as a real number."""
+"""Soft vanishing column: where the street narrows to, as a real number."""
 
 from __future__ import annotations
 
@@ -10,17 +10,18 @@ OPEN = (0, 1, 5)
 
 POWER = 8
 PULL = 20
-"""As in `vistas`: openness weighs by its eighth power, the middle as a twentieth of all columns."""
+"""As in `vanishing_columns`: openness weighs by its eighth power, and the middle of the image as
+much as a twentieth of all columns."""
 
 
-def soft_vistas(layers: Tensor) -> Tensor:
-    """How many columns right of the middle the view opens, in each image.
+def soft_vanishing_columns(layers: Tensor) -> Tensor:
+    """How many columns right of the middle the street's vanishing column is, in each image.
 
     Args:
         layers: ``(B, 8, h, w)`` clean layers, 0 to 1.
 
     Returns:
-        ``(B,)``, negative to the left; `vistas` rounds it.
+        ``(B,)``, negative to the left; `vanishing_columns` rounds it.
     """
     width = layers.shape[3]
     openness = layers[:, OPEN].sum(1).clamp(max=1).mean(1)

@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.deployment.stages.grid_pooling import pool_in_graph
-from ssrvlad_torch.stages import canvas
-from ssrvlad_torch.stages.canvas import COLUMNS, ROWS, overlaps
+from ssrvlad_torch.stages import grid_pooling
+from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, overlaps
 
 
 def in_graph(graph, words, shift):
     return [pool_in_graph(graph, words, shift)]
 
 
-def shares(planes, shift):
+def pool(planes, shift):
     """On tensors and in a graph, which must agree."""
-    cells = canvas.shares(planes, shift)
+    cells = grid_pooling.pool(planes, shift)
     assert torch.equal(run_on_planes(in_graph, planes, shift)[0], cells)
     return cells
 
@@ -33,11 +33,11 @@ def shares(planes, shift):
 )
 def test_equals_the_reference_exactly(seed, height, width, shift):
     layers = np.random.default_rng(seed).random((len(shift), 8, height, width)) < 0.4
-    cells = shares(pack(torch.from_numpy(layers)), torch.tensor(shift))
+    cells = pool(pack(torch.from_numpy(layers)), torch.tensor(shift))
     assert cells.dtype == torch.float64
     assert cells.shape == (len(shift), 8, ROWS, COLUMNS)
     expected = [
-        [reference.canvas(layer, s) for layer in image]
+        [reference.pool(layer, s) for layer in image]
         for image, s in zip(layers, shift, strict=True)
     ]
     np.testing.assert_array_equal(cells.numpy(), expected)
@@ -45,17 +45,15 @@ def test_equals_the_reference_exactly(seed, height, width, shift):
 
 @pytest.mark.parametrize("size", [(1, 1), (24, 32), (7, 300), (480, 640)])
 def test_a_full_layer_fills_every_cell(size):
-    cells = shares(
-        torch.full((1, *size), 255, dtype=torch.uint8), torch.zeros(1, dtype=torch.int64)
-    )
+    cells = pool(torch.full((1, *size), 255, dtype=torch.uint8), torch.zeros(1, dtype=torch.int64))
     assert (cells == 1).all()
 
 
 def test_parts_of_a_batch_are_put_together():
     planes = torch.randint(0, 256, (5, 700, 500), dtype=torch.uint8)
     shift = torch.tensor([0, 3, -7, 40, 1])
-    singly = [shares(image[None], move[None]) for image, move in zip(planes, shift, strict=True)]
-    assert torch.equal(shares(planes, shift), torch.cat(singly))
+    singly = [pool(image[None], move[None]) for image, move in zip(planes, shift, strict=True)]
+    assert torch.equal(pool(planes, shift), torch.cat(singly))
 
 
 @given(st.integers(1, 200), st.integers(1, 40))
