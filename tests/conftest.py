@@ -1,4 +1,5 @@
 """One thread for torch: the tests run side by side, and small tensors gain nothing from more.
+Property tests try the same examples in every run; test_random_run.py tries others.
 What the tests of the command line share: the command line itself, six frames, a database of them.
 """
 
@@ -7,8 +8,13 @@ from __future__ import annotations
 import pytest
 import torch
 from drives import write_maps
+from hypothesis import settings
 
 torch.set_num_threads(1)
+
+settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("random", max_examples=1000, deadline=None)
+settings.load_profile("steady")
 
 
 @pytest.fixture

@@ -9,7 +9,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .kmeans import nearest_centres
 from .protocol import Frame, cosines, image_of
 from .region_features import RegionFeatures
 from .vocabulary import CHANNELS, read_vocabulary
@@ -84,7 +83,7 @@ def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
     Returns:
         ``(V * D,)`` float of length 1, or zero where there is no descriptor.
     """
-    nearest = nearest_centres(descriptors, words)
+    nearest = torch.cdist(descriptors, words).argmin(1)
     residuals = torch.zeros_like(words).index_add_(0, nearest, descriptors - words[nearest])
     rooted = residuals.sign() * residuals.abs().sqrt()
     return F.normalize(rooted.flatten(), dim=0)

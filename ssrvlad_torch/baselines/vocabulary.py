@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,6 @@ from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from ..files import replacing
-from .kmeans import kmeans
 from .region_features import RegionFeatures
 
 CHANNELS = 384
@@ -99,6 +99,7 @@ def train_vocabulary(
         ``(words, 384)`` float32, what was written.
 
     Raises:
+        ImportError: scikit-learn is not installed.
         ValueError: no image, an image that cannot be read, or too few regions.
         OSError: a file cannot be read or written.
 
@@ -108,10 +109,26 @@ def train_vocabulary(
     described = list(features(_images(Path(folder))))
     if not described:
         raise ValueError(f"no images under {folder}; wanted files with {', '.join(_SUFFIXES)}")
-    centres = kmeans(torch.cat(described), words, seed)
+    centres = _cluster(torch.cat(described), words, seed)
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.save(file, centres.numpy())
     return centres
+
+
+def _cluster(points: Tensor, count: int, seed: int) -> Tensor:
+    """``(count, D)`` centres of k-means from k-means++ seeds."""
+    try:
+        from sklearn.cluster import KMeans
+        from sklearn.exceptions import ConvergenceWarning
+    except ImportError as error:
+        raise ImportError("a vocabulary needs: pip install ssrvlad-torch[eval]") from error
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", ConvergenceWarning)  # fewer distinct points than words
+            found = KMeans(count, n_init=1, random_state=seed).fit(points.numpy())
+    except (ValueError, ConvergenceWarning) as error:
+        raise ValueError(f"{count} words need as many distinct regions: {error}") from error
+    return torch.from_numpy(found.cluster_centers_)
 
 
 def _images(folder: Path) -> Iterator[npt.NDArray[np.uint8]]:
