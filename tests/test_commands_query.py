@@ -24,11 +24,12 @@ def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):
 
 
 def test_damage_is_named(ssrvlad, database, maps):
-    part = next(database.glob("part-*.parquet"))
-    shutil.move(part, database / "lost")
+    file = next(database.glob("data/*.lance"))
+    shutil.move(file, database / "lost")
     code, _, err = ssrvlad("query", database, maps)
     assert code == 2
-    assert f"{part} is missing or damaged" in err[-1]
+    assert f"{database} is damaged: " in err[-1]
+    assert file.name in err[-1]
     assert len(err) == 1
 
 

@@ -11,7 +11,7 @@ from helpers import descriptors
 
 from scripts import load, table
 from ssrvlad_torch import SSRVLAD, LoopConfig, LoopDetector
-from ssrvlad_torch.database.database import FrameRecord
+from ssrvlad_torch.database.frames import FrameRecord
 
 LAP = 150
 
@@ -52,7 +52,7 @@ def plain_loops(made, threshold):
     detector = LoopDetector(LoopConfig(threshold=threshold), HEAD)
     found = {}
     for row, descriptor in enumerate(made.descriptors):
-        record = FrameRecord("tour", str(row), "cityscapes-trainids", 0, 0, "")
+        record = FrameRecord("tour", str(row))
         result = detector.observe(record, descriptor)
         if result.accepted:
             found[row] = int(result.candidate.rpartition("/")[2])

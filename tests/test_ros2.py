@@ -220,7 +220,7 @@ def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     stored = Database.open(memory)
     assert stored.load().poses[3].tolist() == [3, -1, 0.5]
     labels = second._table(street(0))
-    assert stored.digests()[f"drive/{0:019d}"] == digest(labels)
+    assert stored.known()[f"drive/{0:019d}"].digest == digest(labels)
 
 
 class StandInNode:

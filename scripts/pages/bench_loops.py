@@ -20,7 +20,7 @@ from _markdown import head_row, paragraph, row
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector
 from ssrvlad_torch.cli.bench import threads
-from ssrvlad_torch.database.database import FrameRecord
+from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
 SIZES = (1_000, 10_000, 66_000, 100_000)
@@ -68,7 +68,7 @@ def drive(frames: int) -> Floats:
 
 
 def record(number: int) -> FrameRecord:
-    return FrameRecord("drive", f"{number}", "cityscapes-trainids", 0, 0, "")
+    return FrameRecord("drive", f"{number}")
 
 
 def detector(seen: Floats) -> Update:

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 
 from ssrvlad_torch import LoopConfig, LoopDetector
 from ssrvlad_torch.cli.bench import threads
-from ssrvlad_torch.database.database import FrameRecord
+from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.loops import (
@@ -284,7 +284,7 @@ def detect(variant: Variant, threshold: float, tour: Tour) -> Outcome:
     detector = LoopDetector(config, head(), variant.pose_gate, variant.geometry)
     results = [
         detector.observe(
-            FrameRecord("tour", f"{number:06d}", LABELS_AS, 240, 320, "", *tour.odometry[number]),
+            FrameRecord("tour", f"{number:06d}", *tour.odometry[number]),
             descriptor,
             keypoints=tour.keypoints[number],
         )

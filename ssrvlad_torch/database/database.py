@@ -516,6 +516,21 @@ class Database:
         self._commit(plan, "drop what is damaged", adds=False)
         return damage
 
+    def table(self) -> LanceDataset:
+        """The version that is read, as Lance's own; for what is not here."""
+        return self._table
+
+    def write_index(self, column: str, kind: str, lists: int) -> None:
+        """Builds an index of cosines over a column; see `index.build_index`.
+
+        Raises:
+            ValueError: the database was opened at a version.
+            OSError: the disk refused.
+        """
+        self._see_writable()
+        with self._writing:
+            self._settle(engine.create_index(self.path, column, kind, lists))
+
     def history(self) -> list[Version]:
         """The versions that are kept, the oldest first."""
         told = []

@@ -159,6 +159,15 @@ def compact(uri: str, keep: timedelta) -> LanceDataset:
     raise OSError(f"{uri} cannot be written: {_ATTEMPTS} times others were first")
 
 
+def create_index(uri: str, column: str, kind: str, lists: int) -> LanceDataset:
+    """Builds an index of a column for cosines, in the place of what is there."""
+    with writing(uri):
+        opened(uri).create_index(column, kind, metric="cosine", replace=True, num_partitions=lists)
+        table = opened(uri)
+        sync_version(table)
+    return table
+
+
 def create(uri: str, schema: pa.Schema) -> LanceDataset:
     """A new, empty table."""
     with writing(uri):

@@ -115,7 +115,8 @@ def temporal_sum(
         )
     if reach < 0:
         raise ValueError(f"the temporal reach must be 0 or more frames, got {reach}")
-    drive = torch.from_numpy(np.unique(np.asarray(sequences, str), return_inverse=True)[1])
+    number = {sequence: place for place, sequence in enumerate(dict.fromkeys(sequences))}
+    drive = torch.tensor([number[sequence] for sequence in sequences], dtype=torch.int64)
     reach = min(reach, max(0, len(single) - 1))
     out = torch.empty_like(single) if out is None else out
     before = single[:0]

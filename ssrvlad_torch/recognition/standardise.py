@@ -48,7 +48,8 @@ def standardise(
     if len(names) != len(single):
         raise ValueError(f"expected a sequence for each of {len(single)} frames, got {len(names)}")
     after = torch.empty_like(single)
-    drives = np.unique(np.asarray(names, str), return_inverse=True)[1]
+    number = {name: place for place, name in enumerate(dict.fromkeys(names))}
+    drives = np.array([number[name] for name in names], np.int64)
     for drive in range(drives.max(initial=-1) + 1):
         rows = torch.from_numpy(np.flatnonzero(drives == drive))
         after[rows] = _less_mean(single[rows], running)

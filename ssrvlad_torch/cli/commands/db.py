@@ -69,6 +69,26 @@ def compact(
 
 
 @db.command()
+def index(database: DatabaseFolder, as_json: Json = False) -> None:
+    """Build an index on disk for query --index, and compare it with exact search.
+
+    Example: ssrvlad db index town.ssrdb
+    """
+    from ...database.database import Database
+    from ...database.index import build_index
+
+    report = build_index(Database.open(database))
+    if as_json:
+        print_json(report._asdict())
+        return
+    at = report.recall_at
+    print(
+        f"{database}: index of {report.lists} lists in {report.seconds:.1f} s; it finds {at[1]:.3f}"
+        f" of the best match and {at[10]:.3f} of the 10 best, {report.milliseconds:.1f} ms a query"
+    )
+
+
+@db.command()
 def verify(
     database: DatabaseFolder,
     drop_damaged: Annotated[

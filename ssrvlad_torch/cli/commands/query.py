@@ -36,6 +36,12 @@ def query(
             help="No candidates from a query's own sequence that are at most so many frames away.",
         ),
     ] = None,
+    index: Annotated[
+        bool,
+        typer.Option(
+            "--index", help="Search by the index on disk, see ssrvlad db index; scores are exact."
+        ),
+    ] = False,
     as_of: AsOf = None,
     skip_damaged: Annotated[
         bool, typer.Option("--skip-damaged", help="Read on past what is damaged.")
@@ -47,14 +53,20 @@ def query(
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
     from ...database.database import Damage, Database
+    from ...database.index import search_index
     from ...database.selection import neighbours, select
     from ...recognition.matching import match
     from ..sources import Source, encode_queries, load_references
 
     opened = Source.open(source)
     first, last = _window(window)
+    if index and (recognition.t or window or skip_damaged):
+        raise ValueError("--index does not go with a temporal sum, --window or --skip-damaged")
     town, damage = Database.open(database, as_of), list[Damage]()
-    references = load_references(town, recognition.t, damage if skip_damaged else None)
+    if index:
+        references = town.frames()
+    else:
+        references = load_references(town, recognition.t, damage if skip_damaged else None)
     for entry in damage:
         note(f"left out {entry.rows} frames of {database / entry.file}: {entry.reason}")
     where = None
@@ -62,18 +74,22 @@ def query(
         where = select(references, from_sequence, first, last)
     queries, refused = encode_queries(town, opened)
     near = None if exclude is None else neighbours(queries.frames, references, exclude)
-    found = match(queries.descriptors, references.descriptors, top, threshold, where, near)
-    for frame, scores, rows in zip(queries.frames, *found, strict=True):
-        candidates = [
-            {"frame": references.frames[row], "score": score}
-            for row, score in zip(rows.tolist(), scores.tolist(), strict=True)
-            if row >= 0
+    if index:
+        spared = None if near is None else [references.frames[a:b] for a, b in near.tolist()]
+        found = search_index(town, queries.descriptors, top, threshold, from_sequence, spared)
+    else:
+        matches = match(queries.descriptors, references.descriptors, top, threshold, where, near)
+        found = [
+            [(references.frames[row], s) for row, s in zip(rows, scores, strict=True) if row >= 0]
+            for scores, rows in zip(*(m.tolist() for m in matches), strict=True)
         ]
+    for frame, ranked in zip(queries.frames, found, strict=True):
+        candidates = [{"frame": name, "score": score} for name, score in ranked]
         if as_json:
             print_json({"query": frame, "candidates": candidates, "temporal": recognition.t})
         else:
-            ranked = ", ".join(f"{c['frame']} {c['score']:.4f}" for c in candidates)
-            print(f"{frame}: {ranked or 'no candidate'}")
+            told = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
+            print(f"{frame}: {told or 'no candidate'}")
     finish(refused)
 
 

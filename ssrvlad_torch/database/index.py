@@ -1,0 +1,183 @@
+"""An index on disk, for databases that do not fit in memory: inverted lists of descriptors
+quantised to a bit a number (RaBitQ, arXiv 2405.12497), made and searched by Lance (IVF_RQ). Of the
+kinds of index that Lance has it is the fastest to build, and needs no training of codes.
+
+What the index finds is scored again with the stored descriptors, so that scores are exact and only
+a candidate that it passes over is lost. Frames that were added since it was built are searched too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from ..recognition.matching import Matches, match
+from .reading import read_rows
+from .rows import OF_A_RECORD, intact, matrix
+
+if TYPE_CHECKING:
+    from lance import LanceDataset
+    from torch import Tensor
+
+    from .database import Database
+
+ROWS_OF_A_LIST = 4096
+LEAST_ROWS = 256
+PROBES = 24
+CANDIDATES = 100
+
+_SAMPLE = 200
+_COLUMN = "descriptor"
+
+Candidates = list[tuple[str, float]]
+"""Ids and exact cosines, best first."""
+
+
+class IndexReport(NamedTuple):
+    """What an index is worth.
+
+    Attributes:
+        lists: number of inverted lists, of which `PROBES` are looked through for a query.
+        seconds: how long it took to build.
+        recall_at: for N of 1 and 10, the fraction of the exact N best matches of a sample of
+            frames, the frame itself aside, that are among the N best by the index.
+        milliseconds: of a query by the index, the median of the sample.
+    """
+
+    lists: int
+    seconds: float
+    recall_at: dict[int, float]
+    milliseconds: float
+
+
+def build_index(database: Database) -> IndexReport:
+    """Builds the index of a database, or builds it anew, and compares it with exact search.
+
+    Raises:
+        ValueError: there are too few frames to learn from, or the database is damaged.
+        OSError: the index cannot be written.
+    """
+    rows = len(database)
+    if rows < LEAST_ROWS:
+        raise ValueError(
+            f"an index needs at least {LEAST_ROWS} frames to learn from, {database.path} holds "
+            f"{rows}: search it without"
+        )
+    lists = max(1, rows // ROWS_OF_A_LIST)
+    kind = "IVF_FLAT" if database.width % 8 else "IVF_RQ"  # whole bytes of bits
+    began = time.perf_counter()
+    database.write_index(_COLUMN, kind, lists)
+    seconds = time.perf_counter() - began
+    recall, milliseconds = _compare(database)
+    return IndexReport(lists, seconds, recall, milliseconds)
+
+
+def search_index(
+    database: Database,
+    queries: Tensor,
+    top: int = 5,
+    threshold: float | None = None,
+    sequences: Collection[str] | None = None,
+    exclude: Sequence[Collection[str]] | None = None,
+) -> list[Candidates]:
+    """The best matches of queries among the frames of a database, by its index.
+
+    Args:
+        database: has an index.
+        queries: ``(Q, D)`` float.
+        top: number of candidates.
+        threshold: candidates whose score is not above it are left out.
+        sequences: the only ones that candidates may be of; without, all.
+        exclude: for each query ids that are no candidates.
+
+    Raises:
+        ValueError: there is no index, or a row that was found is damaged.
+    """
+    table = database.table()
+    if not any(_COLUMN in index.field_names for index in table.describe_indices()):
+        raise ValueError(f"{database.path} has no index; ssrvlad db index builds one")
+    spared = exclude or [()] * len(queries)
+    return [
+        _search(table, query, top, threshold, _condition(sequences, ids))
+        for query, ids in zip(queries, spared, strict=True)
+    ]
+
+
+def _search(
+    table: LanceDataset, query: Tensor, top: int, threshold: float | None, condition: str | None
+) -> Candidates:
+    if not bool(query.any()):
+        return []
+    found = table.to_table(
+        columns=[*OF_A_RECORD, "empty", _COLUMN, "checksum"],
+        nearest={
+            "column": _COLUMN,
+            "q": query.float().numpy(),
+            "k": max(CANDIDATES, 4 * top),
+            "nprobes": PROBES,
+        },
+        filter=condition,
+        prefilter=condition is not None,
+        disable_scoring_autoprojection=True,
+    )
+    if not intact(found).all():
+        raise ValueError(f"{table.uri} is damaged; ssrvlad db verify tells where")
+    best = match(query[None], matrix(found[_COLUMN]).copy(), top, threshold)
+    frames = found["frame"].to_pylist()
+    pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
+    return [(frames[row], score) for row, score in pairs if row >= 0]
+
+
+def _condition(sequences: Collection[str] | None, exclude: Collection[str]) -> str | None:
+    """What Lance filters by, in SQL."""
+    limits = []
+    if sequences is not None:
+        limits.append(f"sequence IN ({_quoted(sequences)})")
+    if exclude:
+        limits.append(f"frame NOT IN ({_quoted(exclude)})")
+    return " AND ".join(limits) or None
+
+
+def _quoted(texts: Collection[str]) -> str:
+    return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
+
+
+def _compare(database: Database) -> tuple[dict[int, float], float]:
+    """Recall against exact search, and the median time of a query in milliseconds."""
+    frames = list(database.known())
+    chosen = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
+    queries, exact = _exact(database, np.sort(chosen))
+    found, times = [], []
+    for query, row in zip(queries, np.sort(chosen), strict=True):
+        began = time.perf_counter()
+        [candidates] = search_index(database, query[None], 10, exclude=[[frames[row]]])
+        times.append(time.perf_counter() - began)
+        found.append([frame for frame, _ in candidates])
+    best = [[frames[row] for row in rows if row >= 0] for rows in exact.tolist()]
+    recall = {}
+    for n in (1, 10):
+        hits = sum(len({*b[:n]} & {*f[:n]}) for b, f in zip(best, found, strict=True))
+        recall[n] = hits / max(1, sum(len(b[:n]) for b in best))
+    return recall, 1000 * float(np.median(times))
+
+
+def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+    """Some rows, and the rows of their 10 best matches but themselves, read batch by batch."""
+    table = database.table()
+    queries = torch.from_numpy(matrix(table.take(rows.tolist(), columns=[_COLUMN])[_COLUMN]).copy())
+    best = Matches(torch.full((len(rows), 10), -torch.inf), torch.full((len(rows), 10), -1))
+    first = 0
+    for batch in read_rows(table):
+        here = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
+        scores, places = match(queries, matrix(batch[_COLUMN]).copy(), 10, exclude=here)
+        scores = torch.cat([best.scores, scores], 1)
+        indices = torch.cat([best.indices, torch.where(places < 0, -1, places + first)], 1)
+        order = scores.argsort(dim=1, descending=True, stable=True)[:, :10]
+        best = Matches(scores.gather(1, order), indices.gather(1, order))
+        first += len(batch)
+    return queries, best.indices

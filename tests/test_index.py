@@ -1,0 +1,95 @@
+"""An index on disk against exact search."""
+
+import pytest
+import torch
+from helpers import descriptors, flip_byte
+
+from ssrvlad_torch import Database, match
+from ssrvlad_torch.database.index import build_index, search_index
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """600 frames of 100 places, an empty one among them, and an index; the rest was added later."""
+    database = Database.create(tmp_path_factory.mktemp("index") / "db", width=32)
+    places = descriptors(0, 100, 32).repeat(6, 1) + 0.3 * descriptors(1, 600, 32)
+    places[7] = 0
+    frames = [f"{'ab'[n % 2]}'s/{n:03d}" for n in range(600)]
+    database.append(frames[:500], places[:500])
+    report = build_index(database)
+    database.append(frames[500:], places[500:])
+    database.remove([frames[20]])
+    return database, report
+
+
+def exact(database, queries, top):
+    frames = database.load()
+    found = match(queries, frames.descriptors, top)
+    return [
+        [(frames.frames[row], score) for row, score in zip(rows, scores, strict=True)]
+        for rows, scores in zip(found.indices.tolist(), found.scores.tolist(), strict=True)
+    ]
+
+
+def test_the_report_compares_with_exact_search(town):
+    report = town[1]
+    assert report.recall_at[1] >= 0.9
+    assert report.recall_at[10] >= 0.9
+
+
+def test_scores_are_exact_and_frames_that_were_added_since_are_found(town):
+    database, _ = town
+    queries = database.load().descriptors[1::13]
+    expected, found = exact(database, queries, 3), search_index(database, queries, 3)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours[0][0] == theirs[0][0]
+        scores = dict(theirs)
+        assert all(scores.get(frame, score) == pytest.approx(score) for frame, score in ours)
+    later = [frame for frame in database.load().frames if int(frame[-3:]) >= 500]
+    rows = [database.load().frames.index(frame) for frame in later[:5]]
+    best = search_index(database, database.load().descriptors[rows], 1)
+    assert [candidates[0][0] for candidates in best] == later[:5]
+
+
+def test_candidates_can_be_of_some_sequences_and_spare_some_frames(town):
+    database, _ = town
+    frames = database.load()
+    query = frames.descriptors[frames.frames.index("a's/040")][None]
+    [found] = search_index(database, query, 20, sequences=["b's"])
+    assert len(found) == 20
+    assert {frame[0] for frame, _ in found} == {"b"}
+    [found] = search_index(database, query, 5, exclude=[["a's/040"]])
+    assert "a's/040" not in dict(found)
+    assert search_index(database, torch.zeros(1, 32)) == [[]]
+    [found] = search_index(database, query, 5, threshold=0.999)
+    assert [frame for frame, _ in found] == ["a's/040"]
+
+
+def test_what_is_replaced_is_found_by_what_it_is_now_and_compacting_keeps_the_index(town):
+    database, _ = town
+    new = descriptors(9, 1, 32)
+    database.replace(["a's/000"], new)
+    assert search_index(database, new, 1)[0][0][0] == "a's/000"
+    database.compact()
+    assert search_index(database, new, 1)[0][0][0] == "a's/000"
+    assert "a's/020" not in dict(search_index(database, new, 599)[0])
+
+
+def test_few_frames_have_no_index(tmp_path):
+    database = Database.create(tmp_path / "db", width=5)
+    database.append([f"a/{n}" for n in range(20)], descriptors(0, 20, 5))
+    with pytest.raises(ValueError, match="at least 256 frames"):
+        build_index(database)
+    with pytest.raises(ValueError, match="has no index; ssrvlad db index builds one"):
+        search_index(database, torch.ones(1, 5))
+
+
+def test_a_damaged_row_that_is_found_is_refused(tmp_path):
+    database = Database.create(tmp_path / "db", width=9)
+    numbers = descriptors(0, 300, 9)
+    database.append([f"a/{n}" for n in range(300)], numbers)
+    build_index(database)
+    [file] = (tmp_path / "db" / "data").glob("*.lance")
+    flip_byte(file, file.read_bytes().index(numbers[5].numpy().tobytes()) + 8, 1)
+    with pytest.raises(ValueError, match="is damaged"):
+        search_index(Database.open(tmp_path / "db"), numbers[5][None], 1)
