@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 from _markdown import head_row, interval, paragraph, row, write
-from _tours import LABELS_AS, SCALE_ERROR, TURN_ERROR, Tour, Tours, all_tours, head
+from _tours import SCALE_ERROR, TURN_ERROR, Tour, Tours, all_tours, head
 from matplotlib.figure import Figure
 
 from ssrvlad_torch import LoopConfig, LoopDetector
