@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
+import json
+import pickle
 
 import numpy as np
 import pytest
@@ -11,6 +14,7 @@ from cases import assert_equals_reference, camvid_labels, degenerate, hand_drawn
 from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
@@ -18,6 +22,7 @@ from ssrvlad_torch.config import AGGREGATIONS, ANCHORS, CONTEXTS, PRESETS, THINN
 from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
 from ssrvlad_torch.stages.harmonics import waves
 from ssrvlad_torch.stages.shape_context import PAIRS_AT_ONCE
+from ssrvlad_torch.taxonomy import label_space
 
 DEFAULT = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 PAPER = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
@@ -303,3 +308,29 @@ def test_autocast_changes_nothing(preset):
     with torch.autocast("cpu", torch.bfloat16):
         cast = head(labels)
     assert torch.equal(cast, head(labels))
+
+
+def test_copies_and_narrow_heads_give_the_same_numbers():
+    labels = batch_of_blobs(1)
+    for preset in PRESETS:
+        head = SSRVLAD.from_preset(preset, labels_as=SPACE)
+        expected = head(labels)
+        for other in (copy.deepcopy(head), pickle.loads(pickle.dumps(head)), head.half()):
+            assert torch.equal(other(labels), expected)
+
+
+def test_arrays_are_taken_and_pictures_get_a_sentence():
+    head, labels = SSRVLAD(DEFAULT), batch_of_blobs(1)
+    array = labels.numpy()
+    for form in (array, array.astype(">i4"), array[:, ::-1][:, ::-1]):
+        assert torch.equal(head(form), head(labels))
+    with pytest.raises(ValueError, match=r"got PIL Image; a picture's labels are np\.asarray"):
+        head(Image.fromarray(array[0]))
+
+
+def test_a_label_space_of_ones_own_travels_with_the_config():
+    config = dataclasses.replace(DEFAULT, labels_as=label_space(SPACE))
+    again = SSRVLADConfig.from_dict(json.loads(json.dumps(config.to_dict())))
+    assert again == config
+    assert SSRVLAD(again).label_space.digest == label_space(SPACE).digest
+    assert torch.equal(SSRVLAD(again)(batch_of_blobs(1)), SSRVLAD(DEFAULT)(batch_of_blobs(1)))

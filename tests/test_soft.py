@@ -240,3 +240,13 @@ def test_a_batch_of_eight_fits_in_two_gigabytes(preset):
         [sys.executable, "-c", COST, preset], capture_output=True, text=True, check=True
     )
     assert int(done.stdout) * 1024 < 2e9
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_a_twin_that_ran_in_inference_mode_can_be_trained(preset):
+    given = scores(0).detach()
+    with torch.inference_mode():
+        twin = SoftSSRVLAD(SSRVLADConfig.from_preset(preset, **TINY))
+        twin(given)
+    twin(given.requires_grad_())[0, ::7].sum().backward()
+    assert given.grad.any()

@@ -5,6 +5,7 @@ from ssrvlad_torch.taxonomy import (
     CATEGORIES,
     DYNAMIC,
     VOID,
+    LabelSpace,
     colourise,
     label_space,
     label_space_names,
@@ -158,3 +159,15 @@ def test_unknown_names_and_files(tmp_path):
         label_space("camvid")
     with pytest.raises(ValueError, match="cannot read the label space"):
         label_space(str(tmp_path / "none.yaml"))
+
+
+def test_a_file_that_changes_is_read_again_and_has_another_digest(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(CUSTOM)
+    before = label_space(file)
+    assert LabelSpace.from_dict(before.to_dict()) == before
+    file.write_text(CUSTOM.replace("ground", "sidewalk"))
+    assert label_space(file).classes[1].category == "sidewalk"
+    assert label_space(file).digest != before.digest
+    file.write_text(CUSTOM.replace("mine", "other"))
+    assert label_space(file).digest == before.digest

@@ -35,8 +35,6 @@ def soft_shape_contexts(references: Tensor, context: Tensor, masks: Tensor) -> T
     return pairs.flatten(2) @ masks.flatten(1).T
 
 
-@lru_cache(maxsize=2)
-@torch.inference_mode(False)  # what is cached is used for training, too
 def bin_masks(
     height: int,
     width: int,
@@ -63,12 +61,30 @@ def bin_masks(
         ``(N * M, 2 * height, 2 * width)``, the offset ``(dy, dx)`` modulo the size; the offset
         (0, 0) is in no bin.
     """
+    place, weight = _entries(height, width, limits, sectors, softness, device)
+    masks = torch.zeros(len(limits) * sectors * 4 * height * width, dtype=dtype, device=device)
+    masks[place] = weight.to(dtype)
+    return masks.view(-1, 2 * height, 2 * width)
+
+
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)  # what is kept is used in training, too
+def _entries(
+    height: int,
+    width: int,
+    limits: tuple[int, ...],
+    sectors: int,
+    softness: float,
+    device: torch.device,
+) -> tuple[Tensor, Tensor]:
+    """Where the masks are not zero, and what they are there: most offsets are in one bin only."""
     dy, dx = (_offsets(size, device) for size in (height, width))
     squared = dy[:, None] ** 2 + dx**2
     turn = torch.atan2(dy[:, None], dx[None]) / (2 * math.pi) % 1
     ring = _rings(squared, limits, softness) * (squared > 0)
     masks = ring[:, None] * _sectors(turn * sectors, sectors, softness)
-    return masks.flatten(0, 1).to(dtype)
+    place = masks.flatten().nonzero()[:, 0]
+    return place, masks.flatten()[place]
 
 
 def _offsets(size: int, device: torch.device) -> Tensor:
