@@ -29,6 +29,7 @@ def frame_set(vectors: torch.Tensor, sequence: str = "drive") -> FrameSet:
         sequences=(sequence,) * count,
         descriptors=vectors,
         poses=poses,
+        stamps=np.full(count, np.nan),
         empty=~vectors.any(dim=1).numpy(),
     )
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 import torch
 from helpers import descriptors
-from reports import Page
+from reports import Page, frame_set, report_of
 
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import Descriptors, stored_scores
-from ssrvlad_torch.evaluation.report.categories import categories_table
 from ssrvlad_torch.evaluation.report.matches import Match, choose, parts
+from ssrvlad_torch.evaluation.report.page import render
 
 SIMILARITY = np.array(
     [
@@ -73,15 +75,15 @@ def test_a_category_is_its_block():
 
 
 def test_the_table_tells_what_leads_to_the_wrong_place():
-    query = torch.tensor([[0.6, 0.8]])
-    references = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.6, -0.8]])
-    vectors = Descriptors(query, references, ("road & rail", "sky"))
-    wrong = Page(categories_table(vectors, Match(0, 1, 0.8, False, 0, 0.6)))
-    assert "road & rail 0.000 -0.6000 0.360" in wrong.words
-    assert "sky 0.800 0.8000 0.040" in wrong.words
-    assert "sum 0.800 0.2000 0.400" in wrong.words
-    assert [a["style"] for a in wrong.all("td", "lead")] == ["--share:75%", "--share:100%"]
-    assert len(wrong.all("td", "negative")) == 1
-    right = Page(categories_table(vectors, Match(0, 2, -0.28, True, -1, np.nan)))
-    assert "more than for the true match" not in right.words
-    assert "sky -0.640 2.560" in right.words
+    queries, references = (
+        frame_set(torch.tensor(rows), name)
+        for rows, name in (([[0.6, 0.8]], "query"), ([[1.0, 0.0], [0.0, 1.0]], "reference"))
+    )
+    report = report_of(queries, references, [[0]])
+    vectors = Descriptors(queries.descriptors, references.descriptors, ("road & rail", "sky"))
+    page = Page(render(dataclasses.replace(report, descriptors=vectors)))
+    assert "road & rail 0.000 -0.6000 0.360" in page.words
+    assert "sky 0.800 0.8000 0.040" in page.words
+    assert "sum 0.800 0.2000 0.400" in page.words
+    widths = [a["style"] for a in page.all("td", "lead")]
+    assert widths[:2] == ["--share:75%", "--share:100%"]

@@ -1,197 +1,187 @@
-"""Charts as inline SVG. Colours come from the page's style sheet, so a chart follows its theme."""
+"""The charts of the page, drawn by matplotlib as SVG that stands inside the HTML.
+
+They are drawn in the colours of `COLOURS`, which then become the variables of the style sheet, so
+that a chart follows the page's theme. A chart says in ``data-ends`` what its axes show and in
+``data-frame`` where they lie, so that the script can mark the chosen threshold.
+"""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from html import escape
+import io
+import re
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..outcomes import Floats
+from ..curves import PrecisionRecall
+from ..outcomes import Floats, Outcomes
+from .recall import RecallRates
 
+if TYPE_CHECKING:
+    from markupsafe import Markup
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLOURS = {
+    "text": "#1d1f23",
+    "soft": "#5d6470",
+    "rule": "#dcdfe4",
+    "chosen": "#1a5fb4",
+    "other": "#8d949e",
+    "right": "#1a73c7",
+    "wrong": "#d4501e",
+    "unknown": "#8a3a6a",
+    "suggested": "#0b7d52",
+}
 WIDTH, HEIGHT = 440, 300
-LEFT, RIGHT, TOP, BOTTOM = 48, 14, 12, 42
-_COLUMNS = 2 * WIDTH
+FRAME = (52, 426, 12, 254)
+"""Pixels of the axes: left, right, top, bottom."""
+
+_BINS = 40
+_ROUND_N = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_NAMES = {"right": "right", "wrong": "wrong", "unknown": "wrong, the place is not there"}
 
 
-@dataclass(frozen=True)
-class Axis:
-    """What an axis shows.
-
-    Attributes:
-        label: stands beside it.
-        low, high: values at its ends, ``low < high``.
-        ticks: values that are marked.
-        logarithmic: whether equal steps are equal ratios; then ``low`` is above 0.
-    """
-
-    label: str
-    low: float
-    high: float
-    ticks: tuple[float, ...]
-    logarithmic: bool = False
-
-    def share(self, values: npt.ArrayLike) -> Floats:
-        """How far along the axis values lie, 0 at the low end and 1 at the high end."""
-        scale = np.log if self.logarithmic else np.asarray
-        low, high, place = (scale(np.asarray(v, float)) for v in (self.low, self.high, values))
-        return np.asarray((place - low) / (high - low), np.float64)
-
-
-@dataclass(frozen=True)
-class Plane:
-    """Two axes; places are pixels of the drawing, which is `WIDTH` by `HEIGHT`.
-
-    Below 0, the ticks of y tell the size alone: a chart may be mirrored there.
-    """
-
-    x: Axis
-    y: Axis
-
-    def across(self, values: npt.ArrayLike) -> Floats:
-        """Pixels from the left edge."""
-        return LEFT + self.x.share(values) * (WIDTH - LEFT - RIGHT)
-
-    def down(self, values: npt.ArrayLike) -> Floats:
-        """Pixels from the upper edge."""
-        return HEIGHT - BOTTOM - self.y.share(values) * (HEIGHT - TOP - BOTTOM)
-
-
-def linear_axis(label: str, low: float, high: float, whole: bool = False) -> Axis:
-    """An axis with about six round ticks; ends that all but coincide are moved apart.
+def precision_recall_chart(
+    curve: PrecisionRecall, exact: PrecisionRecall, convention: str, points: Mapping[str, Any]
+) -> Markup:
+    """Precision against recall by the chosen convention, the one by ``exact`` beside it if it is
+    another, on which the points lie.
 
     Args:
-        whole: whether the ticks are whole numbers.
+        points: the operating points by their names, ``None`` where there is none.
     """
-    size = max(abs(low), abs(high), 1.0)
-    if not high - low > 1e-9 * size:
-        margin = 1e-3 * size
-        low, high = low - margin, high + margin
-    raw = max((high - low) / 7, 1.0 if whole else 0.0)
-    unit = 10.0 ** math.floor(math.log10(raw))
-    step = next(factor * unit for factor in (1, 2, 5, 10) if factor * unit >= raw * 0.999)
-    numbers = range(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    return Axis(label, low, high, tuple(round(number * step, 12) for number in numbers))
+    figure, axes = _axes("recall", "precision")
+    axes.set(xlim=(0, 1), ylim=(0, 1))
+    if convention != "exact":
+        axes.plot(*_from_recall_zero(exact), color=COLOURS["other"], ls="--", label="exact")
+    axes.plot(*_from_recall_zero(curve), color=COLOURS["chosen"], label=convention)
+    for name, point in points.items():
+        if point:
+            colour = COLOURS["suggested" if name == "suggested" else "text"]
+            axes.plot(point["recall"], point["precision"], "o", color=colour, clip_on=False)
+    told = [f"{p:.3f} at recall {r:g}" for r, p in precisions(curve) if not np.isnan(p)]
+    text = f"Precision {', '.join(told) or 'has no meaning'}."
+    return _svg(figure, axes, "pr", f"Precision against recall, convention {convention}", text)
 
 
-def chart(name: str, plane: Plane, marks: Iterable[str], title: str, description: str) -> str:
-    """An ``<svg>`` with axes and marks.
-
-    Args:
-        name: its id; the script finds it and its axes by this.
-        marks: from the functions below, the first at the bottom.
-        title, description: what a screen reader says.
-    """
-    ends = (plane.x.low, plane.x.high, plane.y.low, plane.y.high)
-    return (
-        f'<svg id="{name}" class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" '
-        f'aria-labelledby="{name}-title {name}-text" data-ends="{" ".join(map(repr, ends))}" '
-        f'data-frame="{LEFT} {WIDTH - RIGHT} {TOP} {HEIGHT - BOTTOM}">'
-        f'<title id="{name}-title">{escape(title)}</title>'
-        f'<desc id="{name}-text">{escape(description)}</desc>'
-        f"{_grid(plane)}{''.join(marks)}</svg>"
-    )
+def recall_chart(rates: RecallRates) -> Markup:
+    """RecallRate@N over N, with its 95 % intervals."""
+    figure, axes = _axes("N, candidates looked at", "RecallRate@N")
+    most = max(int(rates.n[-1]), 2)
+    ticks = [n for n in _ROUND_N if n <= most]
+    axes.set(xscale="log", xlim=(1, most), ylim=(0, 1))
+    axes.set_xticks(ticks, [str(n) for n in ticks])
+    axes.minorticks_off()
+    axes.fill_between(rates.n, rates.low, rates.high, color=COLOURS["chosen"], alpha=0.18, lw=0)
+    axes.plot(rates.n, rates.rate, color=COLOURS["chosen"])
+    told = ", ".join(f"{rates.rate[n - 1]:.3f} at {n}" for n in ticks if n <= len(rates.n))
+    return _svg(figure, axes, "recall", "RecallRate@N", f"RecallRate {told}.".replace("nan", "-"))
 
 
-def line(plane: Plane, x: Floats, y: Floats, kind: str) -> str:
-    """Straight lines through points with rising x; drawn exactly, see `thinned`."""
-    x, y = thinned(plane.across(x), plane.down(y))
-    return f'<polyline class="line {kind}" points="{_points(x, y)}"/>' if len(x) else ""
+def score_chart(outcomes: Outcomes, suggested: Mapping[str, Any] | None) -> Markup:
+    """How many best candidates have which score: the right ones upwards, the wrong ones
+    downwards."""
+    from matplotlib.ticker import MaxNLocator
 
-
-def band(plane: Plane, x: Floats, low: Floats, high: Floats, kind: str) -> str:
-    """The area between two lines; nothing where an end is NaN."""
-    meant = ~(np.isnan(low) | np.isnan(high))
-    if not meant.any():
-        return ""
-    across = plane.across(x[meant])
-    edge = _points(
-        np.concatenate((across, across[::-1])),
-        np.concatenate((plane.down(high[meant]), plane.down(low[meant])[::-1])),
-    )
-    return f'<polygon class="band {kind}" points="{edge}"/>'
-
-
-def dot(plane: Plane, x: float, y: float, kind: str, label: str) -> str:
-    """A point with a tool tip."""
-    return (
-        f'<circle class="dot {kind}" cx="{_number(plane.across(x))}" '
-        f'cy="{_number(plane.down(y))}" r="5"><title>{escape(label)}</title></circle>'
-    )
-
-
-def bar(plane: Plane, edges: tuple[float, float], ends: tuple[float, float], kind: str) -> str:
-    """A bar from one value of y to another."""
-    left, right = plane.across(edges)
-    lower, upper = plane.down(ends)
-    return (
-        f'<rect class="bar {kind}" x="{_number(left)}" y="{_number(min(lower, upper))}" '
-        f'width="{_number(right - left)}" height="{_number(abs(lower - upper))}"/>'
-    )
-
-
-def upright(plane: Plane, x: float, kind: str, label: str) -> str:
-    """A vertical line over the whole height, with a tool tip."""
-    place = _number(plane.across(x))
-    return (
-        f'<line class="upright {kind}" x1="{place}" x2="{place}" y1="{TOP}" '
-        f'y2="{HEIGHT - BOTTOM}"><title>{escape(label)}</title></line>'
-    )
-
-
-def thinned(x: Floats, y: Floats, columns: int = _COLUMNS) -> tuple[Floats, Floats]:
-    """Fewer points that draw the same line: of each column of pixels the first, the last, the
-    lowest and the highest (M4: Jugel et al., PVLDB 2014).
-
-    Args:
-        x, y: pixels, x rising.
-        columns: in the drawing's whole width.
-    """
-    if len(x) == 0:
-        return x, y
-    column = np.floor(x * columns / WIDTH).astype(np.int64)
-    first = np.flatnonzero(np.diff(column, prepend=column[0] - 1))
-    kept = set()
-    for start, end in zip(first, [*first[1:], len(x)], strict=True):
-        kept |= {start, end - 1, start + y[start:end].argmin(), start + y[start:end].argmax()}
-    rows = sorted(kept)
-    return x[rows], y[rows]
-
-
-def _grid(plane: Plane) -> str:
-    right, bottom = WIDTH - RIGHT, HEIGHT - BOTTOM
-    marks = []
-    for tick, place in zip(plane.x.ticks, map(_number, plane.across(plane.x.ticks)), strict=True):
-        marks.append(f'<line class="grid" x1="{place}" x2="{place}" y1="{TOP}" y2="{bottom}"/>')
-        marks.append(f'<text x="{place}" y="{bottom + 16}" text-anchor="middle">{tick:g}</text>')
-    for tick, place in zip(plane.y.ticks, map(_number, plane.down(plane.y.ticks)), strict=True):
-        marks.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{place}" y2="{place}"/>')
-        marks.append(
-            f'<text x="{LEFT - 6}" y="{place}" dy="0.35em" text-anchor="end">{abs(tick):g}</text>'
+    figure, axes = _axes("score of the best candidate", "queries")
+    groups = score_groups(outcomes)
+    everything = np.concatenate([*groups.values()])
+    low, high = (everything.min(), everything.max()) if len(everything) else (0.0, 1.0)
+    margin = 1e-3 if high - low < 1e-9 else 0.0
+    edges = np.linspace(low - margin, high + margin, _BINS + 1)
+    counts = {name: np.histogram(scores, edges)[0] for name, scores in groups.items()}
+    for name, sign, base in (
+        ("right", 1, np.zeros(_BINS)),
+        ("wrong", -1, np.zeros(_BINS)),
+        ("unknown", -1, -counts["wrong"]),
+    ):
+        axes.bar(
+            edges[:-1], sign * counts[name], np.diff(edges), base, align="edge", color=COLOURS[name]
         )
-    middle_x, middle_y = (LEFT + right) / 2, (TOP + bottom) / 2
-    marks.append(
-        f'<text class="label" x="{middle_x}" y="{HEIGHT - 6}" text-anchor="middle">'
-        f"{escape(plane.x.label)}</text>"
-        f'<text class="label" transform="translate(12 {middle_y}) rotate(-90)" '
-        f'text-anchor="middle">{escape(plane.y.label)}</text>'
+    below = counts["wrong"] + counts["unknown"]
+    axes.set(
+        xlim=(edges[0], edges[-1]), ylim=(-1.05 * below.max(), 1.05 * max(1, counts["right"].max()))
     )
-    return f'<g aria-hidden="true">{"".join(marks)}</g>'
+    axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+    axes.yaxis.set_major_formatter(lambda count, _: f"{abs(count):g}")
+    if suggested:
+        place = min(max(suggested["score"], edges[0]), edges[-1])
+        axes.axvline(place, color=COLOURS["suggested"], ls="--")
+    told = "; ".join(f"{_NAMES[name]}: {len(scores)}" for name, scores in groups.items())
+    return _svg(figure, axes, "scores", "Scores of the best candidates", f"{told}.")
 
 
-def _points(x: Floats, y: Floats) -> str:
-    return " ".join(f"{_number(a)},{_number(b)}" for a, b in zip(x, y, strict=True))
+def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
+    """Scores of the best candidates that are right, wrong, and wrong as the place is not there."""
+    taken = outcomes.candidate >= 0
+    return {
+        "right": outcomes.score[outcomes.correct],
+        "wrong": outcomes.score[taken & ~outcomes.correct & outcomes.has_match],
+        "unknown": outcomes.score[taken & ~outcomes.has_match],
+    }
 
 
-def _number(value: float | Floats) -> str:
-    """Hundredths of a pixel, without zeros that say nothing."""
-    return f"{float(value):.2f}".rstrip("0").rstrip(".")
+def precisions(curve: PrecisionRecall) -> list[tuple[float, float]]:
+    """The precision at the highest threshold that reaches each tenth of recall; NaN if none."""
+    reached = [np.flatnonzero(curve.recall >= tenth / 10) for tenth in range(1, 11)]
+    return [
+        ((place + 1) / 10, float(curve.precision[rows[0]]) if len(rows) else float("nan"))
+        for place, rows in enumerate(reached)
+    ]
 
 
-def legend(entries: Sequence[tuple[str, str]]) -> str:
-    """A list of the kinds of marks and what they stand for."""
-    items = (f'<li><i class="key {kind}"></i>{escape(text)}</li>' for kind, text in entries)
-    return f'<ul class="legend">{"".join(items)}</ul>'
+def _from_recall_zero(curve: PrecisionRecall) -> tuple[Floats, Floats]:
+    """Recall and precision with the point at recall 0; nothing where there are no positives."""
+    if not curve.positives or not len(curve.thresholds):
+        return np.zeros(0), np.zeros(0)
+    first = curve.precision[0] if curve.start is None else curve.start
+    return np.insert(curve.recall, 0, 0.0), np.insert(curve.precision, 0, first)
+
+
+def _axes(x: str, y: str) -> tuple[Figure, Axes]:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(WIDTH / 72, HEIGHT / 72))
+    left, right, top, bottom = FRAME
+    place = (left / WIDTH, 1 - bottom / HEIGHT, (right - left) / WIDTH, (bottom - top) / HEIGHT)
+    axes = figure.add_axes(place)
+    axes.set_xlabel(x, color=COLOURS["text"])
+    axes.set_ylabel(y, color=COLOURS["text"])
+    axes.tick_params(length=0, labelcolor=COLOURS["soft"])
+    axes.grid(color=COLOURS["rule"])
+    axes.set_axisbelow(True)
+    axes.spines[:].set_visible(False)
+    return figure, axes
+
+
+def _svg(figure: Figure, axes: Axes, name: str, title: str, text: str) -> Markup:
+    """The figure as an element of the page, whose ids begin with ``name``."""
+    from markupsafe import Markup
+    from matplotlib import rc_context
+
+    content = io.StringIO()
+    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
+        figure.savefig(content, format="svg", transparent=True, metadata=nothing)
+    drawn = content.getvalue().partition("<svg")[2].partition(">")[2]
+    drawn = re.sub(r"<style.*?</style>|<!--.*?-->", "", drawn, flags=re.DOTALL)
+    drawn = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", drawn.replace("xlink:href", "href"))
+    for variable, colour in COLOURS.items():
+        drawn = drawn.replace(colour, f"var(--{variable})")
+    ends = " ".join(repr(float(end)) for end in (*axes.get_xlim(), *axes.get_ylim()))
+    start = Markup(
+        '<svg id="{name}" class="chart" viewBox="0 0 {width} {height}" role="img" '
+        'aria-labelledby="{name}-title {name}-text" data-ends="{ends}" data-frame="{frame}">'
+        '<title id="{name}-title">{title}</title><desc id="{name}-text">{text}</desc>'
+    ).format(
+        name=name,
+        width=WIDTH,
+        height=HEIGHT,
+        ends=ends,
+        frame=" ".join(map(str, FRAME)),
+        title=title,
+        text=text,
+    )
+    return start + Markup(drawn)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
-from html import escape
-from importlib import resources
+from itertools import groupby
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -15,30 +14,57 @@ import numpy as np
 from ...files import replacing
 from ..curves import PrecisionRecall
 from ..metrics import precision_recall_curve
-from .cards import match_card
-from .contents import Report
-from .matches import Match, choose
-from .matrix import matrix_figure
-from .plots import precision_recall_plot, recall_plot, score_plot
+from .charts import (
+    precision_recall_chart,
+    precisions,
+    recall_chart,
+    score_chart,
+    score_groups,
+)
+from .contents import Frames, Picture, Report
+from .images import (
+    DARKEST,
+    LIGHTEST,
+    label_address,
+    mask_address,
+    photo_address,
+    scores_address,
+    span,
+)
+from .matches import Match, choose, parts
 from .recall import recall_rates
-from .tables import definitions, figures, metrics_table, operating_rows, share, thresholds_table
+from .similarity import similarity_matrix
 
 MATCHES_OF_A_KIND = 4
 MOST_STEPS = 400
 
-_FIRST_FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
+NOTHING = "\N{EN DASH}"
+TRUTH, RIGHT, WRONG = (38, 194, 129), (77, 163, 255), (255, 107, 53)
+"""Colours of what is laid over the similarity matrix."""
 
+FIGURES = {
+    "auc_pr": "AUC-PR",
+    "average_precision": "average precision",
+    "recall_at_100_precision": "Recall@100%Precision",
+    "extended_precision": "extended precision",
+    "roc_auc": "ROC-AUC",
+}
 CONVENTIONS = {
     "exact": "A query's best candidate is accepted if its score is at least a threshold, and every "
-    "distinct score is one. Recall is a share of the queries that have a true match; a query "
+    "distinct score is one. Recall is a fraction of the queries that have a true match; a query "
     "without one can only cost precision.",
-    "vpr-bench": "As VPR-Bench computes it (Zaffar et al., IJCV 2021): recall is a share of the "
-    "right best candidates, so it always ends at 1; RecallRate@N is a share of all queries.",
+    "vpr-bench": "As VPR-Bench computes it (Zaffar et al., IJCV 2021): recall is a fraction of the "
+    "right best candidates, so it always ends at 1; RecallRate@N is a fraction of all queries.",
     "vpr-tutorial": "As the VPR tutorial computes it (Schubert et al., RAM 2024): all pairs, 100 "
-    "evenly spaced thresholds; recall is a share of the true pairs.",
+    "evenly spaced thresholds; recall is a fraction of the true pairs.",
     "vpr-tutorial-single": "As the VPR tutorial computes it (Schubert et al., RAM 2024) for single "
     "matches: each query's best pair, 100 evenly spaced thresholds.",
 }
+_FIRST_FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
+_ROUND_N = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+_MOST_NAMED = 24
+_WIDEST, _TALLEST = 3.0, 1.0
+_CRISP = 400
 
 
 def require_place(path: Path) -> None:
@@ -61,6 +87,7 @@ def write_report(path: Path, report: Report) -> None:
     whatever the number of queries and references, and it needs no other file and no network.
 
     Raises:
+        ImportError: the extra ``eval`` (Jinja2, matplotlib) is not installed.
         ValueError: no page can be there, see `require_place`.
         OSError: the disk refused; what was at ``path`` is as it was.
     """
@@ -71,68 +98,82 @@ def write_report(path: Path, report: Report) -> None:
 
 
 def render(report: Report) -> str:
-    """The page as text."""
+    """The page as text. Its parts are in ``templates/page.html``."""
+    try:
+        from jinja2 import Environment, PackageLoader
+    except ImportError as error:
+        raise ImportError("a report needs: pip install ssrvlad-torch[eval]") from error
     metrics, outcomes = report.metrics, report.outcomes
     convention, points = metrics["convention"], metrics["thresholds"]
     exact = precision_recall_curve(outcomes, report.truth)
     rates = recall_rates(outcomes, report.candidates, of_all=convention == "vpr-bench")
-    kinds = choose(report.scores, outcomes, report.truth, MATCHES_OF_A_KIND)
-    return Template(_part("page.html")).substitute(
-        title=escape(report.title),
-        style=_part("style.css"),
-        script=_part("script.js"),
-        summary=_summary(report),
-        notes=_notes(report.notes),
-        headlines=_headlines(report),
-        convention=escape(convention),
+    operating, rows = dict(operating_rows(points)), [*figures(metrics)]
+    environment = Environment(
+        loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals |= {"share": share, "isnan": math.isnan, "NOTHING": NOTHING}
+    return environment.get_template("page.html").render(
+        report=report,
+        metrics=metrics,
+        empty=int((outcomes.candidate < 0).sum()),
+        headlines=[row for row in rows if row[0] in _FIRST_FIGURES],
+        figures=rows,
         meaning=CONVENTIONS[convention],
-        metrics=metrics_table(metrics),
-        precision_recall=precision_recall_plot(report.curve, exact, convention, points),
-        recall=recall_plot(rates),
-        scores=score_plot(outcomes, points),
-        thresholds=thresholds_table(points),
-        steps=_steps(exact, points),
-        similarity=matrix_figure(report),
-        confident=_cards(report, kinds.confident, "No best candidate is wrong."),
-        worst=_cards(report, kinds.worst, "No query missed a true match."),
-        best=_cards(report, kinds.best, "No best candidate is right."),
-        settings=definitions(report.settings),
+        operating=operating,
+        precisions=precisions(report.curve),
+        rates=[
+            (n, rates.rate[n - 1], rates.low[n - 1], rates.high[n - 1])
+            for n in _ROUND_N
+            if n <= len(rates.n)
+        ],
+        groups=score_groups(outcomes),
+        precision_recall=precision_recall_chart(report.curve, exact, convention, operating),
+        recall=recall_chart(rates),
+        scores=score_chart(outcomes, points["suggested"]),
+        steps=_steps(exact, points, operating),
+        matrix=_matrix(report),
+        matches=[
+            [_card(report, match) for match in kind]
+            for kind in choose(report.scores, outcomes, report.truth, MATCHES_OF_A_KIND)
+        ],
     )
 
 
-def _part(name: str) -> str:
-    return resources.files(__package__).joinpath(name).read_text("utf-8")
+def share(*values: float) -> str:
+    """A fraction in three digits, or the two ends of an interval; a dash for NaN."""
+    return NOTHING if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
 
 
-def _summary(report: Report) -> str:
-    metrics, empty = report.metrics, int((report.outcomes.candidate < 0).sum())
-    without = f"; {empty:,} have no candidate" if empty else ""
-    return (
-        f"{metrics['queries']:,} queries, {metrics['queries_with_match']:,} of them with a true "
-        f"match, against {metrics['references']:,} references{without}."
-    )
+def figures(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[float]]]:
+    """Name, value and interval of every figure of `metrics.evaluate`."""
+    intervals = metrics["intervals"]
+    return [
+        *(
+            (f"RecallRate@{n}", rate, intervals["recall_at"][n])
+            for n, rate in metrics["recall_at"].items()
+        ),
+        *((name, metrics[key], intervals[key]) for key, name in FIGURES.items()),
+    ]
 
 
-def _notes(notes: Sequence[str]) -> str:
-    lines = "".join(f"<li>{escape(note)}</li>" for note in notes)
-    return f'<ul class="notes">{lines}</ul>' if notes else ""
+def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
+    """The points of `operating_points` by their names."""
+    return [
+        *((f"precision {_percent(p)}", point) for p, point in points["at_precision"].items()),
+        *((f"recall {_percent(r)}", point) for r, point in points["at_recall"].items()),
+        ("suggested", points["suggested"]),
+    ]
 
 
-def _headlines(report: Report) -> str:
-    return "".join(
-        f"<div><dt>{escape(name)}</dt>"
-        f"<dd>{share(value)}<small>95 %: {share(*ends)}</small></dd></div>"
-        for name, value, ends in figures(report.metrics)
-        if name in _FIRST_FIGURES
-    )
+def _percent(value: str) -> str:
+    return f"{100 * float(value):g}\N{NO-BREAK SPACE}%"
 
 
-def _steps(exact: PrecisionRecall, points: Mapping[str, Any]) -> str:
+def _steps(exact: PrecisionRecall, points: Mapping[str, Any], operating: Mapping[str, Any]) -> str:
     """What the script needs to follow the threshold: some of the thresholds, evenly spread over
-    the queries, the lowest first, with all that follows from each."""
+    the queries, the lowest first, with all that follows from each. JSON of numbers only."""
     last = len(exact.thresholds) - 1
-    told = [point for _, point in operating_rows(points) if point]
-    marked = [int((exact.thresholds >= point["score"]).sum()) - 1 for point in told]
+    marked = [int((exact.thresholds >= p["score"]).sum()) - 1 for p in operating.values() if p]
     spread = np.linspace(0, last, min(last + 1, MOST_STEPS)).round()
     rows = np.unique(np.concatenate((spread, marked)).astype(int))[::-1]
     columns = {
@@ -148,5 +189,102 @@ def _steps(exact: PrecisionRecall, points: Mapping[str, Any]) -> str:
     return json.dumps(steps if exact.positives else {"score": []})
 
 
-def _cards(report: Report, matches: list[Match], otherwise: str) -> str:
-    return "".join(match_card(report, match) for match in matches) or f"<p>{otherwise}</p>"
+def _matrix(report: Report) -> dict[str, Any] | None:
+    """The similarity matrix as pictures, with what stands beside its axes; ``None`` if empty."""
+    there = len(report.references.frames)
+    matrix = similarity_matrix(report.scores, there, report.outcomes, report.truth)
+    if not matrix.scores.size:
+        return None
+    low, high = span(matrix.scores)
+    return {
+        "shape": min(max(there / len(report.queries.frames), _TALLEST), _WIDEST),
+        "crisp": max(matrix.scores.shape) <= _CRISP,
+        "scores": scores_address(matrix.scores),
+        "truth": mask_address([(matrix.truth, TRUTH)]),
+        "taken": mask_address([(matrix.wrong, WRONG), (matrix.right, RIGHT)]),
+        "colours": {"truth": TRUTH, "right": RIGHT, "wrong": WRONG},
+        "ramp": (DARKEST, LIGHTEST),
+        "span": (low, high),
+        "pairs": [-(-int(ends[-1]) // (len(ends) - 1)) for ends in (matrix.rows, matrix.columns)],
+        "queries": _runs(report.queries),
+        "references": _runs(report.references),
+    }
+
+
+def _runs(frames: Frames) -> list[tuple[str, int]]:
+    """The sequences one after another and their lengths; of many only how many they are."""
+    sequences = (frame.rpartition("/")[0] for frame in frames.frames)
+    runs = [(name, len([*run])) for name, run in groupby(sequences)]
+    many = [(f"{len(runs)} sequences", len(frames.frames))]
+    return runs if len(runs) <= _MOST_NAMED else many
+
+
+def _card(report: Report, match: Match) -> dict[str, Any]:
+    """A match that is worth a look: the query beside what was taken, and the true match if that
+    is another."""
+    outcomes, query = report.outcomes, report.queries.frames[match.query]
+    frames = [_frame("query", query, report.query_pictures(query), "")]
+    frames.append(_reference(report, match, "taken", match.candidate, _score(match.score)))
+    if match.true_match >= 0:
+        rank = int(outcomes.rank[match.query])
+        place = f"ranked {rank}" if rank else f"not among the first {report.candidates}"
+        text = f"{_score(match.true_score)}, {place}"
+        frames.append(_reference(report, match, "true match", match.true_match, text))
+    return {
+        "correct": match.correct,
+        "query": query,
+        "frames": frames,
+        "columns": _columns(report, match),
+        "has_match": bool(outcomes.has_match[match.query]),
+    }
+
+
+def _reference(report: Report, match: Match, role: str, row: int, text: str) -> dict[str, Any]:
+    frame = report.references.frames[row]
+    steps = report.queries.poses[match.query, :2] - report.references.poses[row, :2]
+    metres = math.hypot(*steps)
+    away = "" if math.isnan(metres) else f", {metres:.1f}\N{NO-BREAK SPACE}m away"
+    return _frame(role, frame, report.reference_pictures(frame), text + away)
+
+
+def _frame(role: str, frame: str, picture: Picture, text: str) -> dict[str, Any]:
+    images = []
+    if picture.photo is not None:
+        images.append((photo_address(picture.photo), f"photo of {frame}"))
+    if picture.labels is not None:
+        images.append((label_address(picture.labels), f"label map of {frame}"))
+    return {"role": role, "frame": frame, "images": images, "text": text}
+
+
+def _score(score: float) -> str:
+    return f"score {score:.4f}" if math.isfinite(score) else "matches nothing"
+
+
+def _columns(report: Report, match: Match) -> list[dict[str, Any]]:
+    """What each category adds to the score of what was taken, how much more that is than for the
+    true match, and what it adds to the squared difference of query and taken."""
+    if report.descriptors is None:
+        return []
+    queries, references, categories = report.descriptors
+    rows = [match.candidate, *([match.true_match] if match.true_match >= 0 else [])]
+    added = parts(queries[match.query], references[rows], len(categories))
+    columns = [("adds to the score", "part", 3, added.score[0])]
+    if match.true_match >= 0:
+        lead = added.score[0] - added.score[1]
+        columns.append(("more than for the true match", "lead", 4, lead))
+    columns.append(("squared difference", "part", 3, added.difference[0]))
+    return [
+        {
+            "name": name,
+            "kind": kind,
+            "told": [_told(value, digits) for value in (*values, values.sum())],
+            "negative": (values < 0).tolist(),
+            "percent": (100 * np.abs(values) / max(np.abs(values).max(), 1e-9)).round().tolist(),
+        }
+        for name, kind, digits, values in columns
+    ]
+
+
+def _told(value: float, digits: int) -> str:
+    """In digits, without a minus before nothing."""
+    return f"{round(float(value), digits) + 0.0:.{digits}f}"
