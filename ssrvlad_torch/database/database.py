@@ -138,10 +138,11 @@ class Database:
     def exists(path: str | Path) -> bool:
         """Whether there is a database; one of an earlier format counts too."""
         if engine.is_local(str(path)):
-            return any(Path(path, name).exists() for name in ("_versions", "manifest.json"))
+            versions = Path(path, "_versions").glob("*.manifest")
+            return any(versions) or Path(path, "manifest.json").is_file()
         try:
             engine.opened(str(path))
-        except (OSError, ValueError):
+        except OSError:
             return False
         return True
 
@@ -197,11 +198,11 @@ class Database:
         text = str(path)
         if engine.is_local(text) and Path(text, "manifest.json").exists():
             raise ValueError(f"{text} was made by an earlier format of database: encode it again")
-        if engine.is_local(text) and not Path(text, "_versions").is_dir():
+        if engine.is_local(text) and not cls.exists(text):
             raise ValueError(f"{text} is not a database")
         try:
             table = engine.opened(text, version)
-        except (OSError, ValueError) as error:
+        except OSError as error:
             raise ValueError(_why_closed(text, version, error)) from error
         return cls(text, table, pinned=version is not None)
 
@@ -631,7 +632,9 @@ def _digest(text: str) -> str:
 
 
 def _is_used(folder: Path) -> bool:
-    return folder.is_dir() and any(folder.iterdir())
+    """Whether a folder holds more than a `Database.create` that was killed leaves behind."""
+    left = {"_transactions", "_versions", "data"}
+    return folder.is_dir() and any(entry.name not in left for entry in folder.iterdir())
 
 
 def _why_closed(path: str, version: int | None, error: Exception) -> str:

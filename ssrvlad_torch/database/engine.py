@@ -55,9 +55,12 @@ def opened(uri: str, version: int | None = None) -> LanceDataset:
     """A table at a version, without one the newest.
 
     Raises:
-        OSError, ValueError: there is none, or it is damaged.
+        OSError: there is none, or it is damaged.
     """
-    table: LanceDataset = lance().dataset(uri, version=version)
+    try:
+        table: LanceDataset = lance().dataset(uri, version=version)
+    except ValueError as error:
+        raise OSError(one_line(error)) from error
     return table
 
 
@@ -196,8 +199,9 @@ def commit(uri: str, plan: Plan, adds: bool, message: str) -> LanceDataset:
         The table after it.
     """
     for attempt in range(_ATTEMPTS):
-        before = opened(uri)
-        operation = plan(before)
+        with writing(uri):
+            before = opened(uri)
+            operation = plan(before)
         if operation is None:
             return before
         with writing(uri):

@@ -1,0 +1,132 @@
+"""Nothing lost, nothing half done: writers that are killed, full disks, no file handles, places
+that must not be written, and the order in which files reach the disk."""
+
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import torch
+from helpers import descriptors
+
+from ssrvlad_torch import Database
+from ssrvlad_torch.database.exporting import export_database
+
+HERE = Path(__file__).parent
+
+
+@pytest.fixture(scope="session")
+def shim(tmp_path_factory):
+    """The library that kills a writer or writes down its calls."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("g++")
+    if compiler is None:
+        pytest.skip("needs a C compiler")
+    target = tmp_path_factory.mktemp("shim") / "crashing.so"
+    source = HERE / "crashing.c"
+    subprocess.run([compiler, "-shared", "-fPIC", "-xc", source, "-o", target, "-ldl"], check=True)
+    return target
+
+
+def crashes(shim, folder, *arguments):
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", HERE / "crashes.py", shim, folder, *arguments],
+        env={**os.environ, "LD_PRELOAD": str(shim), "OMP_NUM_THREADS": "1"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
+
+
+def test_a_writer_that_is_killed_loses_nothing(shim, tmp_path):
+    """At some of the calls that the next test tries all."""
+    assert int(crashes(shim, tmp_path, "every", "23")[0]) >= 5
+
+
+@pytest.mark.slow
+def test_a_writer_that_is_killed_at_any_call_loses_nothing(shim, tmp_path):
+    """At every write, half a write, flush, link and removal, from creating to compacting."""
+    assert int(crashes(shim, tmp_path, "every", "1")[0]) >= 100
+
+
+@pytest.mark.slow
+def test_a_writer_that_is_killed_at_any_moment_loses_nothing(shim, tmp_path):
+    assert crashes(shim, tmp_path, "random", "50") == ["50"]
+
+
+def test_files_reach_the_disk_before_the_version_that_names_them_and_it_before_the_end(
+    shim, tmp_path
+):
+    calls = [line.split(" ") for line in crashes(shim, tmp_path, "record", "0")]
+    [commit] = [n for n, (call, name) in enumerate(calls) if call == "link"]
+    manifest = calls[commit][1]
+    assert manifest.startswith("/_versions/")
+    before = {name for call, name in calls[:commit] if call == "fsync"}
+    after = {name for call, name in calls[commit:] if call == "fsync"}
+    written = {name for call, name in calls[:commit] if call == "write" and "/data/" in name}
+    assert written, "the rows went to a data file"
+    assert "/data" in before
+    [data] = [name for name in before if name.endswith(".lance")]
+    assert data.startswith("/data/")
+    assert {manifest, "/_versions"} <= after
+
+
+@contextmanager
+def limited(what, most):
+    """What a full disk, or too many open files, do to a writer."""
+    soft, hard = resource.getrlimit(what)
+    resource.setrlimit(what, (most, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(what, (soft, hard))
+
+
+@pytest.mark.parametrize("size", [0, 100, 1000, 10_000])
+@pytest.mark.parametrize("change", ["append", "replace", "merge"])
+def test_a_full_disk_is_an_error_and_the_database_is_as_it_was(tmp_path, size, change):
+    path = tmp_path / "db"
+    Database.create(path, width=480).append(["a/1", "a/2"], descriptors(0, 2))
+    frames = ["b/1", "b/2"] if change == "append" else ["a/1", "a/2"]
+    database = Database.open(path)
+    numbers = descriptors(1, 2)
+    with limited(resource.RLIMIT_FSIZE, size):
+        try:
+            getattr(database, change)(frames, numbers)
+        except OSError as error:
+            assert "\n" not in str(error)
+            assert str(path) in str(error)
+        else:
+            assert size == 10_000, "it fits"
+            return
+    assert torch.equal(Database.open(path).load().descriptors, descriptors(0, 2))
+    getattr(database, change)(frames, numbers)
+    assert Database.open(path).verify() == []
+    assert len(Database.open(path)) == (4 if change == "append" else 2)
+
+
+def test_no_file_handles_is_an_error_and_the_database_is_as_it_was(tmp_path):
+    path = tmp_path / "db"
+    Database.create(path, width=480).append(["a/1"], descriptors(0, 1))
+    database = Database.open(path)
+    with limited(resource.RLIMIT_NOFILE, 0), pytest.raises(OSError, match=str(path)):
+        database.append(["a/2"], descriptors(1, 1))
+    assert torch.equal(Database.open(path).load().descriptors, descriptors(0, 1))
+    database.append(["a/2"], descriptors(1, 1))
+    assert len(Database.open(path)) == 2
+
+
+@pytest.mark.parametrize("form", ["npy", "hloc"])
+def test_a_full_disk_is_one_line_for_every_form_of_export(tmp_path, form):
+    pytest.importorskip("h5py", reason="needs the extra hloc")
+    database = Database.create(tmp_path / "db", width=480)
+    database.append([f"a/{n}" for n in range(9)], descriptors(0, 9))
+    with limited(resource.RLIMIT_FSIZE, 4000), pytest.raises(OSError) as refusal:
+        export_database(database, form, tmp_path / "out")
+    assert "\n" not in str(refusal.value)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["db"]
