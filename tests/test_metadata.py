@@ -4,7 +4,7 @@ import pytest
 import ssrvlad_torch
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
-from ssrvlad_torch.taxonomy import label_space
+from ssrvlad_torch.taxonomy import LabelSpace, label_space
 
 ARRAYS = {
     "labels": np.arange(6, dtype=np.uint8).reshape(1, 2, 3),
@@ -35,9 +35,7 @@ def test_golden_arrays_come_back_bit_by_bit():
 
 
 def test_the_label_space_is_whole():
-    space = metadata().label_space
-    assert space["name"] == "camvid-11"
-    assert space["classes"][2] == {"id": 2, "name": "pole", "category": "pole"}
+    assert LabelSpace.from_dict(metadata().label_space) == label_space("camvid-11")
 
 
 @pytest.mark.parametrize(
