@@ -13,11 +13,10 @@ from ssrvlad_torch.deployment.fuse import fuse
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("network", help="ONNX file of a segmentation network")
+    parser.add_argument("network", help="a name of a network, as `ssrvlad fuse` takes it")
     parser.add_argument("path", help="file to write")
     parser.add_argument("--labels-as", required=True, help="label space: a name or a .yaml file")
-    parser.add_argument("--output", help="output to take, if several could be labels")
     parser.add_argument("--preset", default="default", help="paper or default")
     given = parser.parse_args()
     config = SSRVLADConfig.from_preset(given.preset, labels_as=given.labels_as)
-    fuse(given.network, config, given.path, given.output)
+    fuse(given.network, config, given.path)

@@ -95,8 +95,8 @@ def test_an_edited_table_is_found_by_the_golden_pair(files, ssrvlad, tmp_path):
 
 def test_an_edited_network_is_found_by_its_digest(files, tmp_path):
     def edit(model: onnx.ModelProto) -> None:
-        (bias,) = (t for t in model.graph.initializer if t.name == "bias")
-        bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias) + 1e-6, "bias"))
+        (bias,) = (t for t in model.graph.initializer if t.name == "network/bias")
+        bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias) + 1e-6, "network/bias"))
 
     found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit))
     assert found.problems == ["the graph was edited after it was written"]
@@ -105,8 +105,10 @@ def test_an_edited_network_is_found_by_its_digest(files, tmp_path):
 
 def test_a_network_that_labels_otherwise_is_found(files, tmp_path):
     def edit(model: onnx.ModelProto) -> None:
-        (bias,) = (t for t in model.graph.initializer if t.name == "bias")
-        bias.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(bias)[::-1].copy(), "bias"))
+        (bias,) = (t for t in model.graph.initializer if t.name == "network/bias")
+        bias.CopyFrom(
+            numpy_helper.from_array(numpy_helper.to_array(bias)[::-1].copy(), "network/bias")
+        )
         kept = [entry for entry in model.metadata_props if entry.key != DIGEST]
         del model.metadata_props[:]
         model.metadata_props.extend(kept)
@@ -239,5 +241,5 @@ def test_the_script(files, streets):
 def test_the_golden_arrays_of_a_fused_file_are_those_of_its_image(files):
     properties = {e.key: e.value for e in onnx.load(files["fused"]).metadata_props}
     golden = Metadata.from_properties(properties).golden_arrays()
-    assert golden.keys() == {"images", "ssrvlad/labels", "descriptor", "keypoints", "unknown"}
-    assert len(np.unique(golden["ssrvlad/labels"])) > 3
+    assert golden.keys() == {"image", "labels", "descriptor", "keypoints", "unknown"}
+    assert len(np.unique(golden["labels"])) > 3

@@ -1,8 +1,8 @@
-"""Fuse: a segmentation network and the head in one ONNX file, from pixels to place."""
+"""Fuse: a segmentation network and the head in one ONNX file, from pictures to places."""
 
 from __future__ import annotations
 
-import hashlib
+import dataclasses
 import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -15,20 +15,12 @@ import torch
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
+from ..segmentation.onnx_network import OnnxNetwork
+from ..segmentation.segmenter import Segmenter
 from .export import head_model
-from .golden_image import run_on_golden_image
-from .graph import OPSET
-from .label_output import LabelOutput, find_label_output
+from .label_graph import join, label_graph, opset, raised
 from .metadata import PREFIX, Metadata
-from .model_file import (
-    graph_digest,
-    load_model,
-    names_of,
-    one_line,
-    open_session,
-    rename,
-    save_model,
-)
+from .model_file import graph_digest, load_model, open_session, save_model
 
 if TYPE_CHECKING:
     import onnx
@@ -39,11 +31,20 @@ DIGEST = f"{PREFIX}graph_sha256"
 NETWORK = f"{PREFIX}network"
 HEAD_GOLDEN = f"{PREFIX}head_golden"
 
-MOST_OTHER_PIXELS = 0.01
-"""Share of a golden image's pixels that may get another label where the network is computed in
-another order: after a change of opset, or on another processor."""
+IMAGE, LABELS = "image", "labels"
+OUTPUTS = ("descriptor", "keypoints", "unknown")
+HEAD = "ssrvlad/"
+"""Before the names of the head's nodes and tables."""
 
-_ONNX_DOMAINS = ("", "ai.onnx")
+MOST_OTHER_PIXELS = 0.01
+"""Fraction of a golden image's pixels that may get another label where the network is computed in
+another order: by another library, or on another processor."""
+
+_SIZES = ((96, 128), (224, 448), (512, 512), (512, 1024), (1024, 2048))
+"""Sizes of a golden image: small, and those that networks are often made for."""
+
+_PATCHES = 40
+_COLOUR_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -51,171 +52,128 @@ class FusedNetwork:
     """What a fused file says about the network in it.
 
     Attributes:
-        name: of the file that it came from.
-        sha256: of that file, without weights that lay beside it.
-        output: the output that the head takes.
-        kind, axis, dtype: see `LabelOutput`.
-        prefix: of all names that are not the network's own.
-        heads: names of the outputs ``descriptor``, ``keypoints`` and ``unknown``.
+        name: as it was given, of a file without its folder.
+        key: of what it computes and of its settings; see `Segmenter.key`.
+        settings: how pictures are prepared, as `SegmenterConfig`.
     """
 
     name: str
-    sha256: str
-    output: str
-    kind: str
-    axis: int | None
-    dtype: str
-    prefix: str
-    heads: dict[str, str]
-
-    def label_output(self) -> LabelOutput:
-        """The output that the head takes."""
-        return LabelOutput(self.output, self.kind, self.axis, self.dtype)
+    key: str
+    settings: dict[str, Any]
 
 
-def fuse(
-    network: str | Path, config: SSRVLADConfig, path: str | Path, output: str | None = None
-) -> FusedNetwork:
-    """Joins a segmentation graph and the head in one ONNX file that runs on the CPU in ONNX
+def fuse(network: Segmenter | str | Path, config: SSRVLADConfig, path: str | Path) -> FusedNetwork:
+    """Joins a segmentation network and the head in one ONNX file that runs on the CPU in ONNX
     Runtime with nothing else.
 
-    The head takes the label of the largest score at the output's own stride: the scores are not
-    enlarged, since the working grid is smaller than most outputs. So the paper's preset, which
-    has no working grid, works at the size of the output, not of the image. Scores of half
-    precision become float32, and the head is exact. The fused file is run before it takes its
-    place: the network must label a golden image as before, and the head must agree with `SSRVLAD`.
+    Everything is in it: what is done to pictures, the network, the decision which class wins, and
+    the head. It labels pictures as `Segmenter` does, and describes label maps as `SSRVLAD`; it is
+    run on a golden image before it takes its place, and must agree with both.
 
     Shape:
-        - input: the network's own.
-        - outputs: the network's own, and ``descriptor (B, config.length)`` float32, ``keypoints
-          (B, 8)`` int64 and ``unknown (B,)`` int64, whose names get the prefix ``ssrvlad/`` where
-          the network has such names.
+        - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
+        - outputs: ``descriptor (B, config.length)`` float32, ``keypoints (B, 8)`` int64,
+          ``unknown (B,)`` int64, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
 
     Args:
-        network: an ONNX graph with class scores ``(B, C, h, w)`` or ``(B, h, w, C)`` in half,
-            single or double precision, or labels ``(B, h, w)``, ``(B, 1, h, w)`` or
-            ``(B, h, w, 1)``. One below opset 18 is raised to it. External weights lie beside it.
+        network: a segmenter, or the name of a network; see `open_network`.
         config: the settings of the head; ``labels_as`` is the label space of the network.
         path: the file; what was there is replaced, whole or not at all. Beyond 2 GB the weights
             go to a file beside it.
-        output: the output to take, if several could be labels.
 
     Raises:
-        ValueError: the graph is damaged, cannot be run or raised, has no output or several that
-            fit the label space, gives ids outside it, or has a head already.
-        ImportError: the extra ``onnx`` is not installed.
+        ValueError: the network cannot be traced, run or raised to opset 18, does not fit the
+            label space, or has a head already.
+        ImportError: a missing extra.
         OSError: the file cannot be written.
     """
-    network, path = Path(network), Path(path)
+    segmenter = network
+    if not isinstance(segmenter, Segmenter):
+        segmenter = Segmenter.load(segmenter, config.labels_as)
+    name = _name(segmenter, network)
     try:
-        return _fuse(network, config, path, output)
+        return _fuse(segmenter, name, config, Path(path))
     except ValueError as error:
-        named = str(error).startswith(str(network))
-        raise ValueError(str(error) if named else f"{network}: {error}") from error
+        raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 
 
-def _fuse(network: Path, config: SSRVLADConfig, path: Path, output: str | None) -> FusedNetwork:
+def _name(segmenter: Segmenter, given: Segmenter | str | Path) -> str:
+    if not isinstance(given, Segmenter):
+        return Path(given).name if Path(given).exists() else str(given)
+    network = segmenter.network
+    return network.path.name if isinstance(network, OnnxNetwork) else type(network).__name__
+
+
+def _fuse(segmenter: Segmenter, name: str, config: SSRVLADConfig, path: Path) -> FusedNetwork:
     head = SSRVLAD(config)
-    model = load_model(network)
-    if any(entry.key.startswith(PREFIX) for entry in model.metadata_props):
-        raise ValueError("has a head already; wanted the network alone")
-    session = open_session(network, network)
-    before = run_on_golden_image(session)
-    taken = find_label_output(session, before and before[1], head.label_space, output)
-    given = next(value.type for value in session.get_outputs() if value.name == taken.name)
-    head_alone = head_model(config, "labels", taken.dtype)
-    fused = _names(network, model, head_alone, taken)
-    _raise_opset(model)
-    _join(model, head_alone, fused, given)
+    if segmenter.label_space != head.label_space:
+        raise ValueError(
+            f"gives labels of {segmenter.label_space.name}, the head reads {head.label_space.name}"
+        )
+    if isinstance(segmenter.network, OnnxNetwork):
+        properties = load_model(segmenter.network.path).metadata_props
+        if any(entry.key.startswith(PREFIX) for entry in properties):
+            raise ValueError("has a head already; expected the network alone")
+    images, labels = _golden_image(segmenter)
+    before = label_graph(segmenter.labels)
+    (output,) = before.graph.output
+    dtype = "uint8" if output.type.tensor_type.elem_type == _UINT8 else "int64"
+    head_alone = head_model(config, LABELS, dtype)
+    model = _joined(before, head_alone)
+    fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config))
     digest = {DIGEST: graph_digest(model)}
 
     def describe(file: Path) -> dict[str, str]:
-        golden = before and _golden(open_session(file, file.name), before, fused, head)
+        golden = _golden(open_session(file, file.name), images, labels, head)
         return digest | _properties(model, head_alone, fused, golden, head)
 
     save_model(model, path, describe)
     return fused
 
 
-def _names(
-    network: Path, model: onnx.ModelProto, head: onnx.ModelProto, taken: LabelOutput
-) -> FusedNetwork:
-    """New names that the network has not."""
-    used = names_of(model.graph)
-    prefix = "ssrvlad/"
-    while any(name.startswith(prefix) for name in used):
-        prefix = f"_{prefix}"
-    heads = {
-        value.name: f"{prefix}{value.name}" if value.name in used else value.name
-        for value in head.graph.output
-    }
-    with network.open("rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-    return FusedNetwork(
-        network.name, digest, taken.name, taken.kind, taken.axis, taken.dtype, prefix, heads
-    )
+_UINT8 = 2
 
 
-def _raise_opset(model: onnx.ModelProto) -> None:
-    """Brings a network to the head's opset, in place, if it is below."""
-    from onnx import version_converter
-
-    version = opset(model)
-    if version >= OPSET:
-        return
-    try:
-        raised = version_converter.convert_version(model, OPSET)
-    except Exception as error:  # the converter's own types, and protobuf's beyond 2 GB
-        raise ValueError(
-            f"cannot be raised from opset {version} to {OPSET}: {one_line(error)}; "
-            f"export it with opset {OPSET} or newer"
-        ) from error
-    model.CopyFrom(raised)
+def _joined(labels: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:
+    """Pictures to label maps and descriptors."""
+    kept = labels.graph.output[0]
+    head = raised(head, opset(labels))
+    given = head.graph.input[0].name
+    model = join([labels, head], ["", HEAD], [[(LABELS, f"{HEAD}{given}")]])
+    model.graph.output.append(kept)
+    return model
 
 
-def _join(model: onnx.ModelProto, head: onnx.ModelProto, fused: FusedNetwork, given: str) -> None:
-    """Adds the head to a network, in place."""
-    from onnx import helper, version_converter
-
-    version = opset(model)
-    ours = head if version == OPSET else version_converter.convert_version(head, version)
-    rename(ours.graph, lambda name: fused.heads.get(name, f"{fused.prefix}{name}"))
-    nodes, tables = fused.label_output().nodes(fused.prefix, given)
-    model.graph.node.extend([*nodes, *ours.graph.node])
-    model.graph.initializer.extend([*tables, *ours.graph.initializer])
-    labels = ours.graph.input[0].type.tensor_type.elem_type
-    model.graph.value_info.append(
-        helper.make_tensor_value_info(f"{fused.prefix}labels", labels, [None] * 3)
-    )
-    network_output = next(value for value in model.graph.output if value.name == fused.output)
-    for value in ours.graph.output:
-        value.type.tensor_type.shape.dim[0].CopyFrom(_batch(network_output, fused.prefix))
-    model.graph.output.extend(ours.graph.output)
-    model.ir_version = max(model.ir_version, ours.ir_version)
+def _golden_image(segmenter: Segmenter) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any]]:
+    """Pictures of the smallest usual size that the network takes, and their label maps."""
+    network, error = segmenter.network, ValueError("takes no picture")
+    count = (network.batch if isinstance(network, OnnxNetwork) else None) or 1
+    for height, width in _SIZES:
+        images = _patches((count, height, width))
+        try:
+            return images, np.stack(segmenter(list(images)))
+        except ValueError as reason:
+            error = reason
+    raise error
 
 
 def _golden(
-    session: Any, before: tuple[npt.NDArray[Any], Arrays], fused: FusedNetwork, head: SSRVLAD
+    session: Any, images: npt.NDArray[np.uint8], labels: npt.NDArray[Any], head: SSRVLAD
 ) -> Arrays:
     """The golden image and what the module makes of the labels that the graph gives it.
 
     Raises:
-        ValueError: the network does not label it as before, or the head disagrees.
+        ValueError: the graph does not label it as the segmenter does, or the head disagrees.
     """
-    images, expected = before
-    given = session.get_inputs()[0].name
-    outputs = run_by_name(session, {given: images})
-    taken = fused.label_output()
-    labels, old = taken.labels(outputs[taken.name]), taken.labels(expected[taken.name])
-    share = float((labels != old).mean())
-    if share > MOST_OTHER_PIXELS:
-        raise ValueError(f"labels {share:.1%} of a golden image otherwise once it is fused")
-    result = described(head, labels)
+    outputs = run_by_name(session, {IMAGE: images})
+    fraction = float((outputs[LABELS] != labels).mean())
+    if fraction > MOST_OTHER_PIXELS:
+        raise ValueError(f"labels {fraction:.1%} of a golden image otherwise once it is fused")
+    result = described(head, outputs[LABELS])
     for name, array in result.items():
-        if not np.allclose(outputs[fused.heads[name]], array, rtol=0, atol=1e-6):
+        if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
-    named = {fused.heads[name]: array for name, array in result.items()}
-    return {given: images, f"{fused.prefix}labels": labels, **named}
+    return {IMAGE: images, LABELS: outputs[LABELS], **result}
 
 
 def described(head: SSRVLAD, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
@@ -238,38 +196,19 @@ def _properties(
     model: onnx.ModelProto,
     head_alone: onnx.ModelProto,
     fused: FusedNetwork,
-    golden: Arrays | None,
+    golden: Arrays,
     head: SSRVLAD,
 ) -> dict[str, str]:
-    """Metadata of the fused file; without a golden image the golden pair is the head's alone."""
-    own = {entry.key: entry.value for entry in model.metadata_props}
+    """Metadata of the fused file."""
     alone = Metadata.from_properties({e.key: e.value for e in head_alone.metadata_props})
-    weights = {tensor.name for tensor in model.graph.initializer}
     interface = {
         "opset": opset(model),
-        "inputs": dict(_form(v) for v in model.graph.input if v.name not in weights),
+        "inputs": dict(map(_form, model.graph.input)),
         "outputs": dict(map(_form, model.graph.output)),
     }
-    pair = alone.golden_arrays() if golden is None else golden
-    metadata = Metadata.of(head.config, head.label_space, interface, pair)
+    metadata = Metadata.of(head.config, head.label_space, interface, golden)
     extra = {NETWORK: json.dumps(asdict(fused)), HEAD_GOLDEN: json.dumps(alone.golden)}
-    return own | metadata.to_properties() | extra
-
-
-def opset(model: onnx.ModelProto) -> int:
-    """Version of the standard operators that a model uses."""
-    versions = [one.version for one in model.opset_import if one.domain in _ONNX_DOMAINS]
-    return int(max(versions, default=1))
-
-
-def _batch(value: onnx.ValueInfoProto, prefix: str) -> onnx.TensorShapeProto.Dimension:
-    """The axis of the images."""
-    import onnx
-
-    if value.type.tensor_type.shape.dim:
-        batch: onnx.TensorShapeProto.Dimension = value.type.tensor_type.shape.dim[0]
-        return batch
-    return onnx.TensorShapeProto.Dimension(dim_param=f"{prefix}B")
+    return metadata.to_properties() | extra
 
 
 def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:
@@ -277,6 +216,27 @@ def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:
 
     kind = value.type.tensor_type
     shape = [axis.dim_param or axis.dim_value or None for axis in kind.shape.dim]
-    known = kind.elem_type and helper.tensor_dtype_to_np_dtype(kind.elem_type).name
-    dtype = known or "no tensor"
-    return value.name, {"dtype": dtype, "shape": shape}
+    return value.name, {
+        "dtype": helper.tensor_dtype_to_np_dtype(kind.elem_type).name,
+        "shape": shape,
+    }
+
+
+def _patches(shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
+    """``(B, H, W, 3)``: every pixel has the colour of the nearest of some random points. Few
+    colours, so that it compresses well."""
+    _, height, width = shape
+    rng = np.random.default_rng(0)
+    images = np.empty((*shape, 3), np.uint8)
+    rows, columns = np.mgrid[:height, :width]
+    for image in images:
+        y, x = rng.uniform(0, height, _PATCHES), rng.uniform(0, width, _PATCHES)
+        nearest = np.zeros((height, width), np.int64)
+        least = np.full((height, width), np.inf)
+        for point in range(_PATCHES):
+            distance = np.hypot(rows - y[point], columns - x[point])
+            nearest[distance < least] = point
+            least = np.minimum(least, distance)
+        colours = rng.integers(0, _COLOUR_STEPS + 1, (_PATCHES, 3)) * 255 // _COLOUR_STEPS
+        image[:] = colours[nearest]
+    return images

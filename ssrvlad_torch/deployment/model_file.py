@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from ..files import flush, replacing
+from ..files import flush, one_line, replacing
 
 if TYPE_CHECKING:
     import onnx
@@ -144,20 +144,11 @@ def save_model(
             staged.replace(temporary)
 
 
-def names_of(graph: onnx.GraphProto) -> set[str]:
-    """All names in a graph and in those inside it, of nodes and of values."""
-    found: set[str] = set()
-
-    def keep(name: str) -> str:
-        found.add(name)
-        return name
-
-    rename(graph, keep)
-    return found
-
-
 def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
-    """Gives every node and value of a graph, and of those inside it, a new name."""
+    """Gives every node and value of a graph, and of those inside it, a new name.
+
+    `onnx.compose.add_prefix` leaves the names that a loop takes from outside as they were.
+    """
     for node in graph.node:
         node.name = new(node.name)
         node.input[:] = [name and new(name) for name in node.input]
@@ -166,11 +157,6 @@ def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
         value.name = new(value.name)
     for inside in _inside(graph):
         rename(inside, new)
-
-
-def one_line(error: Exception) -> str:
-    """An error's message without line breaks."""
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _size(model: onnx.ModelProto) -> int:

@@ -19,9 +19,13 @@ from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace
 from .fuse import (
     DIGEST,
+    HEAD,
     HEAD_GOLDEN,
+    IMAGE,
+    LABELS,
     MOST_OTHER_PIXELS,
     NETWORK,
+    OUTPUTS,
     FusedNetwork,
     described,
     run_by_name,
@@ -36,8 +40,6 @@ Arrays = Mapping[str, npt.NDArray[Any]]
 
 TOLERANCE = 1e-6
 """Largest difference of a number of a descriptor; counts must be equal."""
-
-_OUTPUTS = ("descriptor", "keypoints", "unknown")
 
 
 class Check(NamedTuple):
@@ -147,10 +149,9 @@ def _verify(
     if fused:
         whole = open_session(path, path, provider)
         alone = json.loads(properties[HEAD_GOLDEN])
-        if whole.get_inputs()[0].name in golden:
-            found.checks.append(_check_whole(whole, fused, golden, head))
+        found.checks.append(_check_whole(whole, golden, head))
         golden = replace(metadata, golden=alone).golden_arrays()
-        model = cut_head(model, fused)
+        model = cut_head(model)
     run = _Head(open_session(model.SerializeToString(), path, provider), head)
     found.checks.extend(_check_golden(run, golden))
     for file in labels:
@@ -160,20 +161,17 @@ def _verify(
     return found
 
 
-def cut_head(model: onnx.ModelProto, fused: FusedNetwork) -> onnx.ModelProto:
-    """The head of a fused file alone: labels in, ``descriptor``, ``keypoints``, ``unknown`` out."""
+def cut_head(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The head of a fused file alone: labels in, ``descriptor``, ``keypoints``, ``unknown`` out.
+
+    `onnx.utils.Extractor` leaves out what a loop takes from outside; the names tell.
+    """
     from onnx import helper
 
-    given = f"{fused.prefix}labels"
-    steps = (given, f"{given}_")
-    nodes = [
-        node
-        for node in model.graph.node
-        if node.name.startswith(fused.prefix) and not _is_step(node.name, *steps)
-    ]
-    tables = [t for t in model.graph.initializer if t.name.startswith(fused.prefix)]
-    inputs = [value for value in model.graph.value_info if value.name == given]
-    outputs = [v for v in model.graph.output if v.name in fused.heads.values()]
+    nodes = [node for node in model.graph.node if node.name.startswith(HEAD)]
+    tables = [tensor for tensor in model.graph.initializer if tensor.name.startswith(HEAD)]
+    inputs = [value for value in model.graph.output if value.name == LABELS]
+    outputs = [value for value in model.graph.output if value.name in OUTPUTS]
     graph = helper.make_graph(nodes, "ssrvlad", inputs, outputs, tables)
     return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
 
@@ -186,12 +184,12 @@ class _Head:
         self.module = module
         (self.input,) = session.get_inputs()
         self.outputs = [value.name for value in session.get_outputs()]
-        if len(self.outputs) != len(_OUTPUTS):
-            raise ValueError(f"gives {', '.join(self.outputs)}; wanted {', '.join(_OUTPUTS)}")
+        if len(self.outputs) != len(OUTPUTS):
+            raise ValueError(f"gives {', '.join(self.outputs)}; wanted {', '.join(OUTPUTS)}")
 
     def run(self, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         found = self.session.run(None, {self.input.name: given})
-        return dict(zip(_OUTPUTS, found, strict=True))
+        return dict(zip(OUTPUTS, found, strict=True))
 
     def form_of(self, labels: LabelMap) -> npt.NDArray[Any]:
         """A label map as the head takes it: ``(1, H, W)`` ids or ``(1, C, H, W)`` scores.
@@ -210,7 +208,7 @@ class _Head:
 
 def _check_golden(head: _Head, golden: dict[str, npt.NDArray[Any]]) -> list[Check]:
     """The file, and the module of this version, against what was recorded."""
-    (name,) = golden.keys() - {*_OUTPUTS}
+    (name,) = golden.keys() - {*OUTPUTS}
     given = golden.pop(name)
     return [
         compare("golden pair", head.run(given), golden),
@@ -218,22 +216,18 @@ def _check_golden(head: _Head, golden: dict[str, npt.NDArray[Any]]) -> list[Chec
     ]
 
 
-def _check_whole(session: Any, fused: FusedNetwork, golden: Arrays, head: SSRVLAD) -> Check:
+def _check_whole(session: Any, golden: Arrays, head: SSRVLAD) -> Check:
     """The whole of a fused file on its golden image."""
-    given = session.get_inputs()[0].name
-    outputs = run_by_name(session, {given: golden[given]})
-    labels = fused.label_output().labels(outputs[fused.output])
-    recorded = golden[f"{fused.prefix}labels"]
-    got = {name: outputs[fused.heads[name]] for name in _OUTPUTS}
-    check = compare("golden image", got, described(head, labels))
+    outputs = run_by_name(session, {IMAGE: golden[IMAGE]})
+    labels, recorded = outputs[LABELS], golden[LABELS]
+    check = compare("golden image", outputs, described(head, labels))
     if labels.shape != recorded.shape:
         return check._replace(problem=f"labels are {labels.shape}, not {recorded.shape}")
-    share = float((labels != recorded).mean())
-    if share > MOST_OTHER_PIXELS:
-        return check._replace(problem=f"{share:.1%} of the pixels have another label")
-    if share == 0 and not check.problem:
-        expected = {name: golden[fused.heads[name]] for name in _OUTPUTS}
-        return compare("golden image", got, expected)
+    fraction = float((labels != recorded).mean())
+    if fraction > MOST_OTHER_PIXELS:
+        return check._replace(problem=f"{fraction:.1%} of the pixels have another label")
+    if fraction == 0 and not check.problem:
+        return compare("golden image", outputs, golden)
     return check
 
 
@@ -249,13 +243,13 @@ def _check_frame(found: Verification, head: _Head, file: LabelFile) -> None:
 
 def compare(name: str, got: Arrays, expected: Arrays) -> Check:
     """Outputs against what they are to be: counts equal, descriptors within `TOLERANCE`."""
-    for output in _OUTPUTS:
+    for output in OUTPUTS:
         if got[output].shape != expected[output].shape:
             shapes = f"{got[output].shape}, not {expected[output].shape}"
             return Check(name, np.inf, f"{output} is {shapes}")
     steps = np.abs(got["descriptor"].astype(np.float64) - expected["descriptor"])
     difference = float(np.nan_to_num(steps, nan=np.inf).max(initial=0))
-    other = [output for output in _OUTPUTS[1:] if not np.array_equal(got[output], expected[output])]
+    other = [output for output in OUTPUTS[1:] if not np.array_equal(got[output], expected[output])]
     problems = [f"{output} differ" for output in other]
     if difference > TOLERANCE:
         problems.insert(0, f"descriptors differ by {difference:.2g}")
@@ -296,8 +290,3 @@ def _module(config: SSRVLADConfig, metadata: Metadata) -> SSRVLAD:
     """The module with the label space that the file holds, wherever it came from."""
     space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
     return SSRVLAD(replace(config, labels_as=space))
-
-
-def _is_step(name: str, labels: str, numbered: str) -> bool:
-    """Whether a node makes the labels of the network's output."""
-    return name == labels or name.startswith(numbered)

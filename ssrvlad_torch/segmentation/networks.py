@@ -6,7 +6,7 @@ import dataclasses
 import logging
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
@@ -244,6 +244,8 @@ def _settings_of(processor: Any, given: dict[str, Any]) -> dict[str, Any]:
 @contextmanager
 def _quiet(name: str) -> Iterator[None]:
     """Errors of a hub in one line, without what its libraries log on the way."""
+    if not sys.stderr.isatty():
+        _hide_progress()
     loggers = [logging.getLogger(each) for each in ("huggingface_hub", "transformers")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -258,3 +260,13 @@ def _quiet(name: str) -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
+
+
+def _hide_progress() -> None:
+    """No bars where nobody looks."""
+    with suppress(ImportError):
+        from huggingface_hub.utils import disable_progress_bars
+        from transformers.utils.logging import disable_progress_bar
+
+        disable_progress_bars()
+        disable_progress_bar()

@@ -7,29 +7,42 @@ from typing import Annotated
 
 import typer
 
-from ..options import LabelsAs, Preset
+from ..options import Preset
 
 
 def fuse(
-    network: Annotated[Path, typer.Argument(help="ONNX file of a segmentation network.")],
+    network: Annotated[
+        str,
+        typer.Argument(
+            help="Network: FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, "
+            "torchhub:REPO/MODEL or MODULE:NAME."
+        ),
+    ],
     path: Annotated[Path, typer.Option("-o", help="ONNX file to write.")],
-    labels_as: LabelsAs,
-    output: Annotated[
-        str | None,
-        typer.Option(help="Output of the network to take, if several could be labels."),
+    labels_as: Annotated[
+        str,
+        typer.Option(help="Label space of its classes; auto takes the network's class names."),
+    ] = "auto",
+    classes: Annotated[
+        str | None, typer.Option(help="FIRST:LAST, the channels to take, as 0:19.")
     ] = None,
     preset: Preset = "default",
 ) -> None:
-    """Join a segmentation network and the head in one ONNX file: images to descriptors.
+    """Join a segmentation network and the head in one ONNX file: pictures to descriptors, with
+    all that is done to pictures in it.
 
-    Example: ssrvlad fuse seg.onnx -o place.onnx --labels-as cityscapes-trainids
+    Example: ssrvlad fuse seg.yaml -o place.onnx --labels-as cityscapes-trainids
     """
     from ...config import SSRVLADConfig
     from ...deployment.fuse import fuse as join
+    from ...segmentation.networks import channels
+    from ...segmentation.segmenter import Segmenter
 
-    config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
-    fused = join(network, config, path, output)
+    segmenter = Segmenter.load(network, labels_as, classes=channels(classes) if classes else None)
+    space = segmenter.label_space if labels_as == "auto" else labels_as
+    config = SSRVLADConfig.from_preset(preset, labels_as=space)
+    join(segmenter, config, path)
     print(
-        f"{path}: output {fused.output} of {fused.name} as {labels_as} to descriptors of "
-        f"fingerprint {config.fingerprint}"
+        f"{path}: {network} as {segmenter.label_space.name} to descriptors of fingerprint "
+        f"{config.fingerprint}"
     )

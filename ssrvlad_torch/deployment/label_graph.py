@@ -1,0 +1,267 @@
+"""Pictures -> label maps as an ONNX graph: preparation, network and decision, traced and joined."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Sequence
+from functools import cache, partial
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from ..files import one_line
+from ..segmentation.network_outputs import channel_counts, class_axis, classes_of, enlarged
+from ..segmentation.onnx_network import OnnxNetwork
+from ..segmentation.preparation import Form, Preparation, SegmenterConfig
+from ..segmentation.segmenter import LabelNetwork
+from .graph import OPSET
+from .model_file import load_model, rename
+
+if TYPE_CHECKING:
+    import onnx
+
+_BYTES = 256
+_EXAMPLE = (66, 98)
+"""Height and width of the pictures that a module is traced with; any others will do as well."""
+
+
+def label_graph(labels: LabelNetwork) -> onnx.ModelProto:
+    """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64.
+
+    A PyTorch network is traced with what is around it. Around an ONNX graph the preparation and
+    the decision are traced and joined to it; it is raised to the head's opset if it is below.
+
+    Raises:
+        ValueError: the network cannot be traced, or the graph cannot be raised.
+        ImportError: the extra ``onnx`` is not installed.
+    """
+    if not isinstance(labels.network, OnnxNetwork):
+        return _traced_network(labels)
+    network = labels.network
+    model = raised(load_model(network.path), OPSET)
+    config = labels.config
+    prepare = _traced_preparation(config, network.form.dtype, network.form.channels_last)
+    decide = _traced_decision(*_decision(labels))
+    version = opset(model)
+    parts = [raised(_parsed(part), version) for part in (prepare, decide)]
+    joints = [
+        [("prepare/numbers", f"network/{network.input}")],
+        [(f"network/{config.output}", "decide/output"), ("prepare/picture", "decide/picture")],
+    ]
+    whole = join([parts[0], model, parts[1]], ["prepare/", "network/", "decide/"], joints)
+    kept = [value for value in whole.graph.output if value.name == "labels"]
+    del whole.graph.output[:]
+    whole.graph.output.extend(kept)
+    return whole
+
+
+def join(
+    models: Sequence[onnx.ModelProto],
+    prefixes: Sequence[str],
+    joints: Sequence[Sequence[tuple[str, str]]],
+) -> onnx.ModelProto:
+    """Models one after another as one.
+
+    Args:
+        models: of one opset; their names are changed.
+        prefixes: of all names of each model but the inputs of the first, and the outputs of the
+            last, which keep theirs.
+        joints: between two models, pairs of an output and the input that takes it.
+    """
+    from onnx import compose, helper
+
+    graphs, last = [model.graph for model in models], len(models) - 1
+    for number, (graph, prefix) in enumerate(zip(graphs, prefixes, strict=True)):
+        ends = [] if 0 < number < last else graph.output if number else graph.input
+        rename(graph, partial(_prefixed, prefix, {value.name for value in ends}))
+    whole = graphs[0]
+    for graph, pairs in zip(graphs[1:], joints, strict=True):
+        whole = compose.merge_graphs(whole, graph, pairs)
+    del whole.value_info[:]
+    imports = {one.domain or "": one for model in models for one in model.opset_import}
+    return helper.make_model(
+        whole,
+        opset_imports=list(imports.values()),
+        functions=[function for model in models for function in model.functions],
+        ir_version=max(model.ir_version for model in models),
+    )
+
+
+def _prefixed(prefix: str, kept: set[str], name: str) -> str:
+    return name if name in kept or not name else prefix + name
+
+
+def raised(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
+    """A model of at least this opset.
+
+    Raises:
+        ValueError: it is older and cannot be raised.
+    """
+    from onnx import version_converter
+
+    if opset(model) >= version:
+        return model
+    try:
+        return version_converter.convert_version(model, version)
+    except Exception as error:  # the converter's own types, and protobuf's beyond 2 GB
+        raise ValueError(
+            f"cannot be raised from opset {opset(model)} to {version}: {one_line(error)}; "
+            f"export it with opset {version} or newer"
+        ) from error
+
+
+def opset(model: onnx.ModelProto) -> int:
+    """Version of the standard operators that a model uses."""
+    versions = [one.version for one in model.opset_import if one.domain in ("", "ai.onnx")]
+    return int(max(versions, default=1))
+
+
+class _Preparation(nn.Module):
+    """The preparation, which hands on the picture for its size."""
+
+    def __init__(self, preparation: Preparation) -> None:
+        super().__init__()
+        self.preparation = preparation
+
+    def forward(self, image: Tensor) -> tuple[Tensor, Tensor]:
+        return self.preparation(image), image[:, :, :, 0]
+
+
+class _Decision(nn.Module):
+    """The end of `LabelNetwork.forward`, for an output of known layout."""
+
+    def __init__(self, axis: int | None, classes: tuple[int, int], dtype: torch.dtype) -> None:
+        super().__init__()
+        self.axis, self.classes, self.dtype = axis, classes, dtype
+
+    def forward(self, output: Tensor, picture: Tensor) -> Tensor:
+        if output.is_floating_point():
+            output = output.movedim(self.axis or 1, 1)[:, slice(*self.classes)]
+        elif self.axis is not None:
+            output = output.squeeze(self.axis)
+        labels = classes_of(output).to(self.dtype)
+        return enlarged(labels, *picture.shape[1:3])
+
+
+class _Whole(nn.Module):
+    """A `LabelNetwork` with labels of one dtype."""
+
+    def __init__(self, labels: LabelNetwork, dtype: torch.dtype) -> None:
+        super().__init__()
+        self.labels, self.dtype = labels, dtype
+
+    def forward(self, image: Tensor) -> Tensor:
+        found: Tensor = self.labels(image)
+        return found.to(self.dtype)
+
+
+def _traced_network(labels: LabelNetwork) -> onnx.ModelProto:
+    example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
+    with torch.inference_mode():
+        narrow = labels.outputs(example).is_floating_point()
+    whole = _Whole(labels, torch.uint8 if narrow else torch.int64)
+    dims = {0: "B", 1: "H", 2: "W"}
+    return _traced(whole, {"image": (example, dims)}, {"labels": ["B", "H", "W"]})
+
+
+@cache
+def _traced_preparation(config: SegmenterConfig, dtype: torch.dtype, channels_last: bool) -> bytes:
+    module = _Preparation(Preparation(config, Form(dtype, channels_last)))
+    example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
+    dims = {0: "B", 1: "H", 2: "W"}
+    forms = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
+    content: bytes = _traced(module, {"image": (example, dims)}, forms).SerializeToString()
+    return content
+
+
+@cache
+def _traced_decision(
+    source: torch.dtype, shape: tuple[int | None, ...], axis: int | None, classes: tuple[int, int]
+) -> bytes:
+    scores = source.is_floating_point
+    narrow = classes[1] - classes[0] <= _BYTES if scores else source == torch.uint8
+    module = _Decision(axis, classes, torch.uint8 if narrow else torch.int64)
+    sizes = [2, *_EXAMPLE] if axis is None else [2, 33, 49, 25]
+    example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=source)
+    free = {place: f"n{place}" for place, n in enumerate(shape) if n is None}
+    picture = torch.zeros(2, *_EXAMPLE, dtype=torch.uint8)
+    inputs = {"output": (example, free), "picture": (picture, {0: "B", 1: "H", 2: "W"})}
+    content: bytes = _traced(module, inputs, {"labels": ["B", "H", "W"]}).SerializeToString()
+    return content
+
+
+def _decision(
+    labels: LabelNetwork,
+) -> tuple[torch.dtype, tuple[int | None, ...], int | None, tuple[int, int]]:
+    """Dtype, shape, axis of the classes, and the channels that are taken, of a graph's output."""
+    network, config = labels.network, labels.config
+    assert isinstance(network, OnnxNetwork)
+    size = config.size if isinstance(config.size, tuple) else (64, 96)
+    with torch.inference_mode():
+        example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
+        found = network(labels.preparation(example), names=[config.output])[str(config.output)]
+    shape: list[int | None] = [None] * found.ndim
+    if found.ndim == 3:
+        return found.dtype, tuple(shape), None, (0, 0)
+    scores = found.is_floating_point()
+    counts = channel_counts(labels.space, config.classes) if scores else range(1, 2)
+    axis = class_axis(tuple(found.shape), counts, network.form.channels_last)
+    shape[axis] = found.shape[axis]
+    return found.dtype, tuple(shape), axis, config.classes or (0, found.shape[axis])
+
+
+def _traced(
+    module: nn.Module,
+    inputs: dict[str, tuple[Tensor, dict[int, str]]],
+    outputs: dict[str, list[Any]],
+) -> onnx.ModelProto:
+    """A module as a graph of named inputs and outputs, of any size along the named axes.
+
+    Raises:
+        ValueError: it cannot be traced.
+    """
+    try:
+        import onnxscript  # noqa: F401 - what the exporter works with
+    except ImportError as error:
+        raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
+    log = logging.getLogger("torch.onnx")
+    level, auto = log.level, torch.export.Dim.AUTO
+    log.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("ignore")
+            program = torch.onnx.export(
+                module.eval(),
+                tuple(example for example, _ in inputs.values()),
+                input_names=list(inputs),
+                output_names=list(outputs),
+                dynamic_shapes=tuple(dict.fromkeys(dims, auto) for _, dims in inputs.values()),
+                opset_version=OPSET,
+                dynamo=True,
+                verbose=False,
+            )
+    except Exception as error:  # what the exporter raises has no bounds
+        raise ValueError(f"cannot be traced: {one_line(error)}") from error
+    finally:
+        log.setLevel(level)
+    assert program is not None
+    model: onnx.ModelProto = program.model_proto
+    for value in model.graph.output:
+        _name_axes(value, outputs[value.name])
+    for value in model.graph.input:
+        _name_axes(value, [inputs[value.name][1].get(n) for n in range(4)])
+    return model
+
+
+def _name_axes(value: onnx.ValueInfoProto, names: Sequence[str | None]) -> None:
+    for axis, name in zip(value.type.tensor_type.shape.dim, names, strict=False):
+        if name is not None:
+            axis.dim_param = name
+
+
+def _parsed(content: bytes) -> onnx.ModelProto:
+    import onnx
+
+    return onnx.load_from_string(content)
