@@ -60,7 +60,7 @@ def label_graph(labels: LabelNetwork) -> onnx.ModelProto:
 def join(
     models: Sequence[onnx.ModelProto],
     prefixes: Sequence[str],
-    joints: Sequence[Sequence[tuple[str, str]]],
+    joints: Sequence[list[tuple[str, str]]],
 ) -> onnx.ModelProto:
     """Models one after another as one.
 
@@ -171,7 +171,7 @@ def _traced_preparation(config: SegmenterConfig, dtype: torch.dtype, channels_la
     module = _Preparation(Preparation(config, Form(dtype, channels_last)))
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     dims = {0: "B", 1: "H", 2: "W"}
-    forms = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
+    forms: dict[str, list[Any]] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
     content: bytes = _traced(module, {"image": (example, dims)}, forms).SerializeToString()
     return content
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from ..stages.layers import best_class
 from ..taxonomy import LabelSpace
 
 Classes = tuple[int, int] | None
@@ -135,8 +136,13 @@ def classes_of(output: Tensor) -> Tensor:
 
     Returns:
         ``(B, h, w)`` integers.
+
+    Raises:
+        ValueError: a score is NaN. A graph cannot raise: there NaN goes unnoticed.
     """
-    return output.argmax(1) if output.is_floating_point() else output
+    if not output.is_floating_point():
+        return output
+    return output.argmax(1) if torch.compiler.is_exporting() else best_class(output)
 
 
 def enlarged(labels: Tensor, height: int, width: int) -> Tensor:

@@ -265,7 +265,7 @@ def _quiet(name: str) -> Iterator[None]:
 def _hide_progress() -> None:
     """No bars where nobody looks."""
     with suppress(ImportError):
-        from huggingface_hub.utils import disable_progress_bars
+        from huggingface_hub.utils.tqdm import disable_progress_bars
         from transformers.utils.logging import disable_progress_bar
 
         disable_progress_bars()

@@ -7,6 +7,7 @@ import hashlib
 import inspect
 import io
 import json
+import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain, islice
@@ -146,13 +147,12 @@ class Segmenter:
     def __init__(
         self,
         network: nn.Module,
-        labels_as: str | LabelSpace,
+        labels_as: str | os.PathLike[str] | LabelSpace,
         config: SegmenterConfig | None = None,
         cache: Path | None = None,
         cache_bytes: int = LARGEST,
     ) -> None:
-        space = labels_as if isinstance(labels_as, LabelSpace) else label_space(labels_as)
-        self.label_space = space
+        self.label_space = space = label_space(labels_as)
         self.labels = LabelNetwork(network, space, config or SegmenterConfig())
         self.cache, self.cache_bytes = cache, cache_bytes
 
@@ -170,7 +170,7 @@ class Segmenter:
     def load(
         cls,
         name: str | Path,
-        labels_as: str | LabelSpace = AUTO,
+        labels_as: str | os.PathLike[str] | LabelSpace = AUTO,
         cache: Path | None = None,
         classes: tuple[int, int] | None = None,
     ) -> Segmenter:
@@ -193,7 +193,11 @@ class Segmenter:
         config = found.config
         if classes is not None:
             config = dataclasses.replace(config, classes=classes)
-        space = labels_as if isinstance(labels_as, LabelSpace) else _space(found, labels_as, config)
+        space = (
+            labels_as
+            if isinstance(labels_as, LabelSpace)
+            else _space(found, str(labels_as), config)
+        )
         return cls(found.network, space, config, cache)
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
@@ -305,15 +309,14 @@ class Segmenter:
             return [ValueError(f"the network fails at {height}x{width}: {one_line(error)}")]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
-        labels = enlarged(classes_of(output), *images.shape[1:3])
-        return [_checked(*pair) for pair in zip(output, labels, strict=True)]
+        return [_label_map(one, *images.shape[1:3]) for one in output.split(1)]
 
 
-def _checked(output: Tensor, labels: Tensor) -> LabelMap | ValueError:
-    if output.is_floating_point() and bool(output.isnan().any()):
-        count = int(output.isnan().sum())
-        return ValueError(f"class scores hold {count} NaN values; expected none")
-    return _narrowest(labels)
+def _label_map(output: Tensor, height: int, width: int) -> LabelMap | ValueError:
+    try:
+        return _narrowest(enlarged(classes_of(output), height, width)[0])
+    except ValueError as error:
+        return error
 
 
 def _read(cache: LabelMapCache | None, file: FrameFile) -> LabelMap | _Picture:
