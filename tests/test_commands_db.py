@@ -147,3 +147,22 @@ def test_a_query_can_be_limited(ssrvlad, database, maps, tmp_path):
     code, _, err = ssrvlad(*query, "--window", "2")
     assert (code, err) == (2, ["ssrvlad: --window wants FIRST:LAST in whole numbers, got '2'"])
     assert ssrvlad(*query, "--from-sequence", "never")[0] == 2
+
+
+def test_a_database_is_a_source_of_queries(ssrvlad, database, maps, tmp_path):
+    other = tmp_path / "tuesday.ssrdb"
+    write_maps(tmp_path / "tuesday", range(2, 5))
+    ssrvlad("encode", tmp_path / "tuesday", "-o", other, "--labels-as", "camvid-11")
+    code, out, err = ssrvlad("query", database, other, "--json", "--top", 1)
+    assert (code, err) == (0, [])
+    assert candidates(out) == {f"tuesday/00{n}": [f"monday/00{n}"] for n in (2, 3, 4)}
+    truth = tmp_path / "truth.json"
+    truth.write_text(json.dumps({f"tuesday/00{n}": [f"monday/00{n}"] for n in (2, 3, 4)}))
+    code, out, _ = ssrvlad("evaluate", database, other, "--ground-truth", truth, "--json")
+    assert (code, json.loads(out)["recall_at"]["1"], json.loads(out)["queries"]) == (0, 1.0, 3)
+    paper = tmp_path / "paper.ssrdb"
+    arguments = ("-o", paper, "--labels-as", "camvid-11", "--preset", "paper")
+    ssrvlad("encode", tmp_path / "tuesday", *arguments)
+    code, _, err = ssrvlad("query", database, paper)
+    assert code == 2
+    assert "they do not compare" in err[0]

@@ -25,7 +25,7 @@ import typer
 from ..baselines import METHODS
 from ..evaluation.metrics import Convention
 
-DatabaseFolder = Annotated[Path, typer.Argument(help="Folder of the database.")]
+DatabaseFolder = Annotated[str, typer.Argument(help="Folder or URI of the database.")]
 AsOf = Annotated[
     int | None, typer.Option("--as-of", help="Version of the database, see ssrvlad db history.")
 ]

@@ -115,7 +115,7 @@ def verify(
     else:
         print(f"{database}: {frames} frames, {sum(entry.rows for entry in damage)} damaged")
     for entry in damage:
-        note(f"{database / entry.file}: {entry.rows} frames lost: {entry.reason}")
+        note(f"{database}/{entry.file}: {entry.rows} frames lost: {entry.reason}")
     if damage and drop_damaged:
         opened.drop_damaged()
         note(f"{database} now holds the {len(opened)} frames that are whole")
@@ -148,7 +148,7 @@ def export(
         print(file)
 
 
-def contents(path: Path, as_of: int | None = None) -> dict[str, Any]:
+def contents(path: Path | str, as_of: int | None = None) -> dict[str, Any]:
     """What is in a database, in numbers and words."""
     from ...database.database import Database
 

@@ -68,7 +68,7 @@ def query(
     else:
         references = load_references(town, recognition.t, damage if skip_damaged else None)
     for entry in damage:
-        note(f"left out {entry.rows} frames of {database / entry.file}: {entry.reason}")
+        note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
     where = None
     if from_sequence or window:
         where = select(references, from_sequence, first, last)
