@@ -35,7 +35,7 @@ COLOURS = {
     "suggested": "#0b7d52",
 }
 WIDTH, HEIGHT = 440, 300
-FRAME = (52, 426, 12, 254)
+FRAME = (60, 426, 12, 252)
 """Pixels of the axes: left, right, top, bottom."""
 
 _BINS = 40
@@ -147,8 +147,8 @@ def _axes(x: str, y: str) -> tuple[Figure, Axes]:
     left, right, top, bottom = FRAME
     place = (left / WIDTH, 1 - bottom / HEIGHT, (right - left) / WIDTH, (bottom - top) / HEIGHT)
     axes = figure.add_axes(place)
-    axes.set_xlabel(x, color=COLOURS["text"])
-    axes.set_ylabel(y, color=COLOURS["text"])
+    axes.set_xlabel(x, color=COLOURS["text"], labelpad=8)
+    axes.set_ylabel(y, color=COLOURS["text"], labelpad=10)
     axes.tick_params(length=0, labelcolor=COLOURS["soft"])
     axes.grid(color=COLOURS["rule"])
     axes.set_axisbelow(True)
