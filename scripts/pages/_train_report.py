@@ -20,7 +20,7 @@ POINT = 0.01
 
 HEAD = """# Training through the descriptor
 
-Written by `pages/train_segmenter.py`; no number here is typed by hand.
+Written by `scripts/pages/train_segmenter.py`; no number here is typed by hand.
 """
 
 NAMES = {"base": "before", "control": "cross-entropy alone", "place": "with the place loss"}
