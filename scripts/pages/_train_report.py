@@ -20,7 +20,7 @@ POINT = 0.01
 
 HEAD = """# Training through the descriptor
 
-Written by `scripts/pages/train_segmenter.py`; no number here is typed by hand.
+Written by `scripts/pages/train_segmenter.py`; no number is typed by hand.
 """
 
 NAMES = {"base": "before", "control": "cross-entropy alone", "place": "with the place loss"}
@@ -62,8 +62,8 @@ def setting(
     settings = ", ".join(f"{name} {value:g}" for name, value in PAIRS.items())
     yield "## What was done\n"
     yield paragraph(
-        f"A network of {weights} weights (`pages/_train_network.py`) learns CamVid's eleven "
-        f"classes on {len(problem.training.frames)} frames of the drive {options.train} at "
+        f"A network of {weights} weights (`scripts/pages/_train_network.py`) learns CamVid's "
+        f"eleven classes on {len(problem.training.frames)} frames of the drive {options.train} at "
         f"{height} x {width} pixels, mirrored, zoomed and in changed light, in batches of {BATCH}: "
         f"at most {base.steps} steps, until the mIoU of the drive's last "
         f"{len(problem.validation.frames)} frames has not risen in {base.patience} validations of "

@@ -54,7 +54,7 @@ Measured = dict[str, dict[str, dict[str, list[float]]]]
 
 HEAD = f"""# Ablation
 
-Written by `scripts/pages/ablate.py`; no number here is typed by hand. Each line is the preset `default`
+Written by `scripts/pages/ablate.py`; no number is typed by hand. Each line is the preset `default`
 with one thing changed, without temporal sum. CamVid: odd frames against even ones, +-1 frame
 (214 queries). City: {len(CITY_SEEDS)} cities of {CITY_FRAMES} frames, 13 conditions, within 5 m.
 The conditions are those of [results.md](results.md). `mean rank` is the mean over all conditions of

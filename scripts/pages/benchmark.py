@@ -467,7 +467,7 @@ def main() -> None:
     cv2.setNumThreads(1)
     text = [
         "# Benchmark\n",
-        "Written by `scripts/pages/benchmark.py` in one run; no number here is typed by hand. Cells are",
+        "Written by `scripts/pages/benchmark.py` in one run; no number is typed by hand. Cells are",
         "median [min, max]; the ways of a table are timed in turn, ratios are taken repetition by",
         f"repetition. Label maps: {maps.source}. torch {torch.__version__}, Python",
         f"{platform.python_version()}, {platform.machine()}.\n",

@@ -109,7 +109,7 @@ SETTINGS = (
 
 INTRODUCTION = (
     "# Loop closures\n",
-    "Written by `scripts/pages/loops.py`; no number here is typed by hand.\n",
+    "Written by `scripts/pages/loops.py`; no number is typed by hand.\n",
     paragraph(
         "A drive is `synthetic_city.TOUR`: 3.3 km, about 1100 frames, with streets driven again in "
         "the same direction and in the opposite one, among them an estate of 400 m where every "

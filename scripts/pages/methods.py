@@ -63,8 +63,8 @@ RIVALS = (
 
 HEAD = f"""# Methods
 
-Written by `scripts/pages/methods.py`; no number here is typed by hand. Metrics by the convention `exact`,
-in brackets 95 % bootstrap intervals over the queries ({RESAMPLES} resamples). SSR-VLAD and label
+Written by `scripts/pages/methods.py`; no number is typed by hand. Metrics by convention `exact`, in
+brackets 95 % bootstrap intervals over the queries ({RESAMPLES} resamples). SSR-VLAD and label
 grid see label maps, the others images. t is the reach of SSR-VLAD's temporal sum over the
 references (Eq. 3); tiny image and LoST-X use the neighbours of a reference too. HOG, label grid and
 tiny image are the trivial methods that must be beaten.

@@ -27,7 +27,7 @@ PARTS = {"table1": _paper_quality.part, "table3": _paper_cost.part, "table4": _p
 
 HEAD = """# The paper's experiments
 
-Written by `scripts/pages/reproduce_paper.py`; no number of ours is typed by hand. The paper's are those
+Written by `scripts/pages/reproduce_paper.py`; no own number is typed by hand. The paper's are those
 of Nie, Feng et al., arXiv 2202.03677.
 """
 

@@ -35,7 +35,7 @@ FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
 
 HEAD = f"""# Results
 
-Written by `scripts/pages/results.py`; no number here is typed by hand. In brackets stand 95 % bootstrap
+Written by `scripts/pages/results.py`; no number is typed by hand. In brackets stand 95 % bootstrap
 intervals over the queries ({RESAMPLES} resamples), of metrics by the convention `exact`. t is the
 reach of the temporal sum (Eq. 3) over the references. `label grid` is the trivial baseline: the
 fractions of the eight categories in a 6 x 10 grid (480 numbers), square root, normalised; `HOG`

@@ -254,8 +254,9 @@ def page(frames: int, results: dict[str, dict[str, Any]]) -> str:
     lines = [
         "# A million frames, and more",
         "",
-        f"Written by `scripts/pages/scale.py` on {platform.machine()}, {os.cpu_count()} cores, torch "
-        f"{torch.__version__}, {frames:,} frames of the preset `default`, synthetic: descriptors "
+        f"Written by `scripts/pages/scale.py` on {platform.machine()}, {os.cpu_count()} cores, "
+        f"torch {torch.__version__}, {frames:,} frames of the preset `default`, synthetic: "
+        "descriptors "
         "of label maps of the synthetic city, varied. Each step is a process of its own with one "
         "thread; its peak counts all that it holds, torch among it, and of a memory-mapped matrix "
         "the pages that the system keeps for it. `CPU` is the time that the processor worked: "
