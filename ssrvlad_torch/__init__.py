@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from .deployment.export import export_head as export_head
     from .descriptor import SSRVLAD as SSRVLAD
     from .encoding.encoder import encode_to_database as encode_to_database
+    from .encoding.results import EncodeOptions as EncodeOptions
     from .explanation import Explanation as Explanation
     from .loops.config import LoopConfig as LoopConfig
     from .loops.detector import LoopDetector as LoopDetector
@@ -30,6 +31,7 @@ __version__ = "0.1.0"
 
 _ROOMS = {
     "Database": "database.database",
+    "EncodeOptions": "encoding.results",
     "Explanation": "explanation",
     "FrameRecord": "database.frames",
     "FrameSet": "database.frames",

@@ -97,7 +97,7 @@ def test_city_then_encode_then_query_then_evaluate(ssrvlad, tmp_path):
     )
     report = json.loads(out)
     assert code == 0
-    assert (report["encoded"], report["already_there"], report["refused"]) == (8, 0, [])
+    assert (report["encoded"], report["already_there"], report["skipped"]) == (8, 0, [])
     assert report["with_pose"] == 8
 
     code, out, _ = ssrvlad("query", db, city / "query", "--top", 3, "--json")
@@ -235,6 +235,6 @@ def test_ctrl_c(tmp_path, segmenter):
     for number in range(5000):
         (tmp_path / "drive" / f"{number}.png").symlink_to(first)
     command = ("encode", "drive", "-o", "db", *CAMVID.split(), *segmenter)
-    code, err = interrupt(tmp_path, "cache/**/*.png" if segmenter else "db/manifest.json", *command)
+    code, err = interrupt(tmp_path, "cache/**/*.png" if segmenter else "db/_versions/*", *command)
     assert (code, err) == (130, "ssrvlad: interrupted\n")
     assert len(Database.open(tmp_path / "db")) < 5000

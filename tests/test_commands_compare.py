@@ -70,7 +70,7 @@ def test_a_row_is_what_evaluate_gives(ssrvlad, compare, town, tmp_path, method, 
 def test_the_tables(ssrvlad, town):
     code, out, err = ssrvlad("compare", town, "--method", "label-grid,hog,lost-x", *CAMVID)
     assert (code, len(err)) == (3, 1)
-    assert err[0].startswith("ssrvlad: refused lost-x: no weights at ")
+    assert err[0].startswith("ssrvlad: skipped lost-x: no weights at ")
     for words in ("1.00-1.00", "Recall@100%", "label-grid", "not run", "bytes a reference"):
         assert words in out
     assert "6 queries (6 with a true match) against 6 references, convention exact" in out
@@ -87,7 +87,7 @@ def test_what_a_method_lacks_is_its_row(compare, town, tmp_path, monkeypatch):
         "reason": "it needs label maps and their --labels-as",
     }
     assert f"no weights at {tmp_path}/.cache/ssrvlad/weights" in rows["netvlad"]["reason"]
-    assert [line.split(":")[1] for line in err] == [" refused ssr-vlad", " refused netvlad"]
+    assert [line.split(":")[1] for line in err] == [" skipped ssr-vlad", " skipped netvlad"]
 
     for picture in town.glob("query/images/*"):
         picture.unlink()

@@ -20,7 +20,7 @@ def test_running_again_adds_only_what_is_missing(ssrvlad, database, maps):
     write_maps(maps, range(6, 9))
     code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "camvid-11")
     assert code == 0
-    assert "3 frames encoded (0 of them empty), 6 already there, 0 refused" in out
+    assert "3 frames encoded (0 of them empty), 6 already there, 0 skipped" in out
 
 
 def test_the_preset_of_a_database_is_used_again(ssrvlad, maps, tmp_path):
@@ -45,10 +45,10 @@ def test_an_unreadable_frame_is_listed_and_the_rest_lands(ssrvlad, maps, tmp_pat
     code, out, err = ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")
     assert code == 3
     assert "4 frames encoded" in out
-    assert "2 refused" in out
+    assert "2 skipped" in out
     assert [line.split(":")[1] for line in err] == [
-        " refused monday/002",
-        " refused monday/003",
+        " skipped monday/002",
+        " skipped monday/003",
     ]
     assert "label id 77 (768 pixels) is not in label space camvid-11" in err[1]
 
@@ -93,7 +93,7 @@ def test_images_and_a_segmenter_give_what_label_maps_give(ssrvlad, database, pho
     command = ["encode", photos, "-o", db, "--labels-as", "camvid-11", *segmenter]
     code, out, err = ssrvlad(*command)
     assert (code, err) == (0, [])
-    assert "6 frames encoded (0 of them empty), 0 already there, 0 refused" in out
+    assert "6 frames encoded (0 of them empty), 0 already there, 0 skipped" in out
     by_labels, by_images = Database.open(database).load(), Database.open(db).load()
     assert by_images.frames == by_labels.frames
     assert torch.equal(by_images.descriptors, by_labels.descriptors)
@@ -130,9 +130,9 @@ def test_an_image_that_cannot_be_read_is_listed_and_the_rest_lands(ssrvlad, phot
         "--segmenter", tmp_path / "net.yaml",
     )  # fmt: skip
     assert code == 3
-    assert "5 frames encoded (0 of them empty), 0 already there, 1 refused" in out
+    assert "5 frames encoded (0 of them empty), 0 already there, 1 skipped" in out
     assert len(err) == 1
-    assert f"refused monday/002: {photos}/002.png: " in err[0]
+    assert f"skipped monday/002: {photos}/002.png: " in err[0]
 
 
 @pytest.mark.parametrize(
@@ -168,13 +168,35 @@ def test_a_folder_without_images_is_refused(ssrvlad, photos, tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_uris_want_ray_and_ray_wants_label_maps(ssrvlad, maps, tmp_path):
+def test_uris_are_sources_and_ray_wants_label_maps(ssrvlad, maps, tmp_path):
     arguments = ["encode", maps.as_uri(), "-o", tmp_path / "db", "--labels-as", "camvid-11"]
-    code, _, err = ssrvlad(*arguments)
-    assert (code, err) == (2, [f"ssrvlad: {maps.as_uri()} is no path; a URI wants --engine ray"])
     code, _, err = ssrvlad(*arguments, "--engine", "ray", "--segmenter", "net.yaml")
     assert (code, err) == (2, ["ssrvlad: --engine ray takes no --segmenter"])
-    code, _, err = ssrvlad("encode", "ftp://host/a", *arguments[2:], "--engine", "ray")
+    code, _, err = ssrvlad("encode", "ftp://host/a", *arguments[2:])
     assert (code, len(err)) == (2, 1)
     assert "ftp" in err[0]
     assert not (tmp_path / "db").exists()
+    code, out, _ = ssrvlad(*arguments)
+    assert "6 frames encoded" in out
+
+
+def test_two_drives_of_one_folder_name_stay_apart(ssrvlad, tmp_path):
+    db = tmp_path / "db"
+    for drive in ("00", "01"):
+        write_maps(tmp_path / drive / "labels", range(3))
+        arguments = ["encode", tmp_path / drive / "labels", "-o", db, "--labels-as", "camvid-11"]
+        code, out, _ = ssrvlad(*arguments, "--prune")
+        assert code == 0
+        assert "3 frames encoded" in out
+    frames = Database.open(db).load().frames
+    assert frames == tuple(f"{s}/{n:03d}" for s in ("01/labels", "labels") for n in range(3))
+
+
+def test_another_label_space_encodes_anew_and_says_so(ssrvlad, database, maps):
+    """What the ids mean has changed, though no file has."""
+    code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "synthia")
+    assert code == 0
+    assert "6 encoded anew: label space changed" in out
+    arguments = ["encode", maps, "-o", database, "--labels-as", "synthia", "--json"]
+    told = json.loads(ssrvlad(*arguments)[1])
+    assert (told["already_there"], told["anew"]) == (6, {})

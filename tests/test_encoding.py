@@ -10,6 +10,7 @@ import time
 import numpy as np
 import pytest
 import torch
+import yaml
 from drawings import VOID
 from helpers import street, write_street
 from PIL import Image
@@ -17,8 +18,10 @@ from PIL import Image
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import digest, find_label_files
-from ssrvlad_torch.encoding import encoder as encoding
+from ssrvlad_torch.encoding import describer, encoder, writer
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
+from ssrvlad_torch.encoding.plan import folders_of
+from ssrvlad_torch.encoding.results import EncodeOptions
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
 
@@ -42,14 +45,16 @@ class Maps:
         path.parent.mkdir(exist_ok=True)
         Image.fromarray(labels).save(path)
 
-    def files(self):
-        return find_label_files([str(self.folder / "[ab]")])
+    def files(self, *folders, **options):
+        folders = [str(self.folder / folder) for folder in folders or ("[ab]",)]
+        return find_label_files(folders, **options)
 
     def database(self):
         return Database.open_or_create(self.folder / "town.ssrdb", HEAD.config)
 
-    def encode(self, **options):
-        return encode_to_database(HEAD, self.files(), self.database(), **options)
+    def encode(self, *folders, head=HEAD, **options):
+        files = self.files(*folders)
+        return encode_to_database(head, files, self.database(), EncodeOptions(**options))
 
 
 def alone(labels):
@@ -57,7 +62,7 @@ def alone(labels):
 
 
 def counts(summary):
-    return summary.encoded, summary.already_there, len(summary.refused)
+    return summary.encoded, summary.already_there, len(summary.skipped)
 
 
 def test_every_frame_is_what_the_head_makes_of_it_alone(maps):
@@ -72,42 +77,22 @@ def test_every_frame_is_what_the_head_makes_of_it_alone(maps):
         assert torch.equal(descriptor, alone(street(number)))
     assert frames.poses[3].tolist() == [1, 2, 0.5]
     assert np.isnan(np.delete(frames.poses, 3, axis=0)).all()
-    row = maps.database().table().to_pylist()[4]
-    assert (row["sequence"], row["name"], row["labels_as"]) == ("a", "4", "camvid-11")
-    assert (row["height"], row["width"], row["digest"]) == (24, 32, digest(street(4)))
+    record = maps.database().known()["a/4"]
+    assert (record.height, record.width, record.digest) == (24, 32, digest(street(4)))
 
 
-def test_running_again_adds_only_what_is_missing(maps, monkeypatch):
-    maps.add("a", range(5))
-    assert counts(maps.encode()) == (5, 0, 0)
-    before = maps.database().load()
-    read = []
-    whole = encoding.read_label_map
-    monkeypatch.setattr(
-        encoding,
-        "read_label_map",
-        lambda file, space: (read.append(file.name), whole(file, space))[1],
-    )
-    assert counts(maps.encode()) == (0, 5, 0)
-    assert read == []
-    maps.add("a", [20, 3000])
-    assert counts(maps.encode()) == (2, 5, 0)
-    assert sorted(read) == ["20", "3000"]
-    after = maps.database().load()
-    assert after.frames == (*before.frames, "a/20", "a/3000")
-    assert torch.equal(after.descriptors[:5], before.descriptors)
-
-
-def test_a_frame_that_cannot_be_read_or_encoded_is_refused_and_the_rest_lands(maps):
+def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_rest_lands(maps):
     """Both in the middle of a batch."""
     maps.add("a", range(12))
     (maps.folder / "a" / "4.png").write_text("no image")
     unknown = street(7)
     unknown[2:4, 5:8] = 99
     maps.write("a/7", unknown)
-    summary = maps.encode()
+    told = []
+    summary = maps.encode(skipped=told.append)
     assert counts(summary) == (10, 0, 2)
-    first, second = summary.refused
+    assert told == summary.skipped
+    first, second = summary.skipped
     assert first.frame == "a/4"
     assert f"{maps.folder}/a/4.png: cannot identify" in first.reason
     assert second.frame == "a/7"
@@ -120,30 +105,24 @@ def test_a_frame_that_cannot_be_read_or_encoded_is_refused_and_the_rest_lands(ma
     assert counts(maps.encode()) == (1, 10, 1), "what was mended is taken the next time"
 
 
-def test_frames_of_differing_sizes_are_each_encoded_at_their_own(maps):
-    sizes = [(24, 32), (30, 20), (24, 32), (130, 150), (30, 20), (24, 33)]
-    for number in range(18):
+def test_frames_of_differing_sizes_and_formats_are_each_encoded_as_they_are(maps):
+    """A label map is its ids: as gray of 8 or 16 bits or 32, as an array."""
+    sizes = [(24, 32), (30, 20), (24, 32), (130, 150), (24, 33)]
+    for number in range(10):
         maps.add("a", [number], *sizes[number % len(sizes)])
-    assert counts(maps.encode()) == (18, 0, 0)
-    frames = maps.database().load()
-    assert frames.frames == tuple(f"a/{n}" for n in range(18)), "in the order of their names"
-    assert maps.database().table(["name"])["name"].to_pylist() == [str(n) for n in range(18)]
-    for number, descriptor in enumerate(frames.descriptors):
-        assert torch.equal(descriptor, alone(street(number, *sizes[number % len(sizes)])))
-
-
-def test_frames_of_differing_formats_are_encoded_alike(maps):
-    """A label map is its ids: as gray of 8 or 16 bits or 32, as a palette image, as an array."""
     labels = street(0)
-    maps.write("a/0", labels)
-    maps.write("a/1", labels.astype(np.uint16))
-    Image.fromarray(labels.astype(np.int32)).save(maps.folder / "a" / "2.tif")
-    np.save(maps.folder / "a" / "3.npy", labels.astype(">u4"))
-    assert counts(maps.encode()) == (4, 0, 0)
+    maps.write("a/10", labels.astype(np.uint16))
+    Image.fromarray(labels.astype(np.int32)).save(maps.folder / "a" / "11.tif")
+    np.save(maps.folder / "a" / "12.npy", labels.astype(">u4"))
+    assert counts(maps.encode()) == (13, 0, 0)
     frames = maps.database().load()
-    for descriptor in frames.descriptors:
-        assert torch.equal(descriptor, alone(labels))
-    assert len(set(maps.database().digests().values())) == 1
+    assert frames.frames == tuple(f"a/{n}" for n in range(13)), "in the order of their names"
+    for number, descriptor in enumerate(frames.descriptors[:10]):
+        assert torch.equal(descriptor, alone(street(number, *sizes[number % len(sizes)])))
+    known = maps.database().known()
+    for number in (10, 11, 12):
+        assert torch.equal(frames.descriptors[number], alone(labels))
+        assert known[f"a/{number}"].digest == known["a/0"].digest
 
 
 def test_an_empty_image_is_encoded_flagged_and_zero(maps):
@@ -157,140 +136,107 @@ def test_an_empty_image_is_encoded_flagged_and_zero(maps):
     assert not frames.descriptors[1].any()
 
 
-def test_frames_land_in_parts(maps, monkeypatch):
-    monkeypatch.setattr(encoding, "PART_ROWS", 4)
-    maps.add("a", range(10))
-    assert counts(maps.encode()) == (10, 0, 0)
-    assert len(list(maps.database().path.glob("part-*.parquet"))) == 3
-    assert maps.database().load().frames == tuple(f"a/{n}" for n in range(10))
-
-
-@pytest.mark.parametrize("part_rows", [4, 4096])
-@pytest.mark.parametrize("done", [1, 7, 18])
-def test_what_was_encoded_before_ctrl_c_is_in_the_database(maps, monkeypatch, part_rows, done):
-    monkeypatch.setattr(encoding, "PART_ROWS", part_rows)
-    maps.add("a", range(20))
-    told = []
-
-    def interrupt(count):
-        told.append(count)
-        if sum(told) == done:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        maps.encode(progress=interrupt)
-    assert maps.database().load().frames == tuple(f"a/{n}" for n in range(done))
-    assert counts(maps.encode()) == (20 - done, done, 0)
-    assert maps.database().load().frames == tuple(f"a/{n}" for n in range(20))
-
-
-def test_progress_counts_every_frame_once(maps):
-    maps.add("a", range(3))
-    maps.encode()
-    maps.add("a", range(3, 9))
-    (maps.folder / "a" / "5.png").write_text("no image")
-    told = []
-    maps.encode(progress=told.append)
-    assert sum(told) == 9
-    assert told[0] == 3
-
-
-def test_a_full_disk_keeps_the_parts_that_landed_and_says_so(maps, monkeypatch):
-    monkeypatch.setattr(encoding, "PART_ROWS", 4)
-    maps.add("a", range(10))
-    append, appended = Database.append, []
-
-    def full_at_the_second(self, records, descriptors):
-        appended.append(len(records))
-        if len(appended) > 1:
-            raise OSError(errno.ENOSPC, "No space left on device")
-        append(self, records, descriptors)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Database, "append", full_at_the_second)
-        with pytest.raises(OSError, match="No space left"):
-            maps.encode()
-    assert maps.database().load().frames == ("a/0", "a/1", "a/2", "a/3")
-    assert counts(maps.encode()) == (6, 4, 0)
-
-
-def test_a_run_in_which_all_is_refused_leaves_a_valid_empty_database(maps):
+def test_nothing_that_can_be_encoded_leaves_a_valid_empty_database(maps):
     (maps.folder / "a").mkdir()
     for number in range(3):
         (maps.folder / "a" / f"{number}.png").write_text("no image")
     assert counts(maps.encode()) == (0, 0, 3)
     assert maps.database().load().frames == ()
-
-
-def test_no_files_are_no_work(maps):
-    summary = encode_to_database(HEAD, [], maps.database())
-    assert counts(summary) == (0, 0, 0)
-
-
-def test_another_fingerprint_is_refused_before_anything_is_read(maps):
-    maps.add("a", [0])
-    paper = SSRVLAD.from_preset("paper", labels_as="camvid-11")
-    with pytest.raises(ValueError, match="has fingerprint"):
-        encode_to_database(paper, maps.files(), maps.database())
-    assert len(maps.database()) == 0
-
-
-def test_another_label_space_goes_into_the_same_database(maps):
-    maps.add("a", [0])
-    maps.encode()
-    maps.write("b/0", np.full((24, 32), 3, np.uint8))
-    synthia = SSRVLAD.from_preset("default", labels_as="synthia")
-    assert counts(encode_to_database(synthia, maps.files(), maps.database())) == (1, 1, 0)
-    assert maps.database().table(["labels_as"])["labels_as"].to_pylist() == ["camvid-11", "synthia"]
-
-
-@pytest.mark.parametrize("workers", [0, 1, 5])
-def test_the_number_of_workers_does_not_show(maps, workers):
-    maps.add("a", range(70, 150, 2))
-    frames, refused = encode_to_memory(HEAD, maps.files(), workers)
-    assert refused == []
-    assert frames.frames == tuple(f"a/{n}" for n in range(70, 150, 2))
-    for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
-        assert torch.equal(descriptor, alone(street(int(name[2:]))))
+    assert counts(encode_to_database(HEAD, [], maps.database())) == (0, 0, 0)
+    frames, skipped = encode_to_memory(HEAD, maps.files())
+    assert len(skipped) == 3
+    assert frames.descriptors.shape == (0, 480)
+    assert frames.poses.shape == (0, 3)
 
 
 def test_memory_and_database_hold_the_same(maps):
     maps.add("b", range(3))
     maps.add("a", range(3))
-    maps.write("a/1", np.full((24, 32), VOID, np.uint8))
     (maps.folder / "b" / "1.png").write_text("no image")
     (maps.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\nb/2,3,4\n")
-    in_memory, refused = encode_to_memory(HEAD, maps.files())
+    in_memory, skipped = encode_to_memory(HEAD, maps.files())
     summary = maps.encode()
     on_disk = maps.database().load()
-    assert refused == summary.refused
+    assert skipped == summary.skipped
     assert in_memory.frames == on_disk.frames
     assert in_memory.sequences == on_disk.sequences
     assert torch.equal(in_memory.descriptors, on_disk.descriptors)
     np.testing.assert_array_equal(in_memory.poses, on_disk.poses)
-    assert in_memory.empty.tolist() == on_disk.empty.tolist() == [False, True, False, False, False]
-
-
-def test_nothing_in_memory_has_shapes(maps):
-    (maps.folder / "a").mkdir()
-    (maps.folder / "a" / "0.png").write_text("no image")
-    frames, refused = encode_to_memory(HEAD, maps.files())
-    assert [refusal.frame for refusal in refused] == ["a/0"]
-    assert frames.descriptors.shape == (0, 480)
-    assert frames.poses.shape == (0, 3)
-    assert frames.empty.shape == (0,)
+    assert in_memory.empty.tolist() == on_disk.empty.tolist()
 
 
 def test_a_stack_is_encoded_row_by_row(maps):
     np.save(maps.folder / "s.npy", np.stack([street(n) for n in range(4)]))
-    files = find_label_files([str(maps.folder / "s.npy")])
-    frames, _ = encode_to_memory(HEAD, files)
+    frames, _ = encode_to_memory(HEAD, maps.files("s.npy"))
     assert frames.frames == tuple(f"s/s-00000{n}" for n in range(4))
     for number, descriptor in enumerate(frames.descriptors):
         assert torch.equal(descriptor, alone(street(number)))
 
 
-# ---- what has changed
+def test_another_fingerprint_is_refused_before_anything_is_read(maps):
+    maps.add("a", [0])
+    maps.database()
+    paper = SSRVLAD.from_preset("paper", labels_as="camvid-11")
+    with pytest.raises(ValueError, match="has fingerprint"):
+        encode_to_database(paper, maps.files(), maps.database())
+
+
+# ---- what is fresh, and what is encoded anew
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Names of the frames that are read."""
+    names, whole = [], describer.read_label_map
+    spy = lambda file, space: (names.append(file.name), whole(file, space))[1]  # noqa: E731
+    monkeypatch.setattr(describer, "read_label_map", spy)
+    return names
+
+
+def test_running_again_reads_only_what_is_missing(maps, reads):
+    maps.add("a", range(5))
+    assert counts(maps.encode()) == (5, 0, 0)
+    reads.clear()
+    assert counts(maps.encode()) == (0, 5, 0)
+    assert reads == []
+    maps.add("a", [20, 3000])
+    assert counts(maps.encode()) == (2, 5, 0)
+    assert sorted(reads) == ["20", "3000"]
+
+
+def test_another_label_space_or_segmenter_is_another_frame(maps):
+    """Ids mean other things, so nothing that is there stands for them."""
+    maps.add("a", range(5))
+    maps.encode()
+    synthia = SSRVLAD.from_preset("default", labels_as="synthia")
+    summary = maps.encode(head=synthia)
+    assert summary.anew == {"label space changed": 5}
+    assert str(summary) == (
+        "0 frames encoded (0 of them empty), 5 encoded anew: label space changed, "
+        "0 already there, 0 skipped"
+    )
+    frames = maps.database().load()
+    assert torch.equal(frames.descriptors[2], synthia(torch.from_numpy(street(2))[None])[0])
+    assert counts(maps.encode(head=synthia)) == (0, 5, 0)
+    assert maps.encode().anew == {"label space changed": 5}
+
+
+def test_a_label_space_is_its_content_and_not_its_name(maps):
+    maps.add("a", range(3))
+    classes = [{"id": n, "name": str(n), "category": "ground"} for n in range(12)]
+    path = maps.folder / "mine.yaml"
+
+    def head():
+        text = yaml.safe_dump({"name": "mine", "source": "me", "classes": classes})
+        path.write_text(text, encoding="utf-8")
+        return SSRVLAD.from_preset("default", labels_as=str(path))
+
+    assert maps.encode(head=head()).encoded == 3
+    assert counts(maps.encode(head=head())) == (0, 3, 0)
+    classes[4]["category"] = "sky"
+    before = maps.database().load().descriptors
+    assert maps.encode(head=head()).anew == {"label space changed": 3}
+    assert not torch.equal(maps.database().load().descriptors, before)
 
 
 def rewrite(path, seed):
@@ -299,18 +245,17 @@ def rewrite(path, seed):
     write_street(path, seed)
 
 
-def test_a_changed_file_is_encoded_again_and_takes_the_place_of_the_old(maps):
+def test_a_changed_file_is_encoded_anew_and_takes_the_place_of_the_old(maps):
     maps.add("a", range(5))
     maps.encode()
     rewrite(maps.folder / "a" / "3.png", 99)
     summary = maps.encode()
-    assert (summary.encoded, summary.changed, summary.already_there) == (0, 1, 4)
+    assert (summary.encoded, summary.anew, summary.already_there) == (0, {"file changed": 1}, 4)
     frames = maps.database().load()
     assert frames.frames == tuple(f"a/{n}" for n in range(5))
     assert torch.equal(frames.descriptors[3], alone(street(99)))
-    assert torch.equal(frames.descriptors[4], alone(street(4)))
-    assert maps.database().digests()["a/3"] == digest(street(99))
-    assert (maps.encode().changed, maps.encode().already_there) == (0, 5)
+    assert maps.database().known()["a/3"].digest == digest(street(99))
+    assert maps.encode().already_there == 5
 
 
 def test_a_change_that_keeps_size_and_time_is_seen(maps):
@@ -324,25 +269,25 @@ def test_a_change_that_keeps_size_and_time_is_seen(maps):
     np.save(path, street(1))
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert path.stat().st_size == before.st_size
-    assert maps.encode().changed == 1
+    assert maps.encode().anew == {"file changed": 1}
     assert torch.equal(maps.database().load().descriptors[0], alone(street(1)))
 
 
-def test_a_file_that_was_only_touched_is_read_but_not_encoded(maps, monkeypatch):
+def test_a_file_that_was_only_touched_is_read_once_and_then_known(maps, reads):
     maps.add("a", range(3))
     maps.encode()
     (maps.folder / "a" / "1.png").touch()
-    monkeypatch.setattr(SSRVLAD, "forward", None)
-    summary = maps.encode()
-    assert (summary.changed, summary.already_there) == (0, 3)
+    reads.clear()
+    assert maps.encode().anew == {"file touched, the same label map": 1}
+    assert maps.encode().already_there == 3
+    assert reads == ["1"]
 
 
-def test_a_changed_file_that_cannot_be_read_is_refused_and_its_row_stays(maps):
+def test_a_changed_file_that_cannot_be_read_is_skipped_and_its_row_stays(maps):
     maps.add("a", range(3))
     maps.encode()
     (maps.folder / "a" / "1.png").write_text("no image")
-    summary = maps.encode()
-    assert counts(summary) == (0, 2, 1)
+    assert counts(maps.encode()) == (0, 2, 1)
     assert torch.equal(maps.database().load().descriptors[1], alone(street(1)))
 
 
@@ -352,7 +297,7 @@ def test_a_changed_pose_is_taken_over(maps):
     maps.encode()
     (maps.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\na/1,3,5\n")
     summary = maps.encode()
-    assert (summary.changed, summary.already_there) == (1, 2)
+    assert (summary.anew, summary.already_there) == ({"pose changed": 1}, 2)
     assert maps.database().load().poses[1, :2].tolist() == [3, 5]
 
 
@@ -362,38 +307,157 @@ def test_frames_whose_file_is_gone_are_told_and_removed_if_asked(maps):
     maps.encode()
     for number in (1, 3):
         (maps.folder / "a" / f"{number}.png").unlink()
-    files = [file for file in maps.files() if file.sequence == "a"]
     assert maps.encode().gone == [], "not all files need be given"
-    summary = encode_to_database(HEAD, files, maps.database(), complete=True)
+    summary = maps.encode("a", complete=True)
     assert (summary.gone, summary.pruned) == (["a/1", "a/3"], 0)
     assert len(maps.database()) == 6
-    summary = encode_to_database(HEAD, files, maps.database(), complete=True, prune=True)
+    summary = maps.encode("a", complete=True, prune=True)
     assert (summary.gone, summary.pruned) == ([], 2)
     assert maps.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
     with pytest.raises(ValueError, match="prune wants to know all files"):
-        encode_to_database(HEAD, files, maps.database(), prune=True)
+        EncodeOptions(prune=True)
 
 
-# ---- several at once
+# ---- folders of one name
 
 
-def test_a_second_encoder_is_refused_at_once(maps):
+def test_folders_of_one_name_are_told_apart_in_one_run_and_in_several(maps):
+    for drive in ("00", "01", "02"):
+        maps.add(f"{drive}/labels", [int(drive), 7])
+    maps.encode("00/labels", "01/labels")
+    assert maps.database().load().frames == tuple(
+        f"0{d}/labels/{n}" for d in "01" for n in (int(d), 7)
+    )
+    known = folders_of(maps.database().known())
+    files = maps.files("02/labels", known=known)
+    assert encode_to_database(HEAD, files, maps.database()).encoded == 2
+    assert {file.sequence for file in files} == {"labels"}
+    files = maps.files("02/labels", "00/labels", known=folders_of(maps.database().known()))
+    options = EncodeOptions(complete=True, prune=True)
+    summary = encode_to_database(HEAD, files, maps.database(), options)
+    assert (counts(summary), summary.pruned) == ((0, 4, 0), 0)
+    assert len(maps.database()) == 6
+
+
+def test_a_second_folder_of_a_name_never_merges_overwrites_or_prunes(maps):
+    maps.add("00/labels", range(3))
+    maps.add("01/labels", range(2, 5))
+    maps.encode("00/labels")
+    before = maps.database().load()
+    with pytest.raises(ValueError, match=r"'labels' of the database is .*00/labels, not .*01"):
+        maps.encode("01/labels", complete=True, prune=True)
+    files = maps.files("01/labels", sequence="labels")
+    with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
+        encode_to_database(HEAD, files, maps.database())
+    assert torch.equal(maps.database().load().descriptors, before.descriptors)
+    files = maps.files("01/labels", known=folders_of(maps.database().known()))
+    assert {file.sequence for file in files} == {"01/labels"}
+    assert encode_to_database(HEAD, files, maps.database()).encoded == 3
+    files = maps.files("01/labels", sequence="labels")[1:]
+    assert encode_to_database(HEAD, files, maps.database()).encoded == 2, "its user said so"
+
+
+def test_a_folder_that_was_moved_goes_on_if_its_name_is_given(maps):
     maps.add("a", range(3))
-    with (
-        maps.database().writing(),
-        pytest.raises(ValueError, match="is being written by another process"),
-    ):
-        maps.encode()
-    assert counts(maps.encode()) == (3, 0, 0)
+    maps.encode()
+    (maps.folder / "other").mkdir()
+    (maps.folder / "a").rename(maps.folder / "other" / "a")
+    known = folders_of(maps.database().known())
+    with pytest.raises(ValueError, match=r"'a' was encoded from .*, which is gone: .*--sequence a"):
+        maps.files("other/a", known=known)
+    files = maps.files("other/a", sequence="a", known=known)
+    assert encode_to_database(HEAD, files, maps.database()).anew == {"file moved": 3}
+    assert counts(encode_to_database(HEAD, files, maps.database())) == (0, 3, 0)
+
+
+# ---- commits, workers and signals
+
+
+def test_frames_are_committed_from_time_to_time(maps, monkeypatch):
+    monkeypatch.setattr(writer, "COMMIT_ROWS", 4)
+    maps.add("a", range(10))
+    before = maps.database().version
+    assert counts(maps.encode()) == (10, 0, 0)
+    assert maps.database().version == before + 4, "what made them, and 4, 4 and 2 of them"
+    monkeypatch.setattr(writer, "COMMIT_SECONDS", -1)
+    maps.add("b", range(2))
+    maps.encode()
+    assert maps.database().version == before + 6
+
+
+@pytest.mark.parametrize("rows", [4, 8192])
+@pytest.mark.parametrize("done", [1, 7, 18])
+def test_what_was_encoded_before_an_interruption_is_in_the_database(maps, monkeypatch, rows, done):
+    monkeypatch.setattr(writer, "COMMIT_ROWS", rows)
+    maps.add("a", range(20))
+    told = []
+
+    def interrupt(count):
+        told.append(count)
+        if sum(told) == done:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        maps.encode(progress=interrupt)
+    assert maps.database().load().frames == tuple(f"a/{n}" for n in range(done))
+    told.clear()
+    assert counts(maps.encode(progress=told.append)) == (20 - done, done, 0)
+    assert told == [done] + [1] * (20 - done), "progress counts every frame once"
+
+
+def test_a_full_disk_keeps_what_was_committed_and_says_so(maps, monkeypatch):
+    monkeypatch.setattr(writer, "COMMIT_ROWS", 4)
+    maps.add("a", range(10))
+    merge, merged = Database.merge, []
+
+    def full_at_the_second(self, records, descriptors):
+        merged.append(len(records))
+        if len(merged) > 1:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        merge(self, records, descriptors)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Database, "merge", full_at_the_second)
+        with pytest.raises(OSError, match="No space left"):
+            maps.encode()
+    assert maps.database().load().frames == ("a/0", "a/1", "a/2", "a/3")
+    assert counts(maps.encode()) == (6, 4, 0)
+
+
+def test_workers_make_the_same_rows(maps, monkeypatch):
+    monkeypatch.setattr(encoder, "WORTH_A_WORKER", 1)
+    maps.add("a", range(70, 110))
+    (maps.folder / "a" / "75.png").write_text("no image")
+    frames, skipped = encode_to_memory(HEAD, maps.files(), workers=2)
+    assert [frame.frame for frame in skipped] == ["a/75"]
+    assert frames.frames == tuple(f"a/{n}" for n in range(70, 110) if n != 75)
+    for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
+        assert torch.equal(descriptor, alone(street(int(name[2:]))))
+
+
+def test_two_encoders_at_once_lose_nothing(maps):
+    """Both encode all; neither is refused, and no frame is there twice."""
+    maps.add("a", range(30))
+    maps.database()
+    command = [
+        sys.executable,
+        "-c",
+        SCRIPT,
+        str(maps.folder / "town.ssrdb"),
+        str(maps.folder / "a"),
+    ]
+    running = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert [process.wait(120) for process in running] == [0, 0]
+    assert maps.database().load().frames == tuple(f"a/{n}" for n in range(30))
 
 
 SCRIPT = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
-from ssrvlad_torch import SSRVLAD, encoding
-from ssrvlad_torch import Database
+from ssrvlad_torch import SSRVLAD, Database, EncodeOptions, encode_to_database
 from ssrvlad_torch.datasets.label_files import find_label_files
-encoding.BATCH, encoding.PART_ROWS = 1, 8
+from ssrvlad_torch.encoding import describer, encoder, writer
+describer.BATCH, encoder.BATCH, encoder.WORTH_A_WORKER, writer.COMMIT_ROWS = 1, 1, 1, 8
 head = SSRVLAD.from_preset("default", labels_as="camvid-11")
 database = Database.open_or_create(sys.argv[1], head.config)
 told = []
@@ -402,7 +466,8 @@ def progress(done):
     if sum(told) == 10:
         print("ready", flush=True)
     time.sleep(0.02)
-encoding.encode_to_database(head, find_label_files([sys.argv[2]]), database, 2, progress)
+options = EncodeOptions(workers=2, progress=progress)
+encode_to_database(head, find_label_files([sys.argv[2]]), database, options)
 """
 
 
@@ -410,15 +475,16 @@ encoding.encode_to_database(head, find_label_files([sys.argv[2]]), database, 2, 
     ("number", "code"),
     [(signal.SIGINT, -signal.SIGINT), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],
 )
-def test_a_signal_ends_a_run_and_its_workers_and_the_next_run_completes_it(maps, number, code):
-    """All that was told done is there; after SIGKILL all parts that were full."""
+def test_a_signal_ends_a_run_and_the_next_run_completes_it(maps, number, code):
+    """All that was told done is there; after SIGKILL all that was committed."""
     maps.add("a", range(60))
     target = maps.folder / "town.ssrdb"
     command = [sys.executable, "-c", SCRIPT, str(target), str(maps.folder / "a")]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert running.stdout.readline() == b"ready\n"
     running.send_signal(number)
-    assert running.wait(60) in (code, 130)
+    running.communicate(timeout=60)  # to the end of its pipes: no worker holds them
+    assert running.returncode in (code, 130)
     landed = len(Database.open(target))
     assert landed >= (8 if number == signal.SIGKILL else 10)
     assert landed < 60
@@ -429,16 +495,12 @@ def test_a_signal_ends_a_run_and_its_workers_and_the_next_run_completes_it(maps,
         assert torch.equal(descriptor, alone(street(row)))
 
 
-STEPS = ["known", "_to_do", "_encode", "in_order", "append"]
-
-
-@pytest.mark.parametrize("step", STEPS)
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("step", ["known", "merge"])
 def test_no_signal_of_the_start_or_the_end_is_lost(maps, monkeypatch, step, number):
-    """It comes just before a step of which none asks for signals; `append` writes the last part."""
-    maps.add("a", range(40))
-    owner = Database if step in ("known", "append") else encoding
-    whole, come = getattr(owner, step), []
+    """It comes just before a step which does not ask for signals; the last is `merge`."""
+    maps.add("a", range(5))
+    whole, come = getattr(Database, step), []
 
     def interrupted(*arguments, **options):
         if not come:
@@ -447,34 +509,12 @@ def test_no_signal_of_the_start_or_the_end_is_lost(maps, monkeypatch, step, numb
         return whole(*arguments, **options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(owner, step, interrupted)
-        patch.setattr(encoding, "BATCHES_OF_A_CHUNK", 1)
+        patch.setattr(Database, step, interrupted)
         before = signal.signal(signal.SIGINT, signal.default_int_handler)
         try:
             with pytest.raises((KeyboardInterrupt, SystemExit)) as end:
-                maps.encode(workers=2)
+                maps.encode()
         finally:
             signal.signal(signal.SIGINT, before)
     assert (end.type is SystemExit) == (number == signal.SIGTERM)
-    landed = len(maps.database())
-    assert landed == (40 if step == "append" else 1), "what was in hand is done"
-    assert counts(maps.encode()) == (40 - landed, landed, 0)
-
-
-def test_a_killed_worker_is_an_error_and_what_was_done_stays(maps, monkeypatch):
-    monkeypatch.setattr(encoding, "BATCH", 2)
-    maps.add("a", range(40))
-    read = encoding.read_label_map
-
-    def die(file, space):
-        if file.name == "30":
-            os.kill(os.getpid(), signal.SIGKILL)
-        return read(file, space)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(encoding, "read_label_map", die)
-        with pytest.raises(ChildProcessError, match="a worker process was killed"):
-            maps.encode(workers=2)
-    landed = len(maps.database())
-    assert landed <= 30
-    assert counts(maps.encode()) == (40 - landed, landed, 0)
+    assert len(maps.database()) == (5 if step == "merge" else 1), "what was in hand is done"

@@ -1,6 +1,7 @@
 """Images on disk: found as label maps are, and decoded as they are seen."""
 
 import io
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +13,6 @@ from ssrvlad_torch.datasets.image_files import (
     SUFFIXES,
     decode_image,
     find_image_files,
-    image_bytes,
     read_image,
 )
 
@@ -200,7 +200,7 @@ def test_rows_of_a_stack(tmp_path):
 def test_a_row_has_the_bytes_of_the_file_that_it_would_be_alone(tmp_path):
     np.save(tmp_path / "stack.npy", np.stack([PICTURE, SMOOTH]))
     np.save(tmp_path / "alone.npy", SMOOTH)
-    row = image_bytes(FrameFile("a", "b", tmp_path / "stack.npy", 1))
+    row = FrameFile("a", "b", tmp_path / "stack.npy", 1).read()
     assert row == (tmp_path / "alone.npy").read_bytes()
 
 
@@ -248,7 +248,7 @@ def test_a_folder_without_images_says_so(tmp_path):
 
 
 def test_reading_ahead_keeps_the_order_and_bounds_what_is_in_memory():
-    files = [FrameFile("a", str(number), None) for number in range(50)]
+    files = [FrameFile("a", str(number), Path(f"{number}.png")) for number in range(50)]
     begun = []
 
     def begin(file):
@@ -269,4 +269,4 @@ def test_what_is_no_refusal_ends_the_reading():
         raise MemoryError
 
     with pytest.raises(MemoryError):
-        next(read_ahead(fail, [FrameFile("a", "0", None)], workers=1, ahead=2))
+        next(read_ahead(fail, [FrameFile("a", "0", Path("0.png"))], workers=1, ahead=2))

@@ -16,7 +16,7 @@ from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Database
 from ssrvlad_torch.cli import main as cli
-from ssrvlad_torch.encoding.encoder import Refusal
+from ssrvlad_torch.encoding.results import Skipped
 from ssrvlad_torch.loops import stream as loop_stream
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.detector import LoopDetector
@@ -283,7 +283,7 @@ def test_what_a_detector_refuses_is_a_refusal(drive):
     detector = LoopDetector(LoopConfig(), SSRVLAD.from_preset("default", labels_as="camvid-11"))
     names = [str(drive / "00.png")]
     results = list(detect_loops(detector, encode_as_they_come(detector, [*names, *names])))
-    assert [isinstance(result, Refusal) for result in results] == [False, True]
+    assert [isinstance(result, Skipped) for result in results] == [False, True]
     assert list(encode_as_they_come(detector, names)) == []
     assert list(encode_files(detector, [])) == []
 

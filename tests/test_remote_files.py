@@ -8,7 +8,6 @@ from helpers import street, write_street
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.datasets.remote_files import find_remote_files, is_uri
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
@@ -25,48 +24,39 @@ def folder(tmp_path):
     return tmp_path / "mon day"
 
 
-def test_only_a_uri_is_one():
-    assert is_uri("s3://bucket/monday")
-    assert not is_uri("/data/monday")
-    assert not is_uri("monday/*.png")
-
-
 def test_frames_are_found_in_order_and_named_by_their_folder(folder):
-    files = find_remote_files([folder.as_uri()])
+    files = find_label_files([folder.as_uri()])
     assert [file.frame for file in files] == [f"mon day/{n}" for n in (0, 2, 10, 11)]
-    chosen = find_remote_files([folder.as_uri()], "x", every=2, start=1)
+    chosen = find_label_files([folder.as_uri()], "x", every=2, start=1)
     assert [file.frame for file in chosen] == ["x/2", "x/11"]
 
 
 def test_rows_are_those_of_the_same_files_here(folder):
     here, _ = encode_to_memory(HEAD, find_label_files([str(folder)]))
-    there, refused = encode_to_memory(HEAD, find_remote_files([folder.as_uri()]))
-    assert refused == []
+    there, skipped = encode_to_memory(HEAD, find_label_files([folder.as_uri()]))
+    assert skipped == []
     assert there.frames == here.frames
     assert torch.equal(there.descriptors, here.descriptors)
 
 
-def test_what_has_changed_is_encoded_again_and_what_is_gone_is_refused(folder, tmp_path):
+def test_what_has_changed_is_encoded_anew_and_what_is_gone_is_skipped(folder, tmp_path):
     database = Database.create(tmp_path / "db", HEAD.config)
-    assert encode_to_database(HEAD, find_remote_files([folder.as_uri()]), database).encoded == 4
+    assert encode_to_database(HEAD, find_label_files([folder.as_uri()]), database).encoded == 4
     write_street(folder / "2.png", 99, 30, 40)
-    files = find_remote_files([folder.as_uri()])
-    summary = encode_to_database(HEAD, files, database)
-    assert (summary.changed, summary.already_there) == (1, 3)
+    summary = encode_to_database(HEAD, find_label_files([folder.as_uri()]), database)
+    assert (summary.anew, summary.already_there) == ({"file changed": 1}, 3)
     write_street(folder / "3.png", 3)
-    files = find_remote_files([folder.as_uri()])
+    files = find_label_files([folder.as_uri()])
     (folder / "3.png").unlink()
-    [refusal] = encode_to_database(HEAD, files, database).refused
-    assert refusal.reason.startswith(f"{folder.as_uri()}/3.png: ")
-    assert "No such file or directory" in refusal.reason
+    [skipped] = encode_to_database(HEAD, files, database).skipped
+    assert skipped.reason.startswith(f"{folder.as_uri()}/3.png: ")
+    assert "No such file or directory" in skipped.reason
 
 
 def test_what_holds_no_frames_is_refused(folder, tmp_path):
     with pytest.raises(ValueError, match=r"deeper holds no label maps; wanted \.png"):
-        find_remote_files([(folder / "deeper").as_uri()])
+        find_label_files([(folder / "deeper").as_uri()])
     with pytest.raises(FileNotFoundError, match="none"):
-        find_remote_files([(tmp_path / "none").as_uri()])
-    with pytest.raises(ValueError, match=r"frame 'mon day/0' of .* is there twice"):
-        find_remote_files([folder.as_uri(), folder.as_uri()])
+        find_label_files([(tmp_path / "none").as_uri()])
     with pytest.raises(ValueError, match="ftp"):
-        find_remote_files(["ftp://host/monday"])
+        find_label_files(["ftp://host/monday"])

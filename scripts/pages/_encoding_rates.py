@@ -1,8 +1,9 @@
-"""How near encoding comes to the larger of what it cannot do without: reading and describing."""
+"""What encoding takes on one core, and its halves, reading and describing; and on all cores."""
 
 from __future__ import annotations
 
 import tempfile
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -11,47 +12,53 @@ from ssrvlad_torch.cli.bench import Timing, time_in_turn
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.descriptor import SSRVLAD
-from ssrvlad_torch.encoding.encoder import (
-    BATCH,
-    BATCHES_OF_A_CHUNK,
-    describe_only,
-    encode_to_database,
-    read_only,
-)
-from ssrvlad_torch.encoding.workers import in_order
+from ssrvlad_torch.encoding.describer import BATCH, Describer, Item, read
+from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.results import EncodeOptions
 
 
 def encoding_rates(
     head: SSRVLAD, files: Sequence[FrameFile], workers: int, repetitions: int = 5
-) -> dict[str, Timing]:
-    """Times the halves and the whole in turn, over the same files with the same workers.
+) -> tuple[dict[str, Timing], list[float]]:
+    """Times the halves and the whole in turn, over the same files.
 
     Args:
         head: on the CPU.
-        files: label maps, best some thousands, that fit in memory together.
-        workers: number of processes of each way.
+        files: label maps, some thousands that fit in memory together.
+        workers: number of processes of the last way.
         repetitions: how often.
 
     Returns:
-        ``"decode"``, reading and digesting label maps; ``"encode"``, describing those that lie in
-        memory; ``"all"``, what `encode_to_database` does, writing and flushing among it.
+        ``"read"``, reading and digesting label maps; ``"describe"``, describing those that lie in
+        memory; ``"one"``, what `encode_to_database` does on one core, writing and flushing among
+        it; ``"all"``, the same by workers, from the first batch that is done. And the seconds
+        until that, in which the workers start.
     """
-    size = BATCH * BATCHES_OF_A_CHUNK
-    chunks = [files[first : first + size] for first in range(0, len(files), size)]
-    in_memory = [read_only(head, chunk) for chunk in chunks]
-
-    def describe(number: int) -> int:
-        return len(describe_only(head, in_memory[number]))
-
+    items = [Item(file) for file in files]
+    batches = [items[first : first + BATCH] for first in range(0, len(items), BATCH)]
+    ready = [read(head.label_space, batch) for batch in batches]
+    describer, starts = Describer(head), list[float]()
     ways: dict[str, Callable[[], object]] = {
-        "decode": lambda: sum(in_order(lambda c: len(read_only(head, c)), chunks, workers)),
-        "encode": lambda: sum(in_order(describe, range(len(chunks)), workers)),
-        "all": partial(_all, head, files, workers),
+        "read": lambda: [read(head.label_space, batch) for batch in batches],
+        "describe": lambda: [describer.describe(batch) for batch in ready],
+        "one": partial(_all, head, files, 0),
+        "all": lambda: starts.append(_all(head, files, workers)),
     }
-    return time_in_turn(ways, repetitions)
+    timings = time_in_turn(ways, repetitions)
+    starts = starts[-repetitions:]
+    whole = [a - b for a, b in zip(timings["all"].seconds, starts, strict=True)]
+    return {**timings, "all": Timing(tuple(whole))}, starts
 
 
-def _all(head: SSRVLAD, files: Sequence[FrameFile], workers: int) -> None:
+def _all(head: SSRVLAD, files: Sequence[FrameFile], workers: int) -> float:
+    """Encodes; the seconds until the first frame is done."""
+    began, first = time.perf_counter(), list[float]()
     with tempfile.TemporaryDirectory() as folder:
         database = Database.create(Path(folder) / "db", head.config)
-        encode_to_database(head, files, database, workers)
+
+        def progress(done: int) -> None:
+            if done and not first:
+                first.append(time.perf_counter() - began)
+
+        encode_to_database(head, files, database, EncodeOptions(workers, progress=progress))
+    return first[0]

@@ -16,6 +16,7 @@ from ..datasets.label_files import LabelFile, find_label_files, read_label_map
 from ..datasets.synthetic_city import write_city
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode_to_database, encode_to_memory
+from ..encoding.results import EncodeOptions
 from ..evaluation.ground_truth_files import from_file, of_known
 from ..evaluation.metrics import evaluate
 from ..files import empty_folder, replacing
@@ -69,7 +70,7 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     database = Database.create(out / "city.ssrdb", head.config)
     reference_files = find_label_files([str(city / "reference")])
     query_files = find_label_files([str(city / "query")])
-    encode_to_database(head, reference_files, database, progress=progress)
+    encode_to_database(head, reference_files, database, EncodeOptions(progress=progress))
     queries, _ = encode_to_memory(head, query_files, progress=progress)
     references = database.load()
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from rich.table import Table
 from torch import Tensor
 
-from ..encoding.encoder import Refusal
+from ..encoding.results import Skipped
 from ..evaluation.ground_truth_files import Known, of_known
 from ..evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ..evaluation.outcomes import judge
@@ -55,7 +55,7 @@ class Recognition:
     similarity: npt.NDArray[np.float32] | None = None
     descriptors: tuple[Tensor, Tensor] | None = None
     pictures: tuple[Pictures, Pictures] | None = None
-    refused: Sequence[Refusal] = ()
+    refused: Sequence[Skipped] = ()
     told: Mapping[str, Any] = field(default_factory=dict)
 
 

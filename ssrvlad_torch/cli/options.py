@@ -110,7 +110,10 @@ class SourceOptions:
             help="Folder that keeps the segmenter's label maps; ~/.cache/ssrvlad if not given."
         ),
     ] = None
-    workers: Workers = 2
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Processes that read and encode; as many as cores if not given."),
+    ] = None
 
     @property
     def takes_all(self) -> bool:

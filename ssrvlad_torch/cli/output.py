@@ -14,10 +14,10 @@ import typer
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from ..encoding.encoder import Refusal
+    from ..encoding.results import Skipped
 
 SOME_REFUSED = 3
-"""Exit code of a command that finished with some inputs refused."""
+"""Exit code of a command that finished with some inputs skipped."""
 
 _WIDE = 200
 
@@ -103,11 +103,11 @@ def interval(ends: Sequence[float]) -> str:
     return "-" if math.isnan(ends[0]) else f"{ends[0]:.3f} to {ends[1]:.3f}"
 
 
-def finish(refused: Sequence[Refusal]) -> None:
-    """Ends a command that did all it could: names what was refused, and exits with code 3."""
-    for refusal in refused:
-        note(f"refused {refusal.frame}: {refusal.reason}")
-    if refused:
+def finish(skipped: Sequence[Skipped]) -> None:
+    """Ends a command that did all it could: names what was skipped, and exits with code 3."""
+    for frame in skipped:
+        note(f"skipped {frame.frame}: {frame.reason}")
+    if skipped:
         raise typer.Exit(SOME_REFUSED)
 
 

@@ -22,6 +22,7 @@ from ..database.frames import FrameSet
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
+from ..encoding.results import cores
 from ..evaluation.metrics import Convention
 from ..recognition.matching import Matches, match
 from ..taxonomy import label_space
@@ -93,7 +94,7 @@ def by_method(
     here = source.label_files() if labelled else source.image_files()
     labels_as = source.labels_as if labelled else None
     all_pairs = wants_similarity(convention) or page is not None
-    found = recognise(method, there, here, labels_as, source.given.workers, all_pairs)
+    found = recognise(method, there, here, labels_as, source.given.workers or cores(), all_pairs)
     pictures = pictures_of_files(here, labels_as), pictures_of_files(there, labels_as)
     return dataclasses.replace(found, pictures=pictures)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,8 @@ from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
 from ..descriptor import SSRVLAD
-from ..encoding.encoder import Refusal, encode_to_memory
+from ..encoding.encoder import encode_to_memory
+from ..encoding.results import Skipped
 from ..recognition.matching import temporal_sum
 from ..segmentation.segmenter import Segmenter
 from .options import SourceOptions
@@ -64,14 +65,20 @@ class Source:
         """The same, of a data set only the frames with a pose."""
         return dataclasses.replace(self, dataset=self.dataset and self.dataset.posed())
 
-    def frames(self, labels_as: str) -> tuple[list[FrameFile], Segmenter | None]:
+    def frames(
+        self, labels_as: str, known: Mapping[str, str] | None = None
+    ) -> tuple[list[FrameFile], Segmenter | None]:
         """The frames, and what makes label maps of them if they are images.
+
+        Args:
+            labels_as: label space of the label maps.
+            known: names that folders have already, see `names_of`.
 
         Raises:
             ValueError: there are none, or the segmenter cannot be used.
         """
         segmenter = self.segmenter(labels_as)
-        return self.image_files() if segmenter else self.label_files(), segmenter
+        return self.image_files(known) if segmenter else self.label_files(known), segmenter
 
     def segmenter(self, labels_as: str) -> Segmenter | None:
         """What makes label maps of images, if one was given.
@@ -86,13 +93,13 @@ class Source:
             return None
         return Segmenter.load(network, labels_as, cache or _user_cache())
 
-    def label_files(self) -> list[FrameFile]:
+    def label_files(self, known: Mapping[str, str] | None = None) -> list[FrameFile]:
         """The frames that are label maps."""
         given = self.given
         if self.dataset:
             return self.dataset.label_files(given.every, given.start)
         try:
-            return find_label_files(given.paths, given.sequence, given.every, given.start)
+            return find_label_files(given.paths, given.sequence, given.every, given.start, known)
         except ValueError:
             if not _any(find_label_files, given.paths) and _any(find_image_files, given.paths):
                 raise ValueError(
@@ -101,12 +108,12 @@ class Source:
                 ) from None
             raise
 
-    def image_files(self) -> list[FrameFile]:
+    def image_files(self, known: Mapping[str, str] | None = None) -> list[FrameFile]:
         """The frames that are images."""
         given = self.given
         if self.dataset:
             return self.dataset.image_files(given.every, given.start)
-        return find_image_files(given.paths, given.sequence, given.every, given.start)
+        return find_image_files(given.paths, given.sequence, given.every, given.start, known)
 
 
 def load_references(
@@ -125,8 +132,8 @@ def load_references(
     return frames
 
 
-def encode_queries(database: Database, source: Source) -> tuple[FrameSet, list[Refusal]]:
-    """Frames encoded with the settings of a database, and the refused ones; of a source that is
+def encode_queries(database: Database, source: Source) -> tuple[FrameSet, list[Skipped]]:
+    """Frames encoded with the settings of a database, and the skipped ones; of a source that is
     another database, its frames.
 
     Raises:

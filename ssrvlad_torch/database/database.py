@@ -95,6 +95,11 @@ class KnownFrames(Mapping[str, FrameRecord]):
     def __iter__(self) -> Iterator[str]:
         return iter(self._rows)
 
+    def column(self, name: str) -> list[Any]:
+        """One attribute of all records, in their order."""
+        values: list[Any] = self._columns[OF_A_RECORD.index(name)].to_pylist()
+        return values
+
     def __len__(self) -> int:
         return len(self._rows)
 

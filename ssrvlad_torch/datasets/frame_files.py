@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import glob
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -13,33 +13,14 @@ from typing import TypeVar
 from numpy.lib.format import open_memmap
 
 from ..database.frames import natural_key
-from ..files import absolute_folder
-from .poses import UNKNOWN, Pose, find_poses
+from .frame_file import FrameFile
+from .names import absolute, is_uri, names_of
+from .poses import UNKNOWN, find_poses
+from .remote_files import remote_files
+
+__all__ = ["FileKind", "FrameFile", "find_frames", "is_npy", "read_ahead"]
 
 Content = TypeVar("Content")
-
-
-@dataclass(frozen=True)
-class FrameFile:
-    """One frame on disk, a label map or an image.
-
-    Attributes:
-        sequence, name: the frame's id is ``<sequence>/<name>``.
-        path: the file.
-        row: which frame of a ``.npy`` stack, ``None`` for a file that holds one.
-        pose: from ``poses.csv``, NaN where there is none.
-    """
-
-    sequence: str
-    name: str
-    path: Path
-    row: int | None = None
-    pose: Pose = UNKNOWN
-
-    @property
-    def frame(self) -> str:
-        """The frame's id."""
-        return f"{self.sequence}/{self.name}"
 
 
 @dataclass(frozen=True)
@@ -63,42 +44,52 @@ def find_frames(
     sequence: str | None = None,
     every: int = 1,
     start: int = 0,
+    known: Mapping[str, str] | None = None,
 ) -> list[FrameFile]:
-    """The frames of some sources, sorted by sequence and name as a person would.
+    """The frames of some sources: sequences in the order of the sources, which is the order of
+    time; of a glob, and the frames of a sequence, by name as a person would sort them.
 
     Args:
         kind: which files are frames.
-        sources: folders, files or globs. The files of a folder are one sequence with the folder's
-            name; hidden ones are passed over. A glob that matches no frame stands for the folders
-            that it matches. A ``.npy`` stack given by itself is a sequence with the file's name.
+        sources: folders, files, globs, or URIs of folders that pyarrow can reach, as
+            ``s3://bucket/monday``. The files of a folder are one sequence, named by the shortest
+            path that tells the folders apart; hidden ones are passed over. A glob that matches no
+            frame stands for the folders that it matches. A ``.npy`` stack given by itself is a
+            sequence named by the file; in the folder of a URI there are none.
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
+        known: names that folders have already, see `names_of`.
 
     Raises:
-        ValueError: a source holds no frames, two folders give the same frame, or ``every`` or
-            ``start`` is out of range.
+        ValueError: a source holds no frames, two folders give the same frame, ``every`` or
+            ``start`` is out of range, or a URI is of no kind that pyarrow knows.
+        OSError: the folder of a URI cannot be read.
     """
     if every < 1 or start < 0:
         raise ValueError(f"wanted every >= 1 and start >= 0, got {every} and {start}")
+    files = [file for source in sources for file in _expand(source, kind)]
+    names = {} if sequence else names_of(dict.fromkeys(file.folder for file in files), known)
     found: dict[str, FrameFile] = {}
-    for source in sources:
-        for file in _with_poses(_expand(source, sequence, kind)):
-            earlier = found.setdefault(file.frame, file)
-            if earlier is not file and not _is_same(earlier, file):
-                raise ValueError(
-                    f"frame {file.frame!r} is both {earlier.path} and {file.path}; "
-                    "give one of them another --sequence"
-                )
+    for file in files:
+        named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))
+        earlier = found.setdefault(named.frame, named)
+        if earlier is not named and not _is_same(earlier, named):
+            raise ValueError(
+                f"frame {named.frame!r} is both {earlier.place} and {named.place}; "
+                "give one of them another --sequence"
+            )
     by_sequence: dict[str, list[FrameFile]] = {}
-    for file in sorted(
-        found.values(), key=lambda f: (natural_key(f.sequence), natural_key(f.name))
-    ):
+    for file in found.values():
         by_sequence.setdefault(file.sequence, []).append(file)
-    kept = [file for files in by_sequence.values() for file in files[start::every]]
+    kept = [
+        file
+        for members in by_sequence.values()
+        for file in sorted(members, key=lambda file: natural_key(file.name))[start::every]
+    ]
     if not kept:
         longest = max(map(len, by_sequence.values()))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return kept
+    return list(_with_poses(kept))
 
 
 def read_ahead(
@@ -132,14 +123,17 @@ def is_npy(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 
 
-def _expand(source: str, sequence: str | None, kind: FileKind) -> list[FrameFile]:
+def _expand(source: str, kind: FileKind) -> list[FrameFile]:
+    if is_uri(source):
+        return remote_files(source, kind.name, kind.suffixes)
     path = Path(source)
     matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
     if not matches:
         raise ValueError(f"{source} does not exist and matches no file")
     for folders in (False, True):
         places = [match for match in matches if match.is_dir() == folders]
-        files = [file for place in places for file in _frames_at(place, sequence, kind)]
+        places.sort(key=lambda place: natural_key(str(place)))
+        files = [file for place in places for file in _frames_at(place, kind)]
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; wanted {', '.join(kind.suffixes)} files")
@@ -149,27 +143,28 @@ def _is_same(one: FrameFile, other: FrameFile) -> bool:
     return (one.path.resolve(), one.row) == (other.path.resolve(), other.row)
 
 
-def _frames_at(place: Path, sequence: str | None, kind: FileKind) -> Iterator[FrameFile]:
+def _frames_at(place: Path, kind: FileKind) -> Iterator[FrameFile]:
     """The frames of a folder or a file. A link to nothing is a frame, refused when it is read."""
-    if place.is_dir():
-        for entry in place.iterdir():
-            if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
-                yield from _frames(entry, sequence, kind)
-    else:
-        stack = is_npy(place) and _stack_length(place, kind) is not None
-        yield from _frames(place, sequence or (place.stem if stack else None), kind)
+    if not place.is_dir():
+        yield from _frames(place, kind, absolute(place.parent), alone=True)
+        return
+    folder = absolute(place)
+    for entry in place.iterdir():
+        if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
+            yield from _frames(entry, kind, folder, alone=False)
 
 
-def _frames(path: Path, sequence: str | None, kind: FileKind) -> Iterator[FrameFile]:
+def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[FrameFile]:
+    """The frames of a file; one stack by itself is a sequence."""
     if path.suffix.lower() not in kind.suffixes:
         return
-    sequence = sequence or absolute_folder(path.parent).name
     length = _stack_length(path, kind) if is_npy(path) else None
     if length is None:
-        yield FrameFile(sequence, path.stem, path)
-    else:
-        for row in range(length):
-            yield FrameFile(sequence, f"{path.stem}-{row:06d}", path, row)
+        yield FrameFile("", path.stem, path, folder=folder)
+        return
+    folder = absolute(path.with_suffix("")) if alone else folder
+    for row in range(length):
+        yield FrameFile("", f"{path.stem}-{row:06d}", path, row, folder=folder)
 
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:
@@ -184,9 +179,14 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
 
 def _with_poses(files: list[FrameFile]) -> Iterator[FrameFile]:
     """The files with the poses of their ids, of ``<folder>/<name>``, or of their bare names."""
-    poses = {folder: find_poses(folder) for folder in {file.path.parent for file in files}}
+    folders = {file.local_folder for file in files} - {None}
+    poses = {folder: find_poses(folder) for folder in folders if folder}
+    names = {folder: Path(absolute(folder)).name for folder in poses}
     for file in files:
-        known, folder = poses[file.path.parent], absolute_folder(file.path.parent).name
-        ids = (file.frame, f"{folder}/{file.name}", file.name)
+        if (folder := file.local_folder) is None:
+            yield file
+            continue
+        known = poses[folder]
+        ids = (file.frame, f"{names[folder]}/{file.name}", file.name)
         pose = next((known[frame] for frame in ids if frame in known), UNKNOWN)
         yield replace(file, pose=pose)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.format import MAGIC_PREFIX, open_memmap, write_array
+from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from ..files import one_line
@@ -23,28 +23,15 @@ Pixels = npt.NDArray[np.uint8]
 
 
 def find_image_files(
-    sources: Sequence[str], sequence: str | None = None, every: int = 1, start: int = 0
+    sources: Sequence[str],
+    sequence: str | None = None,
+    every: int = 1,
+    start: int = 0,
+    known: Mapping[str, str] | None = None,
 ) -> list[FrameFile]:
     """The images of some sources; see `find_frames`. A ``.npy`` stack of them has rank 4."""
     kind = FileKind("images", SUFFIXES, stack_rank=4)
-    return find_frames(kind, sources, sequence, every, start)
-
-
-def image_bytes(file: FrameFile) -> bytes:
-    """The bytes of an image file; of a row of a stack, the ``.npy`` file that it would be alone.
-
-    Raises:
-        ValueError: the file is missing or cannot be read, or has a name that is no text.
-    """
-    try:
-        file.frame.encode()
-        if file.row is None:
-            return file.path.read_bytes()
-        content = io.BytesIO()
-        write_array(content, open_memmap(file.path, mode="r")[file.row], allow_pickle=False)
-        return content.getvalue()
-    except Exception as error:  # what damaged bytes raise has no bounds
-        raise ValueError(one_line(error)) from error
+    return find_frames(kind, sources, sequence, every, start, known)
 
 
 def decode_image(content: bytes) -> Pixels:
@@ -73,7 +60,7 @@ def decode_image(content: bytes) -> Pixels:
 
 def read_image(file: FrameFile) -> Pixels:
     """An image on disk, ``(H, W, 3)`` uint8; see `decode_image`."""
-    return decode_image(image_bytes(file))
+    return decode_image(file.read())
 
 
 def _decode_npy(content: bytes) -> Pixels:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from pathlib import Path
+import io
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.format import open_memmap
-from PIL import Image
+from numpy.lib.format import MAGIC_PREFIX, read_array
+from PIL import Image, UnidentifiedImageError
 from PIL.ImageFile import ImageFile
 
 from ..files import one_line
@@ -28,11 +28,15 @@ LabelMap = npt.NDArray[np.integer[Any]]
 
 
 def find_label_files(
-    sources: Sequence[str], sequence: str | None = None, every: int = 1, start: int = 0
+    sources: Sequence[str],
+    sequence: str | None = None,
+    every: int = 1,
+    start: int = 0,
+    known: Mapping[str, str] | None = None,
 ) -> list[LabelFile]:
     """The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
     kind = FileKind("label maps", SUFFIXES, stack_rank=3)
-    return find_frames(kind, sources, sequence, every, start)
+    return find_frames(kind, sources, sequence, every, start, known)
 
 
 def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
@@ -49,9 +53,12 @@ def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
         ValueError: the file is missing, damaged, of another kind, has a name that is no text, or
             holds a colour that the label space does not have; the message says which.
     """
+    content = file.read()
     try:
-        file.frame.encode()
-        labels = _read_npy(file) if is_npy(file.path) else _read_image(file.path, space)
+        is_array = is_npy(file.path) or content.startswith(MAGIC_PREFIX)
+        labels = _decode_npy(content) if is_array else _decode_image(content, space)
+    except UnidentifiedImageError as error:
+        raise ValueError(f"cannot identify the image; wanted {', '.join(_FORMATS)}") from error
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
         raise ValueError(one_line(error)) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
@@ -60,11 +67,12 @@ def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
 
 
 def digest(labels: LabelMap) -> str:
-    """BLAKE2b-128 of a label map: its ids and its shape, whatever file format held them."""
-    smallest = labels.astype(np.int64 if labels.min() < 0 or labels.max() > 255 else np.uint8)
-    content = hashlib.blake2b(str(labels.shape).encode(), digest_size=16)
-    content.update(np.ascontiguousarray(smallest).tobytes())
-    return content.hexdigest()
+    """128 bits of SHA-256 of a label map: its ids and its shape, whatever file format held them."""
+    if labels.dtype != np.uint8:
+        labels = labels.astype(np.int64 if labels.min() < 0 or labels.max() > 255 else np.uint8)
+    content = hashlib.sha256(str(labels.shape).encode())
+    content.update(np.ascontiguousarray(labels).data)
+    return content.hexdigest()[:32]
 
 
 def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
@@ -75,18 +83,18 @@ def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
     return labels.astype(labels.dtype.newbyteorder("="), copy=False)
 
 
-def _read_npy(file: LabelFile) -> npt.NDArray[Any]:
-    array = open_memmap(file.path, mode="r")
-    return np.array(array if file.row is None else array[file.row])
+def _decode_npy(content: bytes) -> npt.NDArray[Any]:
+    array: npt.NDArray[Any] = read_array(io.BytesIO(content), allow_pickle=False)
+    return array
 
 
-def _read_image(path: Path, space: LabelSpace) -> npt.NDArray[Any]:
-    with Image.open(path, formats=_FORMATS) as image:
+def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
+    with _opened(content) as image:
         image.verify()  # the checksums of PNG, which decoding passes over
-    with Image.open(path, formats=_FORMATS) as image:
+    with _opened(content) as image:
         raw_mode = _raw_mode(image)
         if image.format == "PNG" and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
-            return _first_of_sixteen_bit_channels(path, raw_mode)
+            return _first_of_sixteen_bit_channels(content, raw_mode)
         if image.mode in ("L", "LA", "RGB", "RGBA") and ";" in raw_mode:
             raise ValueError(
                 f"pixels stored as {raw_mode} would be read scaled; wanted gray of 8 or 16 bits, "
@@ -102,18 +110,22 @@ def _read_image(path: Path, space: LabelSpace) -> npt.NDArray[Any]:
         raise ValueError(f"wanted a label image, got an image of mode {image.mode}")
 
 
+def _opened(content: bytes) -> ImageFile:
+    return Image.open(io.BytesIO(content), formats=_FORMATS)
+
+
 def _raw_mode(image: ImageFile) -> str:
     """How the file stores a pixel, in Pillow's words: the decoder's argument, or its first."""
     arguments = image.tile[0].args if image.tile else ""
     return str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
 
 
-def _first_of_sixteen_bit_channels(path: Path, raw_mode: str) -> npt.NDArray[Any]:
+def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray[Any]:
     """Pillow reads 16-bit channels as their high bytes; read again as if the bytes were swapped
     it gives the low ones. Of gray with alpha, read as four bytes, the second is the low one."""
-    with Image.open(path) as image:
+    with _opened(content) as image:
         high = np.asarray(image)[..., 0].astype(np.uint16)
-    with Image.open(path) as image:
+    with _opened(content) as image:
         image.tile = [tile._replace(args=_SIXTEEN_BIT_LOW_BYTE[raw_mode]) for tile in image.tile]
         low = np.asarray(image)[..., 1 if raw_mode == "LA;16B" else 0]
     return np.asarray(high << 8 | low)

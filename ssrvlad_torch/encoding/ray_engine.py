@@ -5,150 +5,159 @@ from __future__ import annotations
 import logging
 import os
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 
-from ..config import SSRVLADConfig
 from ..database.database import Database, Written
-from ..datasets.frame_files import FrameFile
-from ..datasets.remote_files import RemoteFile
+from ..datasets.frame_file import FrameFile
+from ..datasets.names import absolute, is_uri
 from ..descriptor import SSRVLAD
 from ..files import one_line
-from ..taxonomy import label_space
-from . import encoder as encoding
-from .encoder import Encoded, Progress, Refusal, Summary, encode, encode_to_database
+from .describer import Described, Describer, Item
+from .encoder import encoded
+from .interruption import deferred_interruption
+from .plan import NEW, Plan
+from .results import EncodeOptions, Skipped, Summary, cores
+from .writer import Writer
+
+PART = 1024
+"""Frames that are encoded and written together."""
 
 _Batch = dict[str, Any]
 
 
+class Part(NamedTuple):
+    """What became of some frames.
+
+    Attributes:
+        results: of all but those written.
+        written: new frames, in files of the database that do not count yet.
+        empty: how many of those written are empty.
+    """
+
+    results: list[Described | Skipped]
+    written: Written | None = None
+    empty: int = 0
+
+
 def encode_with_ray(
-    config: SSRVLADConfig,
+    head: SSRVLAD,
     files: Sequence[FrameFile],
     database: Database,
-    workers: int = 2,
-    progress: Progress | None = None,
-    complete: bool = False,
-    prune: bool = False,
-    refuse: Callable[[Refusal], None] | None = None,
+    options: EncodeOptions | None = None,
 ) -> Summary:
-    """Encodes the frames that a database lacks with Ray, and adds them in one commit.
+    """Encodes frames as `encode_to_database` does, by Ray.
 
-    The files and the database must be where every node of the cluster finds them. What is to
-    become one part is one row of a Ray data set: an actor encodes and writes it. Nothing counts
-    until the driver commits all at the end, or when the run is interrupted; what a lost worker had
-    in hand is done again. Frames whose file has changed are encoded here.
+    The files and the database must be where every node of the cluster finds them. Actors encode
+    new frames and write them as files of the database; here these are committed from time to time,
+    and at the end or when the run is interrupted. What a lost actor had in hand is done again by
+    another. Frames that take the place of others are sent here and committed here.
 
     Args:
-        config: must have the database's fingerprint.
-        files: from `find_label_files` or `find_remote_files`.
+        head: its settings must have the database's fingerprint.
+        files: from `find_label_files`.
         database: where the raw descriptors go.
-        workers: number of actors, one core each.
-        progress, complete, prune, refuse: as for `encode_to_database`.
+        options: how; ``workers`` are actors, one core each.
 
     Raises:
-        ValueError: the fingerprints differ.
+        ValueError: as for `encode_to_database`.
         ImportError: the extra ``ray`` is not installed.
         OSError: the database cannot be written, or Ray gave up.
     """
     _need_ray()
-    database.require(config)
-    tell, parts, empty = progress or (lambda _done: None), list[Written](), 0
-    known, origin = database.known(), database.add_origin(label_space(config.labels_as))
-    fresh = [file for file in files if file.frame not in known]
-    try:
-        for part, zeros in _parts(config, fresh, database, origin, workers):
-            parts.append(part)
-            empty += zeros
-            tell(len(part.frames))
-    finally:
-        database.adopt(parts)
-    added = sum(len(part.frames) for part in parts)
-    summary = encode_to_database(
-        SSRVLAD(config), files, database,
-        0 if any(isinstance(file, RemoteFile) for file in files) else workers,
-        _all_but(added, tell), None, complete, prune, refuse,
-    )  # fmt: skip
-    summary.encoded += added
-    summary.already_there -= added
-    summary.empty += empty
-    return summary
+    options = options or EncodeOptions()
+    database.require(head.config)
+    with deferred_interruption() as check:
+        origin = database.add_origin(head.label_space)
+        plan = Plan.of(files, database, database.origins[origin])
+        options.progress(plan.already_there)
+        place = database.path if is_uri(database.path) else absolute(Path(database.path))
+        encoder = PartEncoder(Describer(head, origin), place)
+        with Writer(database, plan, options) as writer:
+            for part in _parts(encoder, plan, options.workers or cores()):
+                if part.written:
+                    writer.add_written(part.written, part.empty)
+                for result in part.results:
+                    writer.add(encoded(result))
+                check()
+        return writer.finish()
 
 
 class PartEncoder:
-    """Encodes the files of a part and writes its rows; what `map_batches` makes an actor of."""
+    """Encodes the files of a part, and writes those that are new.
 
-    def __init__(self, config: SSRVLADConfig, path: str, origin: str) -> None:
+    Args:
+        describer: what encodes.
+        database: where the database is, for every node.
+    """
+
+    def __init__(self, describer: Describer, database: str) -> None:
+        self.describer = describer
+        self.database = database
+
+    def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
+        """What becomes of the files of a part, whose frames are all new or all not."""
+        results = self.describer([Item(file) for file in files])
+        described = [result for result in results if isinstance(result, Described)]
+        if not new or not described:
+            return Part(results)
+        descriptors = np.stack([result.descriptor for result in described])
+        records = [result.record for result in described]
+        written = Database.open(self.database).write_apart(records, descriptors)
+        skipped = [result for result in results if isinstance(result, Skipped)]
+        return Part([*skipped], written, int((~descriptors.any(axis=1)).sum()))
+
+
+class Actor:
+    """What `map_batches` makes an actor of: pickled files in, a pickled `Part` or an error out."""
+
+    def __init__(self, encoder: PartEncoder) -> None:
         torch.set_num_threads(1)
-        self.head = SSRVLAD(config)
-        self.database, self.origin = Database.open(path), origin
+        self.encode = encoder
 
     def __call__(self, batch: _Batch) -> _Batch:
-        """Files, pickled, to what `Database.adopt` takes, the number of zeros, and an error."""
-        results = [self._write(pickle.loads(files)) for files in batch["files"]]
-        written, empty, error = zip(*results, strict=True)
-        return {"written": list(written), "empty": list(empty), "error": list(error)}
-
-    def _write(self, files: Sequence[FrameFile]) -> tuple[bytes, int, str]:
-        results = encode(self.head, files, workers=0)
-        frames = [result for result in results if isinstance(result, Encoded)]
-        if not frames:
-            return pickle.dumps(Written((), ())), 0, ""
-        descriptors = torch.stack([frame.descriptor for frame in frames])
-        records = [frame.record._replace(origin=self.origin) for frame in frames]
+        """A batch of one part."""
+        [files], [new] = batch["files"], batch["new"]
         try:
-            written = self.database.write_apart(records, descriptors)
-        except OSError as refusal:
-            return b"", 0, one_line(refusal)
-        return pickle.dumps(written), int((~descriptors.any(dim=1)).sum()), ""
+            part: Part | OSError = self.encode(pickle.loads(files), bool(new))
+        except OSError as error:  # of the disk: trying again does not help
+            part = OSError(one_line(error))
+        return {"part": [pickle.dumps(part)]}
 
 
-def _parts(
-    config: SSRVLADConfig,
-    files: Sequence[FrameFile],
-    database: Database,
-    origin: str,
-    workers: int,
-) -> Iterator[tuple[Written, int]]:
-    """What Ray makes of files as it is written, and how many frames of it are empty."""
+def _parts(encoder: PartEncoder, plan: Plan, workers: int) -> Iterator[Part]:
+    """What Ray makes of the files of a plan, as it is done."""
     import ray.data
 
-    firsts = range(0, len(files), encoding.PART_ROWS)
-    if not firsts:
+    rows = [
+        {"files": pickle.dumps(files[first : first + PART]), "new": new}
+        for new in (True, False)
+        for files in [[file for file in plan.files if (plan.reasons[file.frame] == NEW) == new]]
+        for first in range(0, len(files), PART)
+    ]
+    if not rows:
         return
-    rows = [{"files": pickle.dumps(files[n : n + encoding.PART_ROWS])} for n in firsts]
-    path = str(Path(database.path).absolute())
     _quiet_ray()
-    encoded = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
-        PartEncoder,
-        fn_constructor_args=(config, path, origin),
+    parts = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
+        Actor,
+        fn_constructor_args=(encoder,),
         batch_size=1,
         compute=ray.data.ActorPoolStrategy(size=max(1, min(workers, len(rows)))),
         num_cpus=1,
     )
     try:
-        for row in encoded.iter_rows():
-            if row["error"]:
-                raise OSError(row["error"])
-            yield pickle.loads(row["written"]), row["empty"]
+        for row in parts.iter_rows():
+            part = pickle.loads(row["part"])
+            if isinstance(part, OSError):
+                raise part
+            yield part
     except ray.exceptions.RayError as error:
         cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
         raise OSError(f"Ray gave up: {one_line(cause)}") from error
-
-
-def _all_but(already_told: int, tell: Progress) -> Progress:
-    """Progress that passes over so many frames first."""
-    left = already_told
-
-    def advance(done: int) -> None:
-        nonlocal left
-        passed = min(left, done)
-        left -= passed
-        tell(done - passed)
-
-    return advance
 
 
 def _need_ray() -> None:

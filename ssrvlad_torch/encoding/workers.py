@@ -1,40 +1,45 @@
-"""Work on many items in worker processes: in order, and never many of them in memory."""
+"""Work on many items in processes of their own: in order, and never many of them in memory.
+
+A worker is this Python run anew, with a pipe for each direction. It reads pickled items from the
+one and writes pickled results to the other. Nothing is forked, so it does not matter what threads
+run here, and it is the same on every system. When this process ends, however it ends, its ends of
+the pipes close, and the worker reads the end of its file and ends too.
+"""
 
 from __future__ import annotations
 
+import os
+import pickle
+import queue
 import signal
-import warnings
+import subprocess
+import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import Any, TypeVar
-
-from torch.utils.data import DataLoader, Dataset
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack
+from typing import IO, Any, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-_AHEAD = 4
-"""Items that wait for a worker or have been worked on, for each worker."""
+_AHEAD = 2
+"""Items that wait for a worker or are worked on, for each worker."""
 
 
 def in_order(
-    work: Callable[[Item], Result],
-    items: Iterable[Item],
-    workers: int,
-    begin: Callable[[], None] | None = None,
+    work: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Iterator[Result]:
     """What work makes of items, in their order.
 
-    The workers are forked, so ``work`` need not be picklable, but items and results must be.
-    They compute with one thread each, as a data loader's do. Items are taken from their iterable
-    here, while the workers are busy with earlier ones; where that raises, the error comes after
-    the results of all items before it. Workers pass over Ctrl-C: whoever consumes
-    the results decides what becomes of it. They end with this process, however that ends.
+    Items are taken from their iterable here, while the workers are busy with earlier ones. Where
+    that raises, the error comes after the results of all items before it. Workers pass over
+    Ctrl-C: whoever consumes the results decides what becomes of it.
 
     Args:
-        work: what is done with an item.
+        work: what is done with an item. It, the items and the results must be picklable.
         items: taken one by one, some ahead of what is worked on.
         workers: number of processes; with 0 or 1 the work is done here.
-        begin: called first in each worker.
 
     Raises:
         ChildProcessError: a worker was killed.
@@ -42,62 +47,96 @@ def in_order(
     if workers <= 1:
         yield from map(work, items)
         return
+    with ExitStack() as stack:
+        pool = stack.enter_context(ThreadPoolExecutor(workers))  # a thread waits for each worker
+        idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
+        for _ in range(workers):
+            worker = _Worker(work)
+            stack.callback(worker.end)
+            idle.put(worker)
+        stack.callback(pool.shutdown, wait=False, cancel_futures=True)
 
-    def begin_worker(_number: int) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if begin:
-            begin()
+        def run(item: Item) -> Result:
+            worker = idle.get()
+            try:
+                result: Result = worker(item)
+            finally:
+                idle.put(worker)
+            return result
 
-    errors: list[BaseException] = []
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "This DataLoader will create", UserWarning)
-        loader = DataLoader(
-            _Work(work),
-            batch_size=None,
-            sampler=_until_error(items, errors),
-            num_workers=workers,
-            prefetch_factor=_AHEAD,
-            collate_fn=_as_it_is,
-            worker_init_fn=begin_worker,
-            multiprocessing_context="fork",
-        )
-        results = iter(loader)
-    yield from _until_killed(results)
-    for cause in errors:
-        raise cause
-
-
-def _until_killed(results: Iterator[Result]) -> Iterator[Result]:
-    """Results of workers, and what became of these in plain words."""
-    try:
-        yield from results
-    except RuntimeError as error:
-        if "exited unexpectedly" not in str(error):
+        pending: deque[Future[Result]] = deque()
+        try:
+            for item in items:
+                pending.append(pool.submit(run, item))
+                while len(pending) > _AHEAD * workers or (pending and pending[0].done()):
+                    yield pending.popleft().result()
+        except GeneratorExit:
             raise
-        raise ChildProcessError(
-            "a worker process was killed, perhaps because memory ran out; run again to go on"
-        ) from error
+        except BaseException:
+            while pending:
+                yield pending.popleft().result()
+            raise
+        while pending:
+            yield pending.popleft().result()
 
 
-class _Work(Dataset[Any]):
-    """A data set whose index is an item and whose entry is what the work makes of it."""
+class _Worker:
+    """A process that does one kind of work."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:
-        self.work = work
+        program = f"import sys; sys.path[:] = {sys.path!r}; import {__name__} as w; w.serve()"
+        self._process = subprocess.Popen(
+            [sys.executable, "-c", program],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env={**os.environ, "OMP_NUM_THREADS": "1"},
+            start_new_session=True,  # Ctrl-C in a terminal is for the parent
+        )
+        self._send = _put_in(self._process.stdin)
+        self._send(work)
 
-    def __getitem__(self, item: Any) -> Any:
-        return self.work(item)
+    def __call__(self, item: Any) -> Any:
+        try:
+            self._send(item)
+            assert self._process.stdout
+            succeeded, result = pickle.load(self._process.stdout)
+        except (EOFError, BrokenPipeError, pickle.UnpicklingError) as error:
+            raise ChildProcessError(
+                "a worker process was killed, perhaps because memory ran out; run again to go on"
+            ) from error
+        if not succeeded:
+            raise result
+        return result
+
+    def end(self) -> None:
+        """Ends the process; what it has in hand is lost."""
+        self._process.kill()
+        self._process.communicate()
 
 
-def _until_error(items: Iterable[Item], errors: list[BaseException]) -> Iterator[Item]:
-    """Items up to the first that cannot be had; why goes to the errors."""
+def serve() -> None:
+    """A worker's life: work from standard input, then items, until there are no more."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    source, send = sys.stdin.buffer, _put_in(os.fdopen(os.dup(1), "wb"))
+    os.dup2(2, 1)  # what libraries print must not come between the results
     try:
-        yield from items
-    except GeneratorExit:
-        raise
-    except BaseException as error:
-        errors.append(error)
+        work = pickle.load(source)
+        while True:
+            item = pickle.load(source)
+            try:
+                answer = True, work(item)
+            except Exception as error:
+                answer = False, error
+            send(answer)
+    except (EOFError, BrokenPipeError):
+        os._exit(0)
 
 
-def _as_it_is(result: Result) -> Result:
-    return result
+def _put_in(stream: IO[bytes] | None) -> Callable[[Any], None]:
+    assert stream
+
+    def put(value: Any) -> None:
+        stream.write(pickle.dumps(value, pickle.HIGHEST_PROTOCOL))
+        stream.flush()
+
+    return put

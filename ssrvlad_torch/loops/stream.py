@@ -16,7 +16,8 @@ from ..database.database import Database
 from ..datasets.frame_files import FrameFile
 from ..datasets.poses import UNKNOWN, find_poses
 from ..descriptor import SSRVLAD
-from ..encoding.encoder import Encoded, Refusal, encode
+from ..encoding.encoder import encode
+from ..encoding.results import Encoded, Skipped
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest
 from ..evaluation.outcomes import Rows
 from ..files import absolute_folder
@@ -56,9 +57,9 @@ def open_detector(
 def encode_files(
     detector: LoopDetector,
     files: Sequence[FrameFile],
-    workers: int = 2,
+    workers: int | None = None,
     segmenter: Segmenter | None = None,
-) -> Iterator[Encoded | Refusal]:
+) -> Iterator[Encoded | Skipped]:
     """Encodes the files whose frames a detector does not know yet; see `encoding.encode`."""
     fresh = [file for file in files if file.frame not in detector]
     return encode(detector.head, fresh, workers, segmenter)
@@ -69,7 +70,7 @@ def encode_as_they_come(
     names: Iterable[str],
     sequence: str | None = None,
     segmenter: Segmenter | None = None,
-) -> Iterator[Encoded | Refusal]:
+) -> Iterator[Encoded | Skipped]:
     """Encodes files one by one, each as soon as its name is there.
 
     Frames that the detector knew at the start are passed over. Poses come from the ``poses.csv``
@@ -94,7 +95,7 @@ def encode_as_they_come(
         try:
             there = poses(path.parent)
         except ValueError as error:
-            yield Refusal(file.frame, str(error))
+            yield Skipped(file.frame, str(error))
             continue
         ids = (file.frame, f"{folder}/{file.name}", file.name)
         pose = next((there[frame] for frame in ids if frame in there), UNKNOWN)
@@ -102,8 +103,8 @@ def encode_as_they_come(
 
 
 def detect_loops(
-    detector: LoopDetector, frames: Iterable[Encoded | Refusal], database: Database | None = None
-) -> Generator[LoopResult | Refusal]:
+    detector: LoopDetector, frames: Iterable[Encoded | Skipped], database: Database | None = None
+) -> Generator[LoopResult | Skipped]:
     """Shows frames to a detector, in order; a frame that it does not take is refused.
 
     Args:
@@ -114,7 +115,7 @@ def detect_loops(
     """
     try:
         for frame in frames:
-            yield frame if isinstance(frame, Refusal) else _observe(detector, frame)
+            yield frame if isinstance(frame, Skipped) else _observe(detector, frame)
             if database is not None and len(detector) >= len(database) + CHECKPOINT_FRAMES:
                 detector.save(database)
     finally:
@@ -167,8 +168,8 @@ def report(
     return told
 
 
-def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Refusal:
+def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Skipped:
     try:
         return detector.observe(frame.record, frame.descriptor)
     except ValueError as error:
-        return Refusal(frame.record.frame, str(error))
+        return Skipped(frame.record.frame, str(error))

@@ -20,7 +20,7 @@ from torch import Tensor, nn
 
 from ..class_names import label_space_of_names
 from ..datasets.frame_files import FrameFile, read_ahead
-from ..datasets.image_files import Pixels, decode_image, image_bytes
+from ..datasets.image_files import Pixels, decode_image
 from ..datasets.label_files import LabelMap
 from ..files import one_line
 from ..taxonomy import LabelSpace, label_space
@@ -320,7 +320,7 @@ def _label_map(output: Tensor, height: int, width: int) -> LabelMap | ValueError
 
 
 def _read(cache: LabelMapCache | None, file: FrameFile) -> LabelMap | _Picture:
-    content = image_bytes(file)
+    content = file.read()
     if cache is None:
         return _Picture(decode_image(content), None)
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()

@@ -86,7 +86,7 @@ def compare(
     Example: ssrvlad compare --references photos/monday --queries photos/today \\
     --method hog,cohog --tolerance-frames 1
     """
-    from ...encoding.encoder import Refusal
+    from ...encoding.results import Skipped
     from ..drives import Drives, Labels, Naming
     from ..recognise import parse_settings
     from ..truth import TrueMatches
@@ -103,7 +103,7 @@ def compare(
         print_json({"rows": rows})
     else:
         _print(rows)
-    finish([Refusal(row["method"], row["reason"]) for row in rows if "reason" in row])
+    finish([Skipped(row["method"], row["reason"]) for row in rows if "reason" in row])
 
 
 def _make(

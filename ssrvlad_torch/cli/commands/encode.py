@@ -13,9 +13,7 @@ from ..output import finish, note, print_json, progress_bar
 from .db import contents
 
 if TYPE_CHECKING:
-    from ...datasets.frame_files import FrameFile
-    from ...encoding.encoder import Summary
-    from ...segmentation.segmenter import Segmenter
+    from ...encoding.results import Summary
     from ..sources import Source
 
 Engine = Literal["local", "ray"]
@@ -23,13 +21,15 @@ Engine = Literal["local", "ray"]
 
 def encode(
     source: SourceOptions,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Database: new, or added to.")],
+    output: Annotated[
+        str, typer.Option("--output", "-o", help="Database, a folder or a URI: new, or added to.")
+    ],
     preset: MaybePreset = None,
     engine: Annotated[
         Engine,
         typer.Option(
-            help="local, or ray: Ray Data, on this machine or a cluster it is part of, also from "
-            "URIs, as s3://bucket/monday."
+            help="local: processes of this machine; ray: Ray Data, on this machine or the cluster "
+            "that it is part of."
         ),
     ] = "local",
     prune: Annotated[
@@ -40,8 +40,8 @@ def encode(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Encode label maps, or images with a segmenter, into a database. Run again, it adds only
-    what is missing or has changed, whatever ended the last run.
+    """Encode label maps, or images with a segmenter, into a database. Run again, it encodes only
+    what is missing, or has changed: the file, its pose, the label space, the segmenter.
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
     """
@@ -49,84 +49,57 @@ def encode(
 
     summary = _encode(Source.open(source), output, preset, engine, prune)
     if as_json:
-        counts = dataclasses.asdict(summary)
-        refused = [refusal._asdict() for refusal in summary.refused]
-        print_json({"database": str(output), **counts, "refused": refused, **contents(output)})
+        skipped = [frame._asdict() for frame in summary.skipped]
+        told = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
+        print_json({"database": output, **told, **contents(output)})
     else:
-        print(f"{output}: {_told(summary)}")
+        print(f"{output}: {summary}")
     for frame in summary.gone:
         note(f"{frame} is in {output} and its file is gone; --prune removes it")
-    finish(summary.refused)
+    finish(summary.skipped)
 
 
 def _encode(
-    source: Source, output: Path, preset: str | None, engine: Engine, prune: bool
+    source: Source, output: str, preset: str | None, engine: Engine, prune: bool
 ) -> Summary:
     from ...config import SSRVLADConfig
     from ...database.database import Database
     from ...descriptor import SSRVLAD
     from ...encoding.encoder import encode_to_database
+    from ...encoding.plan import folders_of
     from ...encoding.ray_engine import encode_with_ray
+    from ...encoding.results import EncodeOptions
     from ..sources import with_labels_as
 
     if source.labels_as is None:
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
-    complete = _is_complete(source)
-    if prune and not complete:
+    if prune and not _is_complete(source):
         raise ValueError("--prune wants whole folders as sources, without --every and --start")
-    if preset is None and Database.exists(output):
-        config = with_labels_as(Database.open(output).config, source.labels_as)
+    if engine == "ray" and source.given.segmenter:
+        raise ValueError("--engine ray takes no --segmenter")
+    database = Database.open(output) if Database.exists(output) else None
+    if preset is None and database is not None:
+        config = with_labels_as(database.config, source.labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=source.labels_as)
     head = SSRVLAD(config)
-    files, segmenter = _frames(source, engine)
-    database, workers = Database.open_or_create(output, config), source.given.workers
-    with progress_bar("encoding", len(files)) as (advance, refuse):
-        if engine == "ray":
-            return encode_with_ray(
-                config, files, database, workers, advance, complete, prune, refuse
-            )
-        return encode_to_database(
-            head, files, database, workers, advance, segmenter, complete, prune, refuse
+    known = folders_of(database.known()) if database is not None else {}
+    files, segmenter = source.frames(source.labels_as, known)
+    if database is None:
+        database = Database.create(output, config)
+    with progress_bar("encoding", len(files)) as bar:
+        options = EncodeOptions(
+            source.given.workers, _is_complete(source), prune, bar.advance, bar.skip
         )
-
-
-def _frames(source: Source, engine: Engine) -> tuple[list[FrameFile], Segmenter | None]:
-    """The frames, and what segments them if they are images; of Ray also those of URIs."""
-    from ...datasets.remote_files import find_remote_files, is_uri
-
-    assert source.labels_as
-    given = source.given
-    uris = [path for path in given.paths if is_uri(path)]
-    if engine == "local" and uris:
-        raise ValueError(f"{uris[0]} is no path; a URI wants --engine ray")
-    if engine == "local":
-        return source.frames(source.labels_as)
-    if given.segmenter:
-        raise ValueError("--engine ray takes no --segmenter")
-    remote = find_remote_files(uris, given.sequence, given.every, given.start)
-    paths = [path for path in given.paths if not is_uri(path)]
-    here = dataclasses.replace(source, given=dataclasses.replace(given, paths=paths))
-    return [*(here.label_files() if paths else []), *remote], None
+        if engine == "ray":
+            return encode_with_ray(head, files, database, options)
+        return encode_to_database(head, files, database, options, segmenter)
 
 
 def _is_complete(source: Source) -> bool:
-    """Whether the source holds all the frames of its sequences."""
+    """Whether the source holds all the frames of its folders."""
+    from ...datasets.names import is_uri
+
     paths = source.given.paths
-    return (
-        source.given.takes_all
-        and source.dataset is None
-        and all(Path(path).is_dir() for path in paths)
-    )
-
-
-def _told(summary: Summary) -> str:
-    counts = {
-        f"frames encoded ({summary.empty} of them empty)": summary.encoded,
-        "changed": summary.changed,
-        "already there": summary.already_there,
-        "removed": summary.pruned,
-        "refused": len(summary.refused),
-    }
-    rare = ("changed", "removed")
-    return ", ".join(f"{n} {what}" for what, n in counts.items() if n or what not in rare)
+    whole = all(is_uri(path) or Path(path).is_dir() for path in paths)
+    return whole and source.given.takes_all and source.dataset is None

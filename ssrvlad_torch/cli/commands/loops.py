@@ -16,7 +16,7 @@ from ..options import Json, MaybePreset, SourceOptions
 from ..output import figure, finish, print_json
 
 if TYPE_CHECKING:
-    from ...encoding.encoder import Encoded, Refusal
+    from ...encoding.results import Encoded, Skipped
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
     from ..sources import Source
@@ -63,7 +63,7 @@ def loops(
 
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
-    from ...encoding.encoder import Refusal
+    from ...encoding.results import Skipped
     from ...loops.picture import draw_loops, require_picture
     from ...loops.stream import detect_loops, loops_of, open_detector, report
     from ..sources import Source
@@ -77,10 +77,10 @@ def loops(
         require_picture(picture)
     detector, database = open_detector(config, memory, preset, given.labels_as)
     results: list[LoopResult] = []
-    refused: list[Refusal] = []
+    refused: list[Skipped] = []
     with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
         for result in stream:
-            if isinstance(result, Refusal):
+            if isinstance(result, Skipped):
                 refused.append(result)
             else:
                 results.append(result)
@@ -92,7 +92,7 @@ def loops(
     finish(refused)
 
 
-def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Refusal]:
+def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Skipped]:
     """The frames that a detector does not know yet, of folders or as their names come in."""
     from ...loops.stream import encode_as_they_come, encode_files
 

@@ -36,7 +36,7 @@ def verify(
     """
     from ...datasets.label_files import find_label_files
     from ...deployment.verify import verify as check
-    from ...encoding.encoder import Refusal
+    from ...encoding.results import Skipped
 
     files = find_label_files(labels) if labels else []
     with progress_bar("verifying", len(files)) as bar:
@@ -49,7 +49,7 @@ def verify(
         _print(model, found)
     if not found.passed:
         raise typer.Exit(MISMATCH)
-    finish([Refusal(frame, reason) for frame, reason in found.refused])
+    finish([Skipped(frame, reason) for frame, reason in found.refused])
 
 
 def _as_json(found: Verification) -> dict[str, Any]:

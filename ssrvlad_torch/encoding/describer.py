@@ -1,0 +1,123 @@
+"""A worker's work: reads label maps and describes them, some at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from ..database.frames import FrameRecord
+from ..datasets.frame_files import FrameFile
+from ..datasets.label_files import LabelMap, digest, read_label_map
+from ..descriptor import SSRVLAD
+from ..taxonomy import LabelSpace
+from .results import Skipped
+
+BATCH = 16
+"""Frames of one size that are described together: few enough for a cache."""
+
+
+class Item(NamedTuple):
+    """A frame on its way: its file, the file's signature before it was read, and what was read."""
+
+    file: FrameFile
+    signature: str = ""
+    labels: LabelMap | ValueError | None = None
+    digest: str = ""
+
+
+class Described(NamedTuple):
+    """A record and its ``(D,)`` descriptor; an array, which is cheap to send."""
+
+    record: FrameRecord
+    descriptor: npt.NDArray[np.float32]
+
+
+def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
+    """Items with label maps and their digests, where they are not there yet."""
+    one = partial(_read, space)
+    readers = max((item.file.readers for item in items), default=1)
+    if readers == 1:
+        return list(map(one, items))
+    with ThreadPoolExecutor(readers) as pool:
+        return list(pool.map(one, items))
+
+
+class Describer:
+    """Items -> descriptors; can be sent to another process.
+
+    Args:
+        head: the method.
+        origin: of the records, see `Database.add_origin`.
+    """
+
+    def __init__(self, head: SSRVLAD, origin: str = "") -> None:
+        self.head = head
+        self.origin = origin
+
+    def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
+        """What becomes of some frames, in their order."""
+        return self.describe(read(self.head.label_space, items))
+
+    def describe(self, items: Sequence[Item]) -> list[Described | Skipped]:
+        """What becomes of frames that `read` read, those of one size and dtype together."""
+        results: dict[int, Described | Skipped] = {}
+        alike: dict[object, list[int]] = {}
+        for place, item in enumerate(items):
+            if isinstance(item.labels, np.ndarray):
+                alike.setdefault((item.labels.shape, item.labels.dtype), []).append(place)
+            else:
+                results[place] = _skipped(item, item.labels)
+        for members in alike.values():
+            for first in range(0, len(members), BATCH):
+                places = members[first : first + BATCH]
+                batch = self._describe([items[place] for place in places])
+                results.update(zip(places, batch, strict=True))
+        return [results[place] for place in range(len(items))]
+
+    def _describe(self, batch: Sequence[Item]) -> list[Described | Skipped]:
+        """Describes frames of one size and dtype; if the batch is refused, one by one."""
+        try:
+            stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
+            descriptors = self.head(stack.to(_device(self.head))).cpu().numpy()
+        except ValueError as error:
+            if len(batch) == 1:
+                return [_skipped(batch[0], error)]
+            return [result for item in batch for result in self._describe([item])]
+        return [
+            Described(self._record(item), descriptor)
+            for item, descriptor in zip(batch, descriptors, strict=True)
+        ]
+
+    def _record(self, item: Item) -> FrameRecord:
+        file, pose = item.file, item.file.pose
+        height, width = np.asarray(item.labels).shape
+        return FrameRecord(
+            file.sequence, file.name, pose.x, pose.y, pose.heading, signature=item.signature,
+            digest=item.digest, height=height, width=width, origin=self.origin,
+        )  # fmt: skip
+
+
+def _read(space: LabelSpace, item: Item) -> Item:
+    labels = item.labels
+    if labels is None:
+        item = item._replace(signature=item.file.signature())
+        try:
+            labels = read_label_map(item.file, space)
+        except ValueError as error:
+            labels = error
+    found = digest(labels) if isinstance(labels, np.ndarray) else ""
+    return item._replace(labels=labels, digest=found)
+
+
+def _skipped(item: Item, reason: object) -> Skipped:
+    return Skipped(item.file.frame, f"{item.file.place}: {reason}")
+
+
+def _device(head: SSRVLAD) -> torch.device:
+    return next(head.buffers()).device

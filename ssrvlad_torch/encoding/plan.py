@@ -1,0 +1,147 @@
+"""What an encoding run has to do, and why: frames against the rows of a database."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..database.database import Database, KnownFrames
+from ..database.frames import FrameRecord
+from ..database.origin import Origin
+from ..datasets.frame_file import FrameFile, folder_of
+
+NEW = "new"
+LABEL_SPACE, SEGMENTER = "label space changed", "segmenter changed"
+MOVED, FILE, TOUCHED = "file moved", "file changed", "file touched, the same label map"
+POSE = "pose changed"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an encoding run has to do.
+
+    A frame is fresh only if its row was made from the same source, which its signature tells, of
+    the same label space and by the same segmenter, and has the pose that is known now. All others
+    are encoded.
+
+    Attributes:
+        files: of frames to encode.
+        reasons: why each of them, by the frame's id.
+        digests: of the label maps of those whose row may turn out the same, by the frame's id.
+        already_there: number of frames that are fresh.
+        gone: ids of frames of the same folders that have no file.
+    """
+
+    files: list[FrameFile]
+    reasons: dict[str, str]
+    digests: dict[str, str]
+    already_there: int
+    gone: list[str]
+
+    @classmethod
+    def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
+        """The plan for files, label maps of an origin or what it makes them of.
+
+        Raises:
+            ValueError: a sequence of the database is of another folder.
+        """
+        known, origins = database.known(), database.origins
+        there = {name for name, entry in origins.items() if _reason(origin, entry) is None}
+        _see_folders(files, known)
+        todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
+        for file in files:
+            record = known.get(file.frame)
+            reason: str | None = NEW
+            if record is not None:
+                reason = _why_anew(file, record)
+                if record.origin not in there:
+                    reason = _reason(origin, origins.get(record.origin)) or reason
+            if reason is not None:
+                todo.append(file)
+                reasons[file.frame] = reason
+                if record is not None:
+                    digests[file.frame] = record.digest
+        return cls(todo, reasons, digests, len(files) - len(todo), list(_gone(files, known)))
+
+    def reason(self, record: FrameRecord) -> str:
+        """Why a frame was encoded, now that its label map is known."""
+        reason = self.reasons[record.frame]
+        same = reason == FILE and self.digests[record.frame] == record.digest
+        return TOUCHED if same else reason
+
+
+def folders_of(known: KnownFrames) -> dict[str, str]:
+    """The sequence of each folder that a database holds frames of."""
+    folders = {folder: frame.rpartition("/")[0] for frame, folder in _folders(known)}
+    folders.pop("", None)
+    return folders
+
+
+def _why_anew(file: FrameFile, record: FrameRecord) -> str | None:
+    """Why a frame with a row of the same origin must be encoded, ``None`` if it need not be."""
+    signature = file.signature()
+    if record.signature != signature:
+        state = record.signature.rpartition("|")[2]
+        return FILE if state != signature.rpartition("|")[2] else MOVED
+    there = (record.x, record.y, record.heading)
+    same = math.isnan(file.pose.x) or np.array_equal(file.pose, there, equal_nan=True)
+    return None if same else POSE
+
+
+def _reason(now: Origin, then: Origin | None) -> str | None:
+    """Why label maps of one origin do not stand for those of another."""
+    if then is None or then.label_space is None or now.label_space is None:
+        return LABEL_SPACE
+    if then.label_space.digest != now.label_space.digest:
+        return LABEL_SPACE
+    return SEGMENTER if then.segmenter != now.segmenter else None
+
+
+def _see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
+    """Refuses what would merge or overwrite frames of different folders.
+
+    A sequence whose name the user chose may have frames of several.
+    """
+    sequences = {file.sequence for file in files}
+    theirs: dict[str, set[str]] = {}
+    for frame, folder in _folders(known):
+        if (sequence := frame.rpartition("/")[0]) in sequences and folder:
+            theirs.setdefault(sequence, set()).add(folder)
+    for sequence, folder in dict.fromkeys((f.sequence, f.folder) for f in files if not f.named):
+        there = theirs.get(sequence, {folder})
+        if folder not in there and not any(_is_same(folder, other) for other in there):
+            raise ValueError(
+                f"sequence {sequence!r} of the database is {min(there)}, not {folder}: give the "
+                f"name of the sequence with --sequence, {sequence!r} if it is the same, moved"
+            )
+    for file in files:
+        record = known.get(file.frame) if file.named else None
+        folder = folder_of(record.signature) if record else file.folder
+        if folder != file.folder and Path(folder).exists() and not _is_same(folder, file.folder):
+            raise ValueError(
+                f"frame {file.frame!r} of the database is of {folder}, not of {file.folder}: give "
+                "another name with --sequence"
+            )
+
+
+def _gone(files: Sequence[FrameFile], known: KnownFrames) -> Iterator[str]:
+    """Frames of the folders of files, without a file."""
+    there, folders = {file.frame for file in files}, {file.folder for file in files}
+    for frame, folder in _folders(known):
+        if folder in folders and frame not in there:
+            yield frame
+
+
+def _folders(known: KnownFrames) -> Iterator[tuple[str, str]]:
+    return zip(known, map(folder_of, known.column("signature")), strict=True)
+
+
+def _is_same(folder: str, other: str) -> bool:
+    try:
+        return Path(folder).samefile(other)
+    except OSError:
+        return False

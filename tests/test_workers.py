@@ -1,0 +1,123 @@
+"""Work in worker processes: in order, bounded, honest about what went wrong, and no orphans."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ssrvlad_torch.encoding.workers import in_order
+
+
+def squared(number):
+    return number * number
+
+
+def own_process(_item):
+    return os.getpid()
+
+
+def fail(_item):
+    raise ZeroDivisionError("nothing to share")
+
+
+def die_at_five(number):
+    if number == 5:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+def noisy(number):
+    print("a library that prints")
+    return number
+
+
+def slow(number):
+    time.sleep(0.2)
+    return os.getpid() if number < 2 else number
+
+
+@pytest.mark.parametrize(("workers", "count"), [(0, 5), (1, 5), (2, 0), (2, 50), (3, 2)])
+def test_results_come_in_the_order_of_the_items(workers, count):
+    assert list(in_order(squared, range(count), workers)) == [n * n for n in range(count)]
+
+
+def test_the_work_is_done_elsewhere_with_more_than_one_worker():
+    assert os.getpid() not in in_order(own_process, range(4), 2)
+    assert set(in_order(own_process, range(4), 1)) == {os.getpid()}
+
+
+def test_items_are_taken_as_they_are_needed():
+    taken = []
+    items = (taken.append(number) or number for number in range(1000))
+    results = in_order(squared, items, 2)
+    assert next(results) == 0
+    assert len(taken) < 20
+
+
+def test_an_error_of_the_items_comes_after_what_was_before_it():
+    def items():
+        yield from range(7)
+        raise KeyboardInterrupt
+
+    results = in_order(squared, items(), 2)
+    assert [next(results) for _ in range(7)] == [n * n for n in range(7)]
+    with pytest.raises(KeyboardInterrupt):
+        next(results)
+
+
+def test_an_error_of_the_work_has_its_own_kind():
+    with pytest.raises(ZeroDivisionError, match="nothing to share"):
+        list(in_order(fail, range(3), 2))
+
+
+def test_a_killed_worker_is_named():
+    with pytest.raises(ChildProcessError, match="a worker process was killed"):
+        list(in_order(die_at_five, range(20), 2))
+
+
+def test_what_libraries_print_is_no_result():
+    assert list(in_order(noisy, range(4), 2)) == [0, 1, 2, 3]
+
+
+def test_workers_end_with_the_results():
+    results = in_order(own_process, iter(range(100)), 2)
+    worker = next(results)
+    results.close()
+    assert is_gone(worker)
+
+
+PARENT = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from test_workers import slow
+from ssrvlad_torch.encoding.workers import in_order
+for result in in_order(slow, range(1000), 2):
+    print(result, flush=True)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_workers_end_with_their_parent_however_it_ends(number):
+    """Nor do they hold its pipes: who reads them sees their end."""
+    command = [sys.executable, "-c", PARENT, str(Path(__file__).parent)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe) as parent:
+        workers = {int(parent.stdout.readline()) for _ in range(2)}
+        parent.send_signal(number)
+        parent.communicate(timeout=30)
+    assert all(map(is_gone, workers))
+
+
+def is_gone(process):
+    """Whether a process ends within some seconds."""
+    for _ in range(100):
+        try:
+            os.kill(process, 0)
+        except ProcessLookupError:
+            return True
+        time.sleep(0.1)
+    return False
