@@ -14,11 +14,13 @@ from torch import Tensor, nn
 from .bitplanes import Masks, unpack
 from .config import SSRVLADConfig
 from .explanation import Explanation
-from .front_end import FrontEnd
+from .front_end import FrontEnd, label_map
+from .native.operator import UnknownIdError, describe, is_built, method_of
 from .soft.descriptor import SoftSSRVLAD
 from .stages.centroid import centre_table, centroids
 from .stages.harmonics import Harmonics
 from .stages.keypoints import end_points, intersections
+from .stages.layers import categorise, refuse_unknown
 from .stages.residuals import Residuals
 from .taxonomy import LabelSpace
 
@@ -46,11 +48,11 @@ class SSRVLAD(nn.Module):
     CUDA, and counts the same integers on both. Its tables are buffers that follow ``to(device)``
     and that ``half()`` does not round; they are not in the ``state_dict()``, which is empty.
 
-    ``head.compile()`` fuses the thinning, which takes most of the time. ``torch.compile(head)``
-    gives the same numbers and gains less: the method follows the data, and the graph breaks where
-    it does. For the same reason ``torch.export`` refuses it; `export_head` writes it as an ONNX
-    file. ``copy.deepcopy`` and ``pickle`` take the head with its settings; a copy of a head that
-    was compiled is not compiled.
+    On a CPU the native core does the work as one operator, which ``torch.compile`` and
+    ``torch.export`` take as it is and which has nothing to gain from them. Where it was not built,
+    or with ``head.native = False``, and on CUDA, the stages in torch give the same numbers;
+    ``torch.compile`` leaves them alone and ``torch.export`` refuses them. `export_head` writes the
+    head as an ONNX file. ``copy.deepcopy`` and ``pickle`` take it with its settings.
 
     Args:
         config: the settings; without, the preset ``default``.
@@ -81,6 +83,8 @@ class SSRVLAD(nn.Module):
         self._front_end = FrontEnd(self.config)
         self._aggregation: Aggregation = AGGREGATIONS[self.config.aggregation](self.config)
         self._surrogate = SoftSSRVLAD(self.config) if surrogate else None
+        self.native = True
+        self._method = method_of(self.config)
         self._warned = False
 
     @classmethod
@@ -96,11 +100,29 @@ class SSRVLAD(nn.Module):
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = _tensor(labels)
+        if labels.is_cpu and self.native and is_built() and not self._takes_gradient(labels):
+            return self._describe_by_core(labels)
+        descriptor: Tensor = self._describe_by_stages(labels)
+        return descriptor
+
+    @torch.compiler.disable  # type: ignore[untyped-decorator]
+    def _describe_by_stages(self, labels: Tensor) -> Tensor:
         with torch.autocast(labels.device.type, enabled=False):
             masks = self._front_end(labels)  # Table II, clean layers, skeletons
             histograms = self._aggregation.histograms(masks)  # Eq. 1, d_i and d_c of Eq. 2
             descriptor = self._aggregation.descriptor(histograms)  # Eq. 2
             return self._with_gradient(descriptor, labels, masks)
+
+    def _describe_by_core(self, labels: Tensor) -> Tensor:
+        """The same numbers by the native core."""
+        labels = label_map(labels, self.label_space)
+        table, origin = self._front_end.table.to(labels.device), self._front_end.origin
+        try:
+            descriptor: Tensor = describe(labels, table, origin, self._method)
+            return descriptor
+        except UnknownIdError:
+            refuse_unknown(labels, categorise(labels, table, origin), self.label_space)
+            raise
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
         """Every step from the label map to the descriptor; input and errors as for a call."""
@@ -121,7 +143,7 @@ class SSRVLAD(nn.Module):
 
     def _with_gradient(self, descriptor: Tensor, scores: Tensor, masks: Masks) -> Tensor:
         """The same numbers with the gradient of the surrogate, where one is asked for."""
-        if not (scores.requires_grad and torch.is_grad_enabled()):
+        if not self._takes_gradient(scores):
             return descriptor
         if self._surrogate is None:
             if not self._warned:
@@ -131,16 +153,9 @@ class SSRVLAD(nn.Module):
         soft: Tensor = self._surrogate(scores, masks)
         return descriptor + (soft - soft.detach()).float()
 
-    def compile(self, *args: Any, **kwargs: Any) -> None:
-        """Compiles what gains from it: a sweep of the thinning over the batch, for every size.
-
-        The numbers stay the same. The first call after it takes some seconds. The rest of the
-        method follows the data, how many runs and points there are, and stays eager.
-
-        Args:
-            args, kwargs: for `torch.compile`.
-        """
-        self._front_end.compile(*args, **kwargs)
+    @staticmethod
+    def _takes_gradient(labels: Tensor) -> bool:
+        return labels.requires_grad and torch.is_grad_enabled()
 
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any
-
 import torch
 from torch import Tensor, nn
 
@@ -14,7 +11,7 @@ from .stages.components import drop_regions, fill_holes
 from .stages.layers import best_class, categorise, category_table, refuse_unknown, split
 from .stages.morphology import open_and_close
 from .stages.reduction import reduce_by_majority
-from .stages.skeleton import RULES, sweep_into, thin, thin_by_sweeps
+from .stages.skeleton import RULES, thin
 from .taxonomy import LabelSpace, label_space
 
 PIXELS_AT_ONCE = 1 << 20
@@ -39,14 +36,13 @@ class FrontEnd(nn.Module):
         super().__init__()
         self.config = config
         self.label_space = label_space(config.labels_as)
-        self._table: Tensor
-        table, self._origin = category_table(self.label_space)
-        self.register_buffer("_table", table, persistent=False)
-        self._thin = partial(thin, rule=RULES[config.thinning])
+        self.table: Tensor
+        table, self.origin = category_table(self.label_space)
+        self.register_buffer("table", table, persistent=False)
 
     def forward(self, labels: Tensor) -> Masks:
         """The masks of a batch."""
-        labels = _label_map(labels, self.label_space)
+        labels = label_map(labels, self.label_space)
         config, grid = self.config, self.config.grid(*labels.shape[1:])
         opening = config.radius_pixels(config.opening, *grid)
         closing = config.radius_pixels(config.closing, *grid)
@@ -55,28 +51,22 @@ class FrontEnd(nn.Module):
         closed = open_and_close(layers, opening, closing)
         filled = fill_holes(closed, config.area_pixels(config.hole_area, *grid))
         clean = drop_regions(filled, config.area_pixels(config.region_area, *grid))
-        return Masks(layers, closed, clean, self._thin(clean))
+        return Masks(layers, closed, clean, thin(clean, RULES[config.thinning]))
 
     def _categories(self, labels: Tensor, grid: tuple[int, int]) -> Tensor:
         """Categories on the working grid, a few images at a time so that memory stays bounded."""
-        table = self._table.to(labels.device)
+        table = self.table.to(labels.device)
         images_at_once = max(1, PIXELS_AT_ONCE // labels[0].numel())
         reduced = []
         for part in labels.split(images_at_once):
-            categories = categorise(part, table, self._origin)
+            categories = categorise(part, table, self.origin)
             refuse_unknown(labels, categories, self.label_space)
             reduced.append(reduce_by_majority(categories, grid))
         return torch.cat(reduced)
 
-    def compile(self, *args: Any, **kwargs: Any) -> None:
-        """As `SSRVLAD.compile`."""
-        sweep = partial(sweep_into, RULES[self.config.thinning])
-        fused = torch.compile(sweep, *args, **{"dynamic": True, **kwargs})
-        self._thin = partial(thin_by_sweeps, sweep=fused)
 
-
-def _label_map(labels: Tensor, space: LabelSpace) -> Tensor:
-    """Checks the input and takes the class of the highest score where it is class scores."""
+def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
+    """The label map of checked input: the class of the highest score where it is class scores."""
     got = f"got {tuple(labels.shape)} {str(labels.dtype).removeprefix('torch.')}"
     if labels.ndim == 3 and (labels.is_floating_point() or labels.dtype == torch.bool):
         raise ValueError(f"a (B, H, W) label map must hold integer ids, {got}")

@@ -28,8 +28,8 @@ def load(name: str, monkeypatch: pytest.MonkeyPatch) -> ModuleType:
 
 
 def quick(rivals: Iterable) -> tuple:
-    """Rivals without those that have large networks, nothing compiled, CoHOG on small pictures."""
-    settings = {"ssr-vlad": {"compiled": False}, "cohog": {"size": 64}}
+    """Rivals without those that have large networks, CoHOG on small pictures."""
+    settings = {"cohog": {"size": 64}}
     return tuple(
         replace(rival, settings={**rival.settings, **settings.get(rival.method, {})})
         for rival in rivals

@@ -41,8 +41,8 @@ def test_threads_are_put_back():
 def test_both_heads_have_the_settings():
     config = SSRVLADConfig(labels_as="camvid-11")
     assert {name: head.config for name, head in heads(config).items()} == {
-        "eager": config,
-        "compiled": config,
+        "torch": config,
+        "native core": config,
     }
 
 
@@ -63,11 +63,11 @@ def test_the_table_has_a_row_for_every_way(monkeypatch):
         for preset in ("paper", "default")
         for rest in (
             (1, "reference"),
-            (1, "eager"),
-            (1, "compiled"),
+            (1, "torch"),
+            (1, "native core"),
             (1, "ONNX Runtime"),
-            (2, "eager"),
-            (2, "compiled"),
+            (2, "torch"),
+            (2, "native core"),
             (2, "ONNX Runtime"),
         )
     ]

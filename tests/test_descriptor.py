@@ -239,18 +239,21 @@ def test_bad_input_is_named(labels, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("thinning", THINNINGS)
-def test_compiled_equals_eager(thinning):
-    config = dataclasses.replace(DEFAULT, thinning=thinning)
-    head, compiled = SSRVLAD(config), SSRVLAD(config)
-    compiled.compile()
-    for shape in ((3, 61, 83), (2, 37, 150), (1, 240, 320)):
-        batch = batch_of_blobs(*shape)
-        assert torch.equal(compiled(batch), head(batch))
-    for labels in {**degenerate(), **hand_drawn()}.values():
-        image = torch.tensor(labels)[None]
-        assert torch.equal(compiled.explain(image).skeleton, head.explain(image).skeleton)
-        assert torch.equal(compiled(image), head(image))
+@pytest.mark.parametrize("native", [True, False], ids=["native core", "torch"])
+def test_compiled_by_torch_it_gives_the_same_numbers(native):
+    head = SSRVLAD(DEFAULT)
+    head.native = native
+    batch = batch_of_blobs(2, 61, 83)
+    expected = head(batch)
+    head.compile(fullgraph=native)
+    assert torch.equal(head(batch), expected)
+
+
+def test_it_is_exported_as_one_operator():
+    head, batch = SSRVLAD(DEFAULT), batch_of_blobs(2, 61, 83)
+    program = torch.export.export(head, (batch,))
+    assert torch.equal(program.module()(batch), head(batch))
+    assert "ssrvlad.describe.default" in [str(node.target) for node in program.graph.nodes]
 
 
 class LargestTensor(TorchDispatchMode):

@@ -1,5 +1,3 @@
-from functools import partial
-
 import numpy as np
 import pytest
 import torch
@@ -14,7 +12,7 @@ from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.config import THINNINGS
 from ssrvlad_torch.deployment.stages.skeleton import thin_in_graph
 from ssrvlad_torch.stages import skeleton
-from ssrvlad_torch.stages.skeleton import RULES, sweep_into, thin_by_sweeps, zhang_suen
+from ssrvlad_torch.stages.skeleton import RULES, zhang_suen
 
 
 def thin_by_each_rule(graph, words):
@@ -22,10 +20,9 @@ def thin_by_each_rule(graph, words):
 
 
 def thin(planes, variant):
-    """The skeleton, by frontier, by sweeps and in a graph, which must agree."""
+    """The skeleton, by frontier and in a graph, which must agree."""
     rule = RULES[variant]
     by_frontier = skeleton.thin(planes, rule)
-    assert torch.equal(thin_by_sweeps(planes, partial(sweep_into, rule)), by_frontier)
     in_graph = dict(zip(RULES, run_on_planes(thin_by_each_rule, planes), strict=True))
     assert torch.equal(in_graph[variant], by_frontier)
     return by_frontier

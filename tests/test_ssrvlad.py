@@ -65,17 +65,6 @@ def test_settings_of_the_method_are_taken():
     assert method.config.working_size is None
 
 
-def test_a_head_is_compiled_once_for_its_label_space_if_wanted(monkeypatch):
-    compiled = []
-    monkeypatch.setattr(SSRVLAD, "compile", lambda head: compiled.append(head.config.labels_as))
-    make("ssr-vlad").encode_query(frames([0]))
-    assert compiled == []
-    method = make("ssr-vlad", compiled=True)
-    method.encode_query(frames([0, 1]))
-    method.encode_query(frames([2]))
-    assert compiled == [SPACE]
-
-
 def test_wrong_frames_and_settings_are_errors():
     with pytest.raises(ValueError, match="method ssr-vlad needs labels, but frame b/7 lacks"):
         make("ssr-vlad").encode_query([*frames([0]), Frame("b/7")])

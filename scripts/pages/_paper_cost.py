@@ -34,9 +34,7 @@ RIVALS = (
     Rival(_paper.NETVLAD, "netvlad", IMAGES),
     Rival(_paper.LOST_X, "lost-x", IMAGES),
     Rival.ssrvlad(_paper.SSR_VLAD, "paper", temporal=3),
-    Rival("SSR-VLAD, paper, eager", "ssr-vlad", LABELS, {"preset": "paper"}),
     Rival.ssrvlad("SSR-VLAD, default", "default", temporal=3),
-    Rival("SSR-VLAD, default, eager", "ssr-vlad", LABELS, {"preset": "default"}),
     Rival("label grid", "label-grid", LABELS),
     Rival("HOG", "hog", IMAGES),
     Rival("tiny image", "tiny-image", IMAGES),
@@ -46,11 +44,10 @@ INTRODUCTION = f"""Milliseconds of a frame of {SIZE[0]} x {SIZE[1]} pixels, max/
 {{processor}}. The paper's: an i7-10700KF, SSR-VLAD in C++, the others in Python. {{frames}} All
 methods take turns on the same frames, {ROUNDS} of them ({ROUNDS_OF_NETWORKS} for the networks with
 random weights). Extraction goes from the label map to skeletons, keypoints and centres, encoding
-from there to the descriptor; where there is one number, the two are one step. SSR-VLAD has its
-thinning compiled where nothing else is said. Matching is one query against {REFERENCES} references
-(RobotCar's number), divided by them; LoST-X and tiny image are matched with {ENCODED}. What a
-segmentation network costs is not in it, nor in the paper's. Some of the paper's cells have a
-maximum below the minimum; they stand as printed."""
+from there to the descriptor; where there is one number, the two are one step. Matching
+is one query against {REFERENCES} references (RobotCar's number), divided by them; LoST-X and tiny
+image are matched with {ENCODED}. What a segmentation network costs is not in it, nor in the
+paper's. Some of the paper's cells have a maximum below the minimum; they stand as printed."""
 
 
 def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:

@@ -86,9 +86,7 @@ def render(city: int, condition: str) -> Tour:
 
 @cache
 def head() -> SSRVLAD:
-    module = SSRVLAD.from_preset("default", labels_as=LABELS_AS)
-    module.compile()
-    return module
+    return SSRVLAD.from_preset("default", labels_as=LABELS_AS)
 
 
 def drifting(poses: np.ndarray, seed: int) -> np.ndarray:

@@ -53,8 +53,8 @@ class Rival:
 
     @classmethod
     def ssrvlad(cls, name: str, preset: str, temporal: int, **settings: Any) -> Rival:
-        """SSR-VLAD, its thinning compiled."""
-        own = {"preset": preset, "temporal": temporal, "compiled": True, **settings}
+        """SSR-VLAD."""
+        own = {"preset": preset, "temporal": temporal, **settings}
         return cls(name, "ssr-vlad", LABELS, own)
 
     def make(self, weights: Path | None = None, random_weights: bool = False) -> baselines.Method:
@@ -84,8 +84,7 @@ class Rival:
         """Text that changes with the settings, what a preset stands for, and the weights."""
         told: list[Any] = [self.method, sorted(self.settings.items())]
         if self.method == "ssr-vlad":
-            own = ("temporal", "compiled")
-            settings = {key: value for key, value in self.settings.items() if key not in own}
+            settings = {key: value for key, value in self.settings.items() if key != "temporal"}
             told.append(SSRVLADConfig.from_preset(**settings).fingerprint)
         if self.method in TRAINED:
             folder = weights or weights_folder()

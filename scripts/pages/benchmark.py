@@ -17,7 +17,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
@@ -31,16 +30,16 @@ import torch
 from _costs import ENCODED
 from _encoding_rates import encoding_rates
 from _markdown import head_row, largest_mean_smallest, paragraph, row
+from _stage_costs import stage_section
 from bench_loops import loops_section
 from PIL import Image
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, front_end, match, reference
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
 from ssrvlad_torch.cli.bench import Timing, heads, onnx_head, threads, time_in_turn
 from ssrvlad_torch.config import CATEGORY_COUNT
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.stages import harmonics, residuals
 from ssrvlad_torch.taxonomy import label_space
 
 SIZES = [(256, 256), (512, 512), (1024, 1024), (1024, 2048)]
@@ -163,37 +162,6 @@ def size_section(maps: Maps, repetitions: int) -> Iterator[str]:
         yield ""
 
 
-def bars_section(maps: Maps, repetitions: int) -> Iterator[str]:
-    """The default preset against the reference at native size."""
-    yield "Preset `default` against the reference at native size (preset `paper`), one image of"
-    yield f"{by(LARGE)}, against the reference at the same working size, and against the paper's"
-    yield "residuals at that size, as the module has them, eager, by the image:\n"
-    labels = maps.batch(LARGE, BATCH)
-    image, config = labels[0].numpy(), maps.config("default")
-    modules = heads(config)
-    paper = replace(maps.config("paper"), working_size=config.working_size)
-    residuals = SSRVLAD(paper)
-    ways: dict[str, Callable[[], object]] = {
-        "reference, native": partial(reference.describe, image, maps.config("paper")),
-        "reference, working size": partial(reference.describe, image, config),
-        "module, eager, residuals": partial(residuals, labels[:1]),
-        "ONNX Runtime": partial(onnx_head(config), labels[:1]),
-    }
-    for name, head in modules.items():
-        head(labels)
-        ways[f"module, {name}"] = partial(head, labels[:1])
-        ways[f"module, {name}, batch of {BATCH}"] = partial(head, labels)
-    timings = time_in_turn(ways, repetitions, warm_up=False)
-    columns = ("against native", "against working size", "against residuals")
-    yield from head_row("way", "ms an image", *columns)
-    for name, timing in timings.items():
-        share = BATCH if "batch" in name else 1
-        each = Timing(tuple(second / share for second in timing.seconds))
-        ratios = [span(each.times_faster_than(timings[other]), 2) for other in list(ways)[:3]]
-        yield row(name, span(each.milliseconds, 2), *ratios)
-    yield ""
-
-
 def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield "## Batches and threads\n"
     yield f"Milliseconds an image of {by(LARGE)}; the last column is one thread over two, for"
@@ -214,78 +182,9 @@ def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield ""
 
 
-def thread_section(maps: Maps) -> Iterator[str]:
-    yield "What bounds the second thread: milliseconds of each stage of the whole batch of"
-    yield f"{BATCH}, compiled, the median of five calls. Stages on runs and points are short"
-    yield "operators on a few thousand numbers, which torch gives to one thread, and adding up rows"
-    yield "(`reduce_by_majority`) is one thread's work as well.\n"
-    labels = maps.batch(LARGE, BATCH)
-    measured = {}
-    for preset in ("paper", "default"):
-        head = heads(maps.config(preset))["compiled"]
-        head(labels)
-        for count in (1, 2):
-            with threads(count):
-                runs = [stage_seconds(head, labels) for _ in range(5)]
-            measured[preset, count] = {k: np.median([run[k] for run in runs]) for k in runs[0]}
-    yield from head_row("stage", *(f"{preset}, {n} threads" for preset, n in measured))
-    for stage in measured["paper", 1]:
-        yield row(stage, *(f"{1e3 * taken[stage]:.1f}" for taken in measured.values()))
-    yield ""
-
-
 def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
     with threads(count):
         return head(labels)
-
-
-def stage_section(maps: Maps) -> Iterator[str]:
-    yield "## Stage by stage\n"
-    yield f"Milliseconds of one image of {by(LARGE)}, one thread, the median of five calls.\n"
-    columns = [(preset, name) for preset in ("paper", "default") for name in ("eager", "compiled")]
-    labels = maps.batch(LARGE, 1)
-    measured = {}
-    for preset, name in columns:
-        head = heads(maps.config(preset))[name]
-        head(labels)
-        runs = [stage_seconds(head, labels) for _ in range(5)]
-        measured[preset, name] = {key: np.median([run[key] for run in runs]) for key in runs[0]}
-    yield from head_row("stage", *(f"{preset}, {name}" for preset, name in columns))
-    for stage in measured[columns[0]]:
-        yield row(stage, *(f"{1e3 * measured[column][stage]:.2f}" for column in columns))
-    yield ""
-
-
-def stage_seconds(head: SSRVLAD, labels: Tensor) -> dict[str, float]:
-    """Seconds that one call spends in each stage: the stages are wrapped for this one call."""
-    stages = ["categorise", "reduce_by_majority", "split", "open_and_close", "fill_holes"]
-    stages += ["drop_regions", "end_points", "intersections", "points", "centroids"]
-    stages += ["log_polar_bins", "shape_contexts", "aggregate"]
-    stages += ["vanishing_columns", "pool", "soft_histograms", "coefficients"]
-    taken = dict.fromkeys(["thin", *stages], 0.0)
-
-    def timed(name: str, stage: Callable[..., Any], *arguments: Any) -> Any:
-        begin = time.perf_counter()
-        result = stage(*arguments)
-        taken[name] += time.perf_counter() - begin
-        return result
-
-    modules = (front_end, residuals, harmonics)
-    places = [(m, name) for m in modules for name in stages if hasattr(m, name)]
-    originals = [getattr(*place) for place in places]
-    thinning = head._front_end._thin
-    try:
-        for (module, name), stage in zip(places, originals, strict=True):
-            setattr(module, name, partial(timed, name, stage))
-        head._front_end._thin = partial(timed, "thin", thinning)
-        begin = time.perf_counter()
-        head(labels)
-        whole = time.perf_counter() - begin
-    finally:
-        head._front_end._thin = thinning
-        for (module, name), stage in zip(places, originals, strict=True):
-            setattr(module, name, stage)
-    return {**taken, "all else": whole - sum(taken.values()), "together": whole}
 
 
 def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
@@ -299,7 +198,7 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
     modules = [heads(config) for config in configs]
     scenes = {count: strewn(maps.batch(LARGE, 1), count) for count in SPECKS}
-    for name in ("eager", "compiled"):
+    for name in ("torch", "native core"):
         columns = []
         for module in modules:
             ways = {str(count): partial(module[name], scene) for count, scene in scenes.items()}
@@ -329,7 +228,7 @@ def memory_section(options: argparse.Namespace) -> Iterator[str]:
     yield "batch; each in a process of its own that has run the method on a small image before.\n"
     yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
     for preset in ("paper", "default"):
-        for name in ("eager", "compiled"):
+        for name in ("torch", "native core"):
             for size, count in ((LARGE, 1), (LARGE, BATCH), ((360, 480), BATCH)):
                 command = [sys.executable, __file__, "--memory", preset, name, *map(str, size)]
                 command += [
@@ -370,7 +269,7 @@ def methods_section(options: argparse.Namespace) -> Iterator[str]:
         f"Milliseconds of a frame of {by(_paper_cost.SIZE)}, max/average/min, one thread; all "
         f"methods take turns on the same frames. Matching is one query against "
         f"{_paper_cost.REFERENCES} references, divided by them; LoST-X and tiny image are matched "
-        f"with {ENCODED}. SSR-VLAD has its thinning compiled where nothing else is said. What a "
+        f"with {ENCODED}. What a "
         "segmentation network costs is not in it."
     )
     yield from head_row("method", "bytes a reference", "encoding", "matching a pair")
@@ -479,10 +378,8 @@ def main() -> None:
     ]
     sections = [
         partial(size_section, maps, options.repetitions),
-        partial(bars_section, maps, options.repetitions),
         partial(batch_section, maps, options.repetitions),
-        partial(thread_section, maps),
-        partial(stage_section, maps),
+        partial(stage_section, maps.batch(LARGE, 1), maps.config("paper"), options.repetitions),
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),
         partial(methods_section, options),

@@ -82,7 +82,7 @@ check of CoHOG, and what Region-VLAD reaches with its published weights, which a
 COSTS = f"""On {{processor}}; median [min, max] of {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for the
 networks with random weights) on which all methods of a table take turns. Matching is one query
 against all references, without ranking them; LoST-X and tiny image are matched with {ENCODED} only.
-What a segmentation network costs is not in it. SSR-VLAD has its thinning compiled."""
+What a segmentation network costs is not in it."""
 
 
 def main() -> None:

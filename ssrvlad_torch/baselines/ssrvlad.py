@@ -25,7 +25,6 @@ class SSRVLADMethod:
     Args:
         preset: ``"paper"`` or ``"default"``.
         temporal: t of Eq. 3, reference frames summed on each side inside a sequence.
-        compiled: fuse the thinning by ``torch.compile``; the numbers stay the same.
         settings: fields of `SSRVLADConfig` in place of the preset's.
 
     Raises:
@@ -35,14 +34,11 @@ class SSRVLADMethod:
     name = "ssr-vlad"
     needs = frozenset({"labels"})
 
-    def __init__(
-        self, preset: str = "default", temporal: int = 0, compiled: bool = False, **settings: Any
-    ) -> None:
+    def __init__(self, preset: str = "default", temporal: int = 0, **settings: Any) -> None:
         if temporal < 0:
             raise ValueError(f"method ssr-vlad wants a temporal of 0 or more, got {temporal}")
         self.config = SSRVLADConfig.from_preset(preset, **settings)
         self.temporal = temporal
-        self.compiled = compiled
         self._heads: dict[str, SSRVLAD] = {}
 
     def encode_query(self, frames: Iterable[Frame]) -> Tensor:
@@ -74,8 +70,5 @@ class SSRVLADMethod:
     def _head(self, labels_as: str) -> SSRVLAD:
         if labels_as not in self._heads:
             settings = {**self.config.to_dict(), "labels_as": labels_as}
-            head = SSRVLAD(SSRVLADConfig.from_dict(settings))
-            if self.compiled:
-                head.compile()
-            self._heads[labels_as] = head
+            self._heads[labels_as] = SSRVLAD(SSRVLADConfig.from_dict(settings))
         return self._heads[labels_as]

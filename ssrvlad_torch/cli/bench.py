@@ -16,6 +16,7 @@ from torch import Tensor
 from ..config import PRESETS, SSRVLADConfig
 from ..datasets.synthetic_city import SyntheticCity
 from ..descriptor import SSRVLAD
+from ..native import core
 
 LABELS_AS = "cityscapes-trainids"
 SIZE = (480, 640)
@@ -76,10 +77,10 @@ def threads(count: int) -> Iterator[None]:
 
 
 def heads(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
-    """The module eager and compiled."""
-    compiled = SSRVLAD(config)
-    compiled.compile()
-    return {"eager": SSRVLAD(config), "compiled": compiled}
+    """The module by torch and, where it was built, by the native core."""
+    by_torch = SSRVLAD(config)
+    by_torch.native = False
+    return {"torch": by_torch, **({"native core": SSRVLAD(config)} if core().library else {})}
 
 
 def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:

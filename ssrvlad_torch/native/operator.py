@@ -20,6 +20,7 @@ _CHOICES = {
     "aggregation": AGGREGATIONS,
     "anchor": ANCHORS,
 }
+_NO_ID = 1 << 40
 _READ_AS_THEY_ARE = (torch.uint8, torch.int16, torch.int32, torch.int64)
 
 
@@ -27,14 +28,27 @@ class UnknownIdError(ValueError):
     """A label map holds an id that the table does not know."""
 
 
+@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
+def is_built() -> bool:
+    """Whether the operator can run here."""
+    return core().library is not None
+
+
+def method_of(config: SSRVLADConfig) -> str:
+    """The settings of a config as the operator takes them: label spaces are its table."""
+    settings = config.to_dict()
+    del settings["labels_as"]
+    return json.dumps(settings)
+
+
 @torch.library.custom_op("ssrvlad::describe", mutates_args=(), device_types="cpu")
 def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     """The descriptors of a batch of label maps; torch's threads share the images.
 
     Args:
-        labels: ``(B, H, W)`` ids, of any integer dtype but uint64.
+        labels: ``(B, H, W)`` ids, of any integer dtype.
         table, origin: from `category_table`.
-        settings: `SSRVLADConfig.to_dict` as JSON.
+        settings: from `method_of`.
 
     Returns:
         ``(B, D)`` float32.
@@ -43,7 +57,10 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
         UnknownIdError: an id is not in the table.
     """
     head = _head(settings)
-    if labels.dtype not in _READ_AS_THEY_ARE:
+    if labels.dtype == torch.uint64:
+        wide = labels.to(torch.int64)
+        labels = torch.where(wide < 0, _NO_ID, wide)
+    elif labels.dtype not in _READ_AS_THEY_ARE:
         labels = labels.to(torch.int64)
     labels, table = labels.contiguous(), table.contiguous()
     descriptors = torch.empty((len(labels), head.length))

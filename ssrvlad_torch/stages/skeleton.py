@@ -10,14 +10,12 @@ with a background row, so the neighbours of a word are the words one pitch befor
 and the pixels beside a pixel are a byte's shift away.
 
 Soon most of an image is settled. A word can change only if a word around it changed in one of the
-last two sub-iterations, so `thin` looks, after the first two, at those words only. Where a pass
-over the whole line is one fused loop, looking at all costs less than finding out which:
-`thin_by_sweeps` is for compiled sweeps.
+last two sub-iterations, so `thin` looks, after the first two, at those words only.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Protocol
 
 import torch
@@ -28,13 +26,7 @@ from ..bitplanes import Bits, steps_around, two_or_more
 PIXELS = 8
 """Pixels of a row in a word."""
 
-CPU_PIXELS_AT_ONCE = 1 << 21
-"""Pixels that compiled sweeps go over at a time on a CPU, as many bytes in each of two lines."""
-
 Ring = tuple[Tensor, ...]
-
-Sweep = Callable[[Tensor, Tensor, int, bool], None]
-"""``(target, line, pitch, first)``: puts what a sub-iteration leaves of the line into target."""
 
 _ALL_BUT_TOP_BYTE = (1 << 56) - 1
 
@@ -71,59 +63,6 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
             line[frontier] = left
             changed = [changed[1], frontier[left != centre]]
     return _to_planes(line, pitch, planes.shape)
-
-
-def thin_by_sweeps(planes: Tensor, sweep: Sweep) -> Tensor:
-    """The skeleton of every layer, every sub-iteration a pass over the whole batch.
-
-    Some images at a time are thinned, few enough for a cache, and whenever half of them are
-    settled they leave.
-
-    Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
-        sweep: `sweep_into` for a rule, compiled.
-
-    Returns:
-        ``(B, H, W)`` uint8 bit-planes.
-    """
-    limit = CPU_PIXELS_AT_ONCE if planes.is_cpu else planes.numel()
-    images_at_once = max(1, limit // planes[0].numel())
-    return torch.cat([_sweep_part(part, sweep) for part in planes.split(images_at_once)])
-
-
-def _sweep_part(planes: Tensor, sweep: Sweep) -> Tensor:
-    skeletons = torch.empty_like(planes, memory_format=torch.contiguous_format)
-    images = torch.arange(len(planes), device=planes.device)
-    while len(images):
-        planes, settled = _sweep_until_half_settle(planes, sweep)
-        skeletons[images[settled]] = planes[settled]
-        images, planes = images[~settled], planes[~settled]
-    return skeletons
-
-
-def _sweep_until_half_settle(planes: Tensor, sweep: Sweep) -> tuple[Tensor, Tensor]:
-    """Thins a batch until at least half of its images are settled, ``(B,)`` bool."""
-    line, pitch = _to_line(planes)
-    other = line.clone()
-    pixels, other_pixels = _within_margins(line, pitch), _within_margins(other, pitch)
-    settled = torch.zeros(len(planes), dtype=torch.bool, device=planes.device)
-    while 2 * int(settled.sum()) < len(planes):
-        sweep(other_pixels, line, pitch, True)
-        settled = _equal_images(other_pixels, pixels, len(planes))
-        sweep(pixels, other, pitch, False)
-        if bool(settled.any()):
-            settled &= _equal_images(other_pixels, pixels, len(planes))
-    return _to_planes(line, pitch, planes.shape), settled
-
-
-def _equal_images(some: Tensor, others: Tensor, count: int) -> Tensor:
-    """``(B,)`` bool, images whose words are the same."""
-    return (some == others).view(torch.uint8).view(count, -1).amin(dim=1).bool()
-
-
-def sweep_into(rule: Rule, target: Tensor, line: Tensor, pitch: int, first: bool) -> None:
-    """Puts what a sub-iteration leaves of the whole line, without its margins, into ``target``."""
-    target.copy_(rule(*_neighbourhood(line, pitch), first))
 
 
 def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:

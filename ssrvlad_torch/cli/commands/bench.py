@@ -13,7 +13,8 @@ def bench(
     repetitions: Annotated[int, typer.Option(min=1, help="How often each way is timed.")] = 5,
     as_json: Json = False,
 ) -> None:
-    """Time the method on this machine, one thread: reference, eager, compiled.
+    """Time the method on this machine, one thread: reference, torch, native core, ONNX
+    Runtime.
 
     Example: ssrvlad bench --repetitions 3
     """
