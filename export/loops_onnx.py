@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from run_onnx import SOME_REFUSED, Model, Preparation, find_frames, note, one_line
+from run_onnx import SOME_REFUSED, Model, find_frames, note, one_line
 
 Vector = npt.NDArray[np.float32]
 
@@ -230,8 +230,7 @@ def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 
 def run(given: argparse.Namespace) -> int:
     """What the command line asks for; the exit code."""
-    size = tuple(given.size) if given.size else None
-    model = Model(given.model, Preparation(size, tuple(given.mean), tuple(given.std)))
+    model = Model(given.model)
     relative = not given.absolute
     detector = Detector(Settings(given.exclude, given.temporal, given.threshold, relative))
     seen: set[str] = set()
@@ -265,9 +264,6 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--threshold", type=float, default=plain["threshold"])
     parser.add_argument("--absolute", action="store_true", help="the threshold is a score")
     parser.add_argument("--temporal", type=int, default=plain["temporal"])
-    parser.add_argument("--size", type=int, nargs=2, help="height and width of images")
-    parser.add_argument("--mean", type=float, nargs=3, default=Preparation().mean)
-    parser.add_argument("--std", type=float, nargs=3, default=Preparation().std)
     return parser
 
 

@@ -6,11 +6,7 @@ rtabmap --Mem/GlobalDescriptorStrategy 1 --Kp/TfIdfLikelihoodUsed false \
         --PyDescriptor/Path export/rtabmap_ssrvlad.py
 
 Needs numpy, onnxruntime and `run_onnx.py` beside it, and a file of `ssrvlad fuse`: `place.onnx`
-beside it, or what `rtabmap_ssrvlad.json` beside it says, in which all but the model may be left
-out (then ImageNet's mean and std, and the image's own size; a size needs Pillow):
-
-{"model": "place.onnx", "size": [512, 1024],
- "mean": [0.485, 0.456, 0.406], "std": [0.229, 0.224, 0.225]}
+beside it, or the one that `rtabmap_ssrvlad.json` beside it names: {"model": "other.onnx"}.
 """
 
 from __future__ import annotations
@@ -27,7 +23,7 @@ sys.path.append(str(Path(__file__).resolve().parent))
 if not hasattr(sys, "argv"):  # an embedded interpreter need not have it
     sys.argv = [""]
 
-from run_onnx import Model, Preparation, note, one_line
+from run_onnx import Model, note, one_line
 
 SETTINGS = Path(__file__).resolve().with_suffix(".json")
 
@@ -52,10 +48,9 @@ class Extractor:
         if settings.exists():
             given |= json.loads(settings.read_text(encoding="utf-8"))
         path = settings.parent / given.pop("model")
-        wrong = given.keys() - set(Preparation._fields)
-        if wrong:
-            raise ValueError(f"{settings}: no setting {', '.join(sorted(wrong))}")
-        self.model = Model(path, Preparation(**{name: tuple(each) for name, each in given.items()}))
+        if given:
+            raise ValueError(f"{settings}: no setting {', '.join(sorted(given))}")
+        self.model = Model(path)
         if len(self.model.input.shape) != 4 or self.model.input.name == "logits":
             raise ValueError(f"{path}: wanted a file of `ssrvlad fuse`, whose input is images")
         length = self.model.session.get_outputs()[0].shape[1]
@@ -81,24 +76,14 @@ class Extractor:
                 f"wanted (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
             )
         blue_first = np.broadcast_to(pixels.view(np.uint8), (*pixels.shape[:2], 3))
+        pixels = np.ascontiguousarray(blue_first[None, ..., ::-1])
         descriptor, unknown = self.model.session.run(
-            ["descriptor", "unknown"], {self.model.input.name: self._prepare(blue_first[..., ::-1])}
+            ["descriptor", "unknown"],
+            {self.model.input.name: np.ascontiguousarray(blue_first[None, ..., ::-1])},
         )
         if unknown[0]:
             raise ValueError(f"{unknown[0]} pixels have an id outside the label space")
         return np.ascontiguousarray(descriptor, np.float32)
-
-    def _prepare(self, pixels: npt.NDArray[np.uint8]) -> npt.NDArray[Any]:
-        """The network's input; a size that the graph fixes is taken if no other is given."""
-        fixed = tuple(side for side in self.model.input.shape[2:] if isinstance(side, int))
-        size, mean, std = self.model.preparation
-        height_width = size or fixed
-        if len(height_width) == 2 and height_width != pixels.shape[:2]:
-            from PIL import Image
-
-            pixels = np.asarray(Image.fromarray(pixels).resize(height_width[::-1], resample=2))
-        prepared = (pixels / np.float32(255) - np.float32(mean)) / np.float32(std)
-        return np.ascontiguousarray(prepared.transpose(2, 0, 1)[None], self.model.dtype)
 
 
 def init(descriptor_dimension: int) -> None:

@@ -43,17 +43,6 @@ class Described(NamedTuple):
     keypoints: Array
 
 
-class Preparation(NamedTuple):
-    """What a network wants its images to be: RGB from 0 to 1, less ``mean``, divided by ``std``.
-
-    ``size`` is height and width; without, the image's own or what the graph fixes.
-    """
-
-    size: tuple[int, int] | None = None
-    mean: tuple[float, ...] = (0.485, 0.456, 0.406)
-    std: tuple[float, ...] = (0.229, 0.224, 0.225)
-
-
 class Model:
     """A file of `ssrvlad export` or `ssrvlad fuse`, loaded on the CPU.
 
@@ -62,7 +51,7 @@ class Model:
         OSError: it cannot be read.
     """
 
-    def __init__(self, path: Path, preparation: Preparation) -> None:
+    def __init__(self, path: Path) -> None:
         path.open("rb").close()
         options = onnxruntime.SessionOptions()
         options.log_severity_level = 3
@@ -84,7 +73,6 @@ class Model:
         self.properties = properties
         self.input = inputs[0]
         self.dtype = _dtype(inputs[0].type)
-        self.preparation = preparation
 
     @property
     def fingerprint(self) -> str:
@@ -153,15 +141,10 @@ class Model:
         return scores.astype(self.dtype)
 
     def _image(self, path: Path) -> Array:
-        fixed = tuple(side for side in self.input.shape[2:] if isinstance(side, int))
-        size, mean, std = self.preparation
-        pixels = _npy(path) if _is_npy(path) else _picture(path, size or fixed)
+        pixels = _npy(path) if _is_npy(path) else _picture(path)
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
             raise ValueError(f"wanted (H, W, 3) uint8, got {pixels.shape} {pixels.dtype}")
-        network_input = (pixels / np.float32(255) - np.asarray(mean, np.float32)) / np.asarray(
-            std, np.float32
-        )
-        return np.ascontiguousarray(network_input.transpose(2, 0, 1), dtype=self.dtype)
+        return pixels
 
 
 class Database:
@@ -262,8 +245,7 @@ def one_line(error: Exception) -> str:
 
 def run(given: argparse.Namespace) -> int:
     """What the command line asks for; the exit code."""
-    preparation = Preparation(given.size and tuple(given.size), tuple(given.mean), tuple(given.std))
-    model = Model(given.model, preparation)
+    model = Model(given.model)
     if given.check:
         difference = model.golden_difference()
         print(f"largest difference for the golden pair: {difference:.3g}")
@@ -317,9 +299,6 @@ def main() -> int:
     parser.add_argument("--save-descriptors", type=Path, metavar="OUT.npy")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--check", action="store_true", help="run the golden pair and stop")
-    parser.add_argument("--size", type=int, nargs=2, help="height and width of images")
-    parser.add_argument("--mean", type=float, nargs=3, default=Preparation().mean)
-    parser.add_argument("--std", type=float, nargs=3, default=Preparation().std)
     given = parser.parse_args()
     if bool(given.source) == given.check or given.top < 1:
         parser.error("wanted frames or --check, and --top of at least 1")
@@ -348,11 +327,12 @@ def _label_picture(path: Path) -> Array:
         return np.asarray(image)
 
 
-def _picture(path: Path, size: tuple[int, ...]) -> Array:
-    """``(H, W, 3)`` uint8 RGB, resized where a size is given."""
+def _picture(path: Path) -> Array:
+    """``(H, W, 3)`` uint8 RGB, turned upright by its EXIF orientation."""
     with _opened(path) as image:
-        colours = image.convert("RGB")
-        return np.asarray(colours.resize(size[::-1], resample=2) if len(size) == 2 else colours)
+        from PIL import ImageOps
+
+        return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
 
 
 def _opened(path: Path) -> Any:

@@ -13,12 +13,16 @@ import onnx
 import pytest
 import torch
 from drives import write_maps
-from helpers import COLOUR, GRAY, flip_byte, write_png
+from helpers import COLOUR, GRAY, flip_byte, street, write_png
+from networks import photo, write_graph
 from onnx import TensorProto, helper
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 SCRIPT = Path(__file__).parents[1] / "export" / "run_onnx.py"
 CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11", working_size=40)
@@ -245,30 +249,23 @@ def test_class_scores_and_wide_labels(maps, tmp_path, run):
     np.testing.assert_array_equal(*found)
 
 
-def test_an_image_goes_through_a_network_as_it_wants_it(tmp_path, run):
-    """A network of one convolution, whose scores depend on the colours as normalised."""
-    weights = np.random.default_rng(1).normal(size=(11, 3, 1, 1)).astype(np.float32)
-    model = head_model(CONFIG, "logits")
-    del model.graph.input[:]
-    model.graph.input.append(
-        helper.make_tensor_value_info("image", TensorProto.FLOAT, ["B", 3, "H", "W"])
-    )
-    model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "weights"))
-    model.graph.node.insert(0, helper.make_node("Conv", ["image", "weights"], ["logits"]))
-    onnx.save(model, tmp_path / "place.onnx")
-    pixels = np.random.default_rng(2).integers(0, 256, (30, 40, 3), np.uint8)
-    blocks = np.kron(pixels[::10, ::10], np.ones((10, 10, 1), np.uint8))
-    Image.fromarray(blocks).save(tmp_path / "a.png")
-    np.save(tmp_path / "b.npy", blocks)
-    mean, std = (0.5, 0.4, 0.3), (0.1, 0.2, 0.3)
-    scores = np.einsum("ok,yxk->oyx", weights[..., 0, 0], (blocks / 255 - mean) / std)
-    wanted = SSRVLAD(CONFIG)(torch.from_numpy(scores.argmax(0)[None])).numpy()
+def test_a_photograph_needs_no_option(tmp_path, run):
+    """It is turned upright, and normalised by the file."""
+    settings = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1))
+    network = OnnxNetwork(write_graph(tmp_path / "seg.onnx"))
+    segmenter = Segmenter(network, CONFIG.labels_as, settings)
+    fuse(segmenter, CONFIG, tmp_path / "place.onnx")
+    pixels = photo(street(3, 60, 90))
+    exif = Image.Exif()
+    exif[0x0112] = 3  # upside down
+    Image.fromarray(pixels[::-1, ::-1]).save(tmp_path / "a.png", exif=exif)
+    np.save(tmp_path / "b.npy", pixels)
+    wanted = SSRVLAD(CONFIG)(torch.from_numpy(segmenter([pixels])[0])[None]).numpy()
     out = tmp_path / "out.npy"
     frames = (tmp_path / "a.png", tmp_path / "b.npy")
-    colours = ("--mean", *mean, "--std", *std)
-    assert run(tmp_path / "place.onnx", *frames, *colours, "--save-descriptors", out)[0] == 0
+    assert run(tmp_path / "place.onnx", *frames, "--save-descriptors", out)[0] == 0
     np.testing.assert_allclose(np.load(out), wanted.repeat(2, axis=0), atol=1e-6)
-    assert run(tmp_path / "place.onnx", tmp_path / "a.png", "--size", 15, 20)[0] == 0
+    assert run(tmp_path / "place.onnx", "--check")[0] == 0
 
 
 def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):

@@ -1,8 +1,11 @@
-// Describes a label map with a file of `ssrvlad export` and finds it in an exported database.
+// Describes a label map with a file of `ssrvlad export`, or a photograph with one of `ssrvlad
+// fuse`, and finds it in an exported database.
 //
 //     place head.onnx map.npy [town.npy [TOP]]
+//     place place.onnx photo.ppm [town.npy [TOP]]
 //
-// The map is an (H, W) .npy array of uint8 or int64, or a binary PGM of 8 bits. The database is
+// A map is an (H, W) .npy array of uint8 or int64, or a binary PGM of 8 bits; a photograph an
+// (H, W, 3) .npy array of uint8 in RGB, or a binary PPM of 8 bits. The database is
 // what `ssrvlad db export --format npy` writes. Exit code 0 for success, 2 for wrong use or bad
 // input, which one line on stderr names.
 
@@ -31,15 +34,17 @@ struct Described {
   std::int64_t unknown;
 };
 
-npy::Array load_pgm(const std::string& path) {
+npy::Array load_netpbm(const std::string& path, bool colour) {
   std::ifstream file(path, std::ios::binary);
   std::string magic;
   std::int64_t width = 0, height = 0, highest = 0;
-  if (!(file >> magic >> width >> height >> highest) || magic != "P5" || highest > 255 ||
+  if (!(file >> magic >> width >> height >> highest) || magic != (colour ? "P6" : "P5") || highest > 255 ||
       width < 1 || height < 1)
-    throw std::runtime_error(path + ": wanted a binary PGM of 8 bits without comments");
+    throw std::runtime_error(path + ": wanted a binary " + (colour ? "PPM" : "PGM") +
+                             " of 8 bits without comments");
   file.get();
-  npy::Array map{"|u1", {height, width}, std::vector<char>(width * height)};
+  npy::Array map{"|u1", {height, width}, std::vector<char>(width * height * (colour ? 3 : 1))};
+  if (colour) map.shape.push_back(3);
   if (!file.read(map.bytes.data(), static_cast<std::streamsize>(map.bytes.size())))
     throw std::runtime_error(path + ": ends too early");
   return map;
@@ -50,8 +55,16 @@ bool ends_with(const std::string& text, const std::string& end) {
          text.compare(text.size() - end.size(), end.size(), end) == 0;
 }
 
+npy::Array load_photo(const std::string& path) {
+  auto photo = ends_with(path, ".ppm") ? load_netpbm(path, true) : npy::load(path);
+  if (photo.shape.size() != 3 || photo.size() == 0 || photo.shape[2] != 3 || photo.dtype != "|u1")
+    throw std::runtime_error(path + ": wanted an (H, W, 3) photograph of uint8, got " +
+                             std::to_string(photo.shape.size()) + " axes of " + photo.dtype);
+  return photo;
+}
+
 npy::Array load_labels(const std::string& path) {
-  auto map = ends_with(path, ".pgm") ? load_pgm(path) : npy::load(path);
+  auto map = ends_with(path, ".pgm") ? load_netpbm(path, false) : npy::load(path);
   if (map.shape.size() != 2 || map.size() == 0 || (map.dtype != "|u1" && map.dtype != "<i8"))
     throw std::runtime_error(path + ": wanted an (H, W) map of uint8 or int64, got " +
                              std::to_string(map.shape.size()) + " axes of " + map.dtype);
@@ -64,10 +77,13 @@ class Head {
       : session_(environment_, std::basic_string<ORTCHAR_T>(path.begin(), path.end()).c_str(),
                  Ort::SessionOptions{}) {
     const auto input = session_.GetInputTypeInfo(0);
-    const auto labels = input.GetTensorTypeAndShapeInfo();  // belongs to input
-    if (session_.GetInputCount() != 1 || labels.GetShape().size() != 3)
-      throw std::runtime_error(path + ": wanted a file of `ssrvlad export --input labels`");
-    wide_ = labels.GetElementType() == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64;
+    const auto given = input.GetTensorTypeAndShapeInfo();  // belongs to input
+    const auto type = given.GetElementType();
+    photos_ = given.GetShape().size() == 4 && type == ONNX_TENSOR_ELEMENT_DATA_TYPE_UINT8;
+    if (session_.GetInputCount() != 1 || (given.GetShape().size() != 3 && !photos_))
+      throw std::runtime_error(path +
+                               ": wanted a file of `ssrvlad export --input labels` or `fuse`");
+    wide_ = type == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64;
     fingerprint_ = property("ssrvlad.fingerprint");
     if (fingerprint_.empty()) throw std::runtime_error(path + ": no metadata ssrvlad.fingerprint");
   }
@@ -75,17 +91,21 @@ class Head {
   // Descriptors of another fingerprint do not compare.
   const std::string& fingerprint() const { return fingerprint_; }
 
+  // Whether the file takes photographs, not label maps.
+  bool takes_photos() const { return photos_; }
+
   Described describe(npy::Array& map) {
     if ((map.dtype == "<i8") != wide_)
       throw std::runtime_error("the graph takes " + std::string(wide_ ? "int64" : "uint8") +
                                " labels, got " + map.dtype);
-    const std::vector<std::int64_t> shape{1, map.shape[0], map.shape[1]};
+    std::vector<std::int64_t> shape{1};
+    shape.insert(shape.end(), map.shape.begin(), map.shape.end());
     const auto type =
         wide_ ? ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64 : ONNX_TENSOR_ELEMENT_DATA_TYPE_UINT8;
     const auto memory = Ort::MemoryInfo::CreateCpu(OrtArenaAllocator, OrtMemTypeDefault);
     const auto input = Ort::Value::CreateTensor(memory, map.bytes.data(), map.bytes.size(),
                                                 shape.data(), shape.size(), type);
-    const char* inputs[] = {"labels"};
+    const char* inputs[] = {photos_ ? "image" : "labels"};
     const char* outputs[] = {"descriptor", "keypoints", "unknown"};
     const auto found = session_.Run(Ort::RunOptions{}, inputs, &input, 1, outputs, 3);
     return {values<float>(found[0]), values<std::int64_t>(found[1]),
@@ -108,6 +128,7 @@ class Head {
   Ort::Env environment_{ORT_LOGGING_LEVEL_ERROR, "ssrvlad"};
   Ort::Session session_;
   bool wide_ = false;
+  bool photos_ = false;
   std::string fingerprint_;
 };
 
@@ -167,7 +188,7 @@ std::size_t number(const std::string& text) {
 
 void run(const std::vector<std::string>& arguments) {
   Head head(arguments[0]);
-  auto map = load_labels(arguments[1]);
+  auto map = head.takes_photos() ? load_photo(arguments[1]) : load_labels(arguments[1]);
   const auto described = head.describe(map);
   if (described.unknown > 0)
     throw std::runtime_error(arguments[1] + ": " + std::to_string(described.unknown) +
@@ -190,7 +211,7 @@ void run(const std::vector<std::string>& arguments) {
 int main(int count, char** values) {
   const std::vector<std::string> arguments(values + 1, values + count);
   if (arguments.size() < 2 || arguments.size() > 4) {
-    std::cerr << "usage: place head.onnx map.npy [town.npy [TOP]]\n";
+    std::cerr << "usage: place head.onnx map.npy|photo.ppm [town.npy [TOP]]\n";
     return 2;
   }
   try {

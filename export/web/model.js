@@ -36,6 +36,18 @@ export class Model {
     this.dtype = JSON.parse(metadata.interface).inputs[this.input]?.dtype;
   }
 
+  /** Whether the file takes photographs: it is one of `ssrvlad fuse`. */
+  get takesPhotos() {
+    return this.input === "image";
+  }
+
+  /** Of a photograph, RGB bytes: what `describe` gives, and the `labels` that the network saw. */
+  async describePhoto({ pixels, height, width }) {
+    const found = await this.#run(new ort.Tensor("uint8", pixels, [1, height, width, 3]));
+    const grid = workingGrid(this.config.working_size, height, width);
+    return { ...found, ...grid, skeleton: found.skeleton && unpackedSkeleton(found.skeleton, grid) };
+  }
+
   /** Of an image of ids: descriptor, keypoint counts and `skeleton`, see `unpackedSkeleton`. */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
@@ -64,6 +76,7 @@ export class Model {
       descriptor: descriptor.data,
       keypoints: Array.from(keypoints.data, Number),
       unknown: Array.from(unknown.data, Number),
+      labels: found.labels && Array.from(found.labels.data, Number),
       skeleton: this.skeleton && found[this.skeleton].data,
     };
   }

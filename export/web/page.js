@@ -19,14 +19,17 @@ const NO_LAYER = "#f4f4f4";
 const TOP = 5;
 const TOLERANCE = 1e-6;
 
-const open = { model: null, database: null, labels: null };
+const PHOTOS = [".png", ".jpg", ".jpeg", ".webp"];
+
+const open = { model: null, database: null, frame: null };
 const element = (id) => document.getElementById(id);
 const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
 
 /** Opens files, ``{name: bytes}``, by what their names end in, and describes what is there. */
 async function openFiles(files) {
   const named = (ending) => Object.keys(files).find((name) => name.endsWith(ending));
-  const [model, array, labels] = [".onnx", ".npy", ".png"].map(named);
+  const [model, array] = [".onnx", ".npy"].map(named);
+  const frame = PHOTOS.map(named).find((name) => name);
   if (model) {
     say("Loading the model …");
     open.model = await Model.load(files[model]);
@@ -40,28 +43,40 @@ async function openFiles(files) {
     if (frames === undefined) throw new Error(`choose ${array}.frames.txt together with ${array}`);
     open.database = new Database(files[array], frames, fingerprint);
   }
-  if (labels) open.labels = { ...(await readLabels(files[labels])), name: labels };
-  if (!model && !array && !labels) throw new Error("wanted .onnx, .npy with .txt, or .png files");
+  if (frame) open.frame = { name: frame, bytes: files[frame] };
+  if (!model && !array && !frame) throw new Error("wanted .onnx, .npy with .txt, or picture files");
   await describe();
 }
 
+/** ``{pixels, height, width}`` of a photograph, RGB bytes, turned upright by its EXIF. */
+async function readPhoto(bytes) {
+  const bitmap = await createImageBitmap(new Blob([bytes]));
+  const { width, height } = bitmap;
+  const context = new OffscreenCanvas(width, height).getContext("2d");
+  context.drawImage(bitmap, 0, 0);
+  const { data } = context.getImageData(0, 0, width, height);
+  return { pixels: data.filter((_, at) => at % 4 < 3), height, width };
+}
+
 async function describe() {
-  const { model, database, labels } = open;
+  const { model, database, frame } = open;
   element("result").hidden = true;
   if (!model) return say("Choose a model.");
   const own = database?.fingerprint;
   if (own && own !== model.fingerprint)
     throw new Error(`the database has fingerprint ${own}, the model ${model.fingerprint}`);
-  if (!labels) return say(`Labels of ${model.space.name}: choose a label map.`);
+  if (!frame && model.takesPhotos) return say("Choose a photograph.");
+  if (!frame) return say(`Labels of ${model.space.name}: choose a label map.`);
+  const given = model.takesPhotos ? await readPhoto(frame.bytes) : await readLabels(frame.bytes);
   const start = performance.now();
-  const described = await model.describe(labels);
+  const described = model.takesPhotos ? await model.describePhoto(given) : await model.describe(given);
   const taken = Math.round(performance.now() - start);
   element("result").hidden = false;
-  drawMap(model, labels, described);
+  drawMap(model, { ...given, labels: described.labels ?? given.labels }, described);
   drawTargets(model, described);
   listMatches(database?.search(described.descriptor, TOP) ?? []);
   const unchecked = database && !own ? " The database carries no fingerprint." : "";
-  say(`${labels.name}: ${labels.height} x ${labels.width}, ${taken} ms.${unchecked}`);
+  say(`${frame.name}: ${given.height} x ${given.width}, ${taken} ms.${unchecked}`);
 }
 
 function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
