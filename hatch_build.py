@@ -46,7 +46,6 @@ def build(root: Path) -> str:
     """Compiles the core into its folder; returns why not, or nothing."""
     folder = root / FOLDER
     library, fresh = folder / LIBRARY, folder / f"{LIBRARY}.{os.getpid()}"
-    library.unlink(missing_ok=True)
     if os.name == "nt":
         return "not on Windows"
     named = shlex.split(os.environ.get("CXX", ""))

@@ -5,16 +5,35 @@ What the tests of the command line share: the command line itself, six frames, a
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 import torch
 from drives import write_maps
 from hypothesis import settings
+
+from ssrvlad_torch import native
 
 torch.set_num_threads(1)
 
 settings.register_profile("steady", derandomize=True, deadline=None)
 settings.register_profile("random", max_examples=1000, deadline=None)
 settings.load_profile("steady")
+
+
+@pytest.fixture(scope="session")
+def core():
+    """The native core, built where a checkout has none of its own source."""
+    if native.core().library is None:
+        if not shutil.which("g++"):
+            pytest.skip("no C++ compiler")
+        build = Path(__file__).parents[1] / "hatch_build.py"
+        subprocess.run([sys.executable, build], check=True)
+        native.core.cache_clear()
+    return native.core()
 
 
 @pytest.fixture

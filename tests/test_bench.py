@@ -38,7 +38,7 @@ def test_threads_are_put_back():
     assert torch.get_num_threads() == before
 
 
-def test_both_heads_have_the_settings():
+def test_both_heads_have_the_settings(core):
     config = SSRVLADConfig(labels_as="camvid-11")
     assert {name: head.config for name, head in heads(config).items()} == {
         "torch": config,
@@ -54,7 +54,7 @@ def test_the_onnx_head_is_the_head(preset):
     torch.testing.assert_close(found, wanted, rtol=0, atol=1e-6)
 
 
-def test_the_table_has_a_row_for_every_way(monkeypatch):
+def test_the_table_has_a_row_for_every_way(core, monkeypatch):
     monkeypatch.setattr(bench, "SIZE", (48, 64))
     monkeypatch.setattr(bench, "BATCH", 2)
     rows = bench_this_machine(repetitions=1)

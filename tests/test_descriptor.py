@@ -240,7 +240,7 @@ def test_bad_input_is_named(labels, message):
 
 
 @pytest.mark.parametrize("native", [True, False], ids=["native core", "torch"])
-def test_compiled_by_torch_it_gives_the_same_numbers(native):
+def test_compiled_by_torch_it_gives_the_same_numbers(core, native):
     head = SSRVLAD(DEFAULT)
     head.native = native
     batch = batch_of_blobs(2, 61, 83)
@@ -249,7 +249,7 @@ def test_compiled_by_torch_it_gives_the_same_numbers(native):
     assert torch.equal(head(batch), expected)
 
 
-def test_it_is_exported_as_one_operator():
+def test_it_is_exported_as_one_operator(core):
     head, batch = SSRVLAD(DEFAULT), batch_of_blobs(2, 61, 83)
     program = torch.export.export(head, (batch,))
     assert torch.equal(program.module()(batch), head(batch))

@@ -31,16 +31,7 @@ ROOT = Path(__file__).parents[1]
 SPACE = "camvid-11"
 SIZES = st.integers(1, 140)
 
-pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="no C++ compiler")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def library():
-    """The core, built where a checkout has none of this source."""
-    if native.core().library is None:
-        subprocess.run([sys.executable, ROOT / "hatch_build.py"], check=True)
-        native.core.cache_clear()
-    return native.core().library
+pytestmark = pytest.mark.usefixtures("core")
 
 
 def run(stage: str, some: Tensor, *arguments: int, results: int = 1) -> tuple[Tensor, ...]:
@@ -85,7 +76,7 @@ def noise(seed: int, height: int, width: int, density: int) -> Tensor:
     return some
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),
     height=SIZES,
@@ -116,7 +107,7 @@ def maps(seed: int, count: int, height: int, width: int, grain: int = 8) -> Tens
     return torch.where(torch.rand(fine.shape, generator=generator) < 0.1, fine, large)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 1000),
     height=st.integers(1, 90),
@@ -164,7 +155,7 @@ configs = pytest.mark.parametrize(
 
 
 @configs
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(seed=st.integers(0, 1000), height=st.integers(1, 80), width=st.integers(1, 200))
 def test_descriptors(config, seed, height, width):
     labels = maps(seed, 2, height, width)
@@ -224,8 +215,8 @@ def test_the_operator_keeps_the_rules_of_torch():
 
 
 @pytest.mark.parametrize("preset", PRESETS)
-def test_presets_of_the_library(preset, library):
-    own = native.Settings()
+def test_presets_of_the_library(preset, core):
+    own, library = native.Settings(), core.library
     assert library.ssrvlad_preset(preset.encode(), ctypes.byref(own)) == 0
     config = SSRVLADConfig.from_preset(preset)
     for name, _ in native.Settings._fields_:
@@ -235,8 +226,8 @@ def test_presets_of_the_library(preset, library):
     assert library.ssrvlad_preset(b"other", ctypes.byref(own)) < 0
 
 
-def test_wrong_settings_are_refused(library):
-    own = native.Settings()
+def test_wrong_settings_are_refused(core):
+    own, library = native.Settings(), core.library
     library.ssrvlad_preset(b"default", ctypes.byref(own))
     own.rings = 0
     assert library.ssrvlad_new(ctypes.byref(own)) is None
@@ -274,5 +265,3 @@ def test_without_a_compiler(tmp_path, monkeypatch):
     monkeypatch.delenv("CXX")
     monkeypatch.setenv("PATH", "")
     assert build(tmp_path) == "no C++ compiler"
-    monkeypatch.setattr(native, "FOLDER", folder)
-    assert native.core.__wrapped__().library is None
