@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -141,6 +141,29 @@ class SSRVLAD(nn.Module):
                 descriptor=self._aggregation.descriptor(histograms),
             )
 
+    def sweep(self, labels: Tensor | npt.NDArray[Any], columns: Sequence[int]) -> Tensor:
+        """Descriptors from several anchors, for a query that may be turned or moved aside.
+
+        Args:
+            labels: as for a call.
+            columns: S anchors, in columns of the working grid right of the usual one.
+
+        Returns:
+            ``(B, S, 480)`` float32; that of column 0 is the descriptor.
+
+        Raises:
+            ValueError: the descriptors have no such anchor, as those of ``paper``.
+        """
+        if not isinstance(self._aggregation, Harmonics):
+            raise ValueError(
+                f"a sweep is of the aggregation harmonics, got {self.config.aggregation}"
+            )
+        labels = _tensor(labels)
+        with torch.autocast(labels.device.type, enabled=False):
+            masks = self._front_end(labels)
+            seen = (self._aggregation.histograms(masks, column) for column in columns)
+            return torch.stack([self._aggregation.descriptor(each) for each in seen], dim=1)
+
     def _with_gradient(self, descriptor: Tensor, scores: Tensor, masks: Masks) -> Tensor:
         """The same numbers with the gradient of the surrogate, where one is asked for."""
         if not self._takes_gradient(scores):
@@ -160,6 +183,23 @@ class SSRVLAD(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""
         return ", ".join((self.config.preset, self.config.labels_name, self.config.fingerprint))
+
+
+class SweepHead(SSRVLAD):
+    """`SSRVLAD.sweep` as a module, for what encodes queries: ``(B, S, 480)``.
+
+    Args:
+        config: the settings.
+        columns: the anchors.
+    """
+
+    def __init__(self, config: SSRVLADConfig, columns: Sequence[int]) -> None:
+        super().__init__(config)
+        self.columns = tuple(columns)
+
+    def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
+        """The descriptors of a batch from all anchors."""
+        return self.sweep(labels, self.columns)
 
 
 _NO_GRADIENT = (

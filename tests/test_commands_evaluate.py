@@ -51,7 +51,7 @@ def test_evaluate_names_its_convention_and_gives_intervals_and_thresholds(evalua
     points = metrics["thresholds"]
     assert points["at_precision"]["1"]["accepted"] == 6
     assert points["at_recall"]["0.5"]["precision"] == 1.0
-    assert points["suggested"] is None
+    assert points["suggested"]["accepted"] == 6 and points["suggested"]["precision_low"] < 0.95
 
 
 def test_evaluate_prints_all_figures(evaluate):

@@ -9,9 +9,22 @@ from ssrvlad_torch import SSRVLADConfig
 
 
 def test_a_query_finds_itself(ssrvlad, database, maps):
-    code, out, _ = ssrvlad("query", database, maps, "--temporal", 0, "--top", 1)
+    code, out, _ = ssrvlad("query", database, maps, "--top", 1)
     assert code == 0
-    assert out.splitlines() == [f"monday/{n:03d}: monday/{n:03d} 1.0000" for n in range(6)]
+    found = [line.split(" (confidence")[0].rpartition(" ")[0] for line in out.splitlines()]
+    assert found == [f"monday/{n:03d}: monday/{n:03d}" for n in range(6)]
+
+
+def test_steps_are_told_and_taken(ssrvlad, database, maps):
+    steps = ("--no-standardise", "--no-sweep", "--follow", "no")
+    _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)
+    assert [line.split(" (")[0].split()[-1] for line in out.splitlines()] == ["1.0000"] * 6
+    assert "not standardised, sweep +-0 columns, followed: no, no temporal sum" in err[-1]
+    sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
+    assert 0 < sure["confidence"] < 1 and sure["steps"]["standardise"] is True
+    nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
+    assert all("no candidate" in line for line in nothing)
+    assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]
 
 
 def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):

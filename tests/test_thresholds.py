@@ -14,6 +14,7 @@ from ssrvlad_torch.evaluation.curves import precision_recall
 from ssrvlad_torch.evaluation.thresholds import (
     at_precision,
     at_recall,
+    needed,
     operating_points,
     suggested,
     wilson_low,
@@ -73,7 +74,9 @@ def test_wilson_is_that_of_scipy():
 def test_seventy_three_right_answers_are_enough_and_one_fewer_is_not():
     scores = np.arange(73, 0, -1) / 100
     assert suggested(curve_of(scores, [1] * 73, 73)).accepted == 73
-    assert suggested(curve_of(scores[1:], [1] * 72, 72)) is None
+    fewer = suggested(curve_of(scores[1:], [1] * 72, 72))
+    assert fewer.accepted == 72 and fewer.precision_low < 0.95
+    assert needed() == 73
 
 
 def test_the_suggestion_lies_between_scores():
@@ -115,8 +118,9 @@ def test_points_equal_a_search(queries, share):
             assert point.accepted == counts[wanted][1]
             assert point.precision == pytest.approx(counts[wanted][0] / counts[wanted][1])
     point = suggested(curve, share)
-    sure = [t for t, (r, n) in counts.items() if wilson_low(np.array(r), np.array(n)) >= share]
-    assert (point is None) == (not sure)
+    low = {t: float(wilson_low(np.array(r), np.array(n))) for t, (r, n) in counts.items()}
+    sure = [t for t in low if low[t] >= min(share, max(low.values()))]
+    assert (point is None) == (not correct.any())
     if point:
         assert (scores >= point.score).sum() == (scores > point.score).sum() == point.accepted
         assert point.accepted == counts[min(sure)][1]
@@ -128,4 +132,4 @@ def test_all_points_as_a_mapping(curve):
     assert points["at_precision"]["1"]["score"] == 0.8
     assert points["at_recall"]["0.5"]["precision"] == 0.75
     assert points["at_recall"]["0.9"] is None
-    assert points["suggested"] is None
+    assert points["suggested"]["accepted"] == 5 and points["suggested"]["precision_low"] < 0.95

@@ -15,7 +15,7 @@ from ..encoding.results import Skipped
 from ..evaluation.ground_truth_files import Known, of_known
 from ..evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ..evaluation.outcomes import judge
-from ..evaluation.thresholds import operating_points
+from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
 from ..recognition.matching import Matches
 from .output import figure, interval, print_table
 from .pictures import Pictures
@@ -90,6 +90,7 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
         table.add_row(name, figure(metrics[key]), interval(intervals[key]))
     print_table(table)
     print_table(_thresholds(metrics["thresholds"]))
+    print(proof(metrics["thresholds"]["suggested"]))
     print(counts(metrics))
 
 
@@ -99,13 +100,35 @@ def counts(metrics: Mapping[str, Any]) -> str:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
         whose = f"method {metrics['method']}: encode {encode:.1f} ms, match {match:.1f} ms a query"
     else:
-        t = metrics["temporal"]
-        summed = f"temporal sum t = {t}" if t else "no temporal sum"
-        whose = f"{summed}, fingerprint {metrics['fingerprint']}"
+        done = steps_in_words(metrics["steps"], metrics["temporal"])
+        whose = f"{done}, fingerprint {metrics['fingerprint']}"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
         f"{metrics['references']} references, {whose}"
     )
+
+
+def proof(suggested: Mapping[str, Any] | None) -> str:
+    """What the suggested threshold is worth, and what would prove more."""
+    want = f"{needed()} accepted without a mistake would prove {SURE_PRECISION:g}"
+    if suggested is None:
+        return f"suggested: no threshold, no query was recognised; {want}"
+    low = suggested["precision_low"]
+    told = f"suggested: {suggested['score']:.4f}, a precision of at least {low:.3f} is proven by "
+    told += f"{suggested['accepted']} accepted queries"
+    return told if low >= SURE_PRECISION else f"{told}; {want}"
+
+
+def steps_in_words(used: Mapping[str, Any], temporal: int) -> str:
+    """What was done between descriptors and decision, in a line."""
+    widths, followed = used["sweep"].values(), used["follow"].values()
+    told = [
+        "standardised" if used["standardise"] else "not standardised",
+        f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns",
+        f"followed: {'/'.join(dict.fromkeys(followed))}",
+        f"temporal sum t = {temporal}" if temporal else "no temporal sum",
+    ]
+    return ", ".join(told)
 
 
 def _thresholds(points: Mapping[str, Any]) -> Table:

@@ -134,8 +134,36 @@ class RecognitionOptions:
         ),
     ] = None
     as_paper: Annotated[
-        bool, typer.Option("--as-paper", help="Decide as the paper does: the sum of Eq. 3, t = 3.")
+        bool,
+        typer.Option(
+            "--as-paper",
+            help="Decide as the paper does: single frames by their cosine, the sum of Eq. 3 with "
+            "t = 3, none of the steps below.",
+        ),
     ] = False
+    standardise: Annotated[
+        bool, typer.Option(help="Take each traverse's own mean off its descriptors.")
+    ] = True
+    sweep: Annotated[
+        bool,
+        typer.Option(
+            help="Describe each query from several anchors, for a camera that is turned or moved "
+            "aside; how many of them count is chosen from the scores."
+        ),
+    ] = True
+    follow: Annotated[
+        Literal["offline", "online", "no"],
+        typer.Option(
+            help="Judge each query in the light of its sequence: the whole, or what came before "
+            "it. Queries that are no sequence are noticed and judged one by one."
+        ),
+    ] = "offline"
+    min_confidence: Annotated[
+        float,
+        typer.Option(
+            min=0, max=1, help="Leave out queries whose first candidate is less likely right."
+        ),
+    ] = 0.0
 
     @property
     def t(self) -> int:

@@ -24,10 +24,13 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.results import cores
 from ..evaluation.metrics import Convention
-from ..recognition.matching import Matches, match
+from ..recognition.matching import Matches
+from ..recognition.recognise import AS_PAPER, Recognised, Steps
+from ..recognition.recognise import recognise as recognise_places
+from ..recognition.sweep import COLUMNS
 from ..taxonomy import label_space
 from .measure import TOP, Recognition, wants_similarity
-from .options import MethodOptions
+from .options import MethodOptions, RecognitionOptions
 from .output import progress_bar
 from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
 from .report import CANDIDATES, Page
@@ -37,27 +40,50 @@ from .truth import Places, counted
 _AHEAD = 16
 
 
+def steps_of(given: RecognitionOptions) -> Steps:
+    """The steps that the options ask for."""
+    if given.as_paper:
+        return AS_PAPER
+    follow = None if given.follow == "no" else given.follow
+    return Steps(given.standardise, given.sweep, follow)
+
+
 def by_database(
-    database: Database, source: Source, temporal: int, convention: Convention, page: Page | None
+    database: Database,
+    source: Source,
+    options: RecognitionOptions,
+    convention: Convention,
+    page: Page | None,
 ) -> Recognition:
     """The candidates of every query in a database.
 
     Args:
-        temporal: t of Eq. 3, reference frames summed on each side; 0 for no sum.
+        options: what is done with the descriptors. A convention that looks at all pairs looks at
+            their cosines, and no step is taken.
         page: the page that is wanted, if any.
 
     Raises:
         ValueError: the database is empty or damaged, or there are no queries.
     """
-    references = load_references(database, temporal)
-    queries, refused = encode_queries(database, source)
+    steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
+    references = load_references(database, options.t)
+    queries, refused = encode_queries(database, source, COLUMNS if steps.sweep else ())
+    found = recognise_places(
+        queries.descriptors,
+        references.descriptors,
+        queries.sequences,
+        references.sequences,
+        steps,
+        CANDIDATES if page else TOP,
+    )
+    queries = with_single_descriptors(queries)
     names = [refusal.frame for refusal in refused]
     config = with_labels_as(database.config, source.labels_as)
     given = page.pictures if page else ()
     return Recognition(
         references=_places(references, counted(references.frames, source.whole)),
         queries=_places(queries, counted(queries.frames, source.whole, names)),
-        found=match(queries.descriptors, references.descriptors, CANDIDATES if page else TOP),
+        found=sure_enough(found, options.min_confidence),
         similarity=_similarity(queries, references) if wants_similarity(convention) else None,
         descriptors=(queries.descriptors, references.descriptors),
         pictures=(
@@ -65,8 +91,47 @@ def by_database(
             pictures_of_references(database, source, given, config.labels_name),
         ),
         refused=refused,
-        told={"preset": config.preset, "fingerprint": config.fingerprint, "temporal": temporal},
+        told={
+            "preset": config.preset,
+            "fingerprint": config.fingerprint,
+            "temporal": options.t,
+            "steps": found.used,
+            "mean_confidence": float(found.confidence.mean()),
+        },
     )
+
+
+def with_single_descriptors(queries: FrameSet) -> FrameSet:
+    """Of a sweep the descriptors of the usual anchor."""
+    swept = torch.as_tensor(queries.descriptors)
+    if swept.ndim == 2:
+        return queries
+    return dataclasses.replace(queries, descriptors=swept[:, COLUMNS.index(0)].contiguous())
+
+
+def sure_enough(found: Recognised, least: float) -> Matches:
+    """The candidates of the queries of which one is this sure; of the others none."""
+    unsure = (found.confidence < least)[:, None]
+    scores, indices = found.matches
+    return Matches(scores.masked_fill(unsure, -torch.inf), indices.masked_fill(unsure, -1))
+
+
+def barred(
+    queries: int,
+    references: int,
+    where: npt.NDArray[np.bool_] | None,
+    exclude: npt.NDArray[np.int64] | None,
+) -> torch.Tensor | None:
+    """``(Q, R)`` bool, references that are no candidates; see `ssrvlad_torch.match`."""
+    if where is None and exclude is None:
+        return None
+    shut = np.zeros((queries, references), np.bool_)
+    if where is not None:
+        shut |= ~where
+    if exclude is not None:
+        rows = np.arange(references)
+        shut |= (rows >= exclude[:, :1]) & (rows < exclude[:, 1:])
+    return torch.from_numpy(shut)
 
 
 def by_method(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
-from ..descriptor import SSRVLAD
+from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
 from ..recognition.matching import temporal_sum
@@ -132,9 +132,17 @@ def load_references(
     return frames
 
 
-def encode_queries(database: Database, source: Source) -> tuple[FrameSet, list[Skipped]]:
+def encode_queries(
+    database: Database, source: Source, columns: Sequence[int] = ()
+) -> tuple[FrameSet, list[Skipped]]:
     """Frames encoded with the settings of a database, and the skipped ones; of a source that is
     another database, its frames.
+
+    Args:
+        database: whose settings they are.
+        source: the frames.
+        columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; none for single ones. A
+            database holds single ones, and those of ``paper`` have no anchor to move.
 
     Raises:
         ValueError: there are no frames, or the other database has another fingerprint.
@@ -149,9 +157,9 @@ def encode_queries(database: Database, source: Source) -> tuple[FrameSet, list[S
     config = with_labels_as(database.config, source.labels_as)
     files, segmenter = source.frames(config.labels_name)
     with progress_bar("encoding", len(files)) as bar:
-        return encode_to_memory(
-            SSRVLAD(config), files, source.given.workers, bar.advance, segmenter
-        )
+        sweeps = columns and config.aggregation == "harmonics"
+        head = SweepHead(config, columns) if sweeps else SSRVLAD(config)
+        return encode_to_memory(head, files, source.given.workers, bar.advance, segmenter)
 
 
 def with_labels_as(config: SSRVLADConfig, labels_as: str | None) -> SSRVLADConfig:

@@ -83,7 +83,7 @@ class FrameSet:
         posed = int((~np.isnan(self.poses[:, 0])).sum())
         return (
             f"<FrameSet: {len(self)} frames of {len(set(self.sequences))} sequences, descriptors "
-            f"of {self.descriptors.shape[1]}, {int(self.empty.sum())} empty, {posed} with a pose>"
+            f"of {self.descriptors.shape[-1]}, {int(self.empty.sum())} empty, {posed} with a pose>"
         )
 
 

@@ -105,7 +105,7 @@ def encode_to_memory(
         descriptors=descriptors,
         poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
-        empty=~descriptors.any(dim=1).numpy(),
+        empty=~descriptors.flatten(1).any(dim=1).numpy(),
     ), skipped
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
@@ -72,21 +73,31 @@ def suggested(curve: PrecisionRecall, precision: float = SURE_PRECISION) -> Oper
     if "above" is asked instead of "at least", as `ssrvlad_torch.match` does. Where no lower score
     was measured it is the next lower float32.
 
+    Where no threshold is that sure, it is the one whose precision is sure to be highest: the lower
+    end of its interval says what the data can prove, `needed` how much more would prove the rest.
+
     The interval holds for one threshold chosen beforehand; the best of many is a little better
     than it will be on other queries.
 
     Returns:
-        ``None`` if no threshold is that sure.
+        ``None`` only if no accepted query is right, or there is none.
 
     Raises:
         ValueError: ``precision`` is not in 0 to 1.
     """
     _check_share("precision", precision)
-    sure = np.flatnonzero(wilson_low(curve.true_positives, curve.accepted) >= precision)
-    if len(sure) == 0:
+    low = wilson_low(curve.true_positives, curve.accepted)
+    if not low.max(initial=0.0):
         return None
+    sure = np.flatnonzero(low >= min(precision, float(low.max())))
     last = int(sure[-1])
     return _point(curve, last)._replace(score=_below(curve, last))
+
+
+def needed(precision: float = SURE_PRECISION) -> int:
+    """How many queries, accepted without a mistake, prove a precision."""
+    z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
+    return math.ceil(z2 * precision / (1 - precision))
 
 
 def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -29,6 +30,8 @@ class Filter:
 
     Attributes:
         belief: after the last `step`.
+        gain: how much likelier the frames since `restart` are as a sequence than each alone, as a
+            logarithm; not above 0 where they do not follow one another.
 
     Example:
         >>> track = Filter(["drive"] * 30)
@@ -73,7 +76,7 @@ class Filter:
         unmapped = self.motion.unmapped if len(self) else 1.0
         each = (1 - unmapped) / max(1, len(self))
         self.belief = Belief(prior_of_speeds() * (self._inside * each), unmapped)
-        self._begins = True
+        self._begins, self.gain = True, 0.0
 
     def step(self, scores: Tensor) -> None:
         """Takes in the next frame.
@@ -86,6 +89,10 @@ class Filter:
         """
         told = self.evidence(scores)
         before = self.belief if self._begins else self.predicted(self.belief)
+        together = float((before.mapped.sum(0) * told).sum()) + before.unmapped
+        chance = self.motion.unmapped if len(self) else 1.0
+        alone = (1 - chance) * float(told.sum()) / max(1, len(self)) + chance
+        self.gain += math.log(together / alone)
         self.belief, self._begins = updated(before, told), False
 
     def rows(self, belief: Belief | None = None) -> Tensor:

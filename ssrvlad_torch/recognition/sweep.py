@@ -51,7 +51,10 @@ def score(queries: Vectors, references: Vectors) -> Tensor:
 
 @torch.no_grad()
 def narrowed(
-    queries: Vectors, references: Vectors, columns: tuple[int, ...] = COLUMNS
+    queries: Vectors,
+    references: Vectors,
+    columns: tuple[int, ...] = COLUMNS,
+    standardised: bool = True,
 ) -> tuple[Tensor, int]:
     """The sweep of one traverse, as wide as its own scores ask for.
 
@@ -63,9 +66,10 @@ def narrowed(
         queries: ``(Q, S, D)`` raw descriptors of one traverse.
         references: ``(R, D)``, standardised as the queries will be.
         columns: the S anchors, rising and symmetric about 0.
+        standardised: take the mean of the queries off.
 
     Returns:
-        ``(Q, S', D)``, standardised, and the width in columns on each side.
+        ``(Q, S', D)``, and the width in columns on each side.
 
     Raises:
         ValueError: there are not as many columns as anchors, or none is 0.
@@ -80,7 +84,8 @@ def narrowed(
     chosen, most = swept, -torch.inf
     width = 0
     for reach in widths:
-        part = standardise(swept[:, [abs(column) <= reach for column in columns]])
+        part = swept[:, [abs(column) <= reach for column in columns]]
+        part = standardise(part) if standardised else part
         ahead = _lead(score(part[:: max(1, len(part) // _SAMPLE)], references))
         if ahead > most:
             chosen, most, width = part, ahead, reach

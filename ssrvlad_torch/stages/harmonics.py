@@ -62,12 +62,18 @@ class Harmonics(nn.Module):
         for name, table in harmonic_tables(config)._asdict().items():
             self.register_buffer(name, table.view(torch.int64), persistent=False)
 
-    def histograms(self, masks: Masks) -> HarmonicHistograms:
-        """The soft histogram of each layer's area and skeleton around the anchor."""
+    def histograms(self, masks: Masks, shift: int = 0) -> HarmonicHistograms:
+        """The soft histogram of each layer's area and skeleton around the anchor.
+
+        Args:
+            masks: of B images.
+            shift: columns by which the anchor is moved to the right.
+        """
         config, (images, *grid) = self.config, masks.clean.shape
         column = torch.zeros(images, dtype=torch.int64, device=masks.clean.device)
         if config.anchor == "vanishing-column":
             column = vanishing_columns(masks.clean)
+        column = column + shift
 
         area = pool(masks.layers, column)
         lengths = pool(masks.skeleton, column) * (min(grid) / ROWS)

@@ -67,7 +67,7 @@ def evaluate(
     if method.method is None:
         opened = opened.posed() if true.metres is not None else opened
         references = Database.open(database, as_of)
-        found = by_database(references, opened, recognition.t, truth.convention, page)
+        found = by_database(references, opened, recognition, truth.convention, page)
     else:
         found = by_method(method, database, opened, truth.convention, page)
     matches = true.among(found.references, found.queries)

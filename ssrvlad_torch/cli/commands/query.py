@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated
 
 import typer
@@ -55,7 +56,10 @@ def query(
     from ...database.database import Damage, Database
     from ...database.index import search_index
     from ...database.selection import neighbours, select
-    from ...recognition.matching import match
+    from ...recognition.recognise import recognise
+    from ...recognition.sweep import COLUMNS
+    from ..measure import steps_in_words
+    from ..recognise import barred, steps_of, sure_enough
     from ..sources import Source, encode_queries, load_references
 
     opened = Source.open(source)
@@ -72,24 +76,45 @@ def query(
     where = None
     if from_sequence or window:
         where = select(references, from_sequence, first, last)
-    queries, refused = encode_queries(town, opened)
+    steps = steps_of(recognition)
+    queries, refused = encode_queries(town, opened, COLUMNS if steps.sweep and not index else ())
     near = None if exclude is None else neighbours(queries.frames, references, exclude)
     if index:
         spared = None if near is None else [references.frames[a:b] for a, b in near.tolist()]
         found = search_index(town, queries.descriptors, top, threshold, from_sequence, spared)
+        sure, used = [None] * len(found), None
     else:
-        matches = match(queries.descriptors, references.descriptors, top, threshold, where, near)
+        judged = recognise(
+            queries.descriptors,
+            references.descriptors,
+            queries.sequences,
+            references.sequences,
+            steps,
+            top,
+            barred(len(queries.frames), len(references.frames), where, near),
+        )
+        least = -math.inf if threshold is None else threshold
+        matches = sure_enough(judged, recognition.min_confidence)
+        sure, used = judged.confidence.tolist(), judged.used
         found = [
-            [(references.frames[row], s) for row, s in zip(rows, scores, strict=True) if row >= 0]
+            [
+                (references.frames[row], score)
+                for row, score in zip(rows, scores, strict=True)
+                if row >= 0 and score > least
+            ]
             for scores, rows in zip(*(m.tolist() for m in matches), strict=True)
         ]
-    for frame, ranked in zip(queries.frames, found, strict=True):
+    for frame, ranked, confidence in zip(queries.frames, found, sure, strict=True):
         candidates = [{"frame": name, "score": score} for name, score in ranked]
         if as_json:
-            print_json({"query": frame, "candidates": candidates, "temporal": recognition.t})
+            told = {"confidence": confidence, "temporal": recognition.t, "steps": used}
+            print_json({"query": frame, "candidates": candidates, **told})
         else:
-            told = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
-            print(f"{frame}: {told or 'no candidate'}")
+            listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
+            certain = "" if confidence is None else f" (confidence {confidence:.2f})"
+            print(f"{frame}: {listed or 'no candidate'}{certain}")
+    if not as_json:
+        note("single frames by the index" if used is None else steps_in_words(used, recognition.t))
     finish(refused)
 
 

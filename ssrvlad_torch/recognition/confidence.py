@@ -1,0 +1,56 @@
+"""Confidence: the probability that the first candidate is right.
+
+Logistic functions of what a decision rests on, fitted to decisions whose truth is known, by
+``scripts/pages/recognition.py``, which tells how they do on cities that they were not fitted to.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from .motion import moments, nearness
+
+OFFLINE = (2.09, 0.31)
+ONLINE = (1.68, 0.69)
+SINGLE = (-2.07, 0.65, 2.64)
+
+_ELSEWHERE = 5
+_LEAST = 1e-4
+
+
+def confidence_of_places(near: Tensor, mode: str) -> Tensor:
+    """Of places that were found by `follow`.
+
+    Args:
+        near: ``(Q,)``, the probability of the neighbourhood of each first candidate.
+        mode: ``"online"`` or ``"offline"``.
+
+    Returns:
+        ``(Q,)`` float32, 0 to 1.
+    """
+    offset, slope = OFFLINE if mode == "offline" else ONLINE
+    return torch.sigmoid(offset + slope * torch.logit(near.float(), _LEAST))
+
+
+def confidence_of_scores(scores: Tensor) -> Tensor:
+    """Of a single frame, by how far its first candidate stands out and leads.
+
+    Args:
+        scores: ``(R,)`` cosines of one query, -inf where there can be no match.
+
+    Returns:
+        float32, 0 to 1; 0 where there is no candidate, or nothing to hold it against.
+    """
+    if not len(scores) or not bool((scores > -torch.inf).any()):
+        return torch.tensor(0.0)
+    mean, deviation = moments(scores)
+    near = nearness(scores)
+    row = int(scores.argmax())
+    z = (near[row] - mean) / deviation
+    others = torch.cat((near[: max(0, row - _ELSEWHERE)], near[row + _ELSEWHERE + 1 :]))
+    others = others[others.isfinite()]
+    if not len(others):
+        return torch.tensor(0.0)
+    offset, by_z, by_lead = SINGLE
+    return torch.sigmoid(offset + by_z * z + by_lead * (near[row] - others.max()))

@@ -1,0 +1,181 @@
+"""Recognise: from the descriptors of queries and of a map to places, by the steps of this room."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor
+
+from .confidence import confidence_of_places, confidence_of_scores
+from .filter import Filter
+from .follow import Mode, Scores, follow
+from .matching import Matches, Vectors
+from .motion import Motion
+from .standardise import standardise
+from .sweep import COLUMNS, narrowed, score
+
+_SCORES_IN_MEMORY = 1 << 26
+
+
+@dataclass(frozen=True)
+class Steps:
+    """What is done between descriptors and a decision.
+
+    Attributes:
+        standardise: take each traverse's own mean off, see `standardise`.
+        sweep: use the anchors of queries that have several, see `sweep.narrowed`.
+        follow: see `follow.follow`; ``None`` judges every query by itself.
+    """
+
+    standardise: bool = True
+    sweep: bool = True
+    follow: Mode | None = "offline"
+
+
+AS_PAPER = Steps(standardise=False, sweep=False, follow=None)
+
+
+class Recognised(NamedTuple):
+    """What was found.
+
+    Attributes:
+        matches: ``(Q, top)``: scores are cosines for single frames, and probabilities where the
+            sequence was followed; that of the first candidate is of its neighbourhood.
+            An empty query has no candidate.
+        confidence: ``(Q,)`` float32, the probability that the first candidate is right, see
+            `confidence`; 0 without one.
+        used: what was done, to be told: the steps, the width of the sweep and whether it was
+            followed, by sequence.
+    """
+
+    matches: Matches
+    confidence: Tensor
+    used: dict[str, Any]
+
+
+@torch.no_grad()
+def recognise(
+    queries: Vectors,
+    references: Vectors,
+    query_sequences: Sequence[str],
+    reference_sequences: Sequence[str],
+    steps: Steps | None = None,
+    top: int = 5,
+    barred: Tensor | None = None,
+) -> Recognised:
+    """Candidates of every query, and how sure the first is.
+
+    Args:
+        queries: ``(Q, D)`` raw descriptors, or ``(Q, S, D)`` of a sweep over `sweep.COLUMNS`.
+        references: ``(R, D)`` raw descriptors.
+        query_sequences, reference_sequences: the sequence of each; the frames of one stand
+            together and in order.
+        steps: what is done; without, all.
+        top: candidates of each query.
+        barred: ``(Q, R)`` bool, references that are no candidates.
+
+    Raises:
+        ValueError: shapes do not fit.
+
+    Example:
+        >>> frames = torch.eye(20)
+        >>> recognise(frames[5:9], frames, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
+        [5, 6, 7, 8]
+    """
+    steps = steps or Steps()
+    swept, known = torch.as_tensor(queries), torch.as_tensor(references).float()
+    if len(query_sequences) != len(swept):
+        got = len(query_sequences)
+        raise ValueError(f"expected a sequence for each of {len(swept)} queries, got {got}")
+    if steps.standardise:
+        known = standardise(known, reference_sequences)
+    used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
+    parts: list[tuple[Matches, Tensor]] = []
+    first = 0
+    for name, same in itertools.groupby(query_sequences):
+        last = first + len(list(same))
+        part, width = _prepared(swept[first:last], known, steps)
+        shut = None if barred is None else barred[first:last]
+        scores = _Scores(part, known, shut)
+        found, followed = _judged(scores, reference_sequences, steps.follow, top)
+        parts.append(found)
+        used["sweep"][name], used["follow"][name] = width, followed
+        first = last
+    if not parts:
+        none = torch.zeros(0, top)
+        return Recognised(Matches(none, none.long()), torch.zeros(0), used)
+    matches = Matches(
+        torch.cat([found.scores for found, _ in parts]),
+        torch.cat([found.indices for found, _ in parts]),
+    )
+    return Recognised(matches, torch.cat([sure for _, sure in parts]), used)
+
+
+def _prepared(queries: Tensor, references: Tensor, steps: Steps) -> tuple[Tensor, int]:
+    """The queries of one sequence, standardised, and the width of their sweep."""
+    if queries.ndim == 3 and not steps.sweep:
+        queries = queries[:, queries.shape[1] // 2]
+    if queries.ndim == 3:
+        return narrowed(queries, references, COLUMNS, steps.standardise)
+    return (standardise(queries) if steps.standardise else queries), 0
+
+
+class _Scores(Scores):
+    """Scores of one sequence, computed at once if they are few and row by row if not."""
+
+    def __init__(self, queries: Tensor, references: Tensor, barred: Tensor | None) -> None:
+        self._queries, self._references, self._barred = queries, references, barred
+        few = len(queries) * len(references) <= _SCORES_IN_MEMORY
+        self._known = score(queries, references) if few else None
+
+    def __len__(self) -> int:
+        return len(self._queries)
+
+    def __getitem__(self, query: int, /) -> Tensor:
+        if self._known is None:
+            row = score(self._queries[query : query + 1], self._references)[0]
+        else:
+            row = self._known[query]
+        return row if self._barred is None else row.masked_fill(self._barred[query], -torch.inf)
+
+
+def _judged(
+    scores: _Scores, sequences: Sequence[str], mode: Mode | None, top: int
+) -> tuple[tuple[Matches, Tensor], str]:
+    """Candidates and confidences of one sequence, and how it was followed."""
+    if mode is not None and _is_sequence(scores, sequences):
+        places = follow(scores, sequences, mode=mode, top=top)
+        ranked = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
+        empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
+        found = Matches(
+            ranked.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf),
+            places.indices.masked_fill(empty[:, None], -1),
+        )
+        sure = confidence_of_places(places.near, mode)
+        return (found, sure.masked_fill(empty, 0)), mode
+    rows = [_best(scores[query], top) for query in range(len(scores))]
+    matches = Matches(
+        torch.stack([row.scores for row, _ in rows]), torch.stack([row.indices for row, _ in rows])
+    )
+    return (matches, torch.stack([sure for _, sure in rows])), "no"
+
+
+def _is_sequence(scores: _Scores, sequences: Sequence[str]) -> bool:
+    """Whether the frames, all of them in the map, are likelier as a sequence than each alone."""
+    track = Filter(sequences, Motion(unmapped=0.0))
+    for query in range(len(scores)):
+        track.step(scores[query])
+    return track.gain > 0
+
+
+def _best(scores: Tensor, top: int) -> tuple[Matches, Tensor]:
+    """The candidates of one query, the first of equals first."""
+    best, rows = torch.full((top,), -torch.inf), torch.full((top,), -1)
+    ranked = scores.sort(descending=True, stable=True)
+    count = min(top, int((scores > -torch.inf).sum()))
+    best[:count], rows[:count] = ranked.values[:count], ranked.indices[:count]
+    return Matches(best, rows), confidence_of_scores(scores)

@@ -1,0 +1,100 @@
+"""`recognition.recognise` and `recognition.confidence`."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import torch.nn.functional as F
+
+from ssrvlad_torch.recognition.confidence import confidence_of_places, confidence_of_scores
+from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps, recognise
+from ssrvlad_torch.recognition.sweep import COLUMNS
+
+
+def two_traverses(
+    rows: int, noise: float, common: float = 2.0
+) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(0)
+    places = torch.randn(rows, 64, generator=generator)
+    return tuple(
+        F.normalize(
+            places
+            + common * torch.randn(64, generator=generator)
+            + noise * torch.randn(rows, 64, generator=generator),
+            dim=1,
+        )
+        for _ in range(2)
+    )
+
+
+def right(found, rows: int) -> float:
+    return (found.matches.indices[:, 0] == torch.arange(rows)).float().mean().item()
+
+
+def test_each_step_finds_more():
+    queries, references = two_traverses(80, 1.6)
+    names = ["q"] * 80, ["r"] * 80
+    rates = [
+        right(recognise(queries, references, *names, steps), 80)
+        for steps in (AS_PAPER, Steps(follow=None), Steps(follow="online"), Steps())
+    ]
+    assert rates == sorted(rates) and rates[0] < 0.9 * rates[-1] and rates[-1] > 0.97
+
+
+def test_queries_that_are_no_sequence_are_judged_one_by_one():
+    queries, references = two_traverses(80, 0.8)
+    order = torch.randperm(80, generator=torch.Generator().manual_seed(0))
+    found = recognise(queries[order], references, ["q"] * 80, ["r"] * 80)
+    alone = recognise(queries[order], references, ["q"] * 80, ["r"] * 80, Steps(follow=None))
+    assert found.used["follow"] == {"q": "no"}
+    assert torch.equal(found.matches.indices, alone.matches.indices)
+    kept = recognise(queries, references, ["q"] * 80, ["r"] * 80)
+    assert kept.used["follow"] == {"q": "offline"}
+
+
+def test_the_paper_decides_by_the_cosine():
+    queries, references = two_traverses(30, 1.0)
+    found = recognise(queries, references, ["q"] * 30, ["r"] * 30, AS_PAPER)
+    expected = (queries @ references.T).topk(5)
+    assert torch.equal(found.matches.indices, expected.indices)
+    torch.testing.assert_close(found.matches.scores, expected.values)
+
+
+def test_a_sweep_is_used_or_left():
+    queries, references = two_traverses(40, 0.5)
+    swept = torch.randn(40, len(COLUMNS), 64, generator=torch.Generator().manual_seed(1))
+    swept = F.normalize(swept, dim=2)
+    swept[:, -1] = queries
+    names = ["q"] * 40, ["r"] * 40
+    wide = recognise(swept, references, *names, Steps(follow=None))
+    narrow = recognise(swept, references, *names, Steps(follow=None, sweep=False))
+    assert wide.used["sweep"] == {"q": max(COLUMNS)} and right(wide, 40) > 0.6
+    assert narrow.used["sweep"] == {"q": 0} and right(narrow, 40) < 0.2
+
+
+def test_what_is_barred_is_no_candidate():
+    queries, references = two_traverses(30, 0.3)
+    barred = torch.eye(30, dtype=torch.bool)
+    for steps in (Steps(), AS_PAPER):
+        found = recognise(queries, references, ["q"] * 30, ["r"] * 30, steps, 3, barred)
+        assert right(found, 30) == 0
+
+
+def test_confidence_rises_with_what_it_rests_on():
+    for mode in ("online", "offline"):
+        sure = confidence_of_places(torch.linspace(0, 1, 9), mode)
+        assert (sure.diff() > 0).all() and 0 < sure[0] < 0.6 < sure[-1] < 1
+    clear, unclear = torch.full((50,), 0.1), torch.full((50,), 0.1)
+    clear[3], unclear[3], unclear[30] = 0.9, 0.9, 0.89
+    assert confidence_of_scores(clear) > confidence_of_scores(unclear)
+    assert confidence_of_scores(torch.full((4,), -torch.inf)) == 0
+
+
+def test_refuses():
+    with pytest.raises(ValueError, match="each of 4 queries, got 1"):
+        recognise(torch.eye(4), torch.eye(4), ["a"], ["b"] * 4)
+
+
+def test_no_queries_give_no_candidates():
+    found = recognise(torch.zeros(0, 4), torch.eye(4), [], ["b"] * 4, top=3)
+    assert found.matches.indices.shape == (0, 3) and found.confidence.shape == (0,)
