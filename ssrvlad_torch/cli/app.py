@@ -20,6 +20,7 @@ from .commands.encode import encode
 from .commands.evaluate import evaluate
 from .commands.export import export
 from .commands.fuse import fuse
+from .commands.labels import labels
 from .commands.loops import loops
 from .commands.query import query
 from .commands.show import show
@@ -61,6 +62,7 @@ for command in (
     export,
     fuse,
     verify,
+    labels,
     show,
     bench,
 ):

@@ -69,8 +69,8 @@ class SourceOptions:
     labels_as: Annotated[
         str | None,
         typer.Option(
-            help="Label space of the ids: a name or a .yaml file; if not given, that of the "
-            "database or of the data set."
+            help="Label space of the ids: a name or a .yaml file; if not given, what the "
+            "segmenter's own class names mean (auto), or that of the database or the data set."
         ),
     ] = None
     layout: Annotated[
@@ -98,11 +98,15 @@ class SourceOptions:
     every: Annotated[int, typer.Option(min=1, help="Take every N-th frame of a sequence.")] = 1
     start: Annotated[int, typer.Option(min=0, help="First frame to take of a sequence.")] = 0
     segmenter: Annotated[
-        Path | None,
+        str | None,
         typer.Option(
-            help="Network that labels images: an .onnx file, or a .yaml file with network: "
-            "FILE.onnx and its settings.",
+            help="Network that labels images: FILE.onnx, FILE.yaml with a network and its "
+            "settings, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL or MODULE:NAME.",
         ),
+    ] = None
+    classes: Annotated[
+        str | None,
+        typer.Option(help="FIRST:LAST, channels of the network that are taken, as 0:19."),
     ] = None
     segmenter_cache: Annotated[
         Path | None,

@@ -17,7 +17,7 @@ from ..datasets.layouts import open_dataset
 from ..evaluation.report import Picture
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import colourise, label_space
-from .sources import Source
+from .sources import LabelsAs, Source
 
 Files = dict[str, list[FrameFile]]
 Pictures = Callable[[str], Picture]
@@ -38,7 +38,7 @@ class Traces(NamedTuple):
     photos: Sequence[FrameFile] = ()
 
     def look(
-        self, labels_as: str, segmenter: Segmenter | None = None, wanted: str | None = None
+        self, labels_as: LabelsAs, segmenter: Segmenter | None = None, wanted: str | None = None
     ) -> Picture:
         """What the frame looks like; what cannot be found or read is left out.
 
@@ -54,7 +54,7 @@ class Traces(NamedTuple):
         return Picture(None, photo)
 
     def _labelled(
-        self, labels_as: str, segmenter: Segmenter | None
+        self, labels_as: LabelsAs, segmenter: Segmenter | None
     ) -> Iterator[tuple[LabelMap, Pixels | None]]:
         """Label maps, each with the image that it was made of, if any."""
         space = label_space(labels_as)
@@ -67,7 +67,7 @@ class Traces(NamedTuple):
                 yield read_label_map(file, space), None
 
 
-def pictures_of_files(files: Sequence[FrameFile], labels_as: str | None) -> Pictures:
+def pictures_of_files(files: Sequence[FrameFile], labels_as: LabelsAs | None) -> Pictures:
     """Pictures of frames that are label maps, or, without a label space, images."""
     by_id = {file.frame: file for file in files}
 
@@ -79,7 +79,7 @@ def pictures_of_files(files: Sequence[FrameFile], labels_as: str | None) -> Pict
     return look
 
 
-def pictures_of_queries(source: Source, labels_as: str) -> Pictures:
+def pictures_of_queries(source: Source, labels_as: LabelsAs) -> Pictures:
     """Pictures of the frames of a source, with the photos that a data set has of them."""
 
     @cache
@@ -101,7 +101,7 @@ def pictures_of_queries(source: Source, labels_as: str) -> Pictures:
 
 
 def pictures_of_references(
-    database: Database, source: Source, given: Sequence[str], labels_as: str
+    database: Database, source: Source, given: Sequence[str], labels_as: LabelsAs
 ) -> Pictures:
     """Pictures of the frames of a database, which has neither label maps nor where they were.
 

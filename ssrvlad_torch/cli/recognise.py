@@ -34,7 +34,7 @@ from .options import MethodOptions, RecognitionOptions
 from .output import progress_bar
 from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
 from .report import CANDIDATES, Page
-from .sources import Source, encode_queries, load_references, with_labels_as
+from .sources import LabelsAs, Source, encode_queries, load_references, with_labels_as
 from .truth import Places, counted
 
 _AHEAD = 16
@@ -213,7 +213,7 @@ def recognise(
     method: baselines.Method,
     references: Sequence[FrameFile],
     queries: Sequence[FrameFile],
-    labels_as: str | None,
+    labels_as: LabelsAs | None,
     workers: int,
     all_pairs: bool,
 ) -> Recognition:
@@ -247,14 +247,15 @@ def recognise(
 
 
 def _frames(
-    files: Sequence[FrameFile], labels_as: str | None, workers: int
+    files: Sequence[FrameFile], labels_as: LabelsAs | None, workers: int
 ) -> Iterator[baselines.Frame]:
     """Frames with their label maps, or, without a label space, with their images."""
     space = label_space(labels_as) if labels_as else None
+    name = labels_as if isinstance(labels_as, str) else space.name if space else None
 
     def load(file: FrameFile) -> baselines.Frame:
         if space:
-            return baselines.Frame(file.frame, read_label_map(file, space), labels_as)
+            return baselines.Frame(file.frame, read_label_map(file, space), name)
         return baselines.Frame(file.frame, image=read_image(file))
 
     for file, frame in read_ahead(load, files, workers, _AHEAD):

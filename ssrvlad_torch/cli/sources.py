@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 from ..config import SSRVLADConfig
@@ -21,9 +22,13 @@ from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
 from ..recognition.matching import temporal_sum
+from ..segmentation.networks import AUTO, NamedNetwork, channels, open_network
 from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace
 from .options import SourceOptions
 from .output import note, progress_bar
+
+LabelsAs = str | os.PathLike[str] | LabelSpace
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Source:
     given: SourceOptions
     dataset: Dataset | None
     whole: Dataset | None
-    labels_as: str | None
+    labels_as: str | LabelSpace | None
 
     @classmethod
     def open(cls, given: SourceOptions) -> Source:
@@ -53,7 +58,10 @@ class Source:
         dataset = whole and whole.select(given.split or (), given.role)
         for warning in dataset.warnings if dataset else ():
             note(warning)
-        labels_as = given.labels_as or (dataset.labels_as if dataset else None)
+        labels_as: str | LabelSpace | None = given.labels_as
+        if given.segmenter and labels_as in (None, AUTO):
+            labels_as = _own_space(given.segmenter, given.classes, required=labels_as == AUTO)
+        labels_as = labels_as or (dataset.labels_as if dataset else None)
         return cls(given, dataset, whole, labels_as)
 
     def database(self) -> Database | None:
@@ -66,7 +74,7 @@ class Source:
         return dataclasses.replace(self, dataset=self.dataset and self.dataset.posed())
 
     def frames(
-        self, labels_as: str, known: Mapping[str, str] | None = None
+        self, labels_as: LabelsAs, known: Mapping[str, str] | None = None
     ) -> tuple[list[FrameFile], Segmenter | None]:
         """The frames, and what makes label maps of them if they are images.
 
@@ -80,18 +88,21 @@ class Source:
         segmenter = self.segmenter(labels_as)
         return self.image_files(known) if segmenter else self.label_files(known), segmenter
 
-    def segmenter(self, labels_as: str) -> Segmenter | None:
+    def segmenter(self, labels_as: LabelsAs) -> Segmenter | None:
         """What makes label maps of images, if one was given.
 
         Raises:
             ValueError: it cannot be used.
         """
-        network, cache = self.given.segmenter, self.given.segmenter_cache
+        network, folder = self.given.segmenter, self.given.segmenter_cache
         if network is None:
-            if cache is not None:
+            if folder is not None:
                 raise ValueError("--segmenter-cache wants a --segmenter")
             return None
-        return Segmenter.load(network, labels_as, cache or _user_cache())
+        classes = channels(self.given.classes) if self.given.classes else None
+        return Segmenter.load(
+            _network(network), _as_space(labels_as), folder or _user_cache(), classes
+        )
 
     def label_files(self, known: Mapping[str, str] | None = None) -> list[FrameFile]:
         """The frames that are label maps."""
@@ -155,14 +166,14 @@ def encode_queries(
             )
         return other.load(), []
     config = with_labels_as(database.config, source.labels_as)
-    files, segmenter = source.frames(config.labels_name)
+    files, segmenter = source.frames(config.labels_as)
     with progress_bar("encoding", len(files)) as bar:
         sweeps = columns and config.aggregation == "harmonics"
         head = SweepHead(config, columns) if sweeps else SSRVLAD(config)
         return encode_to_memory(head, files, source.given.workers, bar.advance, segmenter)
 
 
-def with_labels_as(config: SSRVLADConfig, labels_as: str | None) -> SSRVLADConfig:
+def with_labels_as(config: SSRVLADConfig, labels_as: LabelsAs | None) -> SSRVLADConfig:
     """The settings for label maps of another label space, if one is given."""
     return dataclasses.replace(config, labels_as=labels_as or config.labels_as)
 
@@ -184,6 +195,23 @@ def _any(find: Callable[[list[str]], list[FrameFile]], paths: list[str]) -> bool
     with suppress(ValueError):
         return bool(find(paths))
     return False
+
+
+@cache
+def _network(name: str) -> NamedNetwork:
+    return open_network(name)
+
+
+def _as_space(labels_as: LabelsAs) -> str | LabelSpace:
+    return labels_as if isinstance(labels_as, LabelSpace) else str(labels_as)
+
+
+def _own_space(name: str, classes: str | None, required: bool) -> LabelSpace | None:
+    """The label space that a network says it has; ``None`` if it says none and need not."""
+    network = _network(name)
+    if not network.class_names and network.labels_as is None and not required:
+        return None
+    return Segmenter.load(network, classes=channels(classes) if classes else None).label_space
 
 
 def _user_cache() -> Path:

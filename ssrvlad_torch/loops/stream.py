@@ -22,6 +22,7 @@ from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest
 from ..evaluation.outcomes import Rows
 from ..files import absolute_folder
 from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace
 from .config import LoopConfig
 from .detector import LoopDetector
 from .result import LoopResult
@@ -30,7 +31,7 @@ CHECKPOINT_FRAMES = 500
 
 
 def open_detector(
-    config: LoopConfig, memory: Path | None, preset: str | None, labels_as: str
+    config: LoopConfig, memory: Path | None, preset: str | None, labels_as: str | LabelSpace
 ) -> tuple[LoopDetector, Database | None]:
     """A detector, and the database that it was loaded from and is saved to.
 

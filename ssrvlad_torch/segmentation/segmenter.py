@@ -169,7 +169,7 @@ class Segmenter:
     @classmethod
     def load(
         cls,
-        name: str | Path,
+        name: str | Path | NamedNetwork,
         labels_as: str | os.PathLike[str] | LabelSpace = AUTO,
         cache: Path | None = None,
         classes: tuple[int, int] | None = None,
@@ -177,7 +177,7 @@ class Segmenter:
         """A segmenter by the name of its network; see `open_network` for the names.
 
         Args:
-            name: of the network.
+            name: of the network, or what `open_network` made of it.
             labels_as: label space of its classes; ``"auto"`` takes what the YAML file says, or
                 what the network's own class names mean (`label_space_of_names`).
             cache: as for `Segmenter`.
@@ -189,7 +189,7 @@ class Segmenter:
             OSError: the network cannot be downloaded.
             ImportError: a missing extra.
         """
-        found = open_network(name)
+        found = name if isinstance(name, NamedNetwork) else open_network(name)
         config = found.config
         if classes is not None:
             config = dataclasses.replace(config, classes=classes)

@@ -96,7 +96,7 @@ def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Skippe
     """The frames that a detector does not know yet, of folders or as their names come in."""
     from ...loops.stream import encode_as_they_come, encode_files
 
-    labels_as, given = detector.head.config.labels_name, source.given
+    labels_as, given = detector.head.config.labels_as, source.given
     if STDIN not in given.paths:
         files, segmenter = source.frames(labels_as)
         return encode_files(detector, files, given.workers, segmenter)

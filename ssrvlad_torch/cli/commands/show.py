@@ -7,13 +7,21 @@ from typing import Annotated
 
 import typer
 
-from ..options import LabelsAs, Preset
+from ..options import Preset
 
 
 def show(
-    labels: Annotated[Path, typer.Argument(help="A label map.")],
+    frame: Annotated[Path, typer.Argument(help="A label map, or an image with --segmenter.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write.")],
-    labels_as: LabelsAs,
+    labels_as: Annotated[
+        str | None, typer.Option(help="Label space of the ids: a name or a .yaml file.")
+    ] = None,
+    segmenter: Annotated[
+        str | None, typer.Option(help="Network that labels the image; see ssrvlad encode.")
+    ] = None,
+    classes: Annotated[
+        str | None, typer.Option(help="FIRST:LAST, channels of the network that are taken.")
+    ] = None,
     preset: Preset = "default",
 ) -> None:
     """Picture what the method sees in one frame: layers, skeletons, keypoints, centres,
@@ -21,11 +29,25 @@ def show(
 
     Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11
     """
+    from ...datasets.image_files import find_image_files
     from ...datasets.label_files import find_label_files, read_label_map
     from ...descriptor import SSRVLAD
+    from ...segmentation.networks import AUTO, channels
+    from ...segmentation.segmenter import Segmenter
     from ..show import draw
 
-    head = SSRVLAD.from_preset(preset, labels_as=labels_as)
-    file = find_label_files([str(labels)])[0]
-    draw(read_label_map(file, head.label_space), head, output, title=file.frame)
+    if segmenter is None:
+        if labels_as is None:
+            raise ValueError("Missing option '--labels-as', or '--segmenter' for an image")
+        head = SSRVLAD.from_preset(preset, labels_as=labels_as)
+        file = find_label_files([str(frame)])[0]
+        draw(read_label_map(file, head.label_space), head, output, title=file.frame)
+    else:
+        taken = channels(classes) if classes else None
+        network = Segmenter.load(segmenter, labels_as or AUTO, classes=taken)
+        head = SSRVLAD.from_preset(preset, labels_as=network.label_space)
+        ((file, labels),) = network.label_maps(find_image_files([str(frame)])[:1])
+        if isinstance(labels, ValueError):
+            raise labels
+        draw(labels, head, output, title=file.frame)
     print(output)

@@ -1,0 +1,61 @@
+"""``ssrvlad labels``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from ..options import Json
+from ..output import print_json, print_table
+
+
+def labels(
+    name: Annotated[
+        str,
+        typer.Argument(help="A label space: a name or a .yaml file; or a network, as --segmenter."),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Print which class belongs to which category, and which to none because it moves, has no
+    category, or has an unknown name.
+
+    Example: ssrvlad labels cityscapes-trainids
+    """
+    from ...class_names import category_of_name
+    from ...segmentation.segmenter import Segmenter
+    from ...taxonomy import CATEGORIES, label_space, label_space_names
+
+    own = name not in label_space_names() and not _is_space(name)
+    space = Segmenter.load(name).label_space if own else label_space(name)
+    rows = []
+    for label in space.classes:
+        unknown = own and category_of_name(label.name) is None
+        rows.append((label.id, label.name, "unknown name" if unknown else label.category))
+    if as_json:
+        classes = [{"id": n, "name": each, "category": kind} for n, each, kind in rows]
+        print_json({"name": space.name, "classes": classes})
+        return
+    from rich.table import Table
+
+    table = Table("id", "name", "category")
+    for number, each, kind in rows:
+        table.add_row(str(number), each, kind)
+    print_table(table)
+    out = [each for _, each, kind in rows if kind not in CATEGORIES]
+    print(
+        f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category; left out: "
+        f"{', '.join(out) or 'none'}"
+    )
+
+
+def _is_space(name: str) -> bool:
+    """Whether a YAML file defines a label space, and not the settings of a network."""
+    import yaml
+
+    if not name.endswith((".yaml", ".yml")):
+        return False
+    from pathlib import Path
+
+    path = Path(name)
+    return not path.is_file() or "network" not in (yaml.safe_load(path.read_text("utf-8")) or {})
