@@ -87,8 +87,8 @@ def by_database(
         similarity=_similarity(queries, references) if wants_similarity(convention) else None,
         descriptors=(queries.descriptors, references.descriptors),
         pictures=(
-            pictures_of_queries(source, config.labels_name),
-            pictures_of_references(database, source, given, config.labels_name),
+            pictures_of_queries(source, config.labels_as),
+            pictures_of_references(database, source, given, config.labels_as),
         ),
         refused=refused,
         told={
