@@ -163,6 +163,15 @@ def test_descriptors(config, seed, height, width):
     torch.testing.assert_close(describe(labels, config), expected, rtol=0, atol=1e-6)
 
 
+def test_many_points():
+    """So many that shape contexts are counted by rows, not by pairs."""
+    bare = {"closing": 0.0, "hole_area": 0.0, "region_area": 0.0}
+    config = SSRVLADConfig.from_preset("paper", labels_as=SPACE, **bare)
+    labels = maps(8, 1, 150, 260, grain=2)
+    expected = SSRVLAD(config).explain(labels).descriptor
+    torch.testing.assert_close(describe(labels, config), expected, rtol=0, atol=1e-6)
+
+
 @configs
 def test_descriptors_of_every_type_and_layout(config):
     labels = maps(5, 3, 133, 190)

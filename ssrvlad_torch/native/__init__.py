@@ -69,15 +69,15 @@ class Core(NamedTuple):
 def core() -> Core:
     """The native core. It is refused if the C++ file beside it is not the one it was built from."""
     path = FOLDER / "libssrvlad.so"
+    if not path.exists():
+        return Core(None, "torch, for the native core was not built")
+    source = b"".join((FOLDER / name).read_bytes() for name in ("ssrvlad.cpp", "ssrvlad.h"))
+    if hashlib.sha256(source).hexdigest().encode() not in path.read_bytes():
+        return Core(None, "torch, for the native core is of another version: install again")
     try:
         library = ctypes.CDLL(str(path))
-    except OSError:
-        reason = "cannot be loaded" if path.exists() else "was not built"
-        return Core(None, f"torch, for the native core {reason}")
-    library.ssrvlad_source.restype = ctypes.c_char_p
-    source = b"".join((FOLDER / name).read_bytes() for name in ("ssrvlad.cpp", "ssrvlad.h"))
-    if library.ssrvlad_source().decode() != hashlib.sha256(source).hexdigest():
-        return Core(None, "torch, for the native core is of another version: install again")
+    except OSError as error:
+        return Core(None, f"torch, for the native core cannot be loaded: {error}")
     size, pointer = ctypes.c_int64, ctypes.c_void_p
     planes = (pointer, size, size, size)
     library.ssrvlad_new.restype = pointer

@@ -812,6 +812,15 @@ struct Bins {
   int total;
   std::vector<std::uint16_t> table;
 
+  // The same table as stretches of a row that are in one bin; those of row dy are
+  // `stretches[rows[height - 1 + dy]]` and on.
+  struct Stretch {
+    std::int32_t end;  // dx of the first offset after it
+    std::int32_t bin;
+  };
+  std::vector<Stretch> stretches;
+  std::vector<std::size_t> rows;
+
   Bins(Size height, Size width, const std::vector<Size> &limits, int sectors)
       : height(height), width(width), pitch(2 * width - 1),
         centre((height - 1) * pitch + width - 1),
@@ -826,6 +835,15 @@ struct Bins {
         table[static_cast<std::size_t>(centre + dy * pitch + dx)] =
             static_cast<std::uint16_t>(ring * sectors + sector_of(dy, dx, sectors));
       }
+    for (Size row = 0; row < 2 * height - 1; ++row) {
+      rows.push_back(stretches.size());
+      for (Size i = 0; i < pitch; ++i) {
+        const auto bin = std::int32_t{table[static_cast<std::size_t>(row * pitch + i)]};
+        if (i == 0 || stretches.back().bin != bin) stretches.push_back({0, bin});
+        stretches.back().end = static_cast<std::int32_t>(i + 2 - width);
+      }
+    }
+    rows.push_back(stretches.size());
   }
 
   // Sector m begins at the angle 2 pi m / M, counted from +x towards +y. Integer offsets meet a
@@ -837,12 +855,54 @@ struct Bins {
   }
 };
 
-// Adds, for each bin, how many context points stand in it around a reference point.
+// How many context points stand left of each column of each row.
+struct RunningCounts {
+  std::vector<std::uint16_t> counts;
+
+  void count(const std::vector<Point> &context, const Bins &bins) {
+    const Size pitch = bins.width + 1;
+    counts.assign(static_cast<std::size_t>(bins.height * pitch), 0);
+    for (const Point &point : context)
+      ++counts[static_cast<std::size_t>(point.y * pitch + point.x + 1)];
+    for (Size y = 0; y < bins.height; ++y) {
+      std::uint16_t *row = counts.data() + y * pitch;
+      std::uint16_t sum = 0;
+      for (Size x = 0; x < pitch; ++x)
+        row[x] = sum = static_cast<std::uint16_t>(sum + row[x]);
+    }
+  }
+};
+
+// As `shape_context`, stretch by stretch: what it costs does not grow with the number of points.
+void shape_context_by_rows(Point reference, const RunningCounts &running, const Bins &bins,
+                           std::vector<Size> &counts) {
+  const auto width = static_cast<std::int32_t>(bins.width);
+  for (Size y = 0; y < bins.height; ++y) {
+    const std::uint16_t *row = running.counts.data() + y * (bins.width + 1);
+    const auto offset = static_cast<std::size_t>(bins.height - 1 + y - reference.y);
+    int before = 0;
+    for (const auto *s = &bins.stretches[bins.rows[offset]]; before < row[width]; ++s) {
+      const std::int32_t end = std::min(width, reference.x + s->end);
+      if (end <= 0) continue;
+      counts[static_cast<std::size_t>(s->bin)] += row[end] - before;
+      before = row[end];
+    }
+  }
+}
+
+// Adds, for each bin, how many context points stand in it around a reference point. The counts are
+// the sums of two halves: near points are often in one bin, and one count would wait for itself.
 void shape_context(Point reference, const std::vector<Point> &context, const Bins &bins,
                    std::vector<Size> &counts) {
   const std::uint16_t *table =
       bins.table.data() + bins.centre - reference.y * bins.pitch - reference.x;
-  for (const Point &point : context) ++counts[table[point.y * bins.pitch + point.x]];
+  const auto bin = [&](std::size_t i) {
+    return std::size_t{table[context[i].y * bins.pitch + context[i].x]};
+  };
+  std::size_t i = 0;
+  Size *const first = counts.data(), *const second = first + bins.total + 1;
+  for (; i + 1 < context.size(); i += 2) ++first[bin(i)], ++second[bin(i + 1)];
+  if (i < context.size()) ++first[bin(i)];
 }
 
 void normalise(double *values, Size count) {
@@ -1019,6 +1079,7 @@ struct Scratch {
   Tiles tiles, ends, crossings, more;
   Thinning thinning;
   std::vector<Point> references, context;
+  RunningCounts running;
   std::vector<Size> around_points, around_centre, columns;
   std::vector<double> values, histogram, length_histogram;
 };
@@ -1172,15 +1233,28 @@ struct ssrvlad_head {
       points_of(s.ends, &s.crossings, s.references);
       points_of(s.tiles, nullptr, s.context);
       const auto &context = settings.context == SSRVLAD_SKELETON ? s.context : s.references;
-      s.around_points.assign(static_cast<std::size_t>(bins->total + 1), 0);
+      const auto half = static_cast<std::size_t>(bins->total + 1);
+      s.around_points.assign(2 * half, 0);
       s.around_centre = s.around_points;
-      for (const Point &point : s.references) shape_context(point, context, *bins, s.around_points);
+      const std::size_t pairs = context.size() * s.references.size();
+      const std::size_t by_rows =
+          s.references.size() * bins->stretches.size() / 2 + bins->table.size() / 4;
+      if (pairs > by_rows && bins->width <= UINT16_MAX) {
+        s.running.count(context, *bins);
+        for (const Point &point : s.references)
+          shape_context_by_rows(point, s.running, *bins, s.around_points);
+      } else {
+        for (const Point &point : s.references)
+          shape_context(point, context, *bins, s.around_points);
+      }
       shape_context(centre, context, *bins, s.around_centre);
       double *vector = s.values.data() + Size{k} * bins->total;
       const auto number = static_cast<Size>(s.references.size());
       for (int i = 0; i < bins->total; ++i) {  // Eq. 2
         const auto bin = static_cast<std::size_t>(i);
-        vector[i] = static_cast<double>(s.around_points[bin] - number * s.around_centre[bin]);
+        const Size points = s.around_points[bin] + s.around_points[half + bin];
+        const Size around_it = s.around_centre[bin] + s.around_centre[half + bin];
+        vector[i] = static_cast<double>(points - number * around_it);
       }
       normalise(vector, bins->total);
     }
