@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+_MOST_PIXELS = 64_000_000
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -92,3 +93,17 @@ def _put_back(before: Path, path: Path) -> None:
         before.replace(path)
     else:
         path.unlink()
+
+
+def check_pixels(height: int, width: int) -> None:
+    """Checks the size of a picture before its pixels are in memory: a small file may hold many.
+
+    Raises:
+        ValueError: more than 64 million pixels, or than the environment variable
+            ``SSRVLAD_PIXEL_LIMIT`` says.
+    """
+    most = int(os.environ.get("SSRVLAD_PIXEL_LIMIT") or _MOST_PIXELS)
+    if height * width > most:
+        raise ValueError(
+            f"has {height} x {width} pixels; expected at most {most} (SSRVLAD_PIXEL_LIMIT)"
+        )

@@ -8,10 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.format import MAGIC_PREFIX
+from numpy.lib.format import (
+    MAGIC_PREFIX,
+    read_array_header_1_0,
+    read_array_header_2_0,
+    read_magic,
+)
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ..files import one_line
+from ..files import check_pixels, one_line
 from .frame_files import FileKind, FrameFile, find_frames
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
@@ -64,6 +69,12 @@ def read_image(file: FrameFile) -> Pixels:
 
 
 def _decode_npy(content: bytes) -> Pixels:
+    file = io.BytesIO(content)
+    version = read_magic(file)
+    read_header = read_array_header_1_0 if version == (1, 0) else read_array_header_2_0
+    shape = read_header(file)[0]
+    if len(shape) > 1:
+        check_pixels(*shape[:2])
     array: npt.NDArray[Any] = np.load(io.BytesIO(content), allow_pickle=False)
     if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
         raise ValueError(f"wanted an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
@@ -72,6 +83,7 @@ def _decode_npy(content: bytes) -> Pixels:
 
 def _decode(content: bytes) -> Pixels:
     with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
+        check_pixels(stored.height, stored.width)
         stored.verify()  # the checksums of PNG, which decoding passes over
     with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
         image: Image.Image = ImageOps.exif_transpose(stored)

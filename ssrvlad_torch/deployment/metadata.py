@@ -95,6 +95,7 @@ def _to_text(array: npt.NDArray[Any]) -> dict[str, Any]:
 
 
 def _from_text(entry: Mapping[str, Any]) -> npt.NDArray[Any]:
-    content = zlib.decompress(base64.b64decode(entry["data"]))
     dtype = np.dtype(entry["dtype"]).newbyteorder("<")
+    expected = dtype.itemsize * int(np.prod(entry["shape"], dtype=np.int64))
+    content = zlib.decompressobj().decompress(base64.b64decode(entry["data"]), expected + 1)
     return np.frombuffer(content, dtype).reshape(entry["shape"]).astype(entry["dtype"])
