@@ -10,8 +10,8 @@ group and then in raster order. `by_image` turns a value per group into a value 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import NamedTuple, Protocol, Self, TypeVar
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, Protocol, Self, TypeVar
 
 import torch
 import torch.nn.functional as F
@@ -88,6 +88,29 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
     padded = F.pad(planes, (1, 1, 1, 1))
     offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
     return tuple(padded[:, y : y + height, x : x + width] for y, x in offsets)
+
+
+def line_neighbours(
+    line: Any, pitch: Any, length: Any, shifted: Callable[[Any, Any, Any], tuple[Any, Any]]
+) -> tuple[Any, tuple[Any, ...]]:
+    """All words of a line and the eight neighbours of their pixels, in the order of `neighbours`.
+
+    A line holds a batch in words of some pixels of a row each, ``pitch`` words a row, between
+    margins of ``pitch + 1`` words of background.
+
+    Args:
+        line: ``(length + 2 * (pitch + 1),)`` int64, a tensor or a symbol of a graph.
+        pitch, length: integers, or symbols of ``()`` int64.
+        shifted: ``(before, here, after)`` words -> those whose pixels are the west, and the east,
+            neighbours of the pixels of ``here``.
+    """
+    inner = line[1:-1]
+    west, east = shifted(line[:-2], inner, line[2:])
+    above, here, below = (slice(start, length + start) for start in (0, pitch, pitch * 2))
+    return inner[here], (
+        *(inner[above], east[above], east[here], east[below]),
+        *(inner[below], west[below], west[here], west[above]),
+    )
 
 
 def two_or_more(planes: Sequence[Bits]) -> Bits:

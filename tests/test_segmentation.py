@@ -17,8 +17,8 @@ from torch import nn
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.deployment.model_file import external_files
 from ssrvlad_torch.encoding.encoder import encode_to_memory
+from ssrvlad_torch.onnx_files import external_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
 from ssrvlad_torch.segmentation.networks import open_network

@@ -15,12 +15,12 @@ import torch
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
+from ..onnx_files import graph_digest, load_model, open_session, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
 from .label_graph import join, label_graph, opset, raised
 from .metadata import PREFIX, Metadata
-from .model_file import graph_digest, load_model, open_session, save_model
 
 if TYPE_CHECKING:
     import onnx

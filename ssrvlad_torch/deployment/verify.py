@@ -16,6 +16,7 @@ from .. import __version__
 from ..config import SSRVLADConfig
 from ..datasets.label_files import LabelFile, LabelMap, read_label_map
 from ..descriptor import SSRVLAD
+from ..onnx_files import CPU, graph_digest, load_model, open_session
 from ..taxonomy import LabelSpace
 from .fuse import (
     DIGEST,
@@ -31,7 +32,6 @@ from .fuse import (
     run_by_name,
 )
 from .metadata import PREFIX, Metadata
-from .model_file import CPU, graph_digest, load_model, open_session
 
 if TYPE_CHECKING:
     import onnx

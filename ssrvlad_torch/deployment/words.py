@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..bitplanes import LAYERS
+from ..bitplanes import LAYERS, line_neighbours
 from .graph import Graph, Symbol
 
 PIXELS = 8
@@ -122,14 +122,7 @@ def neighbourhood(graph: Graph, words: Words) -> tuple[Symbol, Ring]:
     """All words of a line and the eight neighbours of their pixels."""
     length, pitch = words.grid.words, words.grid.pitch
     padded = graph.Pad(words.line, graph.vector(pitch + 1, pitch + 1))
-    west, east = shifted(padded[:-2], padded[1:-1], padded[2:])
-    north_west, west, south_west = (west[row : row + length] for row in (0, pitch, pitch * 2))
-    north_east, east, south_east = (east[row : row + length] for row in (0, pitch, pitch * 2))
-    north, south = padded[1 : length + 1], padded[pitch * 2 + 1 : -1]
-    return words.line, (
-        *(north, north_east, east, south_east),
-        *(south, south_west, west, north_west),
-    )
+    return line_neighbours(padded, pitch, length, shifted)
 
 
 def west_of(graph: Graph, line: Symbol) -> Symbol:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from ..deployment.model_file import CPU, external_files, open_session
+from ..onnx_files import CPU, external_files, open_session
 from .network_outputs import Form
 from .preparation import Form as InputForm
 

@@ -28,8 +28,8 @@ from .stages.skeleton import soft_skeleton
 from .stages.vanishing_column import soft_vanishing_columns
 
 HARD_FRACTION = 0.95
-"""At temperature 1, the fraction of the thinned skeleton in the soft one, and of a bin that it does
-not share with the next."""
+"""At temperature 1, the fraction of the thinned skeleton in the soft one, and the fraction of a bin
+that counts in this bin only."""
 
 
 class SoftSSRVLAD(nn.Module):
@@ -70,7 +70,7 @@ class SoftSSRVLAD(nn.Module):
 
     @property
     def softness(self) -> float:
-        """From 0 to 1: fraction of the eroded skeleton, and of a bin that the next one shares."""
+        """0 to 1: fraction of the eroded skeleton, and of a bin that also counts in the next."""
         return float(1 - HARD_FRACTION**self.temperature)
 
     def forward(self, scores: Tensor, masks: Masks | None = None) -> Tensor:

@@ -36,9 +36,9 @@ def multi_similarity(
     other = ~same if other is None else other
     if similarity.ndim != 2 or not similarity.shape == same.shape == other.shape:
         shapes = ", ".join(str(tuple(part.shape)) for part in (similarity, same, other))
-        raise ValueError(f"wanted similarity, same and other of one shape (Q, R), got {shapes}")
+        raise ValueError(f"expected similarity, same and other of one shape (Q, R), got {shapes}")
     if len(similarity) == 0:
-        raise ValueError("wanted at least one query, got none")
+        raise ValueError("expected at least one query, got none")
     pull = _soft_excess(alpha * (base - similarity), same) / alpha
     push = _soft_excess(beta * (similarity - base), other) / beta
     return (pull + push).mean()

@@ -92,20 +92,10 @@ def log_polar_bins(
     for part, dy in zip(table.split(ROWS_AT_ONCE), rows.split(ROWS_AT_ONCE), strict=True):
         squared = dy * dy + dx * dx
         ring = sum((squared > limit).to(torch.int64) for limit in limits)
-        sector = _twelve_sectors(dy, dx) if sectors == 12 else _sectors(dy, dx, sectors)
+        sector = _sectors(dy, dx, sectors)
         inside = (squared > 0) & (squared <= limits[-1])
         part.copy_(torch.where(inside, ring * sectors + sector, total))
     return Bins(table, total)
-
-
-def _twelve_sectors(dy: Tensor, dx: Tensor) -> Tensor:
-    """Sectors of 30 degrees by integer comparisons: the tangents of 30 and 60 degrees are the
-    square roots of 1/3 and 3. In two of the quarters the slope falls as the angle grows."""
-    y, x = dy * dy, dx * dx
-    rise = (3 * y > x).to(torch.int64) + (y > 3 * x)
-    quarter = torch.where(dy > 0, (dx <= 0).to(torch.int64), 2 + (dx >= 0).to(torch.int64))
-    quarter = torch.where(dy == 0, torch.where(dx < 0, 2, 0), quarter)
-    return 3 * quarter + torch.where(quarter % 2 == 0, rise, 2 - rise)
 
 
 def _sectors(dy: Tensor, dx: Tensor, sectors: int) -> Tensor:

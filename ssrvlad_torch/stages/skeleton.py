@@ -21,7 +21,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from ..bitplanes import Bits, steps_around, two_or_more
+from ..bitplanes import Bits, line_neighbours, steps_around, two_or_more
 
 PIXELS = 8
 """Pixels of a row in a word."""
@@ -145,15 +145,7 @@ def _within_margins(line: Tensor, pitch: int) -> Tensor:
 
 def _neighbourhood(line: Tensor, pitch: int) -> tuple[Tensor, Ring]:
     """All words within the margins and the neighbours of their pixels."""
-    inner = line[1:-1]
-    west, east = _shifted(line[:-2], inner, line[2:])
-    length = line.shape[0] - 2 * (pitch + 1)
-    above, here, below = (slice(start, start + length) for start in (0, pitch, 2 * pitch))
-    ring = (
-        *(inner[above], east[above], east[here], east[below]),
-        *(inner[below], west[below], west[here], west[above]),
-    )
-    return inner[here], ring
+    return line_neighbours(line, pitch, line.shape[0] - 2 * (pitch + 1), _shifted)
 
 
 def _neighbourhood_of(index: Tensor, line: Tensor, pitch: int) -> tuple[Tensor, Ring]:

@@ -12,10 +12,10 @@ def soft_histograms_in_graph(
 ) -> Symbol:
     """`soft_histograms` in a graph."""
     table = graph.sparse_constant(bins.T.numpy())
-    shares, lengths = (
+    covered, lengths = (
         graph.Sqrt(graph.MatMul(cells.reshape(0, 0, -1), table)) for cells in (area, skeleton)
     )
-    return shares + lengths * skeleton_weight
+    return covered + lengths * skeleton_weight
 
 
 def coefficients_in_graph(graph: Graph, histogram: Symbol, basis: Tensor, power: float) -> Symbol:

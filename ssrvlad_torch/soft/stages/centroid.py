@@ -23,7 +23,7 @@ def soft_centroids(layers: Tensor) -> Tensor:
 
 
 def soft_points(centres: Tensor, height: int, width: int) -> Tensor:
-    """A map of each centre: its weight, 1, shared by the four pixels around it, bilinearly.
+    """A map of each centre: its weight, 1, is spread bilinearly over the four pixels around it.
 
     Args:
         centres: ``(B, 8, 2)`` rows and columns inside the image.

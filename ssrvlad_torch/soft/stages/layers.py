@@ -38,8 +38,8 @@ def soft_layers(scores: Tensor, members: Tensor, temperature: float) -> Tensor:
         missing = 1 - scores.sum(1, keepdim=True)
         missing = missing.where(missing > TOLERANCE, 0)
         scores = (torch.cat([scores.clamp(min=0), missing], 1) + TINY).log()
-    shares = (scores / temperature).softmax(1)[:, : len(members)]
-    return torch.einsum("bchw,ck->bkhw", shares, members.to(shares))
+    classes = (scores / temperature).softmax(1)[:, : len(members)]
+    return torch.einsum("bchw,ck->bkhw", classes, members.to(classes))
 
 
 def are_probabilities(scores: Tensor) -> bool:

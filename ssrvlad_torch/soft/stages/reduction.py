@@ -9,10 +9,10 @@ TINY = 1e-6
 
 
 def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> Tensor:
-    """The shares of the categories in each cell; the commonest takes more at a low temperature.
+    """The fraction of each cell that each category has; a low temperature favours the largest.
 
     Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``, as in the vote of
-    `reduce_by_majority`, of which this is the softmax: shares to the power of one over the
+    `reduce_by_majority`, of which this is the softmax: fractions to the power of one over the
     temperature. At temperature 1 they are the mean of the pixels.
 
     Args:
@@ -28,9 +28,9 @@ def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> 
     rows, columns = (
         _means(pixels, cells, layers) for pixels, cells in zip(layers.shape[2:], grid, strict=True)
     )
-    shares = rows @ layers @ columns.T
-    rest = (1 - shares.sum(1, keepdim=True)).clamp(min=0)
-    votes = (torch.cat([shares, rest], 1).clamp(min=0) + TINY).log() / temperature
+    fractions = rows @ layers @ columns.T
+    rest = (1 - fractions.sum(1, keepdim=True)).clamp(min=0)
+    votes = (torch.cat([fractions, rest], 1).clamp(min=0) + TINY).log() / temperature
     return votes.softmax(1)[:, :-1]
 
 

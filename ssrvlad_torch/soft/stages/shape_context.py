@@ -8,8 +8,8 @@ FFT; which offsets make a bin is a mask.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import lru_cache
-from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -29,12 +29,16 @@ def soft_shape_contexts(references: Tensor, context: Tensor, masks: Tensor) -> T
     Returns:
         ``(B, 8, N * M)``.
     """
-    size = masks.shape[1:]
+    images, layers, height, width = references.shape
+    size = 2 * height, 2 * width
     spectrum = torch.fft.rfft2(references, s=size).conj() * torch.fft.rfft2(context, s=size)
-    pairs: Tensor = torch.fft.irfft2(spectrum, s=size)  # at (dy, dx), both modulo the size
-    return pairs.flatten(2) @ masks.flatten(1).T
+    pairs = torch.fft.irfft2(spectrum, s=size)  # at (dy, dx), both modulo the size
+    sums: Tensor = torch.sparse.mm(masks, pairs.view(images * layers, -1).T)
+    return sums.T.view(images, layers, -1)
 
 
+@lru_cache(maxsize=4)
+@torch.inference_mode(False)  # what is kept is used in training, too
 def bin_masks(
     height: int,
     width: int,
@@ -54,37 +58,30 @@ def bin_masks(
         height, width: size of the image.
         limits: largest squared distance of each ring, innermost first.
         sectors: M; the first starts at +x (right), towards +y (down).
-        softness: width of what is shared as a fraction of a ring or a sector, 0 to 1.
+        softness: fraction of a ring or a sector that also counts in the next one, 0 to 1.
         dtype, device: of the masks.
 
     Returns:
-        ``(N * M, 2 * height, 2 * width)``, the offset ``(dy, dx)`` modulo the size; the offset
-        (0, 0) is in no bin.
+        ``(N * M, 4 * height * width)`` sparse. A column is an offset ``(dy, dx)``, each modulo
+        twice the size of the image; the offset (0, 0) is in no bin.
     """
-    place, weight = _entries(height, width, limits, sectors, softness, device)
-    masks = torch.zeros(len(limits) * sectors * 4 * height * width, dtype=dtype, device=device)
-    masks[place] = weight.to(dtype)
-    return masks.view(-1, 2 * height, 2 * width)
-
-
-@lru_cache(maxsize=4)
-@torch.inference_mode(False)  # what is kept is used in training, too
-def _entries(
-    height: int,
-    width: int,
-    limits: tuple[int, ...],
-    sectors: int,
-    softness: float,
-    device: torch.device,
-) -> tuple[Tensor, Tensor]:
-    """Where the masks are not zero, and what they are there: most offsets are in one bin only."""
     dy, dx = (_offsets(size, device) for size in (height, width))
-    squared = dy[:, None] ** 2 + dx**2
-    turn = torch.atan2(dy[:, None], dx[None]) / (2 * math.pi) % 1
-    ring = _rings(squared, limits, softness) * (squared > 0)
-    masks = ring[:, None] * _sectors(turn * sectors, sectors, softness)
-    place = masks.flatten().nonzero()[:, 0]
-    return place, masks.flatten()[place]
+    squared = (dy[:, None] ** 2 + dx**2).flatten()
+    bins, places, weights = [], [], []
+    for ring, within in enumerate(_rings(squared, limits, softness)):
+        place = (within * (squared > 0)).nonzero()[:, 0]
+        turn = torch.atan2(dy[place // len(dx)], dx[place % len(dx)]) / (2 * math.pi) % 1
+        sector, into_next = _sectors(turn * sectors, softness)
+        for after, fraction in ((0, 1 - into_next), (1, into_next)):
+            bins.append(ring * sectors + (sector + after) % sectors)
+            places.append(place)
+            weights.append(within[place] * fraction)
+    weight = torch.cat(weights)
+    kept = weight > 0
+    indices = torch.stack([torch.cat(bins), torch.cat(places)])[:, kept]
+    shape = len(limits) * sectors, len(squared)
+    values = weight[kept].to(dtype)
+    return torch.sparse_coo_tensor(indices, values, shape, check_invariants=True).coalesce()
 
 
 def _offsets(size: int, device: torch.device) -> Tensor:
@@ -92,21 +89,23 @@ def _offsets(size: int, device: torch.device) -> Tensor:
     return (torch.arange(2 * size, device=device) + size).double() % (2 * size) - size
 
 
-def _rings(squared: Tensor, limits: tuple[int, ...], softness: float) -> Tensor:
-    """``(N, ...)`` shares of the rings: what lies past the ring before, and not past its own."""
+def _rings(squared: Tensor, limits: tuple[int, ...], softness: float) -> Iterator[Tensor]:
+    """How much of each squared distance counts in each ring: what lies past the end of the ring
+    before it, and not past its own."""
     logarithm = squared.clamp(min=NEAREST).log()
     ends = [math.log(max(limit, NEAREST)) for limit in limits]
     ramp = softness * ((ends[-1] - ends[0]) / max(1, len(ends) - 1) or math.log(4))
-    past = [torch.ones_like(squared)]
+    before = torch.ones_like(squared)
     for limit, end in zip(limits, ends, strict=True):
-        share = ((logarithm - end) / ramp).clamp(0, 1) if ramp else 1.0
-        past.append((squared > limit) * share)
-    return torch.stack([before - own for before, own in pairwise(past)])
+        fraction = ((logarithm - end) / ramp).clamp(0, 1) if ramp else 1.0
+        past = (squared > limit) * fraction
+        yield before - past
+        before = past
 
 
-def _sectors(position: Tensor, count: int, softness: float) -> Tensor:
-    """``(M, ...)`` shares of the sectors at positions from 0 to M."""
-    whole = torch.floor(position + 1e-9)
-    into = (1 - (1 - (position - whole).clamp(min=0)) / softness).clamp(min=0) if softness else 0
-    here = whole % count == torch.arange(count, device=position.device)[:, None, None]
-    return here * (1 - into) + here.roll(1, 0) * into
+def _sectors(position: Tensor, softness: float) -> tuple[Tensor, Tensor]:
+    """The sector at each position from 0 to M, and how much of it counts in the next sector."""
+    sector = torch.floor(position + 1e-9)
+    left = 1 - (position - sector).clamp(min=0)
+    into_next = (1 - left / softness).clamp(min=0) if softness else torch.zeros_like(left)
+    return sector.long(), into_next

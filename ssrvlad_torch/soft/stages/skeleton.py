@@ -23,7 +23,7 @@ def soft_skeleton(layers: Tensor, thinned: Tensor, softness: float) -> Tensor:
     Args:
         layers: ``(B, 8, h, w)`` clean layers, 0 to 1.
         thinned: ``(B, 8, h, w)`` bool, the skeleton of the hard layers.
-        softness: share of the eroded skeleton in it, from 0, the hard skeleton where the layers
+        softness: fraction of the eroded skeleton in it, from 0, the hard skeleton where the layers
             are 0 and 1, to 1.
 
     Returns:

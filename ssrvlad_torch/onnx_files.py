@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from ..files import flush, one_line, replacing
+from .files import flush, one_line, replacing
 
 if TYPE_CHECKING:
     import onnx
