@@ -356,11 +356,12 @@ def test_pooling_by_any_shift(planes):
     layers = unpack(planes).double()
     for shift in (0, 3, -7):
         moved = torch.tensor([shift])
-        hard, following = pool(planes, moved), pool(planes, moved + 1)
-        cells = tuple(hard.shape[2:])
-        torch.testing.assert_close(soft_pool(layers, moved.double(), cells), hard)
-        between = soft_pool(layers, moved.double() + 0.25, cells)
-        torch.testing.assert_close(between, 0.75 * hard + 0.25 * following)
+        hard = pool(planes, moved)
+        soft = soft_pool(layers, moved.double(), tuple(hard.shape[2:]))
+        torch.testing.assert_close(soft, hard)
+    layers = torch.rand(1, 8, 12, 16).double()
+    one, between, two = (soft_pool(layers, layers.new_tensor([x]), CELLS) for x in (1, 1.25, 2))
+    torch.testing.assert_close(between, 0.75 * one + 0.25 * two)
 
 
 def test_coefficients_of_layers():

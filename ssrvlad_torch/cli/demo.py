@@ -78,7 +78,7 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     _, truth = of_known(from_file(city / "ground_truth.json", queries.frames, references.frames))
     metrics = evaluate(scores.numpy(), rows.numpy(), truth)
     metrics["references"] = len(references.frames)
-    metrics |= {"temporal": 0, "fingerprint": database.fingerprint}
+    metrics["fingerprint"] = database.fingerprint
 
     recognised = [
         Recognition(query, reference_files[row], float(score), row in matches)

@@ -100,7 +100,8 @@ def counts(metrics: Mapping[str, Any]) -> str:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
         whose = f"method {metrics['method']}: encode {encode:.1f} ms, match {match:.1f} ms a query"
     else:
-        done = steps_in_words(metrics["steps"], metrics["temporal"])
+        steps = metrics.get("steps")
+        done = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
         whose = f"{done}, fingerprint {metrics['fingerprint']}"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
