@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from .. import __version__
+from ..native import core
 from .commands.bench import bench
 from .commands.city import city
 from .commands.compare import compare
@@ -45,7 +46,7 @@ def ssrvlad(
     """Place recognition from semantic segmentation (SSR-VLAD)."""
     del debug  # `main` has looked for it in the whole line
     if version:
-        print(f"ssrvlad {__version__}")
+        print(f"ssrvlad {__version__}, on a CPU with {core().status}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
 
