@@ -63,3 +63,26 @@ def database(ssrvlad, maps, tmp_path):
     path = tmp_path / "town.ssrdb"
     assert ssrvlad("encode", maps, "-o", path, "--labels-as", "camvid-11")[0] == 0
     return path
+
+
+@pytest.fixture
+def bucket(monkeypatch):
+    """A bucket of a local server that speaks S3."""
+    server_of = pytest.importorskip("moto.server", reason="needs moto")
+    boto3 = pytest.importorskip("boto3")
+    server = server_of.ThreadedMotoServer(port=0, verbose=False)
+    server.start()
+    host, port = server.get_host_and_port()
+    settings = {
+        "AWS_ENDPOINT_URL": f"http://{host}:{port}",
+        "AWS_ALLOW_HTTP": "true",
+        "AWS_ACCESS_KEY_ID": "nobody",
+        "AWS_SECRET_ACCESS_KEY": "nothing",
+        "AWS_REGION": "us-east-1",
+        "AWS_DEFAULT_REGION": "us-east-1",
+    }
+    for name, value in settings.items():
+        monkeypatch.setenv(name, value)
+    boto3.client("s3", endpoint_url=settings["AWS_ENDPOINT_URL"]).create_bucket(Bucket="town")
+    yield "s3://town"
+    server.stop()

@@ -7,28 +7,6 @@ from helpers import descriptors
 from ssrvlad_torch import Database
 
 
-@pytest.fixture
-def bucket(monkeypatch):
-    server_of = pytest.importorskip("moto.server", reason="needs moto")
-    boto3 = pytest.importorskip("boto3")
-    server = server_of.ThreadedMotoServer(port=0, verbose=False)
-    server.start()
-    host, port = server.get_host_and_port()
-    settings = {
-        "AWS_ENDPOINT": f"http://{host}:{port}",
-        "AWS_ALLOW_HTTP": "true",
-        "AWS_ACCESS_KEY_ID": "nobody",
-        "AWS_SECRET_ACCESS_KEY": "nothing",
-        "AWS_REGION": "us-east-1",
-        "AWS_DEFAULT_REGION": "us-east-1",
-    }
-    for name, value in settings.items():
-        monkeypatch.setenv(name, value)
-    boto3.client("s3", endpoint_url=settings["AWS_ENDPOINT"]).create_bucket(Bucket="town")
-    yield "s3://town"
-    server.stop()
-
-
 def test_a_database_lives_in_a_bucket(bucket):
     uri = f"{bucket}/morning.ssrdb"
     assert not Database.exists(uri)

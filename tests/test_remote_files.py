@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import street, write_street
+from pyarrow.fs import FileSystem, copy_files
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
@@ -60,3 +61,21 @@ def test_what_holds_no_frames_is_refused(folder, tmp_path):
         find_label_files([(tmp_path / "none").as_uri()])
     with pytest.raises(ValueError, match="ftp"):
         find_label_files(["ftp://host/monday"])
+
+
+@pytest.mark.parametrize("engine", ["local", pytest.param("ray", marks=pytest.mark.slow, id="ray")])
+def test_from_a_bucket_into_a_bucket(bucket, ssrvlad, tmp_path, engine):
+    """Settings of the environment serve sources and database, here and in workers."""
+    for number in range(5):
+        write_street(tmp_path / "monday" / f"{number}.png", number)
+    files, place = FileSystem.from_uri(f"{bucket}/maps")
+    copy_files(str(tmp_path), place, destination_filesystem=files)
+    arguments = [f"{bucket}/maps/monday", "-o", f"{bucket}/db", "--labels-as", "camvid-11"]
+    code, out, err = ssrvlad("encode", *arguments, "--engine", engine)
+    assert (code, err) == (0, [])
+    assert out == ("s3://town/db: 5 frames encoded (0 of them empty), 0 already there, 0 skipped\n")
+    local, _ = encode_to_memory(HEAD, find_label_files([str(tmp_path / "monday")]))
+    stored = Database.open(f"{bucket}/db").load()
+    assert stored.frames == local.frames
+    assert torch.equal(stored.descriptors, local.descriptors)
+    assert "5 already there" in ssrvlad("encode", *arguments, "--engine", engine)[1]
