@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from ssrvlad_torch.evaluation.object_arrays import PickledArray, load_object_array
 
-PROTOCOLS = range(5)
+PROTOCOLS = range(6)
 
 
 def load(content):
@@ -93,7 +93,7 @@ class Calls:
         (Calls(eval, "1"), "builtins.eval"),
         (Calls(getattr, [], "append"), "builtins.getattr"),
         (Calls(np.load, "x"), "numpy.load"),
-        (collections.OrderedDict(), "collections.OrderedDict"),
+        (collections.Counter(), "collections.Counter"),
         (np.array(["text"]), r"numpy.dtype\('U4'\)"),
         (np.zeros(2, "i4,f4"), r"numpy.dtype\('V8'\)"),
         (np.array(["2020-01-01"], "M8[D]"), r"numpy.dtype\('M8'\)"),
@@ -105,7 +105,7 @@ class Calls:
 def test_any_other_name_is_refused(element, name, protocol):
     content = pickle.dumps(array([0, element], 2), protocol)
     content = content.replace(b"c__builtin__", b"cbuiltins")
-    with pytest.raises(ValueError, match=f"it asks for .*{name.split('.')[-1]}; wanted nothing"):
+    with pytest.raises(ValueError, match=f"it asks for .*{name.split('.')[-1]}; expected nothing"):
         load(content)
 
 
@@ -129,7 +129,7 @@ def test_a_pickle_cannot_change_what_the_next_one_meets():
         b"cnumpy.core.multiarray\n_reconstruct\n(N}(S'__defaults__'\n(cnumpy\nndarray\ntS'x'\nI1\n"
         b"utb0cnumpy\nndarray\n(t(N}(S'__setstate__'\nI1\nutb."
     )
-    with pytest.raises(ValueError, match="no pickled array"):
+    with pytest.raises(ValueError, match="no whole pickle"):
         load(poison)
     assert load(pickle.dumps(array([1, [2]], 2))).values == [1, [2]]
 
@@ -145,8 +145,8 @@ def test_an_array_that_does_not_hold_what_its_shape_says():
     "content",
     [b"", b"no pickle", b"\x80\x04N.", pickle.dumps([1, 2]), pickle.dumps({}), pickle.dumps("x")],
 )
-def test_what_is_no_array_is_refused(content):
-    with pytest.raises(ValueError, match="pickled array"):
+def test_what_is_no_array_is_an_error(content):
+    with pytest.raises(ValueError, match="pickle"):
         load(content)
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from ssrvlad_torch.baselines import METHODS, Frame, make
-from ssrvlad_torch.baselines.protocol import batches, cosines, image_of, labels_of
+from ssrvlad_torch.baselines.protocol import batches, image_of, labels_of
 
 NEEDS = {"labels", "images", "weights"}
 WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
@@ -107,11 +107,3 @@ def test_batches_take_no_more_than_they_give():
     stream = batches((taken.append(i) for i in range(10)), 3)
     next(stream)
     assert len(taken) <= 4
-
-
-def test_cosines_of_zero_vectors_are_no_candidates():
-    vectors = torch.tensor([[1.0, 0.0], [0.0, 0.0], [0.6, 0.8]])
-    found = cosines(vectors, vectors)
-    inf = torch.inf
-    wanted = torch.tensor([[1, -inf, 0.6], [-inf, -inf, -inf], [0.6, -inf, 1]])
-    torch.testing.assert_close(found, wanted)

@@ -8,11 +8,10 @@ import io
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 from reports import Page, frame_set, noisy, report_of
 
-from ssrvlad_torch.evaluation.report import cosine_scores, images, similarity
+from ssrvlad_torch.evaluation.report import images, similarity
 from ssrvlad_torch.evaluation.report.images import (
     label_address,
     mask_address,
@@ -60,24 +59,6 @@ def test_cells_are_the_highest_of_their_pairs(monkeypatch, shape, blocks, most):
             assert got.scores[y, x] == pytest.approx(pairs[cell].max(), abs=1e-6)
             marks = (got.truth[y, x], got.right[y, x], got.wrong[y, x])
             assert marks == (true[cell].any(), right[cell].any(), wrong[cell].any())
-
-
-def test_cosines_are_those_of_matching():
-    queries, references = noisy(9, 12, 3.0)
-    queries.descriptors[4] = 0
-    references.descriptors[7] = 0
-    queries.descriptors[5] *= 100
-    scores = cosine_scores(queries.descriptors, references.descriptors)
-    rows, columns = np.array([5, 4, 0]), np.array([7, 11, 2, 2])
-    found = match(queries.descriptors, references.descriptors, top=12)
-    whole = torch.full((9, 12), -torch.inf)
-    for row in range(9):
-        for score, column in zip(found.scores[row], found.indices[row], strict=True):
-            if column >= 0:
-                whole[row, column] = score
-    wanted = whole[rows][:, columns].numpy()
-    np.testing.assert_allclose(scores(rows, columns), wanted, atol=1e-6)
-    assert np.isneginf(scores(rows, columns)[1]).all()
 
 
 def test_scores_become_gray_levels():

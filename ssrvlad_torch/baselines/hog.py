@@ -8,8 +8,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..recognition.matching import cosines
 from .gray import grays, resize
-from .protocol import Frame, batches, cosines, image_shape
+from .protocol import Frame, batches, image_shape
 
 CELL = 16
 """Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""

@@ -9,9 +9,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..recognition.matching import cosines
 from ..stages.layers import categorise, category_table, refuse_unknown
 from ..taxonomy import CATEGORIES, label_space
-from .protocol import Frame, batches, cosines, label_kind, labels_of
+from .protocol import Frame, batches, label_kind, labels_of
 
 _BATCH = 16
 

@@ -12,10 +12,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..recognition.matching import cosines
 from ..taxonomy import label_space
 from .dense_network import DenseNetwork, TrunkAndClassifier, load_dense_network
 from .lost import class_sums, lost_descriptor
-from .protocol import Frame, Image, cosines, image_of
+from .protocol import Frame, Image, image_of
 from .spatial_layout import layout_cost
 from .weights import random_network
 

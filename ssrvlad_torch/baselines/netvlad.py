@@ -8,9 +8,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from ..recognition.matching import cosines
 from .netvlad_network import NetVLADNetwork
 from .netvlad_weights import read_netvlad_weights
-from .protocol import Frame, Image, cosines, image_of
+from .protocol import Frame, Image, image_of
 from .weights import fill, find_weights, random_network
 
 _FILES = (

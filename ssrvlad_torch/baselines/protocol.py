@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from itertools import groupby, islice
-from math import inf
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
@@ -181,17 +180,3 @@ def batches(
     for _, run in groupby(frames, alike or (lambda _: None)):
         while batch := list(islice(run, size)):
             yield batch
-
-
-def cosines(queries: Tensor, references: Tensor) -> Tensor:
-    """Scores of a method whose encodings are vectors.
-
-    Args:
-        queries: ``(Q, D)`` float of length 1, or zero.
-        references: ``(R, D)`` likewise.
-
-    Returns:
-        ``(Q, R)`` float32, ``-inf`` where a vector is zero: what is empty matches nothing.
-    """
-    empty = ~(queries.any(1)[:, None] & references.any(1))
-    return (queries @ references.T).float().masked_fill(empty, -inf)

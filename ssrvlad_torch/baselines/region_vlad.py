@@ -9,7 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .protocol import Frame, cosines, image_of
+from ..recognition.matching import cosines
+from .protocol import Frame, image_of
 from .region_features import RegionFeatures
 from .vocabulary import CHANNELS, read_vocabulary
 from .weights import find_weights

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..recognition.matching import temporal_sum
-from .protocol import Frame, batches, cosines, label_kind, labels_of
+from ..recognition.matching import cosines, temporal_sum
+from .protocol import Frame, batches, label_kind, labels_of
 
 _BATCH = 16
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,6 +13,7 @@ import torch
 from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
+from ..evaluation.object_arrays import load_pickle
 from ..files import replacing
 from .region_features import RegionFeatures
 
@@ -22,26 +22,6 @@ CHANNELS = 384
 
 _NPY = b"\x93NUMPY"
 _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm")
-_HARMLESS = {
-    ("_codecs", "encode"),
-    ("collections", "OrderedDict"),
-    ("collections", "defaultdict"),
-    ("copyreg", "_reconstructor"),
-    ("builtins", "list"),
-    ("builtins", "object"),
-    ("numpy", "dtype"),
-    ("numpy", "ndarray"),
-    *(
-        (f"numpy.{core}.{module}", name)
-        for core in ("core", "_core")
-        for module, name in (
-            ("multiarray", "_reconstruct"),
-            ("multiarray", "scalar"),
-            ("numeric", "_frombuffer"),
-        )
-    ),
-}
-"""All that a pickle of arrays in dictionaries refers to."""
 
 
 def read_vocabulary(path: Path, words: int = 256, regions: int = 400) -> Tensor:
@@ -51,8 +31,7 @@ def read_vocabulary(path: Path, words: int = 256, regions: int = 400) -> Tensor:
         path: a ``.npy`` file, or the authors' pickle (``Vocabulary_400.pkl`` and
             ``Vocabulary_100_200_300.pkl``): fitted ``KMeans`` objects of scikit-learn by regions,
             words and layer. Of the pickle only the cluster centres are taken. It needs no
-            scikit-learn and cannot run code: names other than those of plain arrays stand for
-            empty objects or are refused.
+            scikit-learn and cannot run code; see `load_pickle`.
         words: V, number of words.
         regions: N, which entry of the pickle to take.
 
@@ -68,11 +47,11 @@ def read_vocabulary(path: Path, words: int = 256, regions: int = 400) -> Tensor:
     try:
         array = np.load(path) if start == _NPY else _centres(path, words, regions)
         found = torch.from_numpy(np.asarray(array, np.float32))
-    except (pickle.UnpicklingError, ValueError, TypeError, EOFError, AttributeError) as error:
+    except (ValueError, TypeError, EOFError, AttributeError) as error:
         raise ValueError(f"{path} is not a whole vocabulary: {error}") from error
     if found.shape != (words, CHANNELS) or not bool(found.isfinite().all()):
-        wanted = f"{path} must hold a vocabulary ({words}, {CHANNELS}) of finite numbers"
-        raise ValueError(f"{wanted}, got {tuple(found.shape)}")
+        expected = f"{path} must hold a vocabulary ({words}, {CHANNELS}) of finite numbers"
+        raise ValueError(f"{expected}, got {tuple(found.shape)}")
     return found
 
 
@@ -143,33 +122,10 @@ def _images(folder: Path) -> Iterator[npt.NDArray[np.uint8]]:
 
 def _centres(path: Path, words: int, regions: int) -> Any:
     with path.open("rb") as file:
-        entry = _Unpickler(file, encoding="latin1").load()
+        entry = load_pickle(file)
     for key in (regions, words, "conv3"):
         if not isinstance(entry, dict) or not {key, str(key)} & entry.keys():
             keys = [*entry] if isinstance(entry, dict) else type(entry).__name__
-            raise ValueError(f"wanted an entry {key}, got {keys}")
+            raise ValueError(f"expected an entry {key}, got {keys}")
         entry = entry[key] if key in entry else entry[str(key)]
-    return entry.cluster_centers_
-
-
-class _Empty:
-    """Stands for an object of scikit-learn; it has the object's attributes and no methods."""
-
-    def __init__(self, *_: object) -> None: ...
-
-    def __setstate__(self, state: object) -> None:
-        if isinstance(state, dict):
-            self.__dict__.update(state)
-
-
-class _Unpickler(pickle.Unpickler):
-    """Reads arrays in dictionaries and in objects of scikit-learn, and nothing else."""
-
-    def find_class(self, module: str, name: str) -> Any:
-        """The class that a pickle names."""
-        module = {"copy_reg": "copyreg", "__builtin__": "builtins"}.get(module, module)
-        if module.partition(".")[0] == "sklearn" or module.startswith("numpy.random"):
-            return _Empty
-        if (module, name) in _HARMLESS:
-            return super().find_class(module, name)
-        raise pickle.UnpicklingError(f"it refers to {module}.{name}")
+    return entry.cluster_centers_.numbers()

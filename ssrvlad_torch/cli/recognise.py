@@ -15,7 +15,6 @@ import torch
 import yaml
 
 from .. import baselines
-from ..baselines.protocol import cosines
 from ..baselines.run import Retrieval, run
 from ..database.database import Database
 from ..database.frames import FrameSet
@@ -27,7 +26,7 @@ from ..evaluation.metrics import Convention
 from ..recognition.matching import Matches
 from ..recognition.recognise import AS_PAPER, Recognised, Steps
 from ..recognition.recognise import recognise as recognise_places
-from ..recognition.sweep import COLUMNS
+from ..recognition.sweep import COLUMNS, score
 from ..taxonomy import label_space
 from .measure import TOP, Recognition, wants_similarity
 from .options import MethodOptions, RecognitionOptions
@@ -279,9 +278,7 @@ def _places(frames: FrameSet, counted: tuple[str, ...]) -> Places:
 
 def _similarity(queries: FrameSet, references: FrameSet) -> npt.NDArray[np.float32]:
     """Cosines of all pairs, ``(Q, R)``; -inf where a frame is empty and matches nothing."""
-    similarity: npt.NDArray[np.float32] = cosines(
-        queries.descriptors, references.descriptors
-    ).numpy()
+    similarity: npt.NDArray[np.float32] = score(queries.descriptors, references.descriptors).numpy()
     return similarity
 
 

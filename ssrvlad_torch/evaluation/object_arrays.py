@@ -1,9 +1,8 @@
-"""Pickled NumPy arrays of objects, read without running what a pickle asks for.
+"""Pickles of arrays, lists and mappings, read without running what a pickle asks for.
 
 A pickle is a program: NumPy's own ``allow_pickle=True`` calls whatever function the file names.
-Here the few names that an array of numbers and lists needs lead to stand-ins of this module, and
-any other name is refused. Not even NumPy's own ``__setstate__`` is called, since it trusts what it
-is given.
+Here the few names that such files need lead to stand-ins of this module, and any other name is an
+error. Not even NumPy's own ``__setstate__`` is called, since it trusts what it is given.
 """
 
 from __future__ import annotations
@@ -14,6 +13,9 @@ from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
 import numpy as np
+import numpy.typing as npt
+
+from ..files import one_line
 
 _NUMBERS = "biuf"
 
@@ -21,29 +23,50 @@ _NUMBERS = "biuf"
 def load_object_array(file: BinaryIO) -> PickledArray:
     """The pickled array at a file's position.
 
-    Reads what ``numpy.save`` wrote of an array of objects, in Python 2 and 3, by protocols 0 to 4,
+    Reads what ``numpy.save`` wrote of an array of objects, in Python 2 and 3, by any protocol,
     after the header of the ``.npy`` file.
 
     Returns:
-        its elements, which are numbers, lists, tuples and arrays, nested as in the file; what
-        else a pickle holds without asking for a name (text, mappings) is left as it is.
+        its elements, nested as in the file; see `load_pickle`.
 
     Raises:
-        ValueError: the pickle asks for anything but arrays, lists, tuples and numbers, in which
-            case the message says for what, or it is damaged.
+        ValueError: as `load_pickle`, or the pickle holds no array.
+    """
+    loaded = load_pickle(file)
+    if not isinstance(loaded, PickledArray):
+        raise ValueError(f"expected a pickled array, got a {type(loaded).__name__}")
+    return loaded
+
+
+def load_pickle(file: BinaryIO) -> Any:
+    """What is pickled at a file's position.
+
+    Returns:
+        numbers, text, lists, tuples and mappings as they are, a `PickledArray` for an array, and a
+        `PickledObject` for an object of scikit-learn, of which only the attributes are read.
+
+    Raises:
+        ValueError: the pickle asks for anything else, in which case the message says for what, or
+            it is damaged.
     """
     try:
-        loaded = _Unpickler(file, encoding="latin1").load()
+        return _Unpickler(file, encoding="latin1").load()
     except _Forbidden as error:
         raise ValueError(
-            f"it asks for {error}; wanted nothing but arrays, lists, tuples and numbers"
+            f"it asks for {error}; expected nothing but arrays, lists, mappings and numbers"
         ) from error
     except Exception as error:  # what a damaged pickle raises has no bounds
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise ValueError(f"it is no pickled array: {reason}") from error
-    if not isinstance(loaded, PickledArray):
-        raise ValueError(f"wanted a pickled array, got a {type(loaded).__name__}")
-    return loaded
+        raise ValueError(f"it is no whole pickle: {one_line(error)}") from error
+
+
+class PickledObject:
+    """Stand-in for an object: its attributes, without methods."""
+
+    def __init__(self, *_: object) -> None: ...
+
+    def __setstate__(self, state: object) -> None:
+        if isinstance(state, dict):
+            self.__dict__.update(state)
 
 
 class PickledArray:
@@ -72,6 +95,10 @@ class PickledArray:
     def __len__(self) -> int:
         return self.shape[0]
 
+    def numbers(self) -> npt.NDArray[Any]:
+        """An array of numbers as such."""
+        return np.array(self.values).reshape(self.shape)
+
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         _, shape, kind, fortran, content = state
         of_objects = kind.name.startswith("O")
@@ -94,7 +121,7 @@ class _Kind:
     def __setstate__(self, state: tuple[Any, ...]) -> None:
         self.order = state[1].replace("|", "=")
 
-    def numbers(self, content: str | bytes) -> list[Any]:
+    def numbers(self, content: str | bytes | bytearray) -> list[Any]:
         """The numbers that some bytes are; Python 2 pickled them as text."""
         dtype = np.dtype(self.order + self.name)
         if dtype.kind not in _NUMBERS:
@@ -104,20 +131,40 @@ class _Kind:
         return numbers
 
 
+def _of_buffer(content: bytes, kind: _Kind, shape: tuple[int, ...], order: str) -> PickledArray:
+    """An array of numbers as protocol 5 writes it."""
+    array = PickledArray()
+    array.__setstate__((1, shape, kind, order == "F", content))
+    return array
+
+
+_STAND_INS: dict[str, Callable[..., Any]] = {
+    "numpy.core.multiarray._reconstruct": lambda *_: PickledArray(),
+    "numpy.core.multiarray.scalar": lambda kind, content: kind.numbers(content)[0],
+    "numpy.core.numeric._frombuffer": _of_buffer,
+    "numpy.ndarray": lambda *_: PickledArray(),
+    "numpy.dtype": lambda name, *_: _Kind(name),
+    "_codecs.encode": lambda text, _: text.encode("latin1"),
+    "collections.OrderedDict": lambda pairs=(): dict(pairs),
+    "collections.defaultdict": lambda *_: {},
+    "copyreg._reconstructor": lambda kind, *_: kind(),
+    "builtins.list": lambda *_: [],
+    "builtins.object": lambda *_: None,
+}
+"""What a pickle of arrays, lists and mappings may ask for, and what it gets."""
+
+
 class _Forbidden(pickle.UnpicklingError):
-    """The pickle asks for a name that no array of numbers and lists needs."""
+    """The pickle asks for a name that arrays, lists and mappings do not need."""
 
 
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Callable[..., Any]:
         """A new function each time: a pickle can set attributes of what it gets."""
-        match f"{module.replace('numpy._core', 'numpy.core')}.{name}":
-            case "numpy.core.multiarray._reconstruct" | "numpy.ndarray":
-                return lambda *_: PickledArray()
-            case "numpy.core.multiarray.scalar":
-                return lambda kind, content: kind.numbers(content)[0]
-            case "numpy.dtype":
-                return lambda name, *_: _Kind(name)
-            case "_codecs.encode":
-                return lambda text, _: text.encode("latin1")
+        module = module.replace("numpy._core", "numpy.core").replace("__builtin__", "builtins")
+        stand_in = _STAND_INS.get(f"{module.replace('copy_reg', 'copyreg')}.{name}")
+        if stand_in is not None:
+            return lambda *arguments: stand_in(*arguments)  # noqa: PLW0108 - new each time
+        if module.partition(".")[0] == "sklearn" or module.startswith("numpy.random"):
+            return type("PickledObject", (PickledObject,), {})
         raise _Forbidden(f"{module}.{name}")

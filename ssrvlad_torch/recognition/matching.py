@@ -72,19 +72,36 @@ def match(
         block = _unit(references[first : first + _REFERENCE_BLOCK], "references")
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
-            cosines = _cosines(wanted[part], block)
+            scores_here = cosines(wanted[part], block)
             if allowed is not None:
-                cosines[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
+                scores_here[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
             if ranges is not None:
                 rows = torch.arange(first, first + len(block))
                 inside = (rows >= ranges[part, :1]) & (rows < ranges[part, 1:])
-                cosines.masked_fill_(inside.to(cosines.device), -torch.inf)
-            _improve(scores[part], indices[part], cosines, first)
-    above = scores > (-torch.inf if threshold is None else threshold)
-    no_candidate = ~(above & wanted.any(dim=1, keepdim=True))
+                scores_here.masked_fill_(inside.to(scores_here.device), -torch.inf)
+            _improve(scores[part], indices[part], scores_here, first)
+    no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
+
+
+def cosines(queries: Tensor, references: Tensor) -> Tensor:
+    """Cosines (Eq. 4) of vectors whose lengths are known.
+
+    Args:
+        queries: ``(Q, D)`` float of length 1, or zero.
+        references: ``(R, D)`` likewise.
+
+    Returns:
+        ``(Q, R)`` float32, -inf where a vector is zero: what is empty matches nothing.
+    """
+    scores = (queries @ references.T).float()
+    scores[~queries.any(dim=1)] = -torch.inf
+    empty = ~references.any(dim=1)
+    if bool(empty.any()):
+        scores[:, empty] = -torch.inf
+    return scores
 
 
 def temporal_sum(
@@ -146,15 +163,6 @@ def _unit(vectors: Tensor, name: str) -> Tensor:
     if not bool(norms.isfinite().all()):
         raise ValueError(f"{name} hold values that are not finite")
     return vectors.float() / torch.where(norms > 0, norms, 1)
-
-
-def _cosines(queries: Tensor, references: Tensor) -> Tensor:
-    """Cosines of vectors of length 1, -inf for a reference that is zero."""
-    cosines = queries @ references.T
-    empty = ~references.any(dim=1)
-    if bool(empty.any()):
-        cosines[:, empty] = -torch.inf
-    return cosines
 
 
 def _improve(scores: Tensor, indices: Tensor, found: Tensor, first: int) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .matching import Vectors, _cosines, _unit
+from .matching import Vectors, _unit, cosines
 from .motion import nearness
 from .standardise import standardise
 
@@ -42,9 +42,8 @@ def score(queries: Vectors, references: Vectors) -> Tensor:
     best: Tensor | None = None
     for anchor in range(swept.shape[1]):
         wanted = _unit(swept[:, anchor], "queries")
-        cosines = _cosines(wanted, known)
-        cosines[~wanted.any(dim=1)] = -torch.inf
-        best = cosines if best is None else torch.maximum(best, cosines)
+        scores = cosines(wanted, known)
+        best = scores if best is None else torch.maximum(best, scores)
     assert best is not None
     return best
 

@@ -10,7 +10,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..outcomes import Bools, Rows
+from ...recognition.sweep import score
+from ..outcomes import Rows
 
 Scores = Callable[[Rows, Rows], npt.NDArray[np.floating[Any]]]
 """From rows of n queries and of m references to the ``(n, m)`` scores of all their pairs, -inf
@@ -26,21 +27,11 @@ def cosine_scores(queries: Tensor, references: Tensor) -> Scores:
     """
 
     def scores(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
-        here, empty_here = _directions(queries, rows)
-        there, empty_there = _directions(references, columns)
-        cosines: npt.NDArray[np.float32] = (here @ there.T).numpy()
-        cosines[empty_here] = -np.inf
-        cosines[:, empty_there] = -np.inf
-        return cosines
+        some = score(queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)])
+        found: npt.NDArray[np.float32] = some.numpy()
+        return found
 
     return scores
-
-
-def _directions(vectors: Tensor, rows: Rows) -> tuple[Tensor, Bools]:
-    """Some vectors at length 1, and which of them are zero."""
-    chosen = vectors[torch.from_numpy(rows)].float()
-    norms = torch.linalg.vector_norm(chosen, dim=1, keepdim=True)
-    return chosen / torch.where(norms > 0, norms, 1), (norms == 0)[:, 0].numpy()
 
 
 def stored_scores(similarity: npt.NDArray[np.floating[Any]]) -> Scores:
