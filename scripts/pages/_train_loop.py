@@ -21,7 +21,7 @@ from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.files import replacing
-from ssrvlad_torch.soft import place_loss as multi_similarity
+from ssrvlad_torch.soft.place_loss import multi_similarity
 
 BATCH = 8
 FAR = 10
