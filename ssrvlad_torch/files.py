@@ -47,12 +47,14 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def flush(path: Path) -> None:
-    """Has the disk take what was written to a file or a folder.
+    """Has the disk take what was written to a file or, where the system can, a folder.
 
     Raises:
         OSError: the disk refused.
     """
-    descriptor = os.open(path, os.O_RDONLY)
+    if os.name != "posix" and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)
     try:
         os.fsync(descriptor)
     finally:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from drives import write_maps
 from helpers import flip_byte
 
 from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.taxonomy import label_space
 
 
 def spoil(database):
@@ -45,6 +50,57 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(ssrvlad, database, m
     assert ssrvlad("db", "verify", database)[0] == 0
     code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "camvid-11")
     assert "1 frames encoded" in out
+
+
+def test_verify_goes_back_where_the_newest_version_cannot_be_read(ssrvlad, database, maps):
+    newest = min((database / "_versions").glob("*.manifest"))
+    newest.write_bytes(newest.read_bytes()[:50])
+    code, _, err = ssrvlad("db", "info", database)
+    assert code == 2
+    assert "reads the version before" in err[0]
+    code, _, err = ssrvlad("db", "verify", database, "--drop-damaged")
+    assert code == 3
+    assert f"put aside: damaged-{newest.name}" in err[0]
+    code, out, err = ssrvlad("encode", maps, "-o", database)
+    assert "6 frames encoded" in out, err
+    assert ssrvlad("db", "verify", database)[0] == 0
+
+
+def test_labels_are_read_by_the_stored_label_space_from_any_folder(
+    ssrvlad, maps, tmp_path, monkeypatch
+):
+    """The file that defined it is gone."""
+    (tmp_path / "else").mkdir()
+    monkeypatch.chdir(tmp_path)
+    Path("mine.yaml").write_text(yaml.safe_dump(label_space("camvid-11").to_dict()))
+    assert ssrvlad("encode", maps, "-o", "town.ssrdb", "--labels-as", "mine.yaml")[0] == 0
+    Path("mine.yaml").unlink()
+    monkeypatch.chdir(tmp_path / "else")
+    town = tmp_path / "town.ssrdb"
+    write_maps(tmp_path / "tuesday", range(3))
+    assert "6 already there" in ssrvlad("encode", maps, "-o", town)[1]
+    assert "3 frames encoded" in ssrvlad("encode", tmp_path / "tuesday", "-o", town)[1]
+    assert "camvid-11 9" in ssrvlad("db", "info", town)[1]
+    code, out, err = ssrvlad("query", town, maps, "--json", "--top", 1)
+    assert (code, err) == (0, [])
+    assert candidates(out).keys() == {f"monday/00{n}" for n in range(6)}
+    page = tmp_path / "page.html"
+    code, _, err = ssrvlad(
+        "evaluate", town, maps, "--tolerance-frames", 1, "--json", "--report", page
+    )
+    assert (code, err) == (0, [])
+    assert page.stat().st_size
+
+
+def test_info_needs_no_torch(database):
+    code = (
+        "import sys; from ssrvlad_torch import Database; from ssrvlad_torch.cli.main import main;"
+        f"sys.argv = ['ssrvlad', 'db', 'info', {str(database)!r}]\n"
+        "try: main()\nfinally: print('torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.splitlines()[0] == "frames: 6"
+    assert done.stdout.splitlines()[-1] == "False"
 
 
 def test_a_query_reads_on_past_damage_only_if_told_to(ssrvlad, database, maps):

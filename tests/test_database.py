@@ -9,6 +9,7 @@ import lance
 import numpy as np
 import pytest
 import torch
+import yaml
 from helpers import descriptors, record
 from hypothesis import given
 from hypothesis import strategies as st
@@ -469,6 +470,34 @@ def test_a_missing_or_truncated_file_is_named_and_its_rows_are_dropped(path, len
 def test_a_damaged_manifest_is_refused_in_one_line(path):
     newest = min(path.glob("_versions/*.manifest"))
     newest.write_bytes(newest.read_bytes()[:50])
-    with pytest.raises(ValueError, match="is damaged") as refusal:
+    with pytest.raises(ValueError, match=r"is damaged .*; --as-of 1 reads") as refusal:
         Database.open(path)
     one_line(refusal)
+    assert len(Database.open(path, 1)) == 0
+
+
+def test_a_manifest_that_a_power_cut_left_half_written_is_put_aside(path):
+    before = loaded(path)
+    fill(Database.open(path), ["lost/1"])
+    fill(Database.open(path), ["lost/2"])
+    newest = sorted(path.glob("_versions/*.manifest"))[:2]
+    for manifest, size in zip(newest, (0, 60), strict=True):
+        manifest.write_bytes(manifest.read_bytes()[:size])
+    with pytest.raises(ValueError, match="--as-of 2 reads"):
+        Database.open(path)
+    assert loaded(path, version=2) == before
+    assert set(Database.go_back(path)) == {manifest.name for manifest in newest}
+    assert Database.go_back(path) == []
+    assert loaded(path) == before
+    fill(Database.open(path), ["lost/1"])
+    assert len(loaded(path)) == len(before) + 1
+    assert Database.open(path).verify() == []
+
+
+def test_a_label_space_of_ones_own_is_found_without_its_file(tmp_path):
+    file = tmp_path / "mine.yaml"
+    file.write_text(yaml.safe_dump(label_space("camvid-11").to_dict()))
+    Database.create(tmp_path / "db", SSRVLADConfig.from_preset("default", labels_as=file))
+    file.unlink()
+    config = Database.open(tmp_path / "db").config
+    assert label_space(config.labels_as).digest == label_space("camvid-11").digest

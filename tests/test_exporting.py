@@ -71,3 +71,10 @@ def test_a_place_that_cannot_be_written_is_an_error_and_leaves_nothing(database,
     with pytest.raises(OSError, match="missing"):
         export_database(database, "npy", tmp_path / "missing" / "out.npy")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
+
+
+def test_hlocs_file_needs_no_call_of_posix(database, tmp_path, monkeypatch):
+    pytest.importorskip("h5py", reason="needs the extra hloc")
+    monkeypatch.delattr("os.posix_fallocate")
+    [file] = export_database(database, "hloc", tmp_path / "out.h5")
+    assert file.stat().st_size

@@ -133,7 +133,7 @@ def pictures_of_references(
             known = stored()[frame]
             origin = database.origins.get(known.origin)
             if origin and origin.label_space:
-                return traces.look(origin.label_space.name, segmenter(), known.digest)
+                return traces.look(origin.label_space, segmenter(), known.digest)
         return Picture()
 
     return look

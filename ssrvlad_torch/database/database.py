@@ -7,6 +7,7 @@ fingerprint, and each label space and segmenter that a row names as its origin.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 import threading
@@ -22,7 +23,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from ..config import SSRVLADConfig
-from ..taxonomy import LabelSpace
+from ..taxonomy import LabelSpace, label_space_names
+from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frames import FrameRecord, FrameSet, Vectors, natural_key
 from .origin import Origin
@@ -43,7 +45,7 @@ __all__ = [
     "Written",
 ]
 
-FORMAT = "ssrvlad-database-3"
+FORMAT = "ssrvlad-database-4"
 
 _OF_A_SET = ["frame", "sequence", *POSE, "stamp", "empty"]
 _META, _ORIGIN = "ssrvlad", "origin:"
@@ -164,8 +166,8 @@ class Database:
 
         Args:
             path: a new or an empty folder, or a URI.
-            config: the settings of every descriptor; without, they are a user's own, of which
-                nothing is claimed.
+            config: the settings of every descriptor, a label space of one's own stored whole;
+                without, they are a user's own, of which nothing is claimed.
             label_space, segmenter: of the first frames, see `add_origin`.
             width: numbers of a descriptor, where there is no config.
 
@@ -177,6 +179,8 @@ class Database:
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of one's own")
         columns = schema(config.length if config else width or 0)
+        if config and config.labels_as not in label_space_names():
+            config = dataclasses.replace(config, labels_as=label_space_of(config.labels_as))
         if cls.exists(text):
             raise ValueError(f"{text} is a database already")
         if engine.is_local(text) and (Path(text).is_file() or _is_used(Path(text))):
@@ -198,7 +202,8 @@ class Database:
 
         Raises:
             ValueError: there is none, it is damaged or of an earlier format, or its settings give
-                other descriptors in this version of the method.
+                other descriptors in this version of the method. Where only the newest versions
+                are damaged the message names the last one that is not; see `go_back`.
         """
         text = str(path)
         if engine.is_local(text) and Path(text, "manifest.json").exists():
@@ -208,8 +213,23 @@ class Database:
         try:
             table = engine.opened(text, version)
         except OSError as error:
-            raise ValueError(_why_closed(text, version, error)) from error
+            told = _why_closed(text, version, error)
+            last = None if version else engine.last_readable(text)
+            hint = f"; --as-of {last} reads the version before" if last else ""
+            raise ValueError(f"{told}{hint}") from error
         return cls(text, table, pinned=version is not None)
+
+    @staticmethod
+    def go_back(path: str | Path) -> list[str]:
+        """Puts the newest versions aside whose manifests cannot be read, as after a power cut.
+
+        Returns:
+            Names of their manifests, now ``damaged-*`` in the database's folder.
+
+        Raises:
+            OSError: the disk refused.
+        """
+        return engine.put_aside(str(path))
 
     @classmethod
     def open_or_create(
@@ -579,7 +599,7 @@ class Database:
             "width": self.width,
             "preset": config.preset if config else None,
             "fingerprint": self.fingerprint,
-            "config": config.to_dict() if config else None,
+            "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
             "version": self.version,
         }
 
@@ -603,6 +623,8 @@ class _Meta(NamedTuple):
         entries = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
         text = entries.get(_META, "")
         content = json.loads(text) if text else {}
+        if content.get("format", "").startswith("ssrvlad-") and content["format"] != FORMAT:
+            raise ValueError(f"{path} was made by an earlier format of database: encode it again")
         if content.get("format") != FORMAT:
             raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
         if entries.get(f"{_META}-digest") != _digest(text):

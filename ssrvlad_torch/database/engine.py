@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 _ATTEMPTS = 100
 _PAUSE = 0.02
+_COUNT = (1 << 64) - 1
 _MESSAGE = "lance.commit.message"
 
 Plan = Callable[["LanceDataset"], Any]
@@ -62,6 +63,38 @@ def opened(uri: str, version: int | None = None) -> LanceDataset:
     except ValueError as error:
         raise OSError(one_line(error)) from error
     return table
+
+
+def last_readable(uri: str) -> int | None:
+    """The newest version of a folder whose manifest can be read, ``None`` if there is none."""
+    return next((n for n, _ in _manifests(uri) if _is_readable(uri, n)), None)
+
+
+def put_aside(uri: str) -> list[str]:
+    """Renames the newest manifests that cannot be read, if one before them can; their names."""
+    last, names = last_readable(uri), []
+    for number, file in _manifests(uri) if last is not None else ():
+        if number > (last or 0):
+            file.rename(Path(uri, f"damaged-{file.name}"))
+            names.append(file.name)
+    if names:
+        flush(Path(uri, "_versions"))
+        flush(Path(uri))
+    return names
+
+
+def _manifests(uri: str) -> list[tuple[int, Path]]:
+    """The versions of a folder, the newest first; their names count down from 2^64."""
+    files = Path(uri, "_versions").glob("*.manifest") if is_local(uri) else ()
+    return sorted(((_COUNT - int(file.stem), file) for file in files), reverse=True)
+
+
+def _is_readable(uri: str, version: int) -> bool:
+    try:
+        opened(uri, version)
+    except OSError:
+        return False
+    return True
 
 
 def is_local(uri: str) -> bool:
@@ -181,7 +214,7 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
         )
         sync_version(table)
         if is_local(uri):
-            flush_folder(Path(uri).absolute().parent)
+            flush(Path(uri).absolute().parent)
     return table
 
 
@@ -269,7 +302,7 @@ def _sync_data(uri: str, operation: Any) -> None:
 
 def sync_version(table: LanceDataset, transaction: Any = None) -> None:
     """Puts on the disk what makes the version of a table count."""
-    names = [f"_versions/{(1 << 64) - 1 - table.version}.manifest"]
+    names = [f"_versions/{_COUNT - table.version}.manifest"]
     if transaction is not None:
         folder = Path(table.uri, "_transactions")  # its file is named by the version it came after
         names += [f"_transactions/{file.name}" for file in folder.glob(f"*-{transaction.uuid}.txn")]
@@ -284,10 +317,4 @@ def sync(uri: str, names: list[str]) -> None:
     for file in files:
         flush(file)
     for folder in {parent for file in files for parent in (file.parent, Path(uri))}:
-        flush_folder(folder)
-
-
-def flush_folder(folder: Path) -> None:
-    """Flushes the entries of a folder, where the system lets one do so."""
-    if os.name == "posix":
         flush(folder)

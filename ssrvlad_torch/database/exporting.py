@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -90,8 +92,11 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
 
 
 def _see_room(file: Path, frames: FrameSet) -> None:
-    """Takes the room of an HDF5 file for a moment: HDF5 ends the process where it runs out."""
+    """Refuses a disk without room for an HDF5 file: HDF5 ends the process where it runs out."""
     names = sum(len(frame.encode()) for frame in frames.frames)
     expected = 4 * frames.descriptors.numel() + _BYTES_OF_A_GROUP * (len(frames.frames) + 1) + names
+    if shutil.disk_usage(file.parent).free < expected:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with file.open("wb") as stream:
-        os.posix_fallocate(stream.fileno(), 0, expected)
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(stream.fileno(), 0, expected)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
 import json
 from typing import NamedTuple
 
-from ..taxonomy import LabelClass, LabelSpace
+from ..taxonomy import LabelSpace
 
 
 class Origin(NamedTuple):
@@ -23,25 +22,18 @@ class Origin(NamedTuple):
 
     @property
     def key(self) -> str:
-        """16 hex digits over all of its content."""
-        return hashlib.blake2b(self.to_json().encode(), digest_size=8).hexdigest()
+        """16 hex digits, equal where the segmenter and the `LabelSpace.digest` are."""
+        content = [self.label_space and self.label_space.digest, self.segmenter]
+        return hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
 
     def to_json(self) -> str:
         """All of its content as text."""
-        space = self.label_space and dataclasses.asdict(self.label_space)
+        space = self.label_space and self.label_space.to_dict()
         return json.dumps({"label_space": space, "segmenter": self.segmenter}, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
         """What `to_json` wrote."""
         content = json.loads(text)
-        return cls(_space(content["label_space"]), content["segmenter"])
-
-
-def _space(content: dict[str, object] | None) -> LabelSpace | None:
-    if content is None:
-        return None
-    classes = content.pop("classes")
-    assert isinstance(classes, list)
-    coloured = [{**c, "colour": c["colour"] and tuple(c["colour"])} for c in classes]
-    return LabelSpace(**content, classes=tuple(LabelClass(**c) for c in coloured))  # type: ignore[arg-type]
+        space = content["label_space"]
+        return cls(space and LabelSpace.from_dict(space), content["segmenter"])

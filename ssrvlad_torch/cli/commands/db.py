@@ -95,7 +95,8 @@ def verify(
         bool,
         typer.Option(
             "--drop-damaged",
-            help="Give up the frames that are damaged; encoding again brings them back.",
+            help="Give up the frames that are damaged, and newest versions that cannot be read; "
+            "encoding again brings the frames back.",
         ),
     ] = False,
     as_json: Json = False,
@@ -106,6 +107,9 @@ def verify(
     """
     from ...database.database import Database
 
+    aside = Database.go_back(database) if drop_damaged else []
+    for name in aside:
+        note(f"{database}: a version that cannot be read is put aside: damaged-{name}")
     opened = Database.open(database)
     frames = len(opened)
     with progress_bar("verifying", frames) as bar:
@@ -119,7 +123,7 @@ def verify(
     if damage and drop_damaged:
         opened.drop_damaged()
         note(f"{database} now holds the {len(opened)} frames that are whole")
-    if damage:
+    if damage or aside:
         raise typer.Exit(SOME_REFUSED)
 
 

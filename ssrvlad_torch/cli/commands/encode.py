@@ -13,8 +13,10 @@ from ..output import finish, note, print_json, progress_bar
 from .db import contents
 
 if TYPE_CHECKING:
+    from ...database.database import Database
     from ...encoding.results import Summary
-    from ..sources import Source
+    from ...taxonomy import LabelSpace
+    from ..sources import LabelsAs, Source
 
 Engine = Literal["local", "ray"]
 
@@ -69,22 +71,24 @@ def _encode(
     from ...encoding.plan import folders_of
     from ...encoding.ray_engine import encode_with_ray
     from ...encoding.results import EncodeOptions
-    from ..sources import with_labels_as
 
-    if source.labels_as is None:
-        raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if prune and not _is_complete(source):
         raise ValueError("--prune wants whole folders as sources, without --every and --start")
     if engine == "ray" and source.given.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
     database = Database.open(output) if Database.exists(output) else None
+    labels_as: LabelsAs | None = source.labels_as
+    if labels_as is None and database is not None:
+        labels_as = _only_label_space(database)
+    if labels_as is None:
+        raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if preset is None and database is not None:
-        config = with_labels_as(database.config, source.labels_as)
+        config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
-        config = SSRVLADConfig.from_preset(preset or "default", labels_as=source.labels_as)
+        config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(config)
     known = folders_of(database.known()) if database is not None else {}
-    files, segmenter = source.frames(source.labels_as, known)
+    files, segmenter = source.frames(labels_as, known)
     if database is None:
         database = Database.create(output, config)
     with progress_bar("encoding", len(files)) as bar:
@@ -94,6 +98,16 @@ def _encode(
         if engine == "ray":
             return encode_with_ray(head, files, database, options)
         return encode_to_database(head, files, database, options, segmenter)
+
+
+def _only_label_space(database: Database) -> LabelSpace | None:
+    """The label space of all frames of a database, if it is one."""
+    spaces = {
+        origin.label_space.digest: origin.label_space
+        for origin in database.origins.values()
+        if origin.label_space
+    }
+    return next(iter(spaces.values())) if len(spaces) == 1 else None
 
 
 def _is_complete(source: Source) -> bool:
