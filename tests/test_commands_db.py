@@ -85,10 +85,8 @@ def test_labels_are_read_by_the_stored_label_space_from_any_folder(
     assert (code, err) == (0, [])
     assert candidates(out).keys() == {f"monday/00{n}" for n in range(6)}
     page = tmp_path / "page.html"
-    code, _, err = ssrvlad(
-        "evaluate", town, maps, "--tolerance-frames", 1, "--json", "--report", page
-    )
-    assert (code, err) == (0, [])
+    arguments = ("--tolerance-frames", 1, "--json", "--report", page)
+    assert ssrvlad("evaluate", town, maps, *arguments)[0] == 0
     assert page.stat().st_size
 
 
