@@ -120,7 +120,7 @@ def test_history_tells_versions_that_other_commands_take(ssrvlad, database, maps
         json.loads(line) for line in ssrvlad("db", "history", database, "--json")[1].splitlines()
     ]
     assert [line["frames"] for line in lines][-2:] == [6, 8]
-    assert "append 2 frames" in ssrvlad("db", "history", database)[1].splitlines()[-1]
+    assert "merge 2 frames" in ssrvlad("db", "history", database)[1].splitlines()[-1]
     before = ("--as-of", lines[-2]["version"])
     assert json.loads(ssrvlad("db", "info", database, "--json", *before)[1])["frames"] == 6
     out = ssrvlad("query", database, tmp_path / "tuesday", "--json", *before)[1]
