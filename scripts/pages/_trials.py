@@ -233,8 +233,10 @@ def _run(method: baselines.Method, problem: Problem) -> Trial:
 def _search(method: baselines.Method, search: Search) -> Trial:
     truth = search.truth
     count = sum(len(drive.places[0]) for drive in (search.queries, search.references))
-    with progress_bar(method.name, count) as advance:
-        found = run(method, search.queries, search.references, TOP, block=BLOCK, progress=advance)
+    with progress_bar(method.name, count) as bar:
+        found = run(
+            method, search.queries, search.references, TOP, block=BLOCK, progress=bar.advance
+        )
     return Trial(
         found.scores.numpy(),
         found.indices.numpy(),
