@@ -22,6 +22,6 @@ if __name__ == "__main__":
     found = verify(given.model, files, given.provider)
     for name, difference, problem in found.checks:
         print(f"{name}: {problem or 'equal'}, largest difference {difference:.2g}")
-    for trouble in (*found.problems, *(f"refused {frame}: {why}" for frame, why in found.refused)):
+    for trouble in (*found.problems, *(f"skipped {frame}: {why}" for frame, why in found.skipped)):
         print(trouble, file=sys.stderr)
     sys.exit(0 if found.passed else 1)

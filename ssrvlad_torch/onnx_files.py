@@ -36,7 +36,7 @@ def load_model(path: Path) -> onnx.ModelProto:
     except ImportError as error:
         raise ImportError(_NEEDED) from error
     if not path.is_file():
-        raise ValueError(f"{path} does not exist or is no file; wanted an ONNX graph")
+        raise ValueError(f"{path} does not exist or is no file; expected an ONNX graph")
     try:
         model = onnx.load(path)
     except Exception as error:  # protobuf's, the checker's and the file system's own types
@@ -70,7 +70,9 @@ def open_session(
     at_hand = onnxruntime.get_available_providers()
     provider = provider if provider in at_hand else otherwise or provider
     if provider not in at_hand:
-        raise ValueError(f"no execution provider {provider!r}; wanted one of {', '.join(at_hand)}")
+        raise ValueError(
+            f"no execution provider {provider!r}; expected one of {', '.join(at_hand)}"
+        )
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _ONLY_FATAL
     try:
@@ -118,7 +120,7 @@ def save_model(
         model: what to write; without its weights afterwards where they went to another file.
         path: the file; what was there is replaced.
         describe: is given the file before it takes its place, and gives the metadata properties
-            that it is to have; may refuse it by raising.
+            that it is to have; may reject it by raising.
 
     Raises:
         OSError: the file cannot be written.

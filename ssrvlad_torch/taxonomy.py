@@ -95,9 +95,9 @@ class LabelSpace:
         Raises:
             ValueError: it does not define a label space; the message names the entry.
         """
-        wanted = "expected a mapping with name, source and classes"
+        expected = "expected a mapping with name, source and classes"
         if not isinstance(document, dict) or not {"name", "source", "classes"} <= document.keys():
-            raise ValueError(f"{where} is not a label space: {wanted}")
+            raise ValueError(f"{where} is not a label space: {expected}")
         if not isinstance(document["classes"], (list, tuple)) or not document["classes"]:
             raise ValueError(f"{where}: classes must be a list with at least one class")
         classes = tuple(_parse_class(entry, where) for entry in document["classes"])

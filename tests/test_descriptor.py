@@ -47,7 +47,7 @@ def with_few_harmonics(harmonics: int, rings: int, sectors: int, **settings) -> 
     return SSRVLADConfig(harmonics=min(harmonics, most), rings=rings, sectors=sectors, **settings)
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10_000),
     height=st.integers(1, 70),
@@ -90,7 +90,7 @@ def test_equals_the_reference_in_the_synthetic_city(preset):
 @needs_camvid
 @presets
 def test_equals_the_reference_on_camvid(preset):
-    for labels in camvid_labels(every=150):
+    for labels in camvid_labels(every=400):
         assert_equals_reference(labels, SSRVLADConfig.from_preset(preset, labels_as=SPACE))
 
 
@@ -116,30 +116,18 @@ def test_shape_dtype_and_length():
     torch.testing.assert_close(descriptors.norm(dim=1), torch.ones(3))
 
 
-@pytest.mark.parametrize(
-    "dtype",
-    [
-        torch.int8,
-        torch.int16,
-        torch.uint16,
-        torch.int32,
-        torch.uint32,
-        torch.int64,
-        torch.uint64,
-    ],
-)
-def test_any_integer_dtype(dtype):
+def test_integers_and_views_of_any_kind():
     head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
-    assert torch.equal(head(batch.to(dtype)), head(batch))
-
-
-def test_views_that_are_not_contiguous():
-    head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
-    turned = batch.transpose(1, 2)
-    assert not turned.is_contiguous()
-    assert torch.equal(head(turned), head(turned.contiguous()))
-    assert torch.equal(head(batch[:, ::2, ::3]), head(batch[:, ::2, ::3].contiguous()))
-    assert torch.equal(head(batch[:1].expand(2, -1, -1)), head(batch[:1].repeat(2, 1, 1)))
+    before, expected = batch.clone(), head(batch)
+    for bits in (8, 16, 32, 64):
+        assert torch.equal(head(batch.to(getattr(torch, f"int{bits}"))), expected)
+        assert torch.equal(head(batch.to(getattr(torch, f"uint{bits}"))), expected)
+    with torch.inference_mode():
+        assert torch.equal(head(batch), expected)
+    for view in (batch.transpose(1, 2), batch[:, ::2, ::3], batch[:1].expand(2, -1, -1)):
+        assert not view.is_contiguous()
+        assert torch.equal(head(view), head(view.contiguous()))
+    assert torch.equal(batch, before)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.float16, torch.bfloat16])
@@ -200,20 +188,6 @@ def test_it_has_no_weights_and_no_state():
     assert head.config.fingerprint in repr(head)
 
 
-def test_the_input_is_left_alone():
-    batch = batch_of_blobs()
-    before = batch.clone()
-    SSRVLAD(DEFAULT)(batch)
-    assert torch.equal(batch, before)
-
-
-def test_inference_mode():
-    head, batch = SSRVLAD(DEFAULT), batch_of_blobs()
-    with torch.inference_mode():
-        descriptors = head(batch)
-    assert torch.equal(descriptors, head(batch))
-
-
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
@@ -239,18 +213,9 @@ def test_bad_input_is_named(labels, message):
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize("native", [True, False], ids=["native core", "torch"])
-def test_compiled_by_torch_it_gives_the_same_numbers(core, native):
-    head = SSRVLAD(DEFAULT)
-    head.native = native
-    batch = batch_of_blobs(2, 61, 83)
-    expected = head(batch)
-    head.compile(fullgraph=native)
-    assert torch.equal(head(batch), expected)
-
-
-def test_it_is_exported_as_one_operator(core):
+def test_it_is_compiled_and_exported_as_one_operator(core):
     head, batch = SSRVLAD(DEFAULT), batch_of_blobs(2, 61, 83)
+    assert torch.equal(torch.compile(head, fullgraph=True)(batch), head(batch))
     program = torch.export.export(head, (batch,))
     assert torch.equal(program.module()(batch), head(batch))
     assert "ssrvlad.describe.default" in [str(node.target) for node in program.graph.nodes]
@@ -307,10 +272,19 @@ def test_cuda_equals_cpu(preset):
 @pytest.mark.parametrize("preset", ["paper", "default"])
 def test_autocast_changes_nothing(preset):
     head = SSRVLAD.from_preset(preset, labels_as=SPACE, working_size=None)
-    labels = torch.from_numpy(blobs(0, 733, 1001, 12))[None]
+    labels = torch.from_numpy(blobs(0, 133, 201, 12))[None]
     with torch.autocast("cpu", torch.bfloat16):
         cast = head(labels)
     assert torch.equal(cast, head(labels))
+
+
+@presets
+def test_the_stages_in_torch_are_left_alone_by_compile_and_refused_by_export(preset):
+    head, labels = SSRVLAD.from_preset(preset, labels_as=SPACE), batch_of_blobs(2)
+    head.native = False
+    assert torch.equal(torch.compile(head)(labels), head(labels))
+    with pytest.raises(RuntimeError, match="data-dependent"):
+        torch.export.export(head, (labels,))
 
 
 def test_copies_and_narrow_heads_give_the_same_numbers():

@@ -110,7 +110,7 @@ def test_blobs_and_noise(preset):
 @presets
 def test_the_synthetic_city(preset):
     config = of_preset(preset, labels_as="cityscapes-trainids")
-    for labels in (*city(2, 3, (90, 121)), *city(1, 4, (300, 400))):
+    for labels in (*city(2, 3, (90, 121)), *city(1, 4, (240, 320))):
         assert_parity(labels[None], config)
 
 
@@ -187,11 +187,8 @@ def test_class_scores(preset):
     scores = rng.normal(size=(2, 12, 61, 83)).astype(np.float32)
     scores += 4 * np.eye(12, dtype=np.float32)[:, blobs(1, 61, 83, 9)]
     assert_parity(scores, of_preset(preset), "logits")
-
-
-def test_the_first_of_equal_scores_wins():
-    scores = np.random.default_rng(1).integers(0, 3, (1, 12, 40, 50)).astype(np.float32)
-    assert_parity(scores, of_preset("default", working_size=None), "logits")
+    of_equals_the_first = rng.integers(0, 3, (1, 12, 40, 50)).astype(np.float32)
+    assert_parity(of_equals_the_first, of_preset(preset), "logits")
 
 
 @presets
@@ -282,14 +279,6 @@ def test_the_metadata_and_the_golden_pair(preset, given, dtype, tmp_path):
     assert (golden["keypoints"].sum(1) > 20).all()
 
 
-def test_the_same_settings_give_the_same_bytes(tmp_path):
-    for name in ("one.onnx", "other.onnx"):
-        export_head(of_preset("default"), tmp_path / name)
-    one, other = (tmp_path.joinpath(name).read_bytes() for name in ("one.onnx", "other.onnx"))
-    assert one == other
-    assert [path.name for path in sorted(tmp_path.iterdir())] == ["one.onnx", "other.onnx"]
-
-
 def write_space(path: Path, *ids: int) -> Path:
     rows = "\n".join(f"  - {{id: {one}, name: c{one}, category: ground}}" for one in ids)
     path.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
@@ -302,10 +291,10 @@ def write_space(path: Path, *ids: int) -> Path:
         ([0], {"input": "pixels"}, "input must be one of labels, logits, got 'pixels'"),
         ([0], {"dtype": "int8"}, "dtype must be one of uint8, int64, got 'int8'"),
         ([3], {"input": "logits"}, "own has no class scores, its ids have gaps"),
-        ([300, -4], {}, "own has no id from 0 to 255; wanted dtype int64"),
+        ([300, -4], {}, "own has no id from 0 to 255; expected dtype int64"),
     ],
 )
-def test_what_cannot_be_exported_is_refused_before_anything_is_written(
+def test_what_cannot_be_exported_is_an_error_before_anything_is_written(
     ids, arguments, message, tmp_path
 ):
     space = write_space(tmp_path / "own.yaml", *ids)
@@ -322,19 +311,14 @@ def test_a_missing_folder_is_named(tmp_path):
         export_head(of_preset("default"), tmp_path / "nowhere" / "head.onnx")
 
 
-def test_a_missing_extra_is_named(tmp_path):
-    code = (
-        "import sys; sys.modules['onnxscript'] = None; from ssrvlad_torch import SSRVLADConfig;"
-        "from ssrvlad_torch import export_head; export_head(SSRVLADConfig(), 'x.onnx')"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=False
-    )
-    assert "pip install ssrvlad-torch[onnx]" in done.stderr
+def test_a_missing_extra_is_named(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "onnxscript", None)
+    with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[onnx\]"):
+        export_head(SSRVLADConfig(), tmp_path / "x.onnx")
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_and_the_script_write_what_the_function_writes(ssrvlad, tmp_path):
+def test_the_command_and_the_script_write_the_bytes_that_the_function_writes(ssrvlad, tmp_path):
     export_head(of_preset("paper"), tmp_path / "head.onnx", "logits")
     options = ["--labels-as", SPACE, "--input", "logits", "--preset", "paper"]
     code, out, _ = ssrvlad("export", "-o", tmp_path / "command.onnx", *options)

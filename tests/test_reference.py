@@ -83,22 +83,19 @@ def guo_hall_by_the_paper(layer: np.ndarray) -> np.ndarray:
             return layer
 
 
-def test_a_line_has_two_end_points():
-    ends = reference.end_points(mask(LINE))
-    assert np.argwhere(ends).tolist() == [[1, 1], [1, 5]]
-
-
-def test_a_dot_is_an_end_point():
-    assert np.argwhere(reference.end_points(mask(DOT))).tolist() == [[1, 2]]
-
-
-def test_a_cross_has_one_intersection():
-    assert np.argwhere(reference.intersections(mask(CROSS))).tolist() == [[3, 3]]
-
-
-def test_a_tee_has_one_intersection():
-    """Crossing number 3 at the junction; the pixels beside it have 2."""
-    assert np.argwhere(reference.intersections(mask(TEE))).tolist() == [[1, 4]]
+@pytest.mark.parametrize(
+    ("drawing", "ends", "intersections"),
+    [
+        (LINE, [[1, 1], [1, 5]], []),
+        (DOT, [[1, 2]], []),
+        (CROSS, [[0, 3], [3, 0], [3, 6], [6, 3]], [[3, 3]]),
+        (TEE, [[1, 1], [1, 7], [4, 4]], [[1, 4]]),  # the pixels beside it have crossing number 2
+    ],
+    ids=["line", "dot", "cross", "tee"],
+)
+def test_keypoints_of_drawings(drawing, ends, intersections):
+    assert np.argwhere(reference.end_points(mask(drawing))).tolist() == ends
+    assert np.argwhere(reference.intersections(mask(drawing))).tolist() == intersections
 
 
 def test_touching_intersections_keep_the_first_in_raster_order():
@@ -124,10 +121,7 @@ def test_touching_intersections_keep_the_first_in_raster_order():
 )
 def test_centre_is_the_rounded_centroid(drawing, centre):
     assert reference.centroid(mask(drawing)) == centre
-
-
-def test_a_layer_without_pixels_has_no_centre():
-    assert reference.centroid(np.zeros((3, 4), bool)) is None
+    assert reference.centroid(mask(drawing) & False) is None
 
 
 def test_holes_are_enclosed_and_small():
@@ -173,7 +167,7 @@ def test_a_cross_describes_itself_by_hand():
     assert np.linalg.norm(trace.vector) == pytest.approx(1)
 
 
-def test_unknown_ids_are_refused():
+def test_an_unknown_id_is_an_error():
     with pytest.raises(ValueError, match="label id 99 is not in label space camvid-11"):
         reference.describe(np.full((3, 3), 99), PLAIN)
 
@@ -184,7 +178,7 @@ def test_an_image_without_category_is_zero():
     assert not descriptor.any()
 
 
-def test_a_street_bending_right_has_its_vista_there():
+def test_a_street_bending_right_has_its_vanishing_column_there():
     """Openness of the columns in 64ths: 0, 16 and 64; only the last has weight to speak of."""
     layers = np.zeros((8, 4, 9), bool)
     layers[0, 3, 2:4] = True  # ground in a quarter of two columns
@@ -197,7 +191,7 @@ def test_a_street_bending_right_has_its_vista_there():
     assert reference.vanishing_column(list(np.zeros((8, 4, 9), bool))) == 0
 
 
-def test_canvas_shares_are_areas():
+def test_cells_hold_the_fraction_that_is_covered():
     layer = np.zeros((12, 16), bool)  # every pixel is 2 x 2 cells
     layer[0, 0] = layer[11, 15] = True
     cells = reference.pool(layer, 0)
@@ -209,14 +203,14 @@ def test_canvas_shares_are_areas():
 def test_soft_bins_hold_every_cell_once():
     config = SSRVLADConfig()
     weight = np.zeros(reference.CELLS)
-    for row, column, ring, sector, share in reference.soft_bins(config):
+    for row, column, ring, sector, fraction in reference.soft_bins(config):
         assert 0 <= ring < config.rings
         assert 0 <= sector < config.sectors
-        weight[row, column] += share
+        weight[row, column] += fraction
     np.testing.assert_allclose(weight, 16)
 
 
-def test_patterns_are_orthogonal_and_rise_in_frequency():
+def test_basis_functions_are_orthogonal_and_start_with_a_constant():
     config = SSRVLADConfig(spectral_weight=0.0, harmonics=6 * 19)
     table = np.array(reference.basis(config)).reshape(114, -1)
     np.testing.assert_allclose(table @ table.T, np.eye(114), atol=1e-12)

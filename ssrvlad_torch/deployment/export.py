@@ -28,9 +28,9 @@ def export_head(
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
     The file runs on the CPU in ONNX Runtime 1.15 or newer, with nothing else. Keypoint counts
-    are those of `SSRVLAD`, descriptors differ by less than 1e-6. A graph cannot refuse an id
-    outside the label space: such pixels belong to no layer, and the output ``unknown`` counts
-    them. It does not notice NaN scores.
+    are those of `SSRVLAD`, descriptors differ by less than 1e-6. A graph cannot raise an error:
+    pixels with an id outside the label space belong to no layer, and the output ``unknown``
+    counts them. It does not notice NaN scores.
 
     Shape:
         - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the largest wins, the

@@ -39,7 +39,7 @@ def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, npt.NDArray[
     elif dtype == "uint8":
         ids = ids[(ids >= 0) & (ids < 256)]
     if ids.size == 0:
-        raise ValueError(f"label space {space.name} has no id from 0 to 255; wanted dtype int64")
+        raise ValueError(f"label space {space.name} has no id from 0 to 255; expected dtype int64")
     labels = _patches(ids)
     given: npt.NDArray[Any] = labels.astype(dtype)
     if input == "logits":

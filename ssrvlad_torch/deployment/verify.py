@@ -68,7 +68,7 @@ class Verification:
         warnings: what is odd about it but no fault.
         problems: what is wrong with it as a whole.
         checks: the comparisons.
-        refused: frames that could not be compared, and why.
+        skipped: frames that could not be compared, and why.
     """
 
     version: str
@@ -78,7 +78,7 @@ class Verification:
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
-    refused: list[tuple[str, str]] = field(default_factory=list)
+    skipped: list[tuple[str, str]] = field(default_factory=list)
 
     @property
     def difference(self) -> float:
@@ -185,7 +185,7 @@ class _Head:
         (self.input,) = session.get_inputs()
         self.outputs = [value.name for value in session.get_outputs()]
         if len(self.outputs) != len(OUTPUTS):
-            raise ValueError(f"gives {', '.join(self.outputs)}; wanted {', '.join(OUTPUTS)}")
+            raise ValueError(f"gives {', '.join(self.outputs)}; expected {', '.join(OUTPUTS)}")
 
     def run(self, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
         found = self.session.run(None, {self.input.name: given})
@@ -236,7 +236,7 @@ def _check_frame(found: Verification, head: _Head, file: LabelFile) -> None:
         given = head.form_of(read_label_map(file, head.module.label_space))
         expected = described(head.module, given)
     except ValueError as error:
-        found.refused.append((file.frame, str(error)))
+        found.skipped.append((file.frame, str(error)))
         return
     found.checks.append(compare(file.frame, head.run(given), expected))
 

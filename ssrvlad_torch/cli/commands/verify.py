@@ -49,14 +49,14 @@ def verify(
         _print(model, found)
     if not found.passed:
         raise typer.Exit(MISMATCH)
-    finish([Skipped(frame, reason) for frame, reason in found.refused])
+    finish([Skipped(frame, reason) for frame, reason in found.skipped])
 
 
 def _as_json(found: Verification) -> dict[str, Any]:
     return {
         **dataclasses.asdict(found),
         "checks": [one._asdict() for one in found.checks],
-        "refused": [{"frame": frame, "reason": reason} for frame, reason in found.refused],
+        "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
         "difference": found.difference,
         "passed": found.passed,
     }
