@@ -53,16 +53,25 @@ def test_version(ssrvlad):
     assert out.startswith(f"ssrvlad {__version__}, on a CPU with ") and "native core" in out
 
 
+NO_TORCH = (
+    "import sys\n"
+    "from ssrvlad_torch.cli.main import main\n"
+    "try: main()\n"
+    "finally: sys.exit('torch' in sys.modules)"
+)
+
+
 @pytest.mark.parametrize("command", ["--help", "encode --help", "db info --help"])
 def test_help_needs_no_torch(command):
-    program = (
-        "import sys\n"
-        "from ssrvlad_torch.cli.main import main\n"
-        "try: main()\n"
-        "finally: sys.exit('torch' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", program, *command.split()], check=False)
+    done = subprocess.run([sys.executable, "-c", NO_TORCH, *command.split()], check=False)
     assert done.returncode == 0
+
+
+def test_db_info_needs_no_torch(database):
+    command = [sys.executable, "-c", NO_TORCH, "db", "info", str(database)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "camvid-11" in done.stdout
 
 
 def test_debug_shows_the_traceback(ssrvlad):
@@ -142,6 +151,7 @@ WRONG_USES = [
         f"encode monday -o none {CAMVID} --preset fast",
         "preset must be one of paper, default, got 'fast'",
     ),
+    ("encode monday -o none --labels-as camvid", "did you mean camvid-11 or camvid-32?"),
     (f"encode none -o none {CAMVID}", "none does not exist"),
     (f"encode folder -o none {CAMVID}", "folder holds no label maps"),
     (f"encode jpegs -o none {CAMVID}", "jpegs holds images and no label maps; name the network"),
@@ -222,6 +232,20 @@ def interrupt(folder: Path, begun: str, *arguments: str) -> tuple[int, str]:
         time.sleep(0.5)
         process.send_signal(signal.SIGINT)
         return process.wait(), process.stderr.read().decode()
+
+
+@pytest.mark.parametrize("module", ["typer", "torch"])
+def test_ctrl_c_during_an_import(module):
+    program = (
+        "import os, signal, sys\n"
+        "class Interrupts:\n"
+        "    def find_spec(name, path, target=None):\n"
+        f"        if name == {module!r}: os.kill(os.getpid(), signal.SIGINT)\n"
+        "sys.meta_path.insert(0, Interrupts)\n"
+    )
+    command = [sys.executable, "-c", program + TERMINAL, "export", "-o", "none/head.onnx"]
+    done = subprocess.run([*command, *CAMVID.split()], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (130, "ssrvlad: interrupted\n")
 
 
 @pytest.mark.parametrize("segmenter", [(), ("--segmenter", "net.yaml")])
