@@ -19,7 +19,7 @@ OF_A_RECORD += ["origin"]
 Words = npt.NDArray[np.uint64]
 
 _MULTIPLIER = 0x9E3779B97F4A7C15
-_INVERSE = pow(_MULTIPLIER, -1, 1 << 64)
+_ROWS_AT_ONCE = 4096
 
 
 def schema(width: int) -> pa.Schema:
@@ -93,35 +93,37 @@ def _hashed(column: pa.ChunkedArray | pa.Array) -> Words:
     return words
 
 
-def _hashed_rows(values: npt.NDArray[np.float32]) -> Words:
-    """Of each row of a matrix: its words, two numbers each, times odd numbers, summed."""
-    if values.shape[1] % 2:
-        values = np.pad(values, ((0, 0), (0, 1)))
+def _hashed_rows(values: npt.NDArray[Any]) -> Words:
+    """Of each row of a matrix: its words of 8 bytes times odd numbers, summed."""
+    missing = -values.shape[1] % (8 // values.itemsize)
+    if missing:
+        values = np.pad(values, ((0, 0), (0, missing)))
     words = np.ascontiguousarray(values).view(np.uint64)
-    hashed: Words = words @ _powers(_MULTIPLIER, words.shape[1])
+    hashed: Words = np.einsum("ij,j->i", words, _powers(words.shape[1]))
     return hashed
 
 
 def _hashed_text(column: pa.StringArray) -> Words:
-    """Of each text: its bytes as a polynomial, from sums over all bytes up to each place."""
+    """Of each text: its bytes as a row of a matrix, and its length."""
     _, offsets_of, content = column.buffers()
     if content is None:
         return np.zeros(len(column), np.uint64)
-    offsets = np.frombuffer(offsets_of, np.int32)[column.offset : column.offset + len(column) + 1]
-    begin, end = offsets[0], offsets[-1]
-    numbers: Words = np.frombuffer(content, np.uint8)[begin:end].astype(np.uint64) + np.uint64(1)
-    sums: Words = np.zeros(len(numbers) + 1, np.uint64)
-    np.cumsum(numbers * _powers(_MULTIPLIER, len(numbers)), out=sums[1:])
-    places = offsets - begin
-    shifted = np.subtract(sums[places[1:]], sums[places[:-1]], dtype=np.uint64)
-    hashed: Words = shifted * _powers(_INVERSE, len(numbers) + 1)[places[:-1]]
+    hashed = np.empty(len(column), np.uint64)
+    for first in range(0, len(column), _ROWS_AT_ONCE):
+        count = min(_ROWS_AT_ONCE, len(column) - first)
+        offsets = np.frombuffer(offsets_of, np.int32)[column.offset + first :][: count + 1]
+        lengths = np.diff(offsets)
+        longest = int(lengths.max())
+        rows = np.frombuffer(content, np.uint8)[offsets[0] : offsets[-1]]
+        if len(rows) < count * longest:
+            text, rows = rows, np.zeros(count * longest, np.uint8)
+            places = np.arange(longest, dtype=np.int32) < lengths[:, None]
+            rows[places.ravel()] = text
+        rows = rows.reshape(count, longest)
+        hashed[first : first + count] = _hashed_rows(rows) + lengths.astype(np.uint64)
     return hashed
 
 
-def _powers(base: int, count: int) -> Words:
-    return _table_of_powers(base, 1 << max(1023, count - 1).bit_length())[:count]
-
-
 @cache
-def _table_of_powers(base: int, count: int) -> Words:
-    return np.cumprod(np.full(count, base, np.uint64), dtype=np.uint64)
+def _powers(count: int) -> Words:
+    return np.cumprod(np.full(count, _MULTIPLIER, np.uint64), dtype=np.uint64)
