@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-import re
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
+from natsort import natsort_keygen
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -87,15 +89,11 @@ class FrameSet:
         )
 
 
-def natural_key(name: str) -> str:
+def natural_key(name: str) -> tuple[Any, str]:
     """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
-    pieces = (piece for piece in re.split(r"(\d+)", name) if piece)
-    return "".join(map(_piece_key, pieces)) + f"\0{name}"
+    return _natural()(name), name
 
 
-def _piece_key(piece: str) -> str:
-    """The end of a name sorts before a number, that before other text; numbers by their size."""
-    if piece.isdecimal():
-        digits = str(int(piece))
-        return f"\1{chr(len(digits))}{digits}"
-    return f"\2{piece}\0"
+@cache
+def _natural() -> Callable[[str], Any]:
+    return natsort_keygen()

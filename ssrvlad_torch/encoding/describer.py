@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
+from ..config import SSRVLADConfig
 from ..database.frames import FrameRecord
 from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, digest, read_label_map
@@ -49,7 +51,7 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
 
 
 class Describer:
-    """Items -> descriptors; can be sent to another process.
+    """Items -> descriptors; can be sent to another process, which makes the head anew.
 
     Args:
         head: the method.
@@ -59,6 +61,11 @@ class Describer:
     def __init__(self, head: SSRVLAD, origin: str = "") -> None:
         self.head = head
         self.origin = origin
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """The settings with the label space, which may be a file of this machine; no tables."""
+        config = replace(self.head.config, labels_as=self.head.label_space)
+        return _made_of, (config, self.head.native, self.origin)
 
     def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
         """What becomes of some frames, in their order."""
@@ -101,6 +108,12 @@ class Describer:
             file.sequence, file.name, pose.x, pose.y, pose.heading, signature=item.signature,
             digest=item.digest, height=height, width=width, origin=self.origin,
         )  # fmt: skip
+
+
+def _made_of(config: SSRVLADConfig, native: bool, origin: str) -> Describer:
+    head = SSRVLAD(config)
+    head.native = native
+    return Describer(head, origin)
 
 
 def _read(space: LabelSpace, item: Item) -> Item:
