@@ -146,7 +146,7 @@ def test_numbers_of_the_truth_count_images_not_every_so_many(recognise):
     assert "are not in the database, the first is ref/000" in err[0]
 
 
-def test_a_refused_frame_keeps_its_number(recognise, tmp_path):
+def test_a_skipped_frame_keeps_its_number(recognise, tmp_path):
     for folder in ("ref", "query"):
         (tmp_path / "maps" / folder / "000.png").write_text("no image")
     code, metrics, _ = recognise()

@@ -113,7 +113,7 @@ def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_pat
 
 
 @pytest.mark.parametrize("how", ["frames", "matrix"])
-def test_a_refused_query_keeps_its_place(evaluate, tmp_path, how):
+def test_a_skipped_query_keeps_its_place(evaluate, tmp_path, how):
     """What counts frames counts the unreadable one, too."""
     (tmp_path / "tuesday" / "002.png").write_text("no image")
     truth = write_truth(tmp_path / "truth.npy", np.eye(6))
@@ -161,7 +161,7 @@ def test_bad_ground_truth_is_one_line(evaluate, tmp_path, name, content, message
     assert message in err[0]
 
 
-def test_all_queries_refused(ssrvlad, database, tmp_path):
+def test_all_queries_skipped(ssrvlad, database, tmp_path):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "a.png").write_text("no image")
     code, out, err = ssrvlad(

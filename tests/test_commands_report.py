@@ -114,11 +114,11 @@ def test_what_was_left_out_is_told(ssrvlad, evaluate, database, tmp_path, out):
     page = Page(out.read_text("utf-8"))
     assert "3 queries, 3 of them with a true match" in page.words
     assert "2 of 5 queries are left out: no true matches are known" in page.words
-    assert "1 more queries were refused, the first is friday/005: " in page.words
+    assert "1 more queries were skipped, the first is friday/005: " in page.words
     assert {"label map of friday/002", "label map of friday/003"} <= described(page)
 
 
-def test_all_queries_refused(ssrvlad, database, tmp_path, out):
+def test_all_queries_skipped(ssrvlad, database, tmp_path, out):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "a.png").write_text("no image")
     arguments = ("evaluate", database, tmp_path / "bad", "--tolerance-frames", 1)

@@ -45,7 +45,7 @@ class Recognition:
         similarity: ``(Q, R)`` scores of all pairs, where they are wanted.
         descriptors: of the queries and of the references, where a database has them.
         pictures: of the queries and of the references, by their ids.
-        refused: queries that could not be encoded.
+        skipped: queries that could not be encoded.
         told: what there is to tell about how it was found.
     """
 
@@ -55,7 +55,7 @@ class Recognition:
     similarity: npt.NDArray[np.float32] | None = None
     descriptors: tuple[Tensor, Tensor] | None = None
     pictures: tuple[Pictures, Pictures] | None = None
-    refused: Sequence[Skipped] = ()
+    skipped: Sequence[Skipped] = ()
     told: Mapping[str, Any] = field(default_factory=dict)
 
 

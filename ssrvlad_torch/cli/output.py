@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from ..encoding.results import Skipped
 
-SOME_REFUSED = 3
+SOME_SKIPPED = 3
 """Exit code of a command that finished with some inputs skipped."""
 
 _WIDE = 200
@@ -71,7 +71,7 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
             told = f"{rate:.0f}/s" + (f", {skipped} skipped" if skipped else "")
             bar.update(task, advance=done, told=told)
 
-        def skip(_refusal: object) -> None:
+        def skip(_frame: object) -> None:
             nonlocal skipped
             skipped += 1
 
@@ -94,7 +94,7 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 
 def figure(value: float) -> str:
-    """A share in three digits."""
+    """A fraction in three digits."""
     return "-" if math.isnan(value) else f"{value:.3f}"
 
 
@@ -108,7 +108,7 @@ def finish(skipped: Sequence[Skipped]) -> None:
     for frame in skipped:
         note(f"skipped {frame.frame}: {frame.reason}")
     if skipped:
-        raise typer.Exit(SOME_REFUSED)
+        raise typer.Exit(SOME_SKIPPED)
 
 
 def _without_nan(value: Any) -> Any:

@@ -66,7 +66,7 @@ def by_database(
     """
     steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
     references = load_references(database, options.t)
-    queries, refused = encode_queries(database, source, COLUMNS if steps.sweep else ())
+    queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else ())
     found = recognise_places(
         queries.descriptors,
         references.descriptors,
@@ -76,7 +76,7 @@ def by_database(
         CANDIDATES if page else TOP,
     )
     queries = with_single_descriptors(queries)
-    names = [refusal.frame for refusal in refused]
+    names = [frame.frame for frame in skipped]
     config = with_labels_as(database.config, source.labels_as)
     given = page.pictures if page else ()
     return Recognition(
@@ -89,7 +89,7 @@ def by_database(
             pictures_of_queries(source, config.labels_as),
             pictures_of_references(database, source, given, config.labels_as),
         ),
-        refused=refused,
+        skipped=skipped,
         told={
             "preset": config.preset,
             "fingerprint": config.fingerprint,
@@ -225,7 +225,7 @@ def recognise(
         all_pairs: whether the scores of all pairs are wanted.
 
     Raises:
-        ValueError: a frame cannot be read, or the method refuses it; the message names it.
+        ValueError: a frame cannot be read, or the method cannot use it; the message names it.
     """
     with progress_bar(method.name, len(references) + len(queries)) as bar:
         retrieval = run(

@@ -140,11 +140,11 @@ def _words(value: object) -> str:
 
 def _notes(recognition: Recognition, matches: Known) -> list[str]:
     """What was left out."""
-    unknown, refused = sum(rows is None for rows in matches), recognition.refused
+    unknown, skipped = sum(rows is None for rows in matches), recognition.skipped
     notes = []
     if unknown:
         notes.append(f"{unknown} of {len(matches)} queries are left out: no true matches are known")
-    if refused:
-        first = f"{refused[0].frame}: {refused[0].reason}"
-        notes.append(f"{len(refused)} more queries were refused, the first is {first}")
+    if skipped:
+        first = f"{skipped[0].frame}: {skipped[0].reason}"
+        notes.append(f"{len(skipped)} more queries were skipped, the first is {first}")
     return notes

@@ -27,7 +27,7 @@ class Places:
         frames: ids.
         poses: ``(N, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
         counted: ids of these and of all other frames that count where frames are counted, in
-            order: those that were refused, and with a data set all that it has of the sequences.
+            order: those that were skipped, and with a data set all that it has of the sequences.
     """
 
     frames: tuple[str, ...]
@@ -124,10 +124,10 @@ class TrueMatches:
 
 
 def counted(
-    frames: Iterable[str], dataset: Dataset | None = None, refused: Iterable[str] = ()
+    frames: Iterable[str], dataset: Dataset | None = None, skipped: Iterable[str] = ()
 ) -> tuple[str, ...]:
-    """What `Places` counts, of the frames, the refused ones, and the whole data set."""
-    ids = {*frames, *refused}
+    """What `Places` counts, of the frames, the skipped ones, and the whole data set."""
+    ids = {*frames, *skipped}
     sequences = {frame.rpartition("/")[0] for frame in ids}
     if dataset:
         ids |= {frame.frame for frame in dataset.frames if frame.sequence in sequences}

@@ -38,8 +38,8 @@ class PrecisionRecall:
     @cached_property
     def precision(self) -> Floats:
         """``(..., T)``; where nothing is accepted yet, the precision at recall 0."""
-        share = self.true_positives / np.maximum(self.accepted, 1)
-        return np.where(self.accepted > 0, share, self._at_recall_zero[..., None])
+        fraction = self.true_positives / np.maximum(self.accepted, 1)
+        return np.where(self.accepted > 0, fraction, self._at_recall_zero[..., None])
 
     @cached_property
     def recall(self) -> Floats:
@@ -157,7 +157,7 @@ def precision_recall(
         scores: ``(Q,)`` float64, score of the best candidate, -inf for a query that has none:
             that query is never accepted.
         correct: ``(Q,)`` bool, whether that candidate is a true match.
-        positives: what recall is a share of.
+        positives: what recall is a fraction of.
         start: as in `PrecisionRecall`.
 
     Returns:

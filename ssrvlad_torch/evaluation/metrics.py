@@ -9,7 +9,7 @@ scores at least a threshold and differs in what is counted:
 | positives | queries with a true match | right best candidates | true pairs; as ``exact`` |
 | thresholds | every distinct score | every distinct score | 100, linearly spaced |
 | precision at recall 0 | that of the highest threshold | 1 | 1 |
-| RecallRate@N is a share of | queries with a true match | all queries | as ``exact`` |
+| RecallRate@N is a fraction of | queries with a true match | all queries | as ``exact`` |
 
 In ``exact``, a query without a true match is a true negative when it is rejected and a false
 positive when it is accepted: it can only cost precision. ``vpr-bench`` is what VPR-Bench prints
@@ -40,9 +40,9 @@ Curves = Callable[[Floats], PrecisionRecall]
 
 
 def recall_rate(indices: Rows, truth: Truth, n: int) -> float:
-    """RecallRate@N: share of the queries with a true match that have one among their first N.
+    """RecallRate@N: fraction of the queries with a true match that have one among their first N.
 
-    The convention ``vpr-bench`` takes the share of all queries instead; see `evaluate`.
+    The convention ``vpr-bench`` takes the fraction of all queries instead; see `evaluate`.
 
     Args:
         indices: ``(Q, top)`` candidates, best first, -1 for none.

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ..options import AsOf, DatabaseFolder, Json
-from ..output import SOME_REFUSED, note, print_json, progress_bar
+from ..output import SOME_SKIPPED, note, print_json, progress_bar
 
 db = typer.Typer(help="Look into a database, verify it, export it.", rich_markup_mode=None)
 
@@ -124,7 +124,7 @@ def verify(
         opened.drop_damaged()
         note(f"{database} now holds the {len(opened)} frames that are whole")
     if damage or aside:
-        raise typer.Exit(SOME_REFUSED)
+        raise typer.Exit(SOME_SKIPPED)
 
 
 @db.command()

@@ -81,7 +81,7 @@ def evaluate(
         page.write(found, matches, metrics, title, settings)
         if not as_json:
             print(f"report: {page.path}")
-    finish(found.refused)
+    finish(found.skipped)
 
 
 def _check(method: MethodOptions, recognition: RecognitionOptions, source: SourceOptions) -> None:

@@ -77,11 +77,11 @@ def loops(
         require_picture(picture)
     detector, database = open_detector(config, memory, preset, given.labels_as)
     results: list[LoopResult] = []
-    refused: list[Skipped] = []
+    skipped: list[Skipped] = []
     with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
         for result in stream:
             if isinstance(result, Skipped):
-                refused.append(result)
+                skipped.append(result)
             else:
                 results.append(result)
                 _print_result(result, as_json)
@@ -89,7 +89,7 @@ def loops(
     if picture:
         pairs = loops_of(detector, results)
         draw_loops(picture, pairs, detector.poses, " ".join(source.paths), tolerance_metres)
-    finish(refused)
+    finish(skipped)
 
 
 def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Skipped]:

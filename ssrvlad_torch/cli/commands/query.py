@@ -77,7 +77,7 @@ def query(
     if from_sequence or window:
         where = select(references, from_sequence, first, last)
     steps = steps_of(recognition)
-    queries, refused = encode_queries(town, opened, COLUMNS if steps.sweep and not index else ())
+    queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep and not index else ())
     near = None if exclude is None else neighbours(queries.frames, references, exclude)
     if index:
         spared = None if near is None else [references.frames[a:b] for a, b in near.tolist()]
@@ -115,7 +115,7 @@ def query(
             print(f"{frame}: {listed or 'no candidate'}{certain}")
     if not as_json:
         note("single frames by the index" if used is None else steps_in_words(used, recognition.t))
-    finish(refused)
+    finish(skipped)
 
 
 def _window(text: str | None) -> tuple[int | None, int | None]:

@@ -73,7 +73,7 @@ class Report:
             to here.
         curve: precision and recall by the convention of the metrics.
         scores: of the pairs of queries and references.
-        descriptors: for the share that each category has in a score; ``None`` where descriptors
+        descriptors: for the fraction that each category has in a score; ``None`` where descriptors
             are not made of categories.
         query_pictures, reference_pictures: what is known of how frames look.
         settings: names and values that say how it was done.

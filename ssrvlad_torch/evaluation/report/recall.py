@@ -34,8 +34,8 @@ def recall_rates(
     Args:
         outcomes: judged from at least ``most`` candidates a query.
         most: at least 1.
-        of_all: whether it is a share of all queries, as in VPR-Bench, or of those that have a true
-            match.
+        of_all: whether it is a fraction of all queries, as in VPR-Bench, or of those that have a
+            true match.
         resamples: of the bootstrap.
     """
     asked = np.ones(len(outcomes), bool) if of_all else outcomes.has_match
