@@ -14,12 +14,13 @@ CAMVID = ("--labels-as", "camvid-11")
 
 @pytest.fixture
 def compare(ssrvlad):
-    """Runs the command; returns exit code, rows by method, and the lines of stderr."""
+    """Runs the command; returns exit code, rows by method, and the lines of stderr. Of the two
+    rows of a method it is that of single frames."""
 
     def run(*arguments: object):
         code, out, err = ssrvlad("compare", *arguments, "--json")
         rows = json.loads(out)["rows"] if out else []
-        return code, {row["method"]: row for row in rows}, err
+        return code, {row["method"]: row for row in rows if not row.get("steps")}, err
 
     return run
 
@@ -65,6 +66,23 @@ def test_a_row_is_what_evaluate_gives(ssrvlad, compare, town, tmp_path, method, 
     assert metrics["recall_at"]["1"] == 0.5
     for key in ("recall_at", "auc_pr", "recall_at_100_precision", "intervals", "queries"):
         assert row[key] == metrics[key]
+
+
+def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", range(12), ".jpg")
+        write_maps(tmp_path / "town" / drive / "labels", range(12))
+    names = "ssr-vlad,label-grid,hog,cohog"
+    options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json")
+    rows = json.loads(ssrvlad("compare", tmp_path / "town", *options)[1])["rows"]
+    assert [row["method"] for row in rows[::2]] == names.split(",")
+    for single, stepped in zip(rows[::2], rows[1::2], strict=True):
+        assert (single["method"], single["steps"]) == (stepped["method"], None)
+        assert stepped["steps"]["standardise"] == (single["method"] != "cohog")
+        assert stepped["recall_at"]["1"] >= single["recall_at"]["1"]
+    without = ("--no-standardise", "--no-sweep", "--follow", "no")
+    rows = json.loads(ssrvlad("compare", tmp_path / "town", *options, *without)[1])["rows"]
+    assert [row["method"] for row in rows] == names.split(",")
 
 
 def test_the_tables(ssrvlad, town):

@@ -30,7 +30,11 @@ def test_another_method_is_evaluated_on_images(ssrvlad, tmp_path, method):
     assert report["bytes_a_reference"] > 0
     assert report["intervals"]["recall_at"]["1"] == [1, 1]
     assert "fingerprint" not in report
-    assert f"6 references, method {method}: encode" in ssrvlad("evaluate", *arguments)[1]
+    assert report["steps"]["standardise"] == (method == "hog")
+    assert set(report["steps"]["follow"].values()) == {"offline"}
+    single = ("--no-standardise", "--no-sweep", "--follow", "no")
+    told = ssrvlad("evaluate", *arguments, *single)[1]
+    assert f"6 references, method {method}: not standardised, no sweep, followed: no" in told
 
 
 def test_ssrvlad_as_a_method_gives_what_its_database_gives(ssrvlad, maps, database, tmp_path):

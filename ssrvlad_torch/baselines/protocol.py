@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from itertools import groupby, islice
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -89,6 +89,14 @@ class Method(Protocol):
 
         A row does not depend on the other rows. The memory beside the result is bounded.
         """
+
+
+@runtime_checkable
+class Sweeping(Protocol):
+    """A method that can describe queries from several anchors, see `recognition.sweep`."""
+
+    def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
+        """``(Q, S, D)`` float32, by the anchors of `recognition.sweep.COLUMNS`."""
 
 
 METHODS = {

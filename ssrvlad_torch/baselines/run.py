@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import torch
 from torch import Tensor
 
-from .protocol import Frame, Method, batches
+from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
+from .protocol import Frame, Method, Sweeping, batches
 
 Result = TypeVar("Result")
 
@@ -36,6 +37,7 @@ class Retrieval:
         encode: encoding a query, without reading it from the disk.
         match: scoring a query against all references, without ranking them.
         bytes_a_reference: size of an encoded reference.
+        stepped: what the steps of `recognition` make of it, if they are wanted.
     """
 
     queries: tuple[str, ...]
@@ -45,6 +47,7 @@ class Retrieval:
     encode: Cost
     match: Cost
     bytes_a_reference: float
+    stepped: Recognised | None = None
 
 
 def run(
@@ -54,6 +57,7 @@ def run(
     top: int = 10,
     block: int = 1,
     progress: Callable[[int], None] | None = None,
+    steps: Steps | None = None,
 ) -> Retrieval:
     """Encodes the references, then takes the queries block by block.
 
@@ -68,6 +72,9 @@ def run(
         top: candidates of each query.
         block: queries at a time. With 1, the costs are those of single frames.
         progress: told of every frame that is done, references and queries.
+        steps: what is done besides, between encodings and a decision. Encodings that are vectors
+            are standardised and followed, of other methods the scores are followed; the sweep is
+            of a `Sweeping` method. The costs are those of single frames.
 
     Raises:
         ValueError: no references or no queries, ``top`` or ``block`` is below 1, or a frame that
@@ -82,6 +89,8 @@ def run(
     if not reference_ids:
         raise ValueError(f"method {method.name} got no references")
     found: list[tuple[Tensor, Tensor]] = []
+    kept: list[Tensor] = []
+    vectors: Tensor | None = encoded if _are_vectors(encoded) else None
     encoding, matching = _Clock(), _Clock()
     for frames in batches(_noted(queries, query_ids, tell), block):
         if not found:
@@ -89,6 +98,8 @@ def run(
         wanted = encoding.time(len(frames), method.encode_query, frames)
         scores = matching.time(len(frames), method.scores, wanted, encoded)
         found.append(best(scores, top))
+        if steps is not None:
+            kept.append(scores if vectors is None else _kept(method, frames, wanted, steps))
     if not found:
         raise ValueError(f"method {method.name} got no queries")
     return Retrieval(
@@ -99,7 +110,37 @@ def run(
         encode=encoding.cost,
         match=matching.cost,
         bytes_a_reference=encoded.nbytes / len(reference_ids),
+        stepped=None
+        if steps is None
+        else _stepped(kept, vectors, query_ids, reference_ids, steps, top),
     )
+
+
+def _kept(method: Method, frames: Sequence[Frame], wanted: Any, steps: Steps) -> Tensor:
+    """What the steps need of queries whose encodings are vectors."""
+    if steps.sweep and isinstance(method, Sweeping):
+        return method.encode_sweep(frames)
+    assert isinstance(wanted, Tensor)
+    return wanted
+
+
+def _stepped(
+    kept: Sequence[Tensor],
+    encoded: Tensor | None,
+    queries: Sequence[str],
+    references: Sequence[str],
+    steps: Steps,
+    top: int,
+) -> Recognised:
+    """By the encodings of queries and references, or, without the latter, by scores."""
+    here, there = ([frame.rpartition("/")[0] for frame in ids] for ids in (queries, references))
+    if encoded is None:
+        return recognise_by_scores(torch.cat(list(kept)), here, there, steps, top)
+    return recognise(torch.cat(list(kept)), encoded, here, there, steps, top)
+
+
+def _are_vectors(encodings: Any) -> TypeGuard[Tensor]:
+    return isinstance(encodings, Tensor) and encodings.ndim == 2 and encodings.is_floating_point()
 
 
 def best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:

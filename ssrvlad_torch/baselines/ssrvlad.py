@@ -12,6 +12,7 @@ from torch import Tensor
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..recognition.matching import cosines, temporal_sum
+from ..recognition.sweep import COLUMNS
 from .protocol import Frame, batches, label_kind, labels_of
 
 _BATCH = 16
@@ -46,6 +47,13 @@ class SSRVLADMethod:
         described = map(self._describe, batches(frames, _BATCH, label_kind))
         return torch.cat([torch.zeros(0, self.config.length), *described])
 
+    def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
+        """``(Q, S, 480)`` float32; of residuals, which have no anchor to move, ``(Q, 480)``."""
+        if self.config.aggregation != "harmonics":
+            return self.encode_query(frames)
+        described = [self._sweep(batch) for batch in batches(frames, _BATCH, label_kind)]
+        return torch.cat([torch.zeros(0, len(COLUMNS), self.config.length), *described])
+
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
         """``(R, 480)`` float32, after Eq. 3."""
         sequences: list[str] = []
@@ -63,9 +71,19 @@ class SSRVLADMethod:
 
     @torch.no_grad()
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
-        maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
-        descriptors: Tensor = self._head(spaces[0])(torch.from_numpy(np.stack(maps)))
+        head, maps = self._opened(frames)
+        descriptors: Tensor = head(maps)
         return descriptors
+
+    @torch.no_grad()
+    def _sweep(self, frames: Sequence[Frame]) -> Tensor:
+        head, maps = self._opened(frames)
+        return head.sweep(maps, COLUMNS)
+
+    def _opened(self, frames: Sequence[Frame]) -> tuple[SSRVLAD, Tensor]:
+        """Label maps of one kind, and what describes them."""
+        maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
+        return self._head(spaces[0]), torch.from_numpy(np.stack(maps))
 
     def _head(self, labels_as: str) -> SSRVLAD:
         if labels_as not in self._heads:

@@ -98,7 +98,9 @@ def counts(metrics: Mapping[str, Any]) -> str:
     """How many frames the figures are of, and what found them."""
     if "method" in metrics:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
-        whose = f"method {metrics['method']}: encode {encode:.1f} ms, match {match:.1f} ms a query"
+        done = steps_in_words(metrics["steps"]) if metrics["steps"] else "single frames"
+        whose = f"method {metrics['method']}: {done}; encode {encode:.1f} ms, "
+        whose += f"match {match:.1f} ms a single frame"
     else:
         steps = metrics.get("steps")
         done = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
@@ -120,15 +122,20 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
     return told if low >= SURE_PRECISION else f"{told}; {want}"
 
 
-def steps_in_words(used: Mapping[str, Any], temporal: int) -> str:
-    """What was done between descriptors and decision, in a line."""
+def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:
+    """What was done between descriptors and decision, in a line; ``None`` says nothing of Eq. 3."""
     widths, followed = used["sweep"].values(), used["follow"].values()
     told = [
         "standardised" if used["standardise"] else "not standardised",
-        f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns",
+        f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns"
+        if any(widths)
+        else "no sweep",
         f"followed: {'/'.join(dict.fromkeys(followed))}",
-        f"temporal sum t = {temporal}" if temporal else "no temporal sum",
     ]
+    if used["delay"]:
+        told.append(f"answers wait for {used['delay']} queries")
+    if temporal is not None:
+        told.append(f"temporal sum t = {temporal}" if temporal else "no temporal sum")
     return ", ".join(told)
 
 

@@ -126,25 +126,9 @@ class SourceOptions:
 
 
 @dataclass(frozen=True)
-class RecognitionOptions:
-    """What is done with descriptors before a place is decided."""
+class StepOptions:
+    """What is done between descriptors and a decision."""
 
-    temporal: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="t of Eq. 3: sum each reference descriptor over t frames on each side; no sum if "
-            "not given.",
-        ),
-    ] = None
-    as_paper: Annotated[
-        bool,
-        typer.Option(
-            "--as-paper",
-            help="Decide as the paper does: single frames by their cosine, the sum of Eq. 3 with "
-            "t = 3, none of the steps below.",
-        ),
-    ] = False
     standardise: Annotated[
         bool, typer.Option(help="Take each traverse's own mean off its descriptors.")
     ] = True
@@ -162,6 +146,32 @@ class RecognitionOptions:
             "it. Queries that are no sequence are noticed and judged one by one."
         ),
     ] = "offline"
+    delay: Annotated[
+        int,
+        typer.Option(min=0, help="With --follow online: queries for which an answer waits."),
+    ] = 0
+
+
+@dataclass(frozen=True)
+class RecognitionOptions(StepOptions):
+    """What is done with descriptors before a place is decided."""
+
+    temporal: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="t of Eq. 3: sum each reference descriptor over t frames on each side; no sum if "
+            "not given.",
+        ),
+    ] = None
+    as_paper: Annotated[
+        bool,
+        typer.Option(
+            "--as-paper",
+            help="Decide as the paper does: single frames by their cosine, the sum of Eq. 3 with "
+            "t = 3, none of the other steps.",
+        ),
+    ] = False
     min_confidence: Annotated[
         float,
         typer.Option(

@@ -29,7 +29,7 @@ from ..recognition.recognise import recognise as recognise_places
 from ..recognition.sweep import COLUMNS, score
 from ..taxonomy import label_space
 from .measure import TOP, Recognition, wants_similarity
-from .options import MethodOptions, RecognitionOptions
+from .options import MethodOptions, RecognitionOptions, StepOptions
 from .output import progress_bar
 from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
 from .report import CANDIDATES, Page
@@ -39,12 +39,16 @@ from .truth import Places, counted
 _AHEAD = 16
 
 
-def steps_of(given: RecognitionOptions) -> Steps:
-    """The steps that the options ask for."""
-    if given.as_paper:
+def steps_of(given: StepOptions) -> Steps:
+    """The steps that the options ask for.
+
+    Raises:
+        ValueError: they do not fit together.
+    """
+    if isinstance(given, RecognitionOptions) and given.as_paper:
         return AS_PAPER
     follow = None if given.follow == "no" else given.follow
-    return Steps(given.standardise, given.sweep, follow)
+    return Steps(given.standardise, given.sweep, follow, given.delay)
 
 
 def by_database(
@@ -137,10 +141,11 @@ def by_method(
     given: MethodOptions,
     references: Path,
     source: Source,
+    options: RecognitionOptions,
     convention: Convention,
     page: Page | None,
 ) -> Recognition:
-    """The candidates of every query by another method.
+    """The candidates of every query by another method; the arguments are those of `by_database`.
 
     Raises:
         ValueError: no such method or setting, or its frames are not there.
@@ -158,7 +163,9 @@ def by_method(
     here = source.label_files() if labelled else source.image_files()
     labels_as = source.labels_as if labelled else None
     all_pairs = wants_similarity(convention) or page is not None
-    found = recognise(method, there, here, labels_as, source.given.workers or cores(), all_pairs)
+    steps = None if wants_similarity(convention) else steps_of(options)
+    workers = source.given.workers or cores()
+    found = recognise(method, there, here, labels_as, workers, all_pairs, steps)[-1]
     pictures = pictures_of_files(here, labels_as), pictures_of_files(there, labels_as)
     return dataclasses.replace(found, pictures=pictures)
 
@@ -215,14 +222,16 @@ def recognise(
     labels_as: LabelsAs | None,
     workers: int,
     all_pairs: bool,
-) -> Recognition:
-    """The candidates of every query, by any method.
+    steps: Steps | None = None,
+) -> list[Recognition]:
+    """The candidates of every query, by any method: of single frames, and after steps if any.
 
     Args:
         method: what reads the files: label maps or images, as it needs.
         labels_as: label space of the label maps; of images ``None``.
         workers: threads that read ahead.
         all_pairs: whether the scores of all pairs are wanted.
+        steps: what is done between encodings and a decision.
 
     Raises:
         ValueError: a frame cannot be read, or the method cannot use it; the message names it.
@@ -234,15 +243,21 @@ def recognise(
             _frames(references, labels_as, workers),
             top=max(TOP, len(references)) if all_pairs else TOP,
             progress=bar.advance,
+            steps=steps,
         )
     found = Matches(retrieval.scores, retrieval.indices)
-    return Recognition(
+    single = Recognition(
         references=Places.of(references),
         queries=Places.of(queries),
         found=found,
         similarity=_unranked(found, len(references)) if all_pairs else None,
-        told={"method": method.name, **_costs(retrieval)},
+        told={"method": method.name, "steps": None, **_costs(retrieval)},
     )
+    stepped = retrieval.stepped
+    if stepped is None:
+        return [single]
+    told = {**single.told, "steps": stepped.used}
+    return [single, dataclasses.replace(single, found=stepped.matches, told=told)]
 
 
 def _frames(

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
@@ -29,11 +29,23 @@ class Steps:
         standardise: take each traverse's own mean off, see `standardise`.
         sweep: use the anchors of queries that have several, see `sweep.narrowed`.
         follow: see `follow.follow`; ``None`` judges every query by itself.
+        delay: queries for which an online answer waits.
+
+    Raises:
+        ValueError: the delay is negative, or there is one and nothing is followed online.
     """
 
     standardise: bool = True
     sweep: bool = True
     follow: Mode | None = "offline"
+    delay: int = 0
+
+    def __post_init__(self) -> None:
+        if self.delay < 0 or (self.delay and self.follow != "online"):
+            raise ValueError(
+                f"delay: expected 0, or more with follow online, got {self.delay} with "
+                f"{self.follow or 'no'}"
+            )
 
 
 AS_PAPER = Steps(standardise=False, sweep=False, follow=None)
@@ -95,16 +107,47 @@ def recognise(
         known = standardise(known, reference_sequences)
     used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
     parts: list[tuple[Matches, Tensor]] = []
-    first = 0
-    for name, same in itertools.groupby(query_sequences):
-        last = first + len(list(same))
-        part, width = _prepared(swept[first:last], known, steps)
-        shut = None if barred is None else barred[first:last]
-        scores = _Scores(part, known, shut)
-        found, followed = _judged(scores, reference_sequences, steps.follow, top)
+    for name, rows in _runs(query_sequences):
+        part, width = _prepared(swept[rows], known, steps)
+        scores = _Scores(part, known, None if barred is None else barred[rows])
+        found, followed = _judged(scores, reference_sequences, steps, top)
         parts.append(found)
         used["sweep"][name], used["follow"][name] = width, followed
+    return _joined(parts, used, top)
+
+
+def recognise_by_scores(
+    scores: Tensor,
+    query_sequences: Sequence[str],
+    reference_sequences: Sequence[str],
+    steps: Steps | None = None,
+    top: int = 5,
+) -> Recognised:
+    """Likewise, by scores of methods whose encodings are no vectors: they can only be followed.
+
+    Args:
+        scores: ``(Q, R)`` float, at most 1; -inf where there can be no match.
+    """
+    steps = replace(steps or Steps(), standardise=False, sweep=False)
+    used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
+    parts: list[tuple[Matches, Tensor]] = []
+    for name, rows in _runs(query_sequences):
+        found, used["follow"][name] = _judged(scores[rows], reference_sequences, steps, top)
+        used["sweep"][name] = 0
+        parts.append(found)
+    return _joined(parts, used, top)
+
+
+def _runs(sequences: Sequence[str]) -> Iterator[tuple[str, slice]]:
+    """Each sequence and its rows."""
+    first = 0
+    for name, same in itertools.groupby(sequences):
+        last = first + len(list(same))
+        yield name, slice(first, last)
         first = last
+
+
+def _joined(parts: Sequence[tuple[Matches, Tensor]], used: dict[str, Any], top: int) -> Recognised:
     if not parts:
         none = torch.zeros(0, top)
         return Recognised(Matches(none, none.long()), torch.zeros(0), used)
@@ -144,11 +187,12 @@ class _Scores(Scores):
 
 
 def _judged(
-    scores: _Scores, sequences: Sequence[str], mode: Mode | None, top: int
+    scores: Tensor | Scores, sequences: Sequence[str], steps: Steps, top: int
 ) -> tuple[tuple[Matches, Tensor], str]:
     """Candidates and confidences of one sequence, and how it was followed."""
+    mode = steps.follow
     if mode is not None and _is_sequence(scores, sequences):
-        places = follow(scores, sequences, mode=mode, top=top)
+        places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top)
         ranked = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
         found = Matches(
@@ -164,7 +208,7 @@ def _judged(
     return (matches, torch.stack([sure for _, sure in rows])), "no"
 
 
-def _is_sequence(scores: _Scores, sequences: Sequence[str]) -> bool:
+def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
     """Whether the frames, all of them in the map, are likelier as a sequence than each alone."""
     track = Filter(sequences, Motion(unmapped=0.0))
     for query in range(len(scores)):

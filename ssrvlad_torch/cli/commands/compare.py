@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ...baselines import METHODS
-from ..options import Json, RandomWeights, TruthOptions, Workers
+from ..options import Json, RandomWeights, StepOptions, TruthOptions, Workers
 from ..output import figure, finish, print_json, print_table
 
 if TYPE_CHECKING:
     from ...baselines import Method
     from ...evaluation.metrics import Convention
+    from ...recognition.recognise import Steps
     from ..drives import Drives
     from ..truth import TrueMatches
 
@@ -29,6 +30,7 @@ COSTS = ("encode", "match")
 
 def compare(
     truth: TruthOptions,
+    steps: StepOptions,
     method: Annotated[
         str, typer.Option(help=f"Methods, with commas between: {', '.join(METHODS)}.")
     ],
@@ -77,8 +79,10 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare methods on one data set: how well they recognise, with 95 % bootstrap intervals, and
-    what they cost. All get the same frames: those that have what the methods need. A method that
-    cannot run, for want of images, label maps or weights, is a row that says why.
+    what they cost. Each method is measured twice: single frames by their scores, and with the same
+    steps as all others, as far as it can take them: --standardise wants vectors, --sweep is of
+    ssr-vlad. All get the same frames: those that have what the methods need. A method that cannot
+    run, for want of images, label maps or weights, is a row that says why.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 
@@ -88,7 +92,7 @@ def compare(
     """
     from ...encoding.results import Skipped
     from ..drives import Drives, Labels, Naming
-    from ..recognise import parse_settings
+    from ..recognise import parse_settings, steps_of
     from ..truth import TrueMatches
 
     names = [name.strip() for name in method.split(",")]
@@ -98,7 +102,7 @@ def compare(
     true = TrueMatches.by(truth, drives.whole.truth)
     if true.metres is not None:
         drives = drives.posed()
-    rows = _rows(methods, drives, true, truth.convention, workers)
+    rows = _rows(methods, drives, true, truth.convention, steps_of(steps), workers)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -134,25 +138,26 @@ def _rows(
     drives: Drives,
     truth: TrueMatches,
     convention: Convention,
+    steps: Steps,
     workers: int,
 ) -> list[Row]:
     from ..drives import KINDS
 
     lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
-    rows: dict[str, Row] = {}
+    rows: dict[str, list[Row]] = {}
     able: dict[str, Method] = {}
     for name, method in methods.items():
         if isinstance(method, str):
-            rows[name] = {"method": name, "reason": method}
+            rows[name] = [{"method": name, "reason": method}]
         elif reasons := [lacking[need] for need in sorted(method.needs) if need in lacking]:
-            rows[name] = {"method": method.name, "reason": reasons[0]}
+            rows[name] = [{"method": method.name, "reason": reasons[0]}]
         else:
             able[name] = method
     if able:
         needs = {need for method in able.values() for need in method.needs}
         drives = drives.complete([kind for kind in KINDS if kind in needs])
-        rows |= _run(able, drives, truth, convention, workers)
-    return [rows[name] for name in methods]
+        rows |= _run(able, drives, truth, convention, steps, workers)
+    return [row for name in methods for row in rows[name]]
 
 
 def _run(
@@ -160,25 +165,28 @@ def _run(
     drives: Drives,
     truth: TrueMatches,
     convention: Convention,
+    steps: Steps,
     workers: int,
-) -> dict[str, Row]:
+) -> dict[str, list[Row]]:
+    from ...recognition.recognise import AS_PAPER
     from ..measure import measure, wants_similarity
     from ..recognise import recognise
     from ..truth import Places
 
-    parts, whole, rows = (drives.references, drives.queries), drives.whole, {}
+    parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
     matches = truth.among(*(Places.of(part.frames, whole) for part in parts))
     for name, method in methods.items():
         labelled = "labels" in method.needs
         there, here = (part.label_files() if labelled else part.image_files() for part in parts)
         labels_as = whole.labels_as if labelled else None
         all_pairs = wants_similarity(convention)
+        taken = None if all_pairs or steps == AS_PAPER else steps
         try:
-            found = recognise(method, there, here, labels_as, workers, all_pairs)
+            found = recognise(method, there, here, labels_as, workers, all_pairs, taken)
         except ValueError as error:
-            rows[name] = {"method": method.name, "reason": str(error)}
+            rows[name] = [{"method": method.name, "reason": str(error)}]
         else:
-            rows[name] = measure(found, matches, convention, AT_RECALL)
+            rows[name] = [measure(each, matches, convention, AT_RECALL) for each in found]
     return rows
 
 
@@ -186,25 +194,33 @@ def _print(rows: Sequence[Row]) -> None:
     """Two tables, of the figures and of the costs, a row a method in both."""
     from rich.table import Table
 
+    from ..measure import steps_in_words
+
     done = [row for row in rows if "reason" not in row]
     quality = Table(
         "method", *(f"RecallRate\n@{n}" for n in AT), "AUC-PR", "Recall@100%\nPrecision"
     )
     for row in rows:
-        quality.add_row(row["method"], *(_figures(row) if row in done else ["not run"]))
+        name = row["method"] + ("\n  with steps" if row.get("steps") else "")
+        quality.add_row(name, *(_figures(row) if row in done else ["not run"]))
     print_table(quality)
     if not done:
         return
     costs = Table("method", "bytes a reference", *(f"{what}\nms a query" for what in COSTS))
     for row in done:
+        if row["steps"]:
+            continue
         times = (_times(row[f"{what}_ms"]) for what in COSTS)
         costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
     print_table(costs)
     print(
         f"{done[0]['queries']} queries ({done[0]['queries_with_match']} with a true match) against "
         f"{done[0]['references']} references, convention {done[0]['convention']}; in each cell the "
-        "95 % interval, and of times the least and the most"
+        "95 % interval, and of times, which are of single frames, the least and the most"
     )
+    for row in done:
+        if row["steps"]:
+            print(f"{row['method']} with steps: {steps_in_words(row['steps'])}")
 
 
 def _figures(row: Row) -> list[str]:

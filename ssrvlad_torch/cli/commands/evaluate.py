@@ -69,7 +69,7 @@ def evaluate(
         references = Database.open(database, as_of)
         found = by_database(references, opened, recognition, truth.convention, page)
     else:
-        found = by_method(method, database, opened, truth.convention, page)
+        found = by_method(method, database, opened, recognition, truth.convention, page)
     matches = true.among(found.references, found.queries)
     metrics = measure(found, matches, truth.convention, at_recall)
     if as_json:
@@ -91,6 +91,8 @@ def _check(method: MethodOptions, recognition: RecognitionOptions, source: Sourc
             name = "--set" if method.settings else _option(next(iter(method.named)))
             raise ValueError(f"{name} wants a --method")
         return
+    if recognition.min_confidence:
+        raise ValueError("--min-confidence is of a database: confidence is fitted to its scores")
     if recognition.t:
         raise ValueError(
             "--temporal and --as-paper are of a database; with --method ssr-vlad use "
