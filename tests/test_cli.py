@@ -146,7 +146,7 @@ WRONG_USES = [
     ("encode monday -o none", "Missing option '--labels-as'"),
     ("query town.ssrdb monday --topp 3", "No such option"),
     ("query town.ssrdb monday --top 0", "Invalid value for '--top'"),
-    ("encode monday -o none --labels-as camvid", "unknown label space 'camvid'; wanted one of"),
+    ("encode monday -o none --labels-as camvid", "did you mean camvid-11 or camvid-32?"),
     (
         f"encode monday -o none {CAMVID} --preset fast",
         "preset must be one of paper, default, got 'fast'",

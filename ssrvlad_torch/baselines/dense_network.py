@@ -46,8 +46,8 @@ def load_dense_network(weights: str | Path | None) -> DenseNetwork:
         raise ValueError(f"{path} must have the outputs features and scores, it has {has}")
 
     def run(images: Tensor) -> tuple[Tensor, Tensor]:
-        given = (255 * images).round() if network.takes_bytes else images
-        found = network(given, ["features", "scores"])
+        scaled = 255 * images if network.form.dtype == torch.uint8 else images
+        found = network(network.form(scaled), ["features", "scores"])
         return found["features"].float(), found["scores"].float()
 
     return run
