@@ -307,23 +307,21 @@ def overlaps(pixels: int, cells: int, shift: int) -> Integers:
 
 def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:
     """The mean of the cells in each soft bin, ``(N, M)``; bins without cells are 0."""
-    counts, weights = np.zeros((2, config.rings, config.sectors))
-    for i, j, ring, sector, weight in soft_bins(config):
-        counts[ring, sector] += weight * cells[i, j]
-        weights[ring, sector] += weight
-    return np.divide(counts, weights, out=counts, where=weights > 0)
+    weights = soft_bins(config)
+    counts, totals = np.tensordot(cells, weights, 2), weights.sum((0, 1))
+    return np.divide(counts, totals, out=np.zeros_like(counts), where=totals > 0)
 
 
 @lru_cache(maxsize=8)
-def soft_bins(config: SSRVLADConfig) -> list[tuple[int, int, int, int, float]]:
-    """Row and column of a cell, ring and sector, and how much of the one counts in the other.
+def soft_bins(config: SSRVLADConfig) -> Floats:
+    """How much of each cell counts in each ring and sector, ``(rows, columns, N, M)``.
 
     Each cell is sampled at 4 x 4 points. A point between two ring centres (in the logarithm of the
     distance) and two sector centres counts in all four, linearly. Within the first ring's centre
     the first ring has it all; what is farther than the radius is not counted.
     """
     rows, columns = CELLS
-    found = []
+    found = np.zeros((rows, columns, config.rings, config.sectors))
     for sy, sx in np.ndindex(rows * 4, columns * 4):
         dy, dx = (sy + 0.5) / 4 - rows / 2, (sx + 0.5) / 4 - columns / 2
         distance = math.hypot(dy, dx) / math.hypot(rows, columns) / config.radius
@@ -335,7 +333,7 @@ def soft_bins(config: SSRVLADConfig) -> list[tuple[int, int, int, int, float]]:
         for n, in_ring in between(ring):
             for m, in_sector in between(sector):
                 if distance <= 1 and n < config.rings:
-                    found.append((sy // 4, sx // 4, n, m % config.sectors, in_ring * in_sector))
+                    found[sy // 4, sx // 4, n, m % config.sectors] += in_ring * in_sector
     return found
 
 
