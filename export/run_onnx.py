@@ -37,7 +37,8 @@ _BLOCK = 1 << 14
 
 
 class Described(NamedTuple):
-    """``(D,)`` float32 of length 1, or zero for an empty frame, and ``(8,)`` int64 keypoints."""
+    """``(D,)`` float32 of length 1, or zero for an empty frame, and ``(8,)`` int64 keypoints; of a
+    file of `ssrvlad export --sweep` ``(S, D)``, a descriptor for each anchor."""
 
     descriptor: Array
     keypoints: Array
@@ -78,6 +79,11 @@ class Model:
     def fingerprint(self) -> str:
         """Of the settings; descriptors of another do not compare."""
         return str(self.properties["ssrvlad.fingerprint"])
+
+    @property
+    def anchors(self) -> list[int]:
+        """Columns of the anchors of a sweep; none for single descriptors."""
+        return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
 
     def describe(self, path: Path) -> Described:
         """The frame in a file.
@@ -172,14 +178,16 @@ class Database:
     def search(self, query: Array, top: int) -> list[tuple[str, float]]:
         """The frames with the highest cosines (Eq. 4), best first, the earlier of equals.
 
-        A zero vector, the descriptor of an empty frame, matches nothing.
+        Of several anchors the best counts. A zero vector, the descriptor of an empty frame,
+        matches nothing.
 
         Raises:
             ValueError: the query is of another length.
         """
-        if query.shape != self.descriptors.shape[1:]:
+        anchors = query if query.ndim == 2 else query[None]
+        if anchors.shape[1:] != self.descriptors.shape[1:]:
             raise ValueError(
-                f"wanted a database of {len(query)} numbers a frame, "
+                f"wanted a database of {query.shape[-1]} numbers a frame, "
                 f"got {self.descriptors.shape[1]}"
             )
         if not query.any():
@@ -188,7 +196,7 @@ class Database:
         for first in range(0, len(self.frames), _BLOCK):
             block = np.asarray(self.descriptors[first : first + _BLOCK], np.float32)
             norms = np.linalg.norm(block, axis=1)
-            scores = block @ query / np.where(norms > 0, norms, 1)
+            scores = (block @ anchors.T).max(1) / np.where(norms > 0, norms, 1)
             rows = np.flatnonzero(norms > 0)
             rows = rows[np.argsort(-scores[rows], kind="stable")[:top]]
             best += [(float(scores[row]), first + int(row)) for row in rows]
@@ -250,6 +258,8 @@ def run(given: argparse.Namespace) -> int:
         difference = model.golden_difference()
         print(f"largest difference for the golden pair: {difference:.3g}")
         return int(not difference <= TOLERANCE)
+    if given.save_descriptors and model.anchors:
+        raise ValueError("--save-descriptors: expected a file without --sweep, references have one")
     database = given.database and Database(given.database, model.fingerprint)
     kept: dict[str, Array] = {}
     refused = 0

@@ -23,6 +23,7 @@ from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.deployment.export import export_head, head_model
 from ssrvlad_torch.deployment.graph import OPSET
 from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.deployment.verify import verify
 
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")
@@ -155,6 +156,25 @@ def test_a_batch_equals_its_images_one_by_one(preset):
             np.testing.assert_array_equal(all_of_them[number], alone[0])
     assert not together[0][3].any()
     assert_parity(batch, of_preset(preset))
+
+
+@pytest.mark.parametrize("given", ["labels", "logits"])
+def test_a_sweep_is_that_of_the_module(given, tmp_path):
+    columns, config = (-24, -4, 0, 9), of_preset("default", labels_as="camvid-11")
+    export_head(config, tmp_path / "sweep.onnx", given, columns=columns)
+    assert verify(tmp_path / "sweep.onnx").passed
+    model = session((tmp_path / "sweep.onnx").read_bytes())
+    for size in ((97, 211), (300, 190)):
+        labels = np.random.default_rng(1).integers(0, 11, (2, size[0] // 9 + 1, size[1] // 9 + 1))
+        labels = labels.repeat(9, 1).repeat(9, 2)[:, : size[0], : size[1]].astype(np.uint8)
+        scores = np.eye(11, dtype=np.float32)[:, labels].swapaxes(0, 1).copy()
+        fed = labels if given == "labels" else scores
+        swept = model.run(["descriptor"], {given: fed})[0]
+        expected = SSRVLAD(config).sweep(torch.from_numpy(labels), columns).numpy()
+        assert swept.shape == (2, 4, 480)
+        np.testing.assert_allclose(swept, expected, atol=1e-6)
+    with pytest.raises(ValueError, match="a sweep is of the aggregation harmonics"):
+        head_model(of_preset("paper", labels_as="camvid-11"), columns=columns)
 
 
 def test_wide_ids_and_ids_below_zero():

@@ -296,3 +296,19 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
     Path(f"{town}.frames.txt").write_text("a/1\n")
     assert run(head, maps, "--database", town)[2][0].endswith("for 1 frames")
     assert run(head)[0] == run(head, maps, "--check")[0] == run(head, maps, "--top", 0)[0] == 2
+
+
+def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
+    """References that are what the anchors of the query see, one at each end."""
+    labels = np.random.default_rng(0).integers(0, 11, (6, 9)).repeat(20, 0).repeat(20, 1)
+    np.save(tmp_path / "query.npy", labels.astype(np.uint8))
+    config = SSRVLADConfig(labels_as="camvid-11")
+    export_head(config, tmp_path / "sweep.onnx", columns=(-8, 0, 8))
+    model = script.Model(tmp_path / "sweep.onnx")
+    swept = model.describe(tmp_path / "query.npy").descriptor
+    script.save(tmp_path / "town.npy", list(swept), ["left", "middle", "right"], model.fingerprint)
+    source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
+    code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 3)
+    assert (code, out.count("1.0000")) == (0, 3)
+    code, _, err = run(*source, "--save-descriptors", tmp_path / "no.npy")
+    assert (code, "expected a file without --sweep" in err[0]) == (2, True)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..config import CATEGORY_COUNT, SSRVLADConfig
-from ..descriptor import SSRVLAD
+from ..descriptor import SSRVLAD, SweepHead
 from ..files import replacing
 from ..taxonomy import LabelSpace
 from .golden import golden_pair
@@ -23,7 +23,11 @@ DTYPES = ("uint8", "int64")
 
 
 def export_head(
-    config: SSRVLADConfig, path: str | Path, input: str = "labels", dtype: str = "uint8"
+    config: SSRVLADConfig,
+    path: str | Path,
+    input: str = "labels",
+    dtype: str = "uint8",
+    columns: Sequence[int] = (),
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
@@ -35,47 +39,58 @@ def export_head(
     Shape:
         - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the largest wins, the
           first of equals), all axes dynamic.
-        - outputs: ``descriptor (B, config.length)`` float32, ``keypoints (B, 8)`` int64, how many
-          each layer has, and ``unknown (B,)`` int64.
+        - outputs: ``descriptor (B, config.length)`` float32, of a sweep ``(B, S, config.length)``,
+          ``keypoints (B, 8)`` int64, how many each layer has, and ``unknown (B,)`` int64.
 
     Args:
         config: the settings.
         path: the file; what was there is replaced, whole or not at all.
         input: ``"labels"`` or ``"logits"``.
         dtype: of the labels, ``"uint8"`` or ``"int64"``.
+        columns: S anchors of `SSRVLAD.sweep`; none for single descriptors.
 
     Raises:
-        ValueError: an unknown input, dtype or label space, or class scores for a label space
-            whose ids have gaps.
+        ValueError: an unknown input, dtype or label space, class scores for a label space whose
+            ids have gaps, or a sweep of descriptors that have no anchor.
         ImportError: the extra ``onnx`` is not installed.
         OSError: the file cannot be written.
     """
     path = Path(path)
     if not path.absolute().parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
-    content = head_model(config, input, dtype).SerializeToString()
+    content = head_model(config, input, dtype, columns).SerializeToString()
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
 
 def head_model(
-    config: SSRVLADConfig, input: str = "labels", dtype: str = "uint8"
+    config: SSRVLADConfig,
+    input: str = "labels",
+    dtype: str = "uint8",
+    columns: Sequence[int] = (),
 ) -> onnx.ModelProto:
     """What `export_head` writes; arguments and errors as there."""
-    head = SSRVLAD(config)
+    head = SweepHead(config, columns) if columns else SSRVLAD(config)
     inputs = _inputs(head.label_space, input, dtype)
     outputs: dict[str, Form] = {
-        "descriptor": ("float32", ["B", config.length]),
+        "descriptor": ("float32", ["B", *([len(columns)] if columns else []), config.length]),
         "keypoints": ("int64", ["B", CATEGORY_COUNT]),
         "unknown": ("int64", ["B"]),
     }
     graph = Graph(inputs)
     (given,) = graph.inputs
     labels = graph.ArgMax(given, axis=1, keepdims=0) if input == "logits" else given
-    described = describe_in_graph(graph, labels, config)._asdict()
+    described = describe_in_graph(graph, labels, config, columns)._asdict()
     model = graph.model({name: (described[name], outputs[name]) for name in outputs})
-    interface = {"opset": OPSET, "inputs": _as_json(inputs), "outputs": _as_json(outputs)}
-    metadata = Metadata.of(config, head.label_space, interface, golden_pair(head, input, dtype))
+    interface: dict[str, Any] = {
+        "opset": OPSET,
+        "inputs": _as_json(inputs),
+        "outputs": _as_json(outputs),
+    }
+    if columns:
+        interface["sweep"] = list(columns)
+    golden = golden_pair(head, input, dtype)
+    metadata = Metadata.of(config, head.label_space, interface, golden)
     _label(model, metadata)
     return model
 

@@ -180,7 +180,7 @@ def described(head: SSRVLAD, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[A
     """What the module makes of labels or class scores, by the names of a file's outputs."""
     view = head.explain(torch.from_numpy(given))
     return {
-        "descriptor": view.descriptor.numpy(),
+        "descriptor": head(torch.from_numpy(given)).numpy(),
         "keypoints": view.keypoints.sum((2, 3)).numpy(),
         "unknown": np.zeros(len(given), np.int64),
     }

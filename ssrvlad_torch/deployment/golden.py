@@ -47,7 +47,7 @@ def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, npt.NDArray[
     view = head.explain(torch.from_numpy(given))
     return {
         input: given,
-        "descriptor": view.descriptor.numpy(),
+        "descriptor": head(torch.from_numpy(given)).numpy(),
         "keypoints": view.keypoints.sum((2, 3)).numpy(),
         "unknown": np.zeros(len(labels), np.int64),
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from ..config import SSRVLADConfig
@@ -42,13 +43,16 @@ class Described(NamedTuple):
     unknown: Symbol
 
 
-def describe_in_graph(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> Described:
-    """`SSRVLAD.forward` in a graph.
+def describe_in_graph(
+    graph: Graph, labels: Symbol, config: SSRVLADConfig, columns: Sequence[int] = ()
+) -> Described:
+    """`SSRVLAD.forward` in a graph, or `SSRVLAD.sweep`.
 
     Args:
         graph: where the nodes go.
         labels: ``(B, H, W)`` uint8 or int64 label ids, any of the sizes dynamic.
         config: the settings.
+        columns: S anchors of a sweep, for descriptors ``(B, S, 480)``; none for single ones.
     """
     with graph.stage("layers"):
         categories, unknown = _categories(graph, labels, config)
@@ -66,7 +70,7 @@ def describe_in_graph(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> De
     if config.aggregation == "residuals":
         descriptor = _residuals(graph, config, clean, skeleton, keypoints, counts)
     else:
-        descriptor = _harmonics(graph, config, layers, clean, skeleton)
+        descriptor = _harmonics(graph, config, layers, clean, skeleton, columns)
     return Described(descriptor, counts, unknown)
 
 
@@ -110,14 +114,30 @@ def _residuals(
 
 
 def _harmonics(
-    graph: Graph, config: SSRVLADConfig, layers: Words, clean: Words, skeleton: Words
+    graph: Graph,
+    config: SSRVLADConfig,
+    layers: Words,
+    clean: Words,
+    skeleton: Words,
+    columns: Sequence[int],
 ) -> Symbol:
-    """The coefficients of the soft histograms around the anchor."""
+    """The coefficients of the soft histograms around the anchor, or around those of a sweep."""
     grid = layers.grid
     with graph.stage("vanishing_column"):
         column = graph.full([grid.images], 0, "int64")
         if config.anchor == "vanishing-column":
             column = vanishing_columns_in_graph(graph, clean)
+    if not columns:
+        return _around(graph, config, layers, skeleton, column)
+    seen = [_around(graph, config, layers, skeleton, column + shift) for shift in columns]
+    return graph.Concat(*(graph.Unsqueeze(each, [1]) for each in seen), axis=1)
+
+
+def _around(
+    graph: Graph, config: SSRVLADConfig, layers: Words, skeleton: Words, column: Symbol
+) -> Symbol:
+    """The coefficients of the soft histograms around one anchor."""
+    grid = layers.grid
     with graph.stage("grid_pooling"):
         side = graph.Min(grid.height, grid.width).to("float64") / ROWS
         area = pool_in_graph(graph, layers, column)

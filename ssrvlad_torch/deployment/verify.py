@@ -15,7 +15,7 @@ import numpy.typing as npt
 from .. import __version__
 from ..config import SSRVLADConfig
 from ..datasets.label_files import LabelFile, LabelMap, read_label_map
-from ..descriptor import SSRVLAD
+from ..descriptor import SSRVLAD, SweepHead
 from ..onnx_files import CPU, graph_digest, load_model, open_session
 from ..taxonomy import LabelSpace
 from .fuse import (
@@ -289,4 +289,5 @@ def _config(metadata: Metadata) -> SSRVLADConfig:
 def _module(config: SSRVLADConfig, metadata: Metadata) -> SSRVLAD:
     """The module with the label space that the file holds, wherever it came from."""
     space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
-    return SSRVLAD(replace(config, labels_as=space))
+    given, columns = replace(config, labels_as=space), metadata.interface.get("sweep")
+    return SweepHead(given, columns) if columns else SSRVLAD(given)

@@ -18,6 +18,14 @@ def export(
     ] = "labels",
     dtype: Annotated[str, typer.Option(help="Of the labels: uint8 or int64.")] = "uint8",
     preset: Preset = "default",
+    sweep: Annotated[
+        bool,
+        typer.Option(
+            "--sweep",
+            help="Describe each frame from several anchors, (B, S, D), for queries from a camera "
+            "that is turned or moved aside.",
+        ),
+    ] = False,
 ) -> None:
     """Write the head as one ONNX file that needs ONNX Runtime only: label ids, or class scores,
     to descriptors.
@@ -26,7 +34,8 @@ def export(
     """
     from ...config import SSRVLADConfig
     from ...deployment.export import export_head
+    from ...recognition.sweep import COLUMNS
 
     config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
-    export_head(config, output, given, dtype)
+    export_head(config, output, given, dtype, COLUMNS if sweep else ())
     print(f"{output}: {given} of {labels_as} to descriptors of fingerprint {config.fingerprint}")
