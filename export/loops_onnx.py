@@ -5,17 +5,17 @@ python export/loops_onnx.py place.onnx images/monday
 camera | python export/loops_onnx.py place.onnx -
 
 Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `frame`, `reason`,
-`candidate`, `score`, `strength`. `-` takes names of files on stdin, one a line, each as soon as it
-is there. Needs numpy, onnxruntime and `run_onnx.py` beside it, which says what a frame can be; the
-rules are those of `ssrvlad_torch.LoopDetector`, whose thresholds hold here too. Exit code 0 for
-success, 2 for wrong use, 3 for finished with some frames refused.
+`candidate`, `score`, `probability`, `ahead`. `-` takes names of files on stdin, one a line, each as
+soon as it is there. Needs numpy, onnxruntime and `run_onnx.py` beside it, which says what a frame
+can be; the rules are those of `ssrvlad_torch.LoopDetector`, whose thresholds hold here too, and
+with one anchor a frame those of `ssrvlad loops --no-sweep`. Exit code 0 for success, 2 for wrong
+use, 3 for finished with some frames refused.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import math
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -32,85 +32,152 @@ BLOCK_ROWS = 1024
 """Rows of the map that are made room for at once."""
 STDIN = Path("-")
 
+SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
+    (0.04, {-2: 0.1, -1: 0.8, 0: 0.1}),
+    (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
+    (0.15, {0: 0.5, 1: 0.5}),
+    (0.33, {0: 0.1, 1: 0.8, 2: 0.1}),
+    (0.15, {1: 0.5, 2: 0.5}),
+    (0.13, {1: 0.1, 2: 0.8, 3: 0.1}),
+    (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
+    (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
+)
+"""How likely each speed is along the map, and its steps in rows."""
+GAP = 5
+"""Empty cells between two sequences: no step is longer."""
+CHANGE, JUMP, UNMAPPED, STAY = 0.05, 0.05, 0.9, 0.97
+"""Chances to change the speed, to jump, to jump to a new place, and to stay at new places."""
+WEIGHT, LEVEL, MOST = 0.45, 3.5, 50.0
+"""The evidence for a row of z-score z is exp(WEIGHT * (z - LEVEL)), or at most exp(MOST)."""
+NEAR, RECENT = 5, 10
+"""Rows around one that show its place, and how old a row is that can be the present place."""
+
 _LEAST_SPREAD = _ROUNDING = 1e-6
 
 
 class Settings(NamedTuple):
     """The settings of the detector, which are those of `ssrvlad_torch.LoopConfig`.
 
-    The last `exclude` frames are no candidates. A frame of the map is the sum of `temporal` frames
-    on each side. The mean strength of the last `confirmations` best candidates must reach
-    `threshold`; it is a cosine, or if `relative` by how many standard deviations the candidate is
-    nearer than all are. A rival of another place must be so much farther away that the ratio of
-    the distances is at most `ratio`. Frames at most `neighbourhood` apart show one place. The last
-    `confirmations` candidates must follow each other by at most `window` frames.
+    The last `exclude` frames are no candidates, and a loop is at least as probable as `threshold`.
     """
 
     exclude: int = 50
-    temporal: int = 1
-    threshold: float = 6.7
-    relative: bool = True
-    ratio: float = 0.9
-    neighbourhood: int = 10
-    confirmations: int = 3
-    window: int = 3
+    threshold: float = 0.8
 
 
 class Loop(NamedTuple):
-    """What became of a frame; the reasons are those of `ssrvlad_torch.loops.result.LoopResult`."""
+    """What became of a frame; see `ssrvlad_torch.loops.result.LoopResult`. No pose is known here,
+    so `ahead` is not either."""
 
     frame: str
     reason: str
     candidate: str | None = None
     score: float | None = None
-    strength: float | None = None
+    probability: float | None = None
+    ahead: float | None = None
 
 
 class Map:
-    """Descriptors of the frames so far, summed over time; it lags behind by `reach` frames."""
+    """Descriptors of the frames so far."""
 
-    def __init__(self, reach: int) -> None:
-        self.reach = reach
+    def __init__(self) -> None:
         self.rows = 0
+        self.empty = np.empty(0, np.bool_)
         self._blocks: list[Vector] = []
-        self._empty: list[npt.NDArray[np.bool_]] = []
-        self._window: list[Vector] = []
-        self._waiting = 0
+        self._total = np.zeros(1)
 
-    def append(self, descriptor: Vector, starts_sequence: bool) -> None:
+    def append(self, descriptor: Vector) -> None:
         """Adds the next frame of the stream."""
-        if starts_sequence:
-            while self._waiting:
-                self._take_in()
-            self._window.clear()
-        self._window.append(descriptor)
-        del self._window[: -2 * self.reach - 1]
-        self._waiting += 1
-        if self._waiting > self.reach:
-            self._take_in()
-
-    def scores(self, query: Vector) -> Vector:
-        """``(rows,)`` cosines, -inf for an empty frame."""
-        if not self.rows:
-            return np.empty(0, np.float32)
-        scores = np.concatenate([block @ query for block in self._blocks])
-        scores[np.concatenate(self._empty)] = -np.inf
-        return scores[: self.rows]
-
-    def _take_in(self) -> None:
-        """The oldest waiting frame, after Eq. 3."""
-        here = len(self._window) - self._waiting
-        near = self._window[max(0, here - self.reach) : here + self.reach + 1]
-        total = np.sum(near, axis=0) * self._window[here].any()
         block, place = divmod(self.rows, BLOCK_ROWS)
         if place == 0:
-            self._blocks.append(np.zeros((BLOCK_ROWS, len(total)), np.float32))
-            self._empty.append(np.ones(BLOCK_ROWS, np.bool_))
-        length = float(np.linalg.norm(total))
-        self._blocks[block][place] = total / max(length, 1e-12)
-        self._empty[block][place] = length == 0
+            self._blocks.append(np.zeros((BLOCK_ROWS, len(descriptor)), np.float32))
+        self._blocks[block][place] = descriptor
+        self._total = self._total + descriptor
+        self.empty = np.append(self.empty, not descriptor.any())
         self.rows += 1
-        self._waiting -= 1
+
+    def scores(self, swept: Vector) -> Vector:
+        """``(rows,)`` cosines of a new frame's best anchor, -inf for an empty frame; the mean of
+        all frames so far is taken off both."""
+        counted = self.rows - np.count_nonzero(self.empty) + 1
+        mean = ((self._total + swept[len(swept) // 2]) / counted).astype(np.float32)
+        less = swept - mean
+        less[np.abs(less).max(axis=1) <= _ROUNDING] = 0
+        less /= np.maximum(np.linalg.norm(less, axis=1, keepdims=True), _ROUNDING)
+        columns = np.concatenate((less, mean[None])).T
+        products = np.concatenate([block @ columns for block in self._blocks])[: self.rows]
+        lengths = np.sqrt(np.maximum(1 - 2 * products[:, -1] + mean @ mean, 1e-9))
+        scores: Vector = (products[:, :-1] - less @ mean).max(axis=1) / lengths
+        scores[self.empty] = -np.inf
+        return scores
+
+
+class Filter:
+    """A hidden Markov model over the rows of the map and a new place.
+
+    Cells are the rows in their order, with empty ones between sequences, which no speed crosses.
+    """
+
+    def __init__(self) -> None:
+        self.cells = np.empty(0, np.int64)
+        self.inside = np.zeros(GAP, np.float32)
+        self.mapped = np.zeros((len(SPEEDS), GAP), np.float32)
+        self.unmapped = 1.0
+        self._prior = np.array([chance for chance, _ in SPEEDS], np.float32)[:, None]
+        self._begins = True
+
+    def extend(self, starts_sequence: bool) -> None:
+        """Adds a row at the end."""
+        fresh = np.full(1 + GAP, 0, np.float32)
+        if not starts_sequence:
+            fresh = fresh[:1]
+        self.inside = np.concatenate((self.inside, fresh))
+        self.cells = np.append(self.cells, len(self.inside) - 1 - GAP)
+        self.inside[self.cells[-1]] = 1
+        more = np.zeros((len(SPEEDS), len(fresh)), np.float32)
+        self.mapped = np.concatenate((self.mapped, more), axis=1)
+
+    def restart(self) -> None:
+        """Forgets the place: another sequence begins."""
+        self.unmapped = UNMAPPED if len(self.cells) else 1.0
+        each = (1 - self.unmapped) / max(1, len(self.cells))
+        self.mapped = self._prior * (self.inside * np.float32(each))
+        self._begins = True
+
+    def step(self, z: Vector | None) -> Vector:
+        """Takes in the next frame; ``(rows,)``, how probable each row is.
+
+        Args:
+            z: ``(rows,)`` z-scores, -inf where there can be no match; ``None`` if the frame says
+                nothing.
+        """
+        if not self._begins:
+            self._move()
+        self._begins = False
+        told = np.zeros_like(self.inside)
+        told[self.cells] = 1 if z is None else np.exp(np.minimum(WEIGHT * (z - LEVEL), MOST))
+        mapped = self.mapped * told
+        total = float(mapped.sum()) + self.unmapped
+        self.mapped, self.unmapped = mapped / np.float32(total), self.unmapped / total
+        rows: Vector = self.mapped.sum(axis=0)[self.cells]
+        return rows
+
+    def _move(self) -> None:
+        """One frame later, before it is seen."""
+        if not len(self.cells):
+            return
+        mixed = self.mapped * (1 - CHANGE) + CHANGE * self._prior * self.mapped.sum(axis=0)
+        moved = np.zeros_like(mixed)
+        end = mixed.shape[1] - GAP
+        for speed, (_, steps) in enumerate(SPEEDS):
+            for step, chance in steps.items():
+                part = mixed[speed, GAP - step : end - step]
+                moved[speed, GAP:end] += np.float32(chance * (1 - JUMP)) * part
+        moved *= self.inside
+        lost = max(0.0, 1 - self.unmapped - float(moved.sum()))
+        arriving = lost * (1 - UNMAPPED) + self.unmapped * (1 - STAY)
+        moved += self._prior * (self.inside * np.float32(arriving / len(self.cells)))
+        self.mapped, self.unmapped = moved, lost * UNMAPPED + self.unmapped * STAY
 
 
 class Detector:
@@ -118,99 +185,63 @@ class Detector:
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
-        self.map = Map(settings.temporal)
+        self.map, self.filter = Map(), Filter()
         self.frames: list[str] = []
-        self._sequence_start = 0
-        self._candidates: list[int] = []
-        self._strengths: list[float] = []
-        self._places: list[int] = []
 
     def update(self, frame: str, descriptor: Vector) -> Loop:
         """Looks for the place of the next frame among the earlier ones, then remembers it.
 
         Args:
             frame: its id, ``<sequence>/<name>``.
-            descriptor: ``(D,)`` of length 1, or zero for an empty frame.
+            descriptor: ``(D,)`` of length 1, or zero for an empty frame; or ``(S, D)`` from S
+                anchors with the usual one in the middle.
         """
-        row = len(self.frames)
-        starts = not row or frame.rpartition("/")[0] != self.frames[-1].rpartition("/")[0]
-        self._sequence_start = row if starts else self._sequence_start
-        self._candidates.append(-1)
-        self._strengths.append(math.nan)
-        self._places.append(row)
-        result = self._find(frame, descriptor)
+        swept = np.atleast_2d(descriptor)
+        if not self.frames or _sequence(frame) != _sequence(self.frames[-1]):
+            self.filter.restart()
+        result = self._look(frame, swept)
         self.frames.append(frame)
-        self.map.append(descriptor, starts)
-        if result.reason == "accepted":
-            for shown in range(row + 1 - self.settings.confirmations, row + 1):
-                self._places[shown] = self._places[self._candidates[shown]]
+        self.map.append(swept[len(swept) // 2])
         return result
 
-    def _find(self, frame: str, descriptor: Vector) -> Loop:
-        if not descriptor.any():
+    def _look(self, frame: str, swept: Vector) -> Loop:
+        exclude = self.settings.exclude
+        old = max(0, len(self.frames) - exclude)
+        for row in range(len(self.filter.cells), len(self.frames) - min(RECENT, exclude)):
+            before = self.frames[row - 1] if row else ""
+            self.filter.extend(not row or _sequence(self.frames[row]) != _sequence(before))
+        empty, compared = not swept[len(swept) // 2].any(), ~self.map.empty
+        if np.count_nonzero(compared[:old]) < 2:
+            known = "too_recent" if compared.any() else "no_candidate"
+            return Loop(frame, "empty_frame" if empty else known)
+        if empty:
+            self.filter.step(None)
             return Loop(frame, "empty_frame")
-        if not self.frames:
-            return Loop(frame, "no_candidate")
-        scores = self.map.scores(descriptor / np.linalg.norm(descriptor))
-        old = scores[: max(0, len(self.frames) - self.settings.exclude)]
-        compared = old[old > -np.inf]
-        if not len(compared):
-            return Loop(frame, "no_candidate" if len(old) else "too_recent")
-        candidate = int(old.argmax())
-        own, cutoff = self._strength(scores[candidate], compared)
-        self._candidates[-1], self._strengths[-1] = candidate, own
-        strength = float(np.nanmean(self._strengths[-self.settings.confirmations :]))
-        reason = self._reason(scores, candidate, strength, cutoff)
-        return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), strength)
+        scores = self.map.scores(swept)
+        nearness = -np.log(np.maximum(1 - scores, np.float32(_ROUNDING)))
+        held = nearness[:old][compared[:old]]
+        spread = max(_LEAST_SPREAD, float(held.std()))
+        z = (nearness - held.mean()) / spread
+        z[~compared] = -np.inf
+        says = spread > _LEAST_SPREAD
+        rows = self.filter.step(z[: len(self.filter.cells)] if says else None)
+        candidate = int(rows[:old].argmax())
+        around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
+        probability = min(1.0, float(around.sum()))
+        reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
+        return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), probability)
 
-    def _strength(self, score: np.float32, compared: Vector) -> tuple[float, float]:
-        """Of a candidate, and the threshold as a cosine."""
+    def _reason(self, probability: float, old: float, recent: float) -> str:
         threshold = self.settings.threshold
-        if not self.settings.relative:
-            return float(score), threshold
-        nearness = _nearness(compared).astype(np.float64)
-        mean, spread = float(nearness.mean()), max(float(nearness.std()), _LEAST_SPREAD)
-        own = (float(_nearness(score)) - mean) / spread
-        return own, 1 - math.exp(-mean - threshold * spread)
-
-    def _reason(self, scores: Vector, candidate: int, strength: float, cutoff: float) -> str:
-        if strength < self.settings.threshold:
-            return "below_threshold"
-        present = self._present(scores, min(cutoff, float(scores[candidate])))
-        if candidate >= present:
+        if probability >= threshold:
+            return "accepted"
+        if recent > max(old, 1 - old - recent):
             return "too_recent"
-        if self._has_rival(scores, candidate, present):
-            return "ambiguous"
-        last = self._candidates[-self.settings.confirmations :]
-        started = len(self.frames) + 1 - self.settings.confirmations
-        together = -1 not in last and bool((abs(np.diff(last)) <= self.settings.window).all())
-        confirmed = together and started >= self._sequence_start
-        return "accepted" if confirmed else "inconsistent"
-
-    def _present(self, scores: Vector, cutoff: float) -> int:
-        """First row of the place that has not been left since."""
-        alike = np.append(np.flatnonzero(scores >= cutoff), len(self.frames))
-        gaps = np.diff(alike) - 1
-        left = np.flatnonzero(gaps > self.settings.neighbourhood + self.settings.temporal)
-        return int(alike[left[-1] + 1 if len(left) else 0])
-
-    def _has_rival(self, scores: Vector, candidate: int, present: int) -> bool:
-        """Whether a frame that shows neither the candidate's place nor the present one is near."""
-        if self.settings.ratio == 1:
-            return False
-        reach = self.settings.neighbourhood
-        others = scores[: max(0, present - reach)].copy()
-        apart = abs(np.array(self._places) - self._places[candidate])
-        for visit in np.flatnonzero(apart <= reach).tolist():
-            near = reach - int(apart[visit])
-            others[max(0, visit - near) : visit + near + 1] = -np.inf
-        rival = float(others.max(initial=-np.inf))
-        return 1 - float(scores[candidate]) > self.settings.ratio**2 * (1 - rival)
+        return "ambiguous" if old >= threshold else "below_threshold"
 
 
-def _nearness(scores: Vector | np.float32) -> Vector:
-    """How near candidates are: less the logarithm of half their squared Euclidean distance."""
-    return -np.log(np.maximum(1 - scores, np.float32(_ROUNDING)))
+def _sequence(frame: str) -> str:
+    return frame.rpartition("/")[0]
 
 
 def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
@@ -231,8 +262,7 @@ def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 def run(given: argparse.Namespace) -> int:
     """What the command line asks for; the exit code."""
     model = Model(given.model)
-    relative = not given.absolute
-    detector = Detector(Settings(given.exclude, given.temporal, given.threshold, relative))
+    detector = Detector(Settings(given.exclude, given.threshold))
     seen: set[str] = set()
     refused = 0
     for frame, path in frames_of(given.source):
@@ -262,8 +292,6 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("source", type=Path, nargs="+", help="files or folders of frames, or -")
     parser.add_argument("--exclude", type=int, default=plain["exclude"])
     parser.add_argument("--threshold", type=float, default=plain["threshold"])
-    parser.add_argument("--absolute", action="store_true", help="the threshold is a score")
-    parser.add_argument("--temporal", type=int, default=plain["temporal"])
     return parser
 
 
@@ -271,8 +299,9 @@ def main() -> int:
     """The command line; errors are one line."""
     parser = arguments()
     given = parser.parse_args()
-    if min(given.exclude, given.temporal) < 0 or (STDIN in given.source and len(given.source) > 1):
-        parser.error("wanted --exclude and --temporal of at least 0, and - alone")
+    alone = STDIN not in given.source or len(given.source) == 1
+    if given.exclude < 0 or not 0 <= given.threshold <= 1 or not alone:
+        parser.error("expected --exclude from 0, --threshold from 0 to 1, and - alone")
     try:
         return run(given)
     except (ValueError, OSError, ImportError) as error:

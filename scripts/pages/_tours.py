@@ -15,7 +15,7 @@ from ssrvlad_torch.datasets.city.streets import street
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import TOUR, TOUR_ESTATES, Conditions, SyntheticCity
 from ssrvlad_torch.evaluation.loops import FACING
-from ssrvlad_torch.loops.sighting import KeyPoints
+from ssrvlad_torch.loops.detector import COLUMNS
 
 LABELS_AS = "cityscapes-trainids"
 BATCH = 16
@@ -23,8 +23,6 @@ CONDITIONS = {
     "perfect labels": Conditions(),
     "noisy labels": Conditions(heading_jitter=2.0, noise=SegmentationNoise(), seed=1),
 }
-SCALE_ERROR, TURN_ERROR = 0.01, 0.05
-"""Of the odometry: standard deviations of its scale, and of its error in degrees a frame."""
 
 
 @dataclass(frozen=True)
@@ -33,17 +31,13 @@ class Tour:
 
     Attributes:
         city: its seed.
-        descriptors: ``(N, 480)`` float32.
-        keypoints: of each frame.
-        poses: ``(N, 3)`` as they are.
-        odometry: ``(N, 3)`` as an odometry gives them.
+        descriptors: ``(N, S, 480)`` float32, from the anchors of a `LoopDetector`.
+        poses: ``(N, 3)``.
     """
 
     city: int
     descriptors: Tensor
-    keypoints: list[KeyPoints]
     poses: np.ndarray
-    odometry: np.ndarray
 
     def comes_back(self, exclude: int, metres: float, opposite: bool = False) -> np.ndarray:
         """``(N,)`` bool, whether an earlier frame, not one of the last ``exclude``, stood near and
@@ -74,28 +68,13 @@ def render(city: int, condition: str) -> Tour:
     frames = list(traverse)
     poses = np.array([frame.pose for frame in frames])
     descriptors: list[Tensor] = []
-    keypoints: list[KeyPoints] = []
     for start in range(0, len(frames), BATCH):
         labels = np.stack([frame.labels for frame in frames[start : start + BATCH]])
-        seen = head().explain(torch.from_numpy(labels))
-        descriptors.append(seen.descriptor)
-        keypoints += [points.nonzero().numpy().astype(np.int16) for points in seen.keypoints]
+        descriptors.append(head().sweep(torch.from_numpy(labels), COLUMNS))
     print(f"city {city}, {condition}: {len(frames)} frames", flush=True)
-    return Tour(city, torch.cat(descriptors), keypoints, poses, drifting(poses, city))
+    return Tour(city, torch.cat(descriptors), poses)
 
 
 @cache
 def head() -> SSRVLAD:
     return SSRVLAD.from_preset("default", labels_as=LABELS_AS)
-
-
-def drifting(poses: np.ndarray, seed: int) -> np.ndarray:
-    """The poses as an odometry gives them that errs in scale and, more and more, in heading."""
-    rng = np.random.default_rng(seed)
-    steps = np.diff(poses[:, 0] + 1j * poses[:, 1])
-    turned = np.cumsum(rng.normal(0, np.radians(TURN_ERROR), len(steps)))
-    scale = 1 + rng.normal(0, SCALE_ERROR)
-    places = poses[0, 0] + 1j * poses[0, 1] + np.cumsum(scale * steps * np.exp(1j * turned))
-    drifted = poses.copy()
-    drifted[1:] = np.stack((places.real, places.imag, poses[1:, 2] + turned), axis=1)
-    return drifted

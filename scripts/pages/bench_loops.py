@@ -43,7 +43,7 @@ def loops_section(sizes: Sequence[int] = SIZES) -> Iterator[str]:
         f"A stream of {sizes[-1]} descriptors, every place seen five times; milliseconds an "
         f"update, one thread: median and slowest of the {LAST} updates up to a size. The frames "
         "before them were taken in at once: the detector is loaded from a database of them. A "
-        "plain loop keeps the best score only; the detector sums over time, checks the candidate "
+        "plain loop keeps the best score only; the detector standardises, follows the stream "
         "and remembers the frame. Where the whole map is copied or visited in Python, "
         f"{SLOW} updates stand for all."
     )

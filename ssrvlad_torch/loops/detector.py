@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,34 +15,40 @@ from torch import Tensor
 from ..database.database import Database
 from ..database.frames import FrameRecord
 from ..datasets.label_files import digest
-from ..descriptor import SSRVLAD
+from ..descriptor import SSRVLAD, SweepHead
+from ..recognition.filter import Filter
+from ..recognition.motion import Motion, moments
 from .config import LoopConfig
-from .judge import LoopJudge
-from .log import LoopLog, read_state, write_state
-from .memory import Floats, OnlineMemory, Snapshot
-from .result import LoopResult
-from .sighting import GeometricCheck, KeyPoints, PoseGate, Sighting
+from .memory import Floats, Memory
+from .result import LoopResult, Reason
 
-STATE_FILE = "loops.npz"
-"""Stands beside the parts of the database; see `LoopDetector.save`."""
+COLUMNS = (-4, 0, 4)
+"""Anchors of a frame, see `recognition.sweep`."""
+
+MOTION = Motion(jump=0.05, unmapped=0.9, weight=0.45, level=3.5)
+"""A stream comes to new places more often than a query of a map does."""
+
+NEAR = 5
+"""Frames on each side of a frame that show the same place."""
+
+RECENT = 10
+"""So old a frame is one that the present place may be held for, though it is no candidate yet."""
 
 
 class LoopDetector:
     """Tells for each frame of a stream whether its place was seen before.
 
-    A frame is compared, by itself, with the earlier frames after Eq. 3 (queries are never summed),
-    and goes into the memory. The search is exact. The best candidate must pass the checks that
-    `LoopResult` lists.
+    A frame is compared with all earlier ones, standardised by the mean of all frames so far and
+    from several anchors, and a Bayes filter over the frames (`recognition.filter`) follows the
+    stream. Its states are the earlier frames and "a new place". The excluded frames are states
+    too, from the `RECENT`-th on: where they fit as well as old ones, no loop is closed.
 
-    One thread updates. Others may read `snapshot` meanwhile, and another may `save`. Until it is
-    saved, a frame is held twice, summed for the map and raw for the checkpoint.
+    One thread updates; another may `save` meanwhile.
 
     Args:
         config: the settings; without, the defaults.
         head: describes label maps; descriptors that are given must be of its settings. Without,
             the preset ``default``.
-        pose_gate: says which candidates are plausible by their poses; every frame needs one then.
-        geometry: has the last word on the best candidate, by key-points.
 
     Example:
         >>> detector = LoopDetector(head=SSRVLAD())
@@ -51,42 +56,40 @@ class LoopDetector:
         'no_candidate'
     """
 
-    def __init__(
-        self,
-        config: LoopConfig | None = None,
-        head: SSRVLAD | None = None,
-        pose_gate: PoseGate | None = None,
-        geometry: GeometricCheck | None = None,
-    ) -> None:
+    def __init__(self, config: LoopConfig | None = None, head: SSRVLAD | None = None) -> None:
         self.config = config or LoopConfig()
         self.head = head or SSRVLAD()
-        self._pose_gate, self._geometry = pose_gate, geometry
-        self._memory = OnlineMemory(self.head.config.length, self.config.temporal)
-        self._log = LoopLog()
-        self._judge = LoopJudge(self.config, self._log, pose_gate, geometry)
-        self._unsaved: list[tuple[FrameRecord, Floats]] = []
+        self._memory = Memory(self.head.config.length)
+        self._filter = Filter(motion=MOTION)
+        self._sequence: str | None = None
+        self._stamp = -math.inf
+        self._unsaved: list[FrameRecord] = []
         self._updating, self._saving = threading.Lock(), threading.Lock()
 
     def __len__(self) -> int:
-        return len(self._log)
+        return len(self._memory)
 
     def __contains__(self, frame: object) -> bool:
-        return frame in self._log
+        return frame in self._memory.rows
 
     @property
     def frames(self) -> list[str]:
         """Ids of all frames in order."""
-        return self._log.frames
+        return self._memory.frames.copy()
 
     @property
     def poses(self) -> npt.NDArray[np.float64]:
         """``(N, 3)`` float64, a copy: x and y in metres, heading in radians, NaN where unknown."""
-        return self._log.poses.copy()
+        return self._memory.poses.copy()
 
     @property
-    def snapshot(self) -> Snapshot:
-        """The map of now, for any thread; it lacks the last ``temporal`` frames."""
-        return self._memory.snapshot
+    def columns(self) -> tuple[int, ...]:
+        """Anchors from which frames are described; none for the usual one alone."""
+        return COLUMNS if self.config.sweep and self.head.config.aggregation == "harmonics" else ()
+
+    def encoder(self) -> SSRVLAD:
+        """What describes frames for `observe`, each from all `columns`."""
+        return SweepHead(self.head.config, self.columns) if self.columns else self.head
 
     def update(
         self,
@@ -100,83 +103,83 @@ class LoopDetector:
         Args:
             view: ``(H, W)`` integer label map, ``(C, H, W)`` class scores, or the frame's ``(D,)``
                 descriptor.
-            frame_id: ``<sequence>/<name>``; another sequence than the last frame's ends that one.
-            stamp: seconds, not less than that of the frame before.
+            frame_id: ``<sequence>/<name>``; with another sequence than the last frame's, the place
+                is looked for anew.
+            stamp: seconds, not less than that of the frame before in its sequence.
             pose: x and y in metres, and heading in radians if it is known.
 
         Raises:
             ValueError: the frame cannot be described, its id is of another form or was there
-                before, or a stamp or pose is wrong, or missing where it is needed. The detector
-                is as it was.
+                before, or a stamp or pose is wrong. The detector is as it was.
         """
         sequence, _, name = frame_id.rpartition("/")
         if not (sequence and name):
-            raise ValueError(f"a frame's id must be <sequence>/<name>, got {frame_id!r}")
+            raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
         place = _pose(pose, frame_id)
-        descriptor, keypoints, labels = self._describe(torch.as_tensor(view))
-        height, width, content = labels
         seconds = math.nan if stamp is None else stamp
-        record = FrameRecord(sequence, name, *place, seconds, "", content, height, width)
-        return self.observe(record, descriptor, stamp, keypoints)
+        record = FrameRecord(sequence, name, *place, seconds)
+        given = torch.as_tensor(view)
+        if given.ndim == 1:
+            return self.observe(record, given)
+        descriptor = (
+            self.head.sweep(given[None], self.columns)[0]
+            if self.columns
+            else self.head(given[None])[0]
+        )
+        labels = (given.argmax(0) if given.ndim == 3 else given).cpu().numpy()
+        height, width = labels.shape
+        record = record._replace(digest=digest(labels), height=height, width=width)
+        return self.observe(record, descriptor)
 
-    def observe(
-        self,
-        record: FrameRecord,
-        descriptor: Tensor,
-        stamp: float | None = None,
-        keypoints: KeyPoints | None = None,
-    ) -> LoopResult:
-        """As `update`, for a frame that was encoded before, with what a database keeps of it."""
-        vector = self._vector(descriptor, record.frame)
+    def observe(self, record: FrameRecord, descriptor: Tensor) -> LoopResult:
+        """As `update`, for a frame that was encoded before, with what a database keeps of it.
+
+        Args:
+            record: of the frame.
+            descriptor: ``(D,)``, or ``(S, D)`` from S anchors with the usual one in the middle; of
+                length 1 or zero.
+
+        Raises:
+            ValueError: as for `update`.
+        """
+        swept = self._vectors(descriptor, record.frame)
         with self._updating:
-            here = self._sighting(record, stamp, keypoints)
-            result, found = self._judge.judge(here, vector, self.snapshot)
-            self._log.append(here)
-            self._memory.append(here.frame, vector)
-            self._unsaved.append((record, vector))
-            if found is not None:
-                confirmed = self.config.confirmations if result.accepted else 0
-                self._log.conclude(found.candidate, found.own_strength, found.moments, confirmed)
+            self._check(record)
+            if record.sequence != self._sequence:
+                self._filter.restart()
+            result = self._look(record.frame, swept)
+            centre = swept[len(swept) // 2]
+            self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
+            self._unsaved.append(record)
+            self._sequence = record.sequence
+            self._stamp = -math.inf if math.isnan(record.stamp) else record.stamp
         return result
 
-    def end_sequence(self) -> None:
-        """Takes the last ``temporal`` frames into the map: none will follow in their sequence.
-
-        A checkpoint does not hold this: a detector that is loaded waits for more of its last
-        sequence.
-        """
-        with self._updating:
-            self._memory.end_sequence()
-
     def save(self, database: Database) -> None:
-        """Writes a checkpoint: adds to a database the frames that came since the last one.
+        """Adds the frames that came since the last `save` or `load` to a database.
 
-        The database gets raw descriptors, like any other. A file beside its parts, `STATE_FILE`,
-        holds the stamps and what was found. It is written first, and may know of more frames than
-        the database: a crash at any moment leaves this checkpoint or the last. Another thread may
-        update meanwhile.
+        It gets raw descriptors, like any other, and is all that is kept.
 
         Args:
             database: the one that was loaded, or saved to before; at first an empty one.
 
         Raises:
             ValueError: the database has another fingerprint, or other frames than those saved.
-            OSError: the disk refused; the last checkpoint stands.
+            OSError: the disk refused; the database is as it was.
         """
         with self._saving:
-            with self._updating:
-                fresh, state = self._unsaved.copy(), self._log.state()
             database.require(self.head.config)
-            saved = len(state["stamp"]) - len(fresh)
+            with self._updating:
+                fresh, last = self._unsaved.copy(), len(self)
+                vectors = self._memory.descriptors(last - len(fresh), last)
+            saved = last - len(fresh)
             if len(database) != saved:
                 raise ValueError(
                     f"{database.path} holds {len(database)} frames; {saved} of this stream were "
                     "saved"
                 )
-            write_state(Path(database.path) / STATE_FILE, state)
-            descriptors = [torch.from_numpy(vector) for _, vector in fresh]
             if fresh:
-                database.append([record for record, _ in fresh], torch.stack(descriptors))
+                database.append(fresh, torch.from_numpy(vectors))
             with self._updating:
                 del self._unsaved[: len(fresh)]
 
@@ -186,17 +189,16 @@ class LoopDetector:
         database: Database,
         config: LoopConfig | None = None,
         head: SSRVLAD | None = None,
-        pose_gate: PoseGate | None = None,
-        geometry: GeometricCheck | None = None,
     ) -> LoopDetector:
-        """The detector at its last checkpoint; with equal settings it goes on as if never stopped.
+        """A detector that remembers the frames of a database, whoever wrote it.
 
-        Any database will do: one that no detector wrote is a map of places seen long ago. Frames
-        come in the order in which they were added.
+        Sequences come in the order in which they were added, the frames of each in that of their
+        names. Where the stream was is not kept: as at the start of a sequence, the place is looked
+        for anew.
 
         Args:
             database: raw descriptors.
-            config, pose_gate, geometry: as for `LoopDetector`.
+            config: as for `LoopDetector`.
             head: its settings must have the database's fingerprint; without, the database's.
 
         Raises:
@@ -204,66 +206,101 @@ class LoopDetector:
         """
         head = head or SSRVLAD(database.config)
         database.require(head.config)
-        detector = cls(config, head, pose_gate, geometry)
-        frames, sorted_frames = list(database.known()), database.load()
-        row = {frame: number for number, frame in enumerate(sorted_frames.frames)}
-        order = [row[frame] for frame in frames]
-        descriptors = sorted_frames.descriptors.numpy()[order]
-        reach = detector.config.temporal
-        detector._memory = OnlineMemory.of_frames(frames, descriptors, reach)
-        state = read_state(Path(database.path) / STATE_FILE)
-        try:
-            detector._log.restore(frames, sorted_frames.poses[order], state)
-        except ValueError as error:
-            raise ValueError(f"{Path(database.path) / STATE_FILE} does not fit: {error}") from error
+        detector = cls(config, head)
+        frames = database.load()
+        added = {
+            name: n for n, name in enumerate(dict.fromkeys(database.known().column("sequence")))
+        }
+        order = sorted(range(len(frames.frames)), key=lambda row: added[frames.sequences[row]])
+        vectors = frames.descriptors.numpy()
+        for row in order:
+            detector._memory.append(frames.frames[row], frames.poses[row].tolist(), vectors[row])
         return detector
 
-    def _describe(self, view: Tensor) -> tuple[Tensor, KeyPoints | None, tuple[int, int, str]]:
-        """Descriptor, key-points if they are wanted, and the label map's size and digest."""
-        if view.ndim == 1:
-            return view, None, (0, 0, "")
-        keypoints = None
-        if self._geometry is None:
-            descriptor = self.head(view[None])[0]
-        else:
-            seen = self.head.explain(view[None])
-            descriptor = seen.descriptor[0]
-            keypoints = seen.keypoints[0].nonzero().cpu().numpy().astype(np.int16)
-        labels = (view.argmax(0) if view.ndim == 3 else view).cpu().numpy()
-        return descriptor, keypoints, (*labels.shape, digest(labels))
-
-    def _vector(self, descriptor: Tensor, frame: str) -> Floats:
-        vector = descriptor.detach().cpu().float().numpy()
-        if vector.shape != (self.head.config.length,):
+    def _vectors(self, descriptor: Tensor, frame: str) -> Floats:
+        vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
+        length = self.head.config.length
+        if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
             raise ValueError(
-                f"frame {frame!r} has a descriptor of shape {vector.shape}; "
-                f"wanted ({self.head.config.length},)"
+                f"frame {frame!r}: expected a descriptor ({length},), or of an odd number of "
+                f"anchors, got {tuple(descriptor.shape)}"
             )
-        if not np.isfinite(vector).all():
-            raise ValueError(f"frame {frame!r} has a descriptor with values that are not finite")
-        return vector.copy()
+        lengths = np.linalg.norm(vectors, axis=1)
+        if not ((np.abs(lengths - 1) <= _OFF_LENGTH) | (lengths == 0)).all():
+            raise ValueError(
+                f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
+            )
+        return vectors
 
-    def _sighting(
-        self, record: FrameRecord, stamp: float | None, keypoints: KeyPoints | None
-    ) -> Sighting:
-        """The frame, if it may be the next one."""
-        frame, pose = record.frame, np.array([record.x, record.y, record.heading])
-        last = self._log.stamps[-1] if len(self) else -math.inf
+    def _check(self, record: FrameRecord) -> None:
+        """Whether the frame may be the next one."""
+        frame, stamp = record.frame, record.stamp
         if frame in self:
             raise ValueError(f"frame {frame!r} was there before")
-        if stamp is not None and not last <= stamp < math.inf:
-            raise ValueError(f"frame {frame!r} has stamp {stamp}; wanted one from {last} on")
-        if stamp is None and self.config.exclude_seconds:
-            raise ValueError(f"frame {frame!r} has no stamp, which exclude_seconds wants")
-        if self._pose_gate and not np.isfinite(pose[:2]).all():
-            raise ValueError(f"frame {frame!r} has no pose, which the pose gate wants")
-        return Sighting(frame, pose, -math.inf if stamp is None else stamp, keypoints)
+        last = self._stamp if record.sequence == self._sequence else -math.inf
+        if not math.isnan(stamp) and not last <= stamp < math.inf:
+            raise ValueError(f"frame {frame!r}: expected a stamp from {last} on, got {stamp}")
+
+    def _look(self, frame: str, swept: Floats) -> LoopResult:
+        """Takes in the next frame, and says what becomes of it."""
+        old = max(0, len(self) - self.config.exclude)
+        self._extend(len(self) - min(RECENT, self.config.exclude))
+        compared, empty = ~self._memory.empty, not swept[len(swept) // 2].any()
+        if np.count_nonzero(compared[:old]) < 2:
+            if empty:
+                return LoopResult(frame, Reason.EMPTY_FRAME)
+            known = compared.any()
+            return LoopResult(frame, Reason.TOO_RECENT if known else Reason.NO_CANDIDATE)
+        if empty:
+            self._filter.step(torch.full((len(self._filter),), -torch.inf))
+            return LoopResult(frame, Reason.EMPTY_FRAME)
+        scores = torch.from_numpy(self._memory.scores(swept))
+        self._filter.step(scores[: len(self._filter)], moments(scores[:old]))
+        rows = self._filter.rows()
+        candidate = int(rows[:old].argmax())
+        around = slice(max(0, candidate - NEAR), min(candidate + NEAR + 1, old))
+        probability = min(1.0, float(rows[around].sum()))
+        reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
+        ahead = self._ahead(candidate, around, rows) if reason is Reason.ACCEPTED else None
+        name, score = self._memory.frames[candidate], float(scores[candidate])
+        return LoopResult(frame, reason, name, score, probability, ahead)
+
+    def _extend(self, rows: int) -> None:
+        """Lets the filter know so many frames."""
+        fresh = self._memory.frames[len(self._filter) : max(0, rows)]
+        self._filter.extend([frame.rpartition("/")[0] for frame in fresh])
+
+    def _reason(self, probability: float, old: float, recent: float) -> Reason:
+        threshold = self.config.threshold
+        if probability >= threshold:
+            return Reason.ACCEPTED
+        if recent > max(old, 1 - old - recent):
+            return Reason.TOO_RECENT
+        return Reason.AMBIGUOUS if old >= threshold else Reason.BELOW_THRESHOLD
+
+    def _ahead(self, candidate: int, around: slice, rows: Tensor) -> float | None:
+        """How far the frame stands ahead of its candidate; see `LoopResult`."""
+        sequence = self._memory.frames[candidate].rpartition("/")[0]
+        near = [
+            row
+            for row in range(around.start, around.stop)
+            if self._memory.frames[row].rpartition("/")[0] == sequence
+        ]
+        places = self._memory.poses[near, :2]
+        if np.isnan(places).any():
+            return None
+        along = np.cumsum([0.0, *np.hypot(*np.diff(places, axis=0).T)])
+        weights = rows[near].double().numpy()
+        return float(weights @ (along - along[near.index(candidate)]) / weights.sum())
+
+
+_OFF_LENGTH = 1e-3
 
 
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
     if pose is None:
         return math.nan, math.nan, math.nan
     if len(pose) not in (2, 3):
-        raise ValueError(f"frame {frame!r} has a pose of {len(pose)} numbers; wanted x, y, heading")
+        raise ValueError(f"frame {frame!r}: expected a pose x, y, heading, got {len(pose)} numbers")
     x, y, *heading = map(float, pose)
     return x, y, heading[0] if heading else math.nan

@@ -13,11 +13,8 @@ class Reason(StrEnum):
     EMPTY_FRAME = "empty_frame"
     NO_CANDIDATE = "no_candidate"
     TOO_RECENT = "too_recent"
-    IMPLAUSIBLE = "implausible"
-    BELOW_THRESHOLD = "below_threshold"
     AMBIGUOUS = "ambiguous"
-    INCONSISTENT = "inconsistent"
-    DISPROVED = "disproved"
+    BELOW_THRESHOLD = "below_threshold"
 
 
 class LoopResult(NamedTuple):
@@ -25,27 +22,30 @@ class LoopResult(NamedTuple):
 
     Attributes:
         frame: its id.
-        reason: ``accepted`` if all checks are passed, else the first that is not:
+        reason: why it closes a loop or does not:
 
+            - ``accepted``: the candidate is at least as probable as the threshold. The two frames
+              look in the same direction: a street driven the other way is not recognised.
             - ``empty_frame``: its descriptor is zero.
             - ``no_candidate``: no frame came before, or none but empty ones.
-            - ``too_recent``: all earlier frames are too recent to be candidates.
-            - ``implausible``: the pose gate lets no candidate pass.
-            - ``below_threshold``: the best candidate is not alike enough.
-            - ``too_recent`` again, with a candidate: its place has not been left since.
-            - ``ambiguous``: another place is nearly as much alike.
-            - ``inconsistent``: the candidates of the frames before were elsewhere.
-            - ``disproved``: the geometric check said no.
-        candidate: id of the best candidate, ``None`` if there is none.
-        score: its cosine, or ``None``.
-        strength: what was held against the threshold, see `LoopConfig`, or ``None``.
+            - ``too_recent``: fewer than two of them are old enough to be candidates; or, with a
+              candidate, the place is more probably that of a frame that is excluded.
+            - ``ambiguous``: the frame is probably at an old place, but not clearly at one of them.
+            - ``below_threshold``: it is probably at a new place.
+        candidate: id of the most probable old frame, ``None`` if there is none.
+        score: its cosine (Eq. 4), standardised by the mean of all frames so far, or ``None``.
+        probability: that the frame is within `detector.NEAR` frames of its candidate, or ``None``.
+        ahead: metres that the frame stands ahead of its candidate along the candidate's drive,
+            negative behind, by the poses of the frames around the candidate weighted with their
+            probabilities; ``None`` where a pose is unknown, and unless accepted.
     """
 
     frame: str
     reason: Reason
     candidate: str | None = None
     score: float | None = None
-    strength: float | None = None
+    probability: float | None = None
+    ahead: float | None = None
 
     @property
     def accepted(self) -> bool:

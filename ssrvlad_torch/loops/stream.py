@@ -63,7 +63,7 @@ def encode_files(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes the files whose frames a detector does not know yet; see `encoding.encode`."""
     fresh = [file for file in files if file.frame not in detector]
-    return encode(detector.head, fresh, workers, segmenter)
+    return encode(detector.encoder(), fresh, workers, segmenter)
 
 
 def encode_as_they_come(
@@ -83,7 +83,7 @@ def encode_as_they_come(
         sequence: the name of the sequence in place of the folder's.
         segmenter: makes label maps of images; without, the files are label maps.
     """
-    known = frozenset(detector.frames)
+    known, encoder = frozenset(detector.frames), detector.encoder()
     poses = functools.cache(find_poses)
     for line in names:
         path = Path(line.rstrip("\r\n"))
@@ -100,7 +100,7 @@ def encode_as_they_come(
             continue
         ids = (file.frame, f"{folder}/{file.name}", file.name)
         pose = next((there[frame] for frame in ids if frame in there), UNKNOWN)
-        yield from encode(detector.head, [replace(file, pose=pose)], 1, segmenter)
+        yield from encode(encoder, [replace(file, pose=pose)], 1, segmenter)
 
 
 def detect_loops(
@@ -127,12 +127,18 @@ def detect_loops(
 def loops_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
     """``(N,)`` int64: for each frame that a detector knows the row of the frame to which it closes
     a loop, -1 for none."""
+    return candidates_of(detector, [result for result in results if result.accepted])
+
+
+def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
+    """``(N,)`` int64: for each frame that a detector knows the row of its candidate in some
+    results, -1 for none."""
     row = {frame: number for number, frame in enumerate(detector.frames)}
-    loops = np.full(len(row), -1, np.int64)
+    candidates = np.full(len(row), -1, np.int64)
     for result in results:
-        if result.accepted and result.candidate is not None:
-            loops[row[result.frame]] = row[result.candidate]
-    return loops
+        if result.candidate is not None:
+            candidates[row[result.frame]] = row[result.candidate]
+    return candidates
 
 
 def report(
@@ -146,25 +152,33 @@ def report(
         metres: largest distance of a right loop; ``None`` if none is to be judged.
 
     Returns:
-        ``frames``, ``reasons`` (how often each), and with a distance the counts of `LoopScore`,
-        ``precision``, ``recall``, and ``suggested``, the surest threshold for such a stream, see
-        `evaluation.loops.surest`, as a mapping or ``None``; it is at least the detector's own.
+        ``frames``, ``reasons`` (how often each), ``steps`` (what was done), and with a distance the
+        counts of `LoopScore`, ``precision``, ``recall``, and ``suggested``, the surest threshold
+        for such a stream, see `evaluation.loops.surest`, as a mapping; ``None`` only if no
+        candidate is right, whatever its probability.
 
     Raises:
         ValueError: loops are to be judged and no frame has a pose.
     """
     counts = Counter(result.reason.value for result in results)
-    told: dict[str, Any] = {"frames": len(results), "reasons": dict(counts)}
+    steps = {
+        "standardised": "mean so far",
+        "sweep": list(detector.columns),
+        "temporal": 0,
+        "follow": "online",
+    }
+    told: dict[str, Any] = {"frames": len(results), "reasons": dict(counts), "steps": steps}
     if metres is not None:
-        loops, exclude = loops_of(detector, results), detector.config.exclude
+        exclude = detector.config.exclude
+        loops = loops_of(detector, results)
         first = len(loops) - len(results)
         score = score_loops(loops, detector.poses, exclude, metres, first)
         told |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
-        strengths = [result.strength for result in results if result.accepted]
-        errors = loop_errors(loops, detector.poses)
-        judged = np.isfinite(errors)
-        right = errors[judged] <= metres
-        point = surest(loop_curve(np.array(strengths, float)[judged], right, score.revisits))
+        judged = [result for result in results if result.probability is not None]
+        errors = loop_errors(candidates_of(detector, judged), detector.poses)
+        known = np.isfinite(errors)
+        probabilities = np.array([result.probability for result in judged], float)
+        point = surest(loop_curve(probabilities[known], errors[known] <= metres, score.revisits))
         told["suggested"] = point and point._asdict()
     return told
 

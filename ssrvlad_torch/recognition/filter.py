@@ -78,16 +78,17 @@ class Filter:
         self.belief = Belief(prior_of_speeds() * (self._inside * each), unmapped)
         self._begins, self.gain = True, 0.0
 
-    def step(self, scores: Tensor) -> None:
+    def step(self, scores: Tensor, spread: tuple[float, float] | None = None) -> None:
         """Takes in the next frame.
 
         Args:
             scores: ``(R,)`` float cosines, -inf where there can be no match.
+            spread: see `motion.evidence`.
 
         Raises:
             ValueError: it is not a score for each row.
         """
-        told = self.evidence(scores)
+        told = self.evidence(scores, spread)
         before = self.belief if self._begins else self.predicted(self.belief)
         together = float((before.mapped.sum(0) * told).sum()) + before.unmapped
         chance = self.motion.unmapped if len(self) else 1.0
@@ -99,13 +100,13 @@ class Filter:
         """``(R,)`` float32, the probability of each row, now or by a belief."""
         return (belief or self.belief).mapped.sum(0)[self._cells]
 
-    def evidence(self, scores: Tensor) -> Tensor:
+    def evidence(self, scores: Tensor, spread: tuple[float, float] | None = None) -> Tensor:
         """``(cells,)`` float32, see `motion.evidence`; 0 between the sequences."""
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
         told = torch.zeros_like(self._inside)
-        told[self._cells] = evidence(scores, self.motion)
+        told[self._cells] = evidence(scores, self.motion, spread)
         return told
 
     def predicted(self, belief: Belief) -> Belief:

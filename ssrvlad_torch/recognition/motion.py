@@ -25,6 +25,8 @@ GAP = 5
 
 _BLOCK = 1 << 14
 _LEAST_SPREAD = 1e-6
+_MOST = 50.0
+"""Of the logarithm of evidence: frames that equal their rows must not overflow float32."""
 _ROUNDING = 1e-6
 """Cosines of 480 float32 products are no more exact than this."""
 
@@ -95,7 +97,7 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
     if deviation <= _LEAST_SPREAD:
         return torch.ones(len(scores))
     z = (nearness(scores.float()) - mean) / deviation
-    told = torch.exp(motion.weight * (z - motion.level))
+    told = torch.exp((motion.weight * (z - motion.level)).clamp_(max=_MOST))
     return told.masked_fill_(scores == -torch.inf, 0)
 
 

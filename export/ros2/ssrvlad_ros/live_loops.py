@@ -87,8 +87,7 @@ class LiveLoops:
             pose: x and y in metres, heading in radians.
 
         Returns:
-            JSON with ``frame``, ``reason``, ``candidate``, ``score``, ``strength``; see
-            `ssrvlad_torch.loops.result.LoopResult`.
+            JSON of a `ssrvlad_torch.loops.result.LoopResult`.
 
         Raises:
             ValueError: the frame is refused: no table yet, another encoding, an unknown id, a

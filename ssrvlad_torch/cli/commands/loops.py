@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ...evaluation.thresholds import SURE_PRECISION, needed
 from ...loops.config import LoopConfig
 from ..options import Json, MaybePreset, SourceOptions
 from ..output import figure, finish, print_json
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ..sources import Source
 
 STDIN = "-"
-FIELDS = ("frame", "reason", "candidate", "score", "strength")
+FIELDS = ("frame", "reason", "candidate", "score", "probability", "ahead")
 
 
 def loops(
@@ -31,18 +32,11 @@ def loops(
         int, typer.Option(min=0, help="The last so many frames are no candidates.")
     ] = LoopConfig.exclude,
     threshold: Annotated[
-        float,
-        typer.Option(
-            help="Least strength of a loop: standard deviations above the mean of a frame's "
-            "scores, or a score with --absolute."
-        ),
+        float, typer.Option(min=0, max=1, help="Least probability of a loop.")
     ] = LoopConfig.threshold,
-    absolute: Annotated[
-        bool, typer.Option("--absolute", help="The threshold is held against the score itself.")
-    ] = False,
-    temporal: Annotated[
-        int, typer.Option(min=0, help="t of Eq. 3: reference frames summed on each side.")
-    ] = LoopConfig.temporal,
+    sweep: Annotated[
+        bool, typer.Option(help="Describe each frame from three anchors.")
+    ] = LoopConfig.sweep,
     memory: Annotated[
         Path | None,
         typer.Option(help="Database that keeps the frames: new, or gone on from and added to."),
@@ -68,8 +62,7 @@ def loops(
     from ...loops.stream import detect_loops, loops_of, open_detector, report
     from ..sources import Source
 
-    relative = 0 if absolute else LoopConfig.relative
-    config = LoopConfig(exclude, threshold=threshold, relative=relative, temporal=temporal)
+    config = LoopConfig(exclude, threshold, sweep)
     given = Source.open(source)
     if given.labels_as is None:
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
@@ -110,7 +103,8 @@ def _print_result(result: LoopResult, as_json: bool) -> None:
     if as_json:
         print_json({name: getattr(result, name) for name in FIELDS})
     elif result.accepted:
-        print(f"{result.frame}: {result.candidate} {result.score:.4f}", flush=True)
+        ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
+        print(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}", flush=True)
 
 
 def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
@@ -121,16 +115,22 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
         return
     reasons = (f"{count} {reason}" for reason, count in sorted(told["reasons"].items()))
     print(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
-    if "precision" in told:
-        print(
-            f"precision {figure(told['precision'])} ({told['right']} of {told['accepted']} loops "
-            f"are right), recall {figure(told['recall'])} ({told['recognised']} of "
-            f"{told['revisits']} revisits)"
-        )
-        if told["suggested"]:
-            point = told["suggested"]
-            print(
-                f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
-                f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
-                f"{figure(point['recall'])}"
-            )
+    columns = ", ".join(map(str, told["steps"]["sweep"])) or "0"
+    print(f"steps: less the mean so far, anchors {columns}, no temporal sum, followed online")
+    if "precision" not in told:
+        return
+    print(
+        f"precision {figure(told['precision'])} ({told['right']} of {told['accepted']} loops "
+        f"are right), recall {figure(told['recall'])} ({told['recognised']} of "
+        f"{told['revisits']} revisits)"
+    )
+    if not told["suggested"]:
+        print("no threshold to suggest: no candidate is right; a drive with revisits is needed")
+        return
+    point = told["suggested"]
+    print(
+        f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
+        f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
+        f"{figure(point['recall'])}; {needed()} loops without a mistake would prove "
+        f"{SURE_PRECISION:g}"
+    )
