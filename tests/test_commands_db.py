@@ -169,7 +169,7 @@ def test_encode_tells_what_has_changed(ssrvlad, database, maps):
     (maps / "004.png").rename(maps / "003.png")
     code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "camvid-11", "--json")
     report = json.loads(out)
-    assert (code, report["changed"], report["already_there"]) == (0, 1, 4)
+    assert (code, report["anew"], report["already_there"]) == (0, {"file changed": 1}, 4)
     assert report["gone"] == ["monday/004"]
 
 

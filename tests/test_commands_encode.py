@@ -58,7 +58,7 @@ def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, maps, tmp_path):
     db = tmp_path / "empty.ssrdb"
     out = ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")[1]
     assert "6 frames encoded (1 of them empty)" in out
-    out = ssrvlad("query", db, maps, "--top", 6, "--as-paper")[1]
+    out = ssrvlad("query", db, maps, "--top", 6)[1]
     assert out.splitlines()[0].startswith("monday/000: no candidate")
     assert "monday/000 " not in out
 

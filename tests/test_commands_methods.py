@@ -162,7 +162,7 @@ def test_a_vocabulary_needs_weights_and_images(ssrvlad, weights, tmp_path, monke
     cases = {
         "no weights at": (photos,),
         "no images under": (tmp_path / "empty", "--weights", weights),
-        "99999 centres need": (photos, "--weights", weights, "--words", 99999),
+        "99999 words need": (photos, "--weights", weights, "--words", 99999),
     }
     for message, arguments in cases.items():
         code, _, err = ssrvlad("vocabulary", *arguments, "-o", tmp_path / "words.npy")

@@ -19,7 +19,7 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
     steps = ("--no-standardise", "--no-sweep", "--follow", "no")
     _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)
     assert [line.split(" (")[0].split()[-1] for line in out.splitlines()] == ["1.0000"] * 6
-    assert "not standardised, sweep +-0 columns, followed: no, no temporal sum" in err[-1]
+    assert "not standardised, no sweep, followed: no, no temporal sum" in err[-1]
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
     assert 0 < sure["confidence"] < 1 and sure["steps"]["standardise"] is True
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()

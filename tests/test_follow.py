@@ -173,3 +173,13 @@ def test_refuses(arguments, said):
 def test_refuses_a_motion_out_of_range():
     with pytest.raises(ValueError, match="jump: expected a chance"):
         Motion(jump=1.5)
+
+
+@pytest.mark.parametrize("mode", ["online", "offline"])
+def test_a_row_without_a_score_is_no_candidate(mode):
+    scores = torch.eye(30)[10:20]
+    scores[:, 15] = -torch.inf
+    found = follow(scores, ["drive"] * 30, mode=mode, top=30)
+    assert (found.indices != 15).all()
+    assert (found.indices[:, -1] == -1).all()
+    assert found.indices[4, 0] == 14

@@ -66,8 +66,9 @@ def follow(
     each query; memory holds ``2 * sqrt(Q)`` beliefs of 8 numbers a row.
 
     Args:
-        scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference. Of an
-            empty query all are, and it is placed by its neighbours alone.
+        scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference and
+            whatever else is no candidate. Of an empty query all are, and it is placed by its
+            neighbours alone.
         sequences: the sequence of each row; the rows of one stand together and in order.
         queries: the sequence of each query likewise; without, all are one.
         mode: ``"online"`` or ``"offline"``.
@@ -103,7 +104,10 @@ def follow(
             if mode == "offline"
             else _online(track, scores, part, delay)
         )
-        found += [ends.places(track.rows(belief), belief.unmapped, top) for belief in beliefs]
+        found += [
+            ends.places(track.rows(belief), belief.unmapped, top, _candidates(scores[query]))
+            for query, belief in zip(part, beliefs, strict=True)
+        ]
         first = last
     if not found:
         none = torch.zeros(0)
@@ -120,11 +124,13 @@ class NearSums:
         self._starts = ends[:-1].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
         self._ends = ends[1:].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
 
-    def places(self, rows: Tensor, unmapped: float, top: int) -> Places:
-        """Candidates by falling probability, the first of equals first."""
+    def places(self, rows: Tensor, unmapped: float, top: int, allowed: Tensor) -> Places:
+        """Candidates among the allowed rows by falling probability, the first of equals first."""
         scores, indices = rows.new_full((top,), -torch.inf), torch.full((top,), -1)
-        count = min(top, len(rows))
-        chosen = rows.sort(descending=True, stable=True) if count == len(rows) else rows.topk(count)
+        count = min(top, int(allowed.sum()))
+        among = rows.masked_fill(~allowed, -torch.inf)
+        few = count == len(rows)
+        chosen = among.sort(descending=True, stable=True) if few else among.topk(count)
         scores[:count], indices[:count] = chosen.values[:count], chosen.indices[:count]
         return Places(scores, indices, self.near(rows, int(indices[0])), torch.tensor(unmapped))
 
@@ -134,6 +140,13 @@ class NearSums:
             return torch.tensor(0.0)
         start = max(row - NEAR, int(self._starts[row]))
         return rows[start : min(row + NEAR + 1, int(self._ends[row]))].sum()
+
+
+def _candidates(scores: Tensor) -> Tensor:
+    """Rows that may be candidates of a query: those that have a score. An empty query has none,
+    and any row may be its place."""
+    scored = scores > -torch.inf
+    return scored if scored.any() else ~scored
 
 
 def _online(track: Filter, scores: Tensor | Scores, part: range, delay: int) -> Iterator[Belief]:

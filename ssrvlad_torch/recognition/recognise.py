@@ -174,15 +174,18 @@ class _Scores(Scores):
         self._queries, self._references, self._barred = queries, references, barred
         few = len(queries) * len(references) <= _SCORES_IN_MEMORY
         self._known = score(queries, references) if few else None
+        self._last = -1, torch.empty(0)
 
     def __len__(self) -> int:
         return len(self._queries)
 
     def __getitem__(self, query: int, /) -> Tensor:
-        if self._known is None:
-            row = score(self._queries[query : query + 1], self._references)[0]
-        else:
+        if self._known is not None:
             row = self._known[query]
+        else:
+            if self._last[0] != query:
+                self._last = query, score(self._queries[query : query + 1], self._references)[0]
+            row = self._last[1]
         return row if self._barred is None else row.masked_fill(self._barred[query], -torch.inf)
 
 
