@@ -309,7 +309,8 @@ def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:
     """The mean of the cells in each soft bin, ``(N, M)``; bins without cells are 0."""
     weights = soft_bins(config)
     counts, totals = np.tensordot(cells, weights, 2), weights.sum((0, 1))
-    return np.divide(counts, totals, out=np.zeros_like(counts), where=totals > 0)
+    means: Floats = np.divide(counts, totals, out=np.zeros_like(counts), where=totals > 0)
+    return means
 
 
 @lru_cache(maxsize=8)

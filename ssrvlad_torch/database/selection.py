@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +79,7 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
     return ranges
 
 
-def _name_key(frame: str) -> str:
+def _name_key(frame: str) -> tuple[Any, str]:
     return natural_key(frame.rpartition("/")[2])
 
 
