@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import onnx
+import pytest
 import torch
 from drawings import SPACE
 from onnx import TensorProto, helper, numpy_helper
@@ -115,3 +116,18 @@ def write_graph(
     options = {"save_as_external_data": True, "location": f"{path.stem}.data", "size_threshold": 0}
     onnx.save(model, path, **(options if external else {}))
     return path
+
+
+def write_segformer(folder: Path) -> Path:
+    """A tiny SegFormer with random weights, as transformers saves it."""
+    transformers = pytest.importorskip("transformers")
+    names = ["road", "sidewalk", "building", "pole", "vegetation", "sky", "car", "thing"]
+    torch.manual_seed(0)
+    config = transformers.SegformerConfig(
+        depths=[1] * 4, hidden_sizes=[8, 16, 24, 32], decoder_hidden_size=16,
+        id2label=dict(enumerate(names)), label2id={name: n for n, name in enumerate(names)},
+    )  # fmt: skip
+    transformers.SegformerForSemanticSegmentation(config).save_pretrained(folder)
+    size = {"height": 64, "width": 96}
+    transformers.SegformerImageProcessorPil(size=size).save_pretrained(folder)
+    return folder

@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from networks import write_graph
+from networks import write_graph, write_segformer
 from PIL import Image
 from test_cli import COMMANDS
 
+from ssrvlad_torch import Database
 from ssrvlad_torch.baselines.alexnet import AlexNetPlaces365
 from ssrvlad_torch.baselines.weights import random_network
 from ssrvlad_torch.cli import main as cli
@@ -63,7 +64,9 @@ def photos(maps):
     (maps / "town" / "ground_truth.json").write_text(json.dumps(truth))
     weights = random_network(AlexNetPlaces365).state_dict()
     torch.save(weights, maps / "alexnet_places365.caffemodel")
-    write_graph(maps / "seg.onnx", labels=True)
+    write_graph(maps / "net.onnx", labels=True)
+    settings = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)[0]
+    (maps / "seg.yaml").write_text(re.sub(r"(?m)^(labels_as|classes):.*\n", "", settings))
     return maps
 
 
@@ -99,15 +102,14 @@ def test_the_other_commands_in_order(run, maps):
 
 
 def test_the_commands_on_images(run, maps):
-    write_graph(maps / "net.onnx", labels=True)
-    (maps / "net.yaml").write_text(re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)[0])
+    published = f"hf:{write_segformer(maps / 'segformer')}"
     for day in ("monday", "today"):
         (maps / "images" / day).mkdir(parents=True)
         for label_map in sorted((maps / "maps" / day).iterdir())[:3]:
             picture = colourise(np.asarray(Image.open(label_map)), "cityscapes-ids")
             Image.fromarray(picture).save(maps / "images" / day / label_map.name)
     for line in next(block for block in CONSOLE if "--segmenter" in block).splitlines():
-        assert run(line.removeprefix("$ "))
+        assert run(re.sub(r"hf:\S+", published, line.removeprefix("$ ")))
 
 
 def test_the_commands_on_data_sets(run, photos):
@@ -135,13 +137,18 @@ def test_every_command_is_in_the_table(command):
 def test_help_examples(command, run, photos, tmp_path):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
     if command == "verify":
-        run("ssrvlad fuse seg.onnx -o place.onnx --labels-as camvid-11")
+        run("ssrvlad fuse seg.yaml -o place.onnx --labels-as camvid-11")
+    if command == "db index":
+        ids = [f"drive/{n:06d}" for n in range(300)]
+        vectors = np.random.default_rng(0).random((300, 8))
+        Database.create(photos / "large.ssrdb", width=8).append(ids, vectors)
     text = " ".join(run(f"ssrvlad {command} --help").replace("\\\n", " ").split())
     text = re.split(r"(?:Arguments|Options):", text)[0]
     examples = re.findall(r"Example: (ssrvlad .*?)(?= Example:|\s*$)", text)
     assert examples, text
     for line in examples:
-        assert run(line.replace("/tmp/", f"{tmp_path}/"))
+        database = "large.ssrdb" if command == "db index" else "town.ssrdb"
+        assert run(line.replace("/tmp/", f"{tmp_path}/").replace("town.ssrdb", database))
 
 
 def test_links_lead_somewhere():

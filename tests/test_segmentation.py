@@ -10,7 +10,16 @@ import pytest
 import torch
 from drawings import SIGN, SKY, SPACE
 from helpers import flip_byte, street
-from networks import CLASSES, PLAIN, Strided, Then, colour_network, photo, write_graph
+from networks import (
+    CLASSES,
+    PLAIN,
+    Strided,
+    Then,
+    colour_network,
+    photo,
+    write_graph,
+    write_segformer,
+)
 from PIL import Image
 from torch import nn
 
@@ -449,18 +458,7 @@ def test_functions_that_make_a_network(tmp_path, monkeypatch):
 @pytest.fixture(scope="module")
 def hub_folder(tmp_path_factory):
     """A tiny SegFormer with random weights, as transformers saves it."""
-    transformers = pytest.importorskip("transformers")
-    names = ["road", "sidewalk", "building", "pole", "vegetation", "sky", "car", "thing"]
-    torch.manual_seed(0)
-    config = transformers.SegformerConfig(
-        depths=[1] * 4, hidden_sizes=[8, 16, 24, 32], decoder_hidden_size=16,
-        id2label=dict(enumerate(names)), label2id={name: n for n, name in enumerate(names)},
-    )  # fmt: skip
-    folder = tmp_path_factory.mktemp("hub") / "tiny"
-    transformers.SegformerForSemanticSegmentation(config).save_pretrained(folder)
-    size = {"height": 64, "width": 96}
-    transformers.SegformerImageProcessorPil(size=size).save_pretrained(folder)
-    return folder
+    return write_segformer(tmp_path_factory.mktemp("hub") / "tiny")
 
 
 def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folder):
