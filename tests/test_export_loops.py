@@ -180,10 +180,15 @@ def test_images_in_loops_out(tmp_path, drive, run):
     model = head_model(CONFIG, "logits")
     del model.graph.input[:]
     model.graph.input.append(
-        helper.make_tensor_value_info("image", TensorProto.FLOAT, ["B", 3, "H", "W"])
+        helper.make_tensor_value_info("image", TensorProto.UINT8, ["B", "H", "W", 3])
     )
     model.graph.initializer.append(onnx.numpy_helper.from_array(weights, "weights"))
-    model.graph.node.insert(0, helper.make_node("Conv", ["image", "weights"], ["logits"]))
+    for node in (
+        helper.make_node("Conv", ["first", "weights"], ["logits"]),
+        helper.make_node("Transpose", ["floats"], ["first"], perm=[0, 3, 1, 2]),
+        helper.make_node("Cast", ["image"], ["floats"], to=TensorProto.FLOAT),
+    ):
+        model.graph.node.insert(0, node)
     onnx.save(model, tmp_path / "place.onnx")
     for number, seed in enumerate(SEEDS):
         colours = np.eye(3, dtype=np.uint8)[street(seed) % 3] * 255

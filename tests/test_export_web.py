@@ -59,7 +59,7 @@ def site(tmp_path_factory):
     if not CHROMIUM:
         pytest.skip("Chromium is not installed")
     folder = tmp_path_factory.mktemp("site") / "web"
-    shutil.copytree(SOURCE, folder, ignore=shutil.ignore_basis("node_modules"))
+    shutil.copytree(SOURCE, folder, ignore=shutil.ignore_patterns("node_modules"))
     (folder / "node_modules").symlink_to(runtime())
     write_maps(folder / "maps", range(6))
     for preset, config in CONFIGS.items():

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from ssrvlad_torch.soft import place_loss as multi_similarity
+from ssrvlad_torch import multi_similarity
 
 
 def plainly(similarity, same, other, alpha, beta, base):

@@ -112,7 +112,7 @@ def test_it_tells_every_threshold(report, page):
             shares = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
             assert row == [f"{point['score']:.4f}", *shares, str(point["accepted"])]
     assert points["at_precision"]["1"]
-    assert points["suggested"] is None
+    assert points["suggested"]
 
 
 def test_the_script_gets_what_follows_from_each_threshold(report, page):

@@ -83,11 +83,14 @@ def town(head, maps, tmp_path, run):
     return tmp_path / "town.npy"
 
 
+SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")
+
+
 def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, maps, tmp_path):
     export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "head.onnx")
     queries = write_maps(tmp_path / "tuesday", range(4, 9))
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
-    wanted = ssrvlad("query", database, queries, "--temporal", 0, "--top", 3, "--json")[1]
+    wanted = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
     ran = alone(
         tmp_path / "head.onnx", queries, "--database", tmp_path / "t.npy", "--top", 3, "--json"
     )

@@ -290,7 +290,7 @@ def test_the_trained_network_from_image_to_descriptor(made, camvid, ssrvlad, tmp
     labels = torch.from_numpy(np.stack(segmenter(pictures)))
     assert len(labels.unique()) > 2
     described = SSRVLAD.from_preset("default", labels_as=SPACE)(labels)
-    references = Database.open(town).load(temporal=0)
+    references = Database.open(town).load()
     torch.testing.assert_close(references.descriptors, described, rtol=0, atol=1e-6)
 
     mean, std = np.float32([0.485, 0.456, 0.406]), np.float32([0.229, 0.224, 0.225])
