@@ -293,13 +293,11 @@ def test_the_trained_network_from_image_to_descriptor(made, camvid, ssrvlad, tmp
     references = Database.open(town).load()
     torch.testing.assert_close(references.descriptors, described, rtol=0, atol=1e-6)
 
-    mean, std = np.float32([0.485, 0.456, 0.406]), np.float32([0.229, 0.224, 0.225])
-    numbers = ((np.stack(pictures) / np.float32(255) - mean) / std).transpose(0, 3, 1, 2)
     whole, head = (
         onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
         for file in (place, tmp_path / "head.onnx")
     )
-    (descriptor,) = whole.run(["descriptor"], {"images": np.ascontiguousarray(numbers)})
+    (descriptor,) = whole.run(["descriptor"], {"image": np.stack(pictures)})
     np.testing.assert_allclose(descriptor, described, rtol=0, atol=1e-4)
     (alone,) = head.run(["descriptor"], {"labels": labels.numpy()})
     np.testing.assert_allclose(alone, described, rtol=0, atol=1e-6)
