@@ -327,47 +327,21 @@ class Database:
                 database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
-
-        def plan(table: LanceDataset, rows: pa.Table) -> Any:
-            try:
-                merge = table.merge_insert("frame").when_not_matched_insert_all()
-                return merge.when_matched_fail().execute_uncommitted(rows)[0]
-            except OSError as error:
-                there = _there(table, rows)
-                if not there:
-                    raise
-                raise ValueError(f"frame {there[0]!r} is in {self.path} already") from error
-
-        self._put(frames, descriptors, plan, "append", adds=True)
+        self.adopt([self.write_apart(frames, descriptors)])
 
     def replace(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
         """Puts frames in the place of those with the same ids, in one commit.
 
         Arguments and errors as for `append`, but the ids must be there.
         """
-
-        def plan(table: LanceDataset, rows: pa.Table) -> Any:
-            merge = table.merge_insert("frame").when_matched_update_all()
-            transaction, counts = merge.execute_uncommitted(rows)
-            if counts["num_updated_rows"] < len(rows):
-                there = set(_there(table, rows))
-                missing = next(f for f in rows["frame"].to_pylist() if f not in there)
-                raise ValueError(f"frame {missing!r} is not in {self.path}")
-            return transaction
-
-        self._put(frames, descriptors, plan, "replace", adds=False)
+        self._change([self.write_apart(frames, descriptors)], "replace")
 
     def merge(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
         """Adds frames, those with ids that are there in the place of these, in one commit.
 
         Arguments and errors as for `append`.
         """
-
-        def plan(table: LanceDataset, rows: pa.Table) -> Any:
-            merge = table.merge_insert("frame").when_not_matched_insert_all()
-            return merge.when_matched_update_all().execute_uncommitted(rows)[0]
-
-        self._put(frames, descriptors, plan, "merge", adds=True)
+        self._change([self.write_apart(frames, descriptors)], "merge")
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ids that are not there are passed over.
@@ -376,24 +350,16 @@ class Database:
             ValueError: the database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
-        self._see_writable()
-        ids = pa.table({"frame": pa.array(sorted(set(frames)), pa.string())})
-
-        def plan(table: LanceDataset) -> Any:
-            transaction, counts = (
-                table.merge_insert("frame").when_matched_delete().execute_uncommitted(ids)
-            )
-            return transaction.operation if counts["num_deleted_rows"] else None
-
-        if len(ids):
-            self._commit(plan, f"remove {len(ids)} frames", adds=False)
+        self._change([Written((), tuple(sorted(set(frames))))], "remove")
 
     def write_apart(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> Written:
         """Writes rows that do not count before they are given to `adopt`, here or elsewhere.
 
         Arguments as for `append`. What is never adopted is deleted by a later `compact`.
         """
-        rows = self._to_rows(frames, descriptors)
+        self._see_writable()
+        records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]
+        rows = to_table(records, self._checked(records, descriptors))
         return Written(engine.write_apart(self._table, rows), tuple(rows["frame"].to_pylist()))
 
     def adopt(self, written: Sequence[Written]) -> None:
@@ -403,40 +369,33 @@ class Database:
             ValueError: a frame is there already, or was written twice.
             OSError: the disk refused; the database is as it was.
         """
+        self._change(written, "append")
+
+    def _change(self, written: Sequence[Written], verb: str) -> None:
+        """Puts rows in the place of those with their ids, as far as the verb allows."""
         self._see_writable()
-        ids = pa.table({"frame": [frame for part in written for frame in part.frames]})
+        ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
         if len(pc.unique(ids["frame"])) < len(ids):
             raise ValueError(f"frames for {self.path} were written twice")
 
         def plan(table: LanceDataset) -> Any:
-            if there := _there(table, ids):
+            there = _there(table, ids)
+            if verb == "append" and there:
                 raise ValueError(f"frame {there[0]!r} is in {self.path} already")
-            return engine.addition([text for part in written for text in part.fragments])
+            if verb == "replace" and len(there) < len(ids):
+                missing = min(set(ids["frame"].to_pylist()) - set(there))
+                raise ValueError(f"frame {missing!r} is not in {self.path}")
+            if verb == "remove" and not there:
+                return None
+            fragments = [text for part in written for text in part.fragments]
+            return engine.substitution(table, ids if there else None, fragments)
 
         if len(ids):
-            self._commit(plan, f"append {len(ids)} frames", adds=True)
+            self._commit(plan, f"{verb} {len(ids)} frames")
 
-    def _put(
-        self,
-        frames: Sequence[FrameRecord | str],
-        descriptors: Vectors,
-        plan: Callable[[LanceDataset, pa.Table], Any],
-        verb: str,
-        adds: bool,
-    ) -> None:
-        self._see_writable()
-        rows = self._to_rows(frames, descriptors)
-        if len(rows):
-            message = f"{verb} {len(rows)} frames"
-            self._commit(lambda table: plan(table, rows).operation, message, adds)
-
-    def _to_rows(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> pa.Table:
-        records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]
-        return to_table(records, self._checked(records, descriptors))
-
-    def _commit(self, plan: engine.Plan, message: str, adds: bool) -> None:
+    def _commit(self, plan: engine.Plan, message: str) -> None:
         with self._writing:
-            self._settle(engine.commit(self.path, plan, adds, message))
+            self._settle(engine.commit(self.path, plan, message))
 
     def _see_writable(self) -> None:
         if self._pinned:
@@ -539,7 +498,7 @@ class Database:
             update = engine.lance().LanceOperation.Update
             return update(removed_fragment_ids=gone, new_fragments=fresh) if gone else None
 
-        self._commit(plan, "drop what is damaged", adds=False)
+        self._commit(plan, "drop what is damaged")
         return damage
 
     def table(self) -> LanceDataset:

@@ -147,10 +147,13 @@ def write_apart(table: LanceDataset, rows: pa.Table) -> tuple[str, ...]:
     return tuple(json.dumps(fragment.to_json()) for fragment in fragments)
 
 
-def addition(described: Iterable[str]) -> Any:
-    """The operation that adds what `write_apart` wrote."""
-    made = lance().FragmentMetadata.from_json
-    return lance().LanceOperation.Update(new_fragments=[made(text) for text in described])
+def substitution(table: LanceDataset, ids: pa.Table | None, described: Iterable[str]) -> Any:
+    """The operation that removes the rows of ids, if any, and adds what `write_apart` wrote."""
+    made = [lance().FragmentMetadata.from_json(text) for text in described]
+    if ids is None:
+        return lance().LanceOperation.Update(new_fragments=made)
+    removal: Any = table.merge_insert("frame").when_matched_delete().execute_uncommitted(ids)[0]
+    return dataclasses.replace(removal.operation, new_fragments=made)
 
 
 def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:
@@ -185,7 +188,9 @@ def compact(uri: str, keep: timedelta) -> LanceDataset:
                 compaction.commit(table, done)
                 table = opened(uri)
                 table.optimize.optimize_indices()
-            except lance().commit.CommitConflictError:
+            except (lance().commit.CommitConflictError, OSError) as error:
+                if "conflict" not in str(error):
+                    raise
                 _wait(attempt)
                 continue
             table = opened(uri)
@@ -218,14 +223,14 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
     return table
 
 
-def commit(uri: str, plan: Plan, adds: bool, message: str) -> LanceDataset:
-    """One change of a table, made anew for as long as others commit theirs before it.
+def commit(uri: str, plan: Plan, message: str) -> LanceDataset:
+    """One change of rows, made anew for as long as others commit theirs before it.
+
+    No two are made of one version, so that no id is added twice.
 
     Args:
         uri: of the table.
         plan: makes the operation; where it raises, nothing has changed.
-        adds: whether rows with new ids come in. No two such commits are made of one version, so
-            that no id is added twice.
         message: what `versions` tells of it.
 
     Returns:
@@ -241,12 +246,12 @@ def commit(uri: str, plan: Plan, adds: bool, message: str) -> LanceDataset:
             _sync_data(uri, operation)
             transaction = lance().Transaction(
                 before.version,
-                _exclusive(before, operation) if adds else operation,
+                _exclusive(before, operation),
                 uuid=str(uuid.uuid4()),
                 transaction_properties={_MESSAGE: message},
             )
             try:
-                after: LanceDataset = lance().LanceDataset.commit(uri, transaction)
+                after: LanceDataset = lance().LanceDataset.commit(uri, transaction, max_retries=0)
             except lance().commit.CommitConflictError:
                 _wait(attempt)
                 continue
@@ -259,29 +264,18 @@ def _exclusive(table: LanceDataset, operation: Any) -> Any:
     """An operation that adds fragments, such that no other can be committed beside it.
 
     Lance lets two additions of one version pass. Two that touch one fragment conflict: every one
-    claims the first fragment. The first addition of all is a list of fragments, which conflicts
-    with any other.
+    claims the first fragment. What comes into an empty table takes its place, which `commit` lets
+    only happen to the version that was read.
     """
-    operations, fragments = lance().LanceOperation, table.get_fragments()
+    fragments = table.get_fragments()
     if not fragments:
-        first = _first_free_id(table)
-        numbered = [
-            dataclasses.replace(fragment, id=first + number)
-            for number, fragment in enumerate(operation.new_fragments)
-        ]
-        return operations.Merge(numbered, table.lance_schema)
+        return lance().LanceOperation.Overwrite(table.schema, operation.new_fragments)
     oldest = fragments[0].metadata
     touched = {*operation.removed_fragment_ids, *(f.id for f in operation.updated_fragments)}
     claimed = [] if oldest.id in touched else [oldest]
     return dataclasses.replace(
         operation, updated_fragments=[*operation.updated_fragments, *claimed]
     )
-
-
-def _first_free_id(table: LanceDataset) -> int:
-    """For the fragments of a table without any: no index takes one for what it indexed before."""
-    segments = [segment for index in table.describe_indices() for segment in index.segments]
-    return max((max(segment.fragment_ids, default=-1) for segment in segments), default=-1) + 1
 
 
 def file_names(fragment: FragmentMetadata) -> list[str]:
