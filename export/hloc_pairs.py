@@ -52,7 +52,7 @@ class ImageNames:
         names = self._names.get(frame, [])
         if len(names) != 1:
             found = " and ".join(names) or "none"
-            raise ValueError(f"wanted one image of frame {frame!r} in {self.folder}, got {found}")
+            raise ValueError(f"expected one image of frame {frame!r} in {self.folder}, got {found}")
         return names[0]
 
 
@@ -60,7 +60,7 @@ def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
     """Frames and their candidates, by their ids.
 
     Raises:
-        ValueError: a line is not what is wanted; the message has its number.
+        ValueError: a line is not in the expected form; the message has its number.
     """
     for number, line in enumerate(lines, 1):
         try:
@@ -74,7 +74,7 @@ def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
                 raise KeyError("candidates")
         except (ValueError, TypeError, KeyError) as error:
             raise ValueError(
-                f"line {number}: wanted JSON of `ssrvlad query --json` or `ssrvlad loops --json`, "
+                f"line {number}: expected JSON of `ssrvlad query --json` or `loops --json`, "
                 f"got {line.strip()[:60]!r}"
             ) from error
 

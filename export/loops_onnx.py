@@ -9,7 +9,7 @@ Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `fr
 soon as it is there. Needs numpy, onnxruntime and `run_onnx.py` beside it, which says what a frame
 can be; the rules are those of `ssrvlad_torch.LoopDetector`, whose thresholds hold here too, and
 with one anchor a frame those of `ssrvlad loops --no-sweep`. Exit code 0 for success, 2 for wrong
-use, 3 for finished with some frames refused.
+use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from run_onnx import SOME_REFUSED, Model, find_frames, note, one_line
+from run_onnx import SOME_SKIPPED, Model, find_frames, note, one_line
 
 Vector = npt.NDArray[np.float32]
 
@@ -264,7 +264,7 @@ def run(given: argparse.Namespace) -> int:
     model = Model(given.model)
     detector = Detector(Settings(given.exclude, given.threshold))
     seen: set[str] = set()
-    refused = 0
+    skipped = 0
     for frame, path in frames_of(given.source):
         try:
             if frame in seen:
@@ -272,14 +272,14 @@ def run(given: argparse.Namespace) -> int:
             described = model.describe(path)
         except ValueError as error:
             note(f"{path}: {one_line(error)}")
-            refused += 1
+            skipped += 1
             continue
         seen.add(frame)
         result = detector.update(frame, described.descriptor)
         print(json.dumps(result._asdict()), flush=True)
-    if refused:
-        note(f"refused {refused} of {refused + len(seen)} frames")
-    return SOME_REFUSED if refused else 0
+    if skipped:
+        note(f"skipped {skipped} of {skipped + len(seen)} frames")
+    return SOME_SKIPPED if skipped else 0
 
 
 def arguments() -> argparse.ArgumentParser:

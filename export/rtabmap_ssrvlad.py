@@ -52,7 +52,7 @@ class Extractor:
             raise ValueError(f"{settings}: no setting {', '.join(sorted(given))}")
         self.model = Model(path)
         if len(self.model.input.shape) != 4 or self.model.input.name == "logits":
-            raise ValueError(f"{path}: wanted a file of `ssrvlad fuse`, whose input is images")
+            raise ValueError(f"{path}: expected a file of `ssrvlad fuse`, whose input is images")
         length = self.model.session.get_outputs()[0].shape[1]
         if dimension != length:
             raise ValueError(f"{path} gives {length} numbers; set PyDescriptor/Dim, {dimension}")
@@ -73,7 +73,7 @@ class Extractor:
         pixels = np.ascontiguousarray(image)
         if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.itemsize != 1:
             raise ValueError(
-                f"wanted (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
+                f"expected (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
             )
         blue_first = np.broadcast_to(pixels.view(np.uint8), (*pixels.shape[:2], 3))
         pixels = np.ascontiguousarray(blue_first[None, ..., ::-1])

@@ -7,7 +7,7 @@ Needs numpy and onnxruntime, nothing else; pictures need Pillow too, `.npy` arra
 maps (H, W) go into a graph of `ssrvlad export`, class scores (C, H, W) as `.npy` into one made
 with `--input logits`, images (H, W, 3) into one of `ssrvlad fuse`. A database is what
 `ssrvlad db export --format npy` or --save-descriptors writes. Exit code 0 for success, 2 for wrong
-use, 3 for finished with some frames refused.
+use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Array = npt.NDArray[Any]
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 TOLERANCE = 1e-6
-SOME_REFUSED = 3
+SOME_SKIPPED = 3
 
 _BLOCK = 1 << 14
 
@@ -70,7 +70,7 @@ class Model:
         inputs = self.session.get_inputs()
         if len(inputs) != 1 or len(inputs[0].shape) not in (3, 4):
             names = ", ".join(f"{each.name} {each.shape}" for each in inputs)
-            raise ValueError(f"{path}: wanted one input of labels, scores or images, got {names}")
+            raise ValueError(f"{path}: expected one input of labels, scores or images, got {names}")
         self.properties = properties
         self.input = inputs[0]
         self.dtype = _dtype(inputs[0].type)
@@ -133,7 +133,7 @@ class Model:
     def _labels(self, path: Path) -> Array:
         labels = _npy(path) if _is_npy(path) else _label_picture(path)
         if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
-            raise ValueError(f"wanted an (H, W) label map, got {labels.shape} {labels.dtype}")
+            raise ValueError(f"expected an (H, W) label map, got {labels.shape} {labels.dtype}")
         held = labels.astype(self.dtype)
         lost = int((held != labels).sum())
         if lost:
@@ -143,13 +143,13 @@ class Model:
     def _scores(self, path: Path) -> Array:
         scores = _npy(path)
         if scores.ndim != 3 or scores.dtype.kind != "f" or not np.isfinite(scores).all():
-            raise ValueError(f"wanted finite scores (C, H, W), got {scores.shape} {scores.dtype}")
+            raise ValueError(f"expected finite scores (C, H, W), got {scores.shape} {scores.dtype}")
         return scores.astype(self.dtype)
 
     def _image(self, path: Path) -> Array:
         pixels = _npy(path) if _is_npy(path) else _picture(path)
         if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
-            raise ValueError(f"wanted (H, W, 3) uint8, got {pixels.shape} {pixels.dtype}")
+            raise ValueError(f"expected (H, W, 3) uint8, got {pixels.shape} {pixels.dtype}")
         return pixels
 
 
@@ -187,7 +187,7 @@ class Database:
         anchors = query if query.ndim == 2 else query[None]
         if anchors.shape[1:] != self.descriptors.shape[1:]:
             raise ValueError(
-                f"wanted a database of {query.shape[-1]} numbers a frame, "
+                f"expected a database of {query.shape[-1]} numbers a frame, "
                 f"got {self.descriptors.shape[1]}"
             )
         if not query.any():
@@ -215,7 +215,7 @@ def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
         if source.is_file():
             files = [source]
         if not files:
-            raise ValueError(f"{source} holds no frames; wanted {', '.join(SUFFIXES)} files")
+            raise ValueError(f"{source} holds no frames; expected {', '.join(SUFFIXES)} files")
         for path in sorted(files, key=lambda path: _natural(path.stem)):
             yield f"{path.absolute().parent.name}/{path.stem}", path
 
@@ -262,7 +262,7 @@ def run(given: argparse.Namespace) -> int:
         raise ValueError("--save-descriptors: expected a file without --sweep, references have one")
     database = given.database and Database(given.database, model.fingerprint)
     kept: dict[str, Array] = {}
-    refused = 0
+    skipped = 0
     for frame, path in find_frames(given.source):
         if frame in kept:
             raise ValueError(f"{path} is a second frame {frame}")
@@ -270,16 +270,16 @@ def run(given: argparse.Namespace) -> int:
             described = model.describe(path)
         except ValueError as error:
             note(f"{path}: {error}")
-            refused += 1
+            skipped += 1
             continue
         kept[frame] = described.descriptor
         candidates = database.search(described.descriptor, given.top) if database else []
         report(frame, described, candidates, given.json)
     if given.save_descriptors and kept:
         save(given.save_descriptors, list(kept.values()), list(kept), model.fingerprint)
-    if refused:
-        note(f"refused {refused} of {refused + len(kept)} frames")
-    return SOME_REFUSED if refused else 0
+    if skipped:
+        note(f"skipped {skipped} of {skipped + len(kept)} frames")
+    return SOME_SKIPPED if skipped else 0
 
 
 def report(
@@ -311,7 +311,7 @@ def main() -> int:
     parser.add_argument("--check", action="store_true", help="run the golden pair and stop")
     given = parser.parse_args()
     if bool(given.source) == given.check or given.top < 1:
-        parser.error("wanted frames or --check, and --top of at least 1")
+        parser.error("expected frames or --check, and --top of at least 1")
     try:
         return run(given)
     except (ValueError, OSError, ImportError) as error:
@@ -333,7 +333,9 @@ def _label_picture(path: Path) -> Array:
         stored = str(image.tile[0][3]) if image.tile else ""
         scaled = image.mode == "L" and ";" in stored
         if scaled or image.mode not in ("L", "P", "I", "I;16", "I;16B"):
-            raise ValueError(f"wanted gray of 8 or 16 bits or a palette, got {image.mode} {stored}")
+            raise ValueError(
+                f"expected gray (8 or 16 bits) or a palette, got {image.mode} {stored}"
+            )
         return np.asarray(image)
 
 

@@ -21,7 +21,7 @@ def install(extra: str) -> None:
     """Installs the package with an extra, unless that is done already for these very files."""
     if sys.version_info < (3, 11):  # noqa: UP036 - the very thing to find out
         version = sys.version.split()[0]
-        sys.exit(f"{Path(sys.argv[0]).name}: wanted Python 3.11 or newer, got {version}")
+        sys.exit(f"{Path(sys.argv[0]).name}: expected Python 3.11 or newer, got {version}")
     names = ("pyproject.toml", "constraints.txt", "hatch_build.py")
     core = sorted((ROOT / "ssrvlad_torch" / "native").glob("ssrvlad.*"))
     wanted = [*(ROOT / name for name in names), *core]

@@ -50,8 +50,8 @@ def test_both_heads_have_the_settings(core):
 def test_the_onnx_head_is_the_head(preset):
     config = SSRVLADConfig.from_preset(preset, labels_as="camvid-11")
     labels = torch.randint(0, 12, (2, 37, 53), dtype=torch.uint8)
-    found, wanted = onnx_head(config)(labels), SSRVLAD(config)(labels)
-    torch.testing.assert_close(found, wanted, rtol=0, atol=1e-6)
+    found, expected = onnx_head(config)(labels), SSRVLAD(config)(labels)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
 
 
 def test_the_table_has_a_row_for_every_way(core, monkeypatch):

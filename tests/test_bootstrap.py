@@ -45,9 +45,9 @@ def test_equals_resamples_evaluated_one_by_one(convention, block, monkeypatch):
         chosen = rng.integers(0, 40, 40)
         again = [truth[query] for query in chosen]
         figures.append(flat(evaluate(scores[chosen], indices[chosen], again, (1, 5), convention)))
-    wanted = np.percentile(figures, (2.5, 97.5), axis=0).T
+    expected = np.percentile(figures, (2.5, 97.5), axis=0).T
     found = evaluate(scores, indices, truth, (1, 5), convention, resamples=60, seed=7)
-    np.testing.assert_allclose(flat(found["intervals"]), wanted, rtol=1e-12)
+    np.testing.assert_allclose(flat(found["intervals"]), expected, rtol=1e-12)
 
 
 def test_a_seed_is_a_draw():
@@ -59,7 +59,7 @@ def test_a_seed_is_a_draw():
 
 def test_the_interval_of_a_mean_is_that_of_the_normal_approximation():
     values = np.random.default_rng(0).random(400) < 0.3
-    found = bootstrap(lambda w: {"share": w @ values / w.sum(axis=1)}, 400, 4000)["share"]
+    found = bootstrap(lambda w: {"fraction": w @ values / w.sum(axis=1)}, 400, 4000)["fraction"]
     spread = 1.96 * values.std() / 20
     np.testing.assert_allclose(found, (values.mean() - spread, values.mean() + spread), atol=0.004)
 

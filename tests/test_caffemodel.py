@@ -68,11 +68,11 @@ def test_layers_come_out_by_name(old, packed, tmp_path):
     read = read_caffemodel(path)
     assert [*read] == ["conv1.weight", "conv1.bias", "fc6.weight", "fc6.bias"]
     for name in ("conv1", "fc6"):
-        for kind, wanted in zip(("weight", "bias"), LAYERS[name], strict=True):
+        for kind, expected in zip(("weight", "bias"), LAYERS[name], strict=True):
             got = read[f"{name}.{kind}"]
             assert got.dtype == torch.float32
-            assert got.shape == wanted.shape
-            np.testing.assert_array_equal(got.numpy(), wanted.astype(np.float32))
+            assert got.shape == expected.shape
+            np.testing.assert_array_equal(got.numpy(), expected.astype(np.float32))
 
 
 def test_a_kernel_with_one_output_keeps_its_four_axes(tmp_path):

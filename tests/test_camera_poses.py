@@ -72,7 +72,7 @@ def test_seen_from_above_a_left_turn_is_positive_in_every_world():
 
 def test_numbers_are_counted():
     assert parse_numbers(["1", "-2.5e1"], 2) == [1, -25]
-    with pytest.raises(ValueError, match="wanted 3 numbers, got 2"):
+    with pytest.raises(ValueError, match="expected 3 numbers, got 2"):
         parse_numbers(["1", "2"], 3)
     with pytest.raises(ValueError, match="'two'"):
         parse_numbers(["1", "two"], 2)

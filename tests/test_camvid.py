@@ -115,7 +115,7 @@ def test_labels_of_another_space_are_taken_at_the_users_word(tutorial):
 
 
 def test_two_label_spaces_in_one_folder_are_refused(original, tutorial):
-    with pytest.raises(ValueError, match="label maps of camvid-11 and camvid-32; wanted one"):
+    with pytest.raises(ValueError, match="label maps of camvid-11 and camvid-32; expected one"):
         open_dataset(tutorial)
 
 

@@ -149,8 +149,8 @@ def test_distances_are_those_on_the_sphere(tmp_path):
         first, second = math.radians(latitude), math.radians(latitude + north)
         sines = math.sin(math.radians(north) / 2) ** 2
         sines += math.cos(first) * math.cos(second) * math.sin(math.radians(east) / 2) ** 2
-        wanted = 2 * 6_371_000 * math.asin(math.sqrt(sines))
-        assert math.hypot(x, y) == pytest.approx(wanted, rel=5e-3)
+        expected = 2 * 6_371_000 * math.asin(math.sqrt(sines))
+        assert math.hypot(x, y) == pytest.approx(expected, rel=5e-3)
 
 
 @pytest.mark.parametrize(

@@ -166,7 +166,7 @@ WRONG_USES = [
     ("query folder monday", "folder is not a database"),
     (
         "evaluate town.ssrdb monday --tolerance-frames 1 --tolerance-metres 5",
-        "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, got 2",
+        "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, got 2",
     ),
     ("evaluate town.ssrdb monday", "got 0 of them"),
     (

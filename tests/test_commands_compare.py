@@ -213,12 +213,12 @@ def test_poses(ssrvlad, compare, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--method hog", "wanted the folder of a data set, or folders as --references and"),
+        ("--method hog", "expected the folder of a data set, or folders as --references and"),
         ("--method hog --references town/query", "or folders as --references and --queries"),
         ("--method hog --references town/query --queries a --layout auto", "--layout and --odd"),
         ("--method hog --odd-even", "--layout and --odd-even want the folder of a data set"),
-        ("town --method hog --odd-even --queries query", "wanted no --queries"),
-        ("town --method hog,orb", "unknown method 'orb'; wanted one of ssr-vlad"),
+        ("town --method hog --odd-even --queries query", "expected no --queries"),
+        ("town --method hog,orb", "unknown method 'orb'; expected one of ssr-vlad"),
         ("town --method hog --set rows=3", "--set wants METHOD.NAME=VALUE for one of hog, got"),
         ("town --method hog --set cohog.size=3", "for one of hog, got 'cohog.size'"),
         ("town --method hog --set hog.rows=0", "a grid of 1 x 1 or more, got 0 x 10"),

@@ -59,8 +59,8 @@ def test_a_query_of_a_data_set(ssrvlad, city, reference):
         (("--split", "query"), "--split, --role and --labels want a --layout, for example auto"),
         (("--role", "query"), "want a --layout"),
         (("--labels", "maps"), "want a --layout"),
-        (("--layout", "synthia"), "city is not in the layout synthia: wanted"),
-        (("--layout", "kitti"), "unknown layout 'kitti'; wanted one of extended-cmu"),
+        (("--layout", "synthia"), "city is not in the layout synthia: expected"),
+        (("--layout", "kitti"), "unknown layout 'kitti'; expected one of extended-cmu"),
         (("--layout", "auto", "--role", "loop"), "'loop' is not one of 'reference', 'query'"),
         (("--layout", "auto", "--labels", "nowhere"), "of a label space that was not given"),
     ],
@@ -168,4 +168,4 @@ def test_a_matrix_is_of_all_frames(recognise, tmp_path):
     small = ("--ground-truth", write_truth(tmp_path / "small.npy", np.eye(3)))
     code, _, err = recognise(querying=(*small, *odd))
     assert (code, len(err)) == (2, 1)
-    assert "is a matrix of shape (3, 3), wanted (6, 6)" in err[0]
+    assert "is a matrix of shape (3, 3), expected (6, 6)" in err[0]

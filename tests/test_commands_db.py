@@ -143,8 +143,8 @@ def test_export_writes_each_form(ssrvlad, database, tmp_path, form):
     assert code == 0
     assert out.splitlines()[0] == str(file)
     if form == "npy":
-        wanted = Database.open(database).load().descriptors.numpy()
-        np.testing.assert_array_equal(np.load(file), wanted)
+        expected = Database.open(database).load().descriptors.numpy()
+        np.testing.assert_array_equal(np.load(file), expected)
 
 
 def test_encode_tells_what_is_gone_and_prunes_it(ssrvlad, database, maps):

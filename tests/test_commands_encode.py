@@ -164,7 +164,7 @@ def test_a_folder_without_images_is_refused(ssrvlad, photos, tmp_path):
         "--segmenter", tmp_path / "net.onnx",
     )  # fmt: skip
     assert (code, len(err)) == (2, 1)
-    assert "folder holds no images; wanted .jpg" in err[0]
+    assert "folder holds no images; expected .jpg" in err[0]
     assert not (tmp_path / "none").exists()
 
 

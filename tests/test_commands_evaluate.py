@@ -148,11 +148,11 @@ class Code:
     ("name", "content", "message"),
     [
         ("a.npy", vpr_bench([[0]] * 5 + [[6]]), "names reference 6 of query 5; the database has 6"),
-        ("a.npy", vpr_bench([[0]] * 5), "has 5 rows, wanted one for each of 6 queries"),
+        ("a.npy", vpr_bench([[0]] * 5), "has 5 rows, expected one for each of 6 queries"),
         ("a.npy", vpr_bench([Code()] * 6), "it asks for builtins.print"),
-        ("a.npy", np.eye(6, 5), "is a matrix of shape (6, 5), wanted (6, 6)"),
+        ("a.npy", np.eye(6, 5), "is a matrix of shape (6, 5), expected (6, 6)"),
         ("a.json", {"tuesday/000": ["monday/6"]}, "names reference 'monday/6', which is not in"),
-        ("a.txt", "", "wanted a ground truth in .json, .csv, .npy, .npz"),
+        ("a.txt", "", "expected a ground truth in .json, .csv, .npy, .npz"),
     ],
 )
 def test_bad_ground_truth_is_one_line(evaluate, tmp_path, name, content, message):

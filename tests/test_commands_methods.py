@@ -87,9 +87,9 @@ def test_random_weights_are_told_of(ssrvlad, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ("--method orb", "unknown method 'orb'; wanted one of ssr-vlad, cohog"),
-        ("--method orb --weights a", "unknown method 'orb'; wanted one of ssr-vlad, cohog"),
-        ("--method label-grid", "label-grid reads label maps; wanted their --labels-as"),
+        ("--method orb", "unknown method 'orb'; expected one of ssr-vlad, cohog"),
+        ("--method orb --weights a", "unknown method 'orb'; expected one of ssr-vlad, cohog"),
+        ("--method label-grid", "label-grid reads label maps; expected their --labels-as"),
         ("--method hog --set rows", "--set wants NAME=VALUE, got 'rows'"),
         ("--method hog --set rows=[", "--set rows wants a value in YAML, got '['"),
         ("--method hog --set rows=many", "method hog cannot take rows='many': "),
@@ -98,7 +98,7 @@ def test_random_weights_are_told_of(ssrvlad, tmp_path, monkeypatch):
         ("--method hog --weights a.pt", "method hog takes no --weights"),
         ("--method ssr-vlad --random-weights", "method ssr-vlad takes no --random-weights"),
         ("--method netvlad --vocabulary a.npy", "method netvlad takes no --vocabulary"),
-        ("--method netvlad --weights none.mat", "no weights at none.mat: wanted vd16_pitts30k"),
+        ("--method netvlad --weights none.mat", "no weights at none.mat: expected vd16_pitts30k"),
         ("--set rows=3", "--set wants a --method"),
         ("--weights a.pt", "--weights wants a --method"),
         ("--random-weights", "--random-weights wants a --method"),

@@ -71,8 +71,8 @@ def test_a_page_comes_beside_the_figures(ssrvlad, evaluate, database, tmp_path, 
 
 def test_label_maps_of_the_references_are_found_beside_the_queries(evaluate):
     page = evaluate("--tolerance-frames", 0)
-    wanted = {f"label map of {day}/{n:03d}" for day in ("monday", "friday") for n in range(6)}
-    assert described(page) <= wanted
+    expected = {f"label map of {day}/{n:03d}" for day in ("monday", "friday") for n in range(6)}
+    assert described(page) <= expected
     assert len(described(page)) == 8
     for picture in described(page):
         number = int(picture[-3:])
@@ -177,8 +177,8 @@ def test_a_segmenter_shows_what_it_saw(ssrvlad, tmp_path, out, monkeypatch):
     assert days == {f"{kind} of {day}" for kind in kinds for day in ("monday", "friday")}
     for name in described(page):
         if name.startswith("label map"):
-            wanted = colourise(street(int(name[-3:])), "camvid-11")
-            np.testing.assert_array_equal(shown(page, name), wanted)
+            expected = colourise(street(int(name[-3:])), "camvid-11")
+            np.testing.assert_array_equal(shown(page, name), expected)
 
 
 @pytest.mark.parametrize("method", ["tiny-image", "label-grid"])

@@ -171,8 +171,8 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     np.testing.assert_allclose(curve.recall, recall[-2::-1], rtol=1e-12)
     np.testing.assert_array_equal(curve.thresholds, thresholds[::-1])
     assert curve.auc == pytest.approx(sklearn.auc(recall, precision), abs=1e-12)
-    wanted = sklearn.average_precision_score(correct, scores)
-    assert curve.average_precision == pytest.approx(wanted, abs=1e-12)
+    expected = sklearn.average_precision_score(correct, scores)
+    assert curve.average_precision == pytest.approx(expected, abs=1e-12)
     found = roc_auc(curve, np.array(float(right)), np.array(200.0 - right))
     assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
 

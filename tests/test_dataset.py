@@ -133,7 +133,7 @@ def test_every_other_file_of_each_sequence():
     with pytest.raises(ValueError, match="no sequence of root has a frame 4"):
         dataset.label_files(start=4)
     for every, start in ((0, 0), (1, -1)):
-        with pytest.raises(ValueError, match="wanted every >= 1 and start >= 0"):
+        with pytest.raises(ValueError, match="expected every >= 1 and start >= 0"):
             dataset.label_files(every, start)
 
 

@@ -35,8 +35,8 @@ def test_an_onnx_file(tmp_path):
     network = write(tmp_path / "lost_x.onnx", ["features", "scores"])
     image = torch.rand(1, 3, 32, 48)
     found = load_dense_network(tmp_path)(image)
-    for got, wanted in zip(found, network(image), strict=True):
-        torch.testing.assert_close(got, wanted.detach(), rtol=1e-4, atol=1e-5)
+    for got, expected in zip(found, network(image), strict=True):
+        torch.testing.assert_close(got, expected.detach(), rtol=1e-4, atol=1e-5)
 
 
 def test_other_outputs_are_named(tmp_path):

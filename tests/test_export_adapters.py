@@ -125,7 +125,7 @@ def test_the_settings_name_the_file(rtabmap, tmp_path):
     [
         (None, 128, "gives 480 numbers; set PyDescriptor/Dim, 128"),
         ('{"model": "gone.onnx"}', 480, "No such file"),
-        ('{"model": "head.onnx"}', 480, "wanted a file of `ssrvlad fuse`, whose input is images"),
+        ('{"model": "head.onnx"}', 480, "expected a file of `ssrvlad fuse`, whose input is images"),
         ('{"colour": [1]}', 480, "rtabmap_ssrvlad.json: no setting colour"),
         ("{", 480, "Expecting property name"),
     ],
@@ -149,7 +149,7 @@ def test_images_of_another_form_are_refused(rtabmap):
         rtabmap.extract(painted(LABELS))
     rtabmap.init(480)
     for image in (np.zeros((4, 5), np.int8), np.zeros((4, 5, 4), np.int8), np.zeros((4, 5, 3))):
-        with pytest.raises(ValueError, match=r"wanted \(H, W, 3\) or \(H, W, 1\) bytes, got \("):
+        with pytest.raises(ValueError, match=r"expected \(H, W, 3\) or \(H, W, 1\) bytes, got \("):
             rtabmap.extract(image)
 
 
@@ -230,12 +230,12 @@ LOOP = '{"frame": "a/8", "reason": "accepted", "candidate": "a/0"}'
 @pytest.mark.parametrize(
     ("stdin", "message"),
     [
-        (LOOP, "wanted one image of frame 'a/8' in {images}, got none"),
+        (LOOP, "expected one image of frame 'a/8' in {images}, got none"),
         (LOOP.replace("a/8", "b/1"), "frame 'b/1' in {images}, got b/1.jpg and b/1.png"),
-        (f"{LOOP}\nnothing", "line 2: wanted JSON of `ssrvlad query --json` or"),
-        ('{"query": "a/8"}', "line 1: wanted JSON"),
-        ('{"candidates": [3]}', "line 1: wanted JSON"),
-        ("7", "line 1: wanted JSON"),
+        (f"{LOOP}\nnothing", "line 2: expected JSON of `ssrvlad query --json` or"),
+        ('{"query": "a/8"}', "line 1: expected JSON"),
+        ('{"candidates": [3]}', "line 1: expected JSON"),
+        ("7", "line 1: expected JSON"),
         ('{"frame": "c/x y", "reason": "accepted", "candidate": "c/x y"}', "white space, got 'c/x"),
     ],
 )

@@ -84,11 +84,11 @@ def test_wrong_use_is_one_line(place, town, tmp_path):
         ((head,), "usage"),
         ((tmp_path / "none.onnx", labels), "none.onnx"),
         ((head, tmp_path / "none.npy"), "cannot be read"),
-        ((head, base), "wanted an (H, W) map"),
+        ((head, base), "expected an (H, W) map"),
         ((head, tmp_path / "cut.npy"), "the length does not fit"),
         ((head, tmp_path / "strange.npy"), "20 pixels have an id outside"),
         ((head, tmp_path / "wide.npy"), "takes uint8 labels, got <i8"),
-        ((head, labels, labels), "wanted (R, 480) float32"),
+        ((head, labels, labels), "expected (R, 480) float32"),
         ((head, labels, base, "many"), "TOP"),
     ]:
         code, _, errors = place(*arguments)

@@ -101,10 +101,10 @@ def objects(out):
     return [json.loads(line) for line in out.splitlines()]
 
 
-def assert_same_answers(got, wanted):
+def assert_same_answers(got, expected):
     """Scores may differ in their last digits."""
-    assert len(got) == len(wanted)
-    for one, other in zip(got, wanted, strict=True):
+    assert len(got) == len(expected)
+    for one, other in zip(got, expected, strict=True):
         assert [*one] == [*other]
         for name in ("frame", "reason", "candidate"):
             assert one[name] == other[name], one["frame"]
@@ -122,12 +122,12 @@ def both(stream, config):
     chosen = {name: getattr(config, name) for name in script.Settings._fields}
     theirs = script.Detector(script.Settings(**chosen))
     ours = LoopDetector(config, HEAD)
-    got, wanted = [], []
+    got, expected = [], []
     for number, (swept, sequence) in enumerate(zip(*stream, strict=True)):
         got.append(theirs.update(f"{sequence}/{number}", swept)._asdict())
         record = FrameRecord(sequence, str(number))
-        wanted.append(ours.observe(record, torch.from_numpy(swept))._asdict())
-    return got, wanted
+        expected.append(ours.observe(record, torch.from_numpy(swept))._asdict())
+    return got, expected
 
 
 @settings(max_examples=100, deadline=None)
@@ -149,19 +149,19 @@ def test_it_follows_the_rules_of_the_package(stream, config):
 @pytest.mark.parametrize("anchors", [1, 3])
 def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors):
     monkeypatch.setattr(script, "BLOCK_ROWS", 16)
-    got, wanted = both(noisy_stream(2, 300, 40, [100], anchors), LoopConfig(exclude=5))
-    sure = [row for row, line in enumerate(wanted) if line["reason"].value == "accepted"]
+    got, expected = both(noisy_stream(2, 300, 40, [100], anchors), LoopConfig(exclude=5))
+    sure = [row for row, line in enumerate(expected) if line["reason"].value == "accepted"]
     assert len(sure) > 50
-    assert_same_answers([got[row] for row in sure], [wanted[row] for row in sure])
+    assert_same_answers([got[row] for row in sure], [expected[row] for row in sure])
 
 
 @pytest.mark.parametrize("live", [False, True])
 def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, live):
     """Over a folder, and name by name, the next only once the last is answered."""
-    wanted = objects(
+    expected = objects(
         ssrvlad("loops", drive, "--labels-as", "camvid-11", *SETTINGS, "--no-sweep", "--json")[1]
     )
-    assert sum(line["reason"] == "accepted" for line in wanted) == 6
+    assert sum(line["reason"] == "accepted" for line in expected) == 6
     process = alone(head, "-" if live else drive, *SETTINGS)
     with process:
         lines = []
@@ -171,7 +171,7 @@ def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, 
             lines.append(process.stdout.readline())
         out, err = process.communicate()
     assert (process.returncode, err) == (0, b"")
-    assert_same_answers(objects(b"".join(lines) + out), wanted)
+    assert_same_answers(objects(b"".join(lines) + out), expected)
 
 
 def test_images_in_loops_out(tmp_path, drive, run):
@@ -197,9 +197,9 @@ def test_images_in_loops_out(tmp_path, drive, run):
         Image.fromarray(colours).save(path)
     code, out, err = run(tmp_path / "place.onnx", tmp_path / "photos", *SETTINGS)
     assert (code, err) == (0, [])
-    wanted = LoopDetector(LoopConfig(exclude=5, threshold=0.7, sweep=False), HEAD)
+    expected = LoopDetector(LoopConfig(exclude=5, threshold=0.7, sweep=False), HEAD)
     for number, (seed, line) in enumerate(zip(SEEDS, objects(out), strict=True)):
-        result = wanted.update(street(seed) % 3, f"photos/{number:02d}")
+        result = expected.update(street(seed) % 3, f"photos/{number:02d}")
         assert_same_answers([line], [result._asdict()])
 
 
@@ -211,7 +211,7 @@ def test_a_bad_frame_is_refused_and_the_stream_goes_on(head, drive, run):
     assert err[0].startswith(f"{drive / '07.png'}: ")
     assert err[1].endswith("pixels have an id outside label space camvid-11")
     assert err[2].endswith("frame drive/03 was there before")
-    assert err[3] == "refused 3 of 55 frames"
+    assert err[3] == "skipped 3 of 55 frames"
 
 
 def test_wrong_use_is_one_line(head, drive, tmp_path, run):
@@ -219,7 +219,7 @@ def test_wrong_use_is_one_line(head, drive, tmp_path, run):
     assert (code, out) == (2, "")
     assert error.startswith("loops_onnx: ")
     code, _, (error,) = run(head, tmp_path / "nowhere")
-    assert (code, error) == (2, f"loops_onnx: {tmp_path / 'nowhere'} holds no frames; wanted "
+    assert (code, error) == (2, f"loops_onnx: {tmp_path / 'nowhere'} holds no frames; expected "
                              ".npy, .png, .tif, .tiff, .bmp, .jpg, .jpeg files")  # fmt: skip
     for wrong in (("-", drive), (drive, "--exclude", -1), (drive, "--threshold", 2)):
         code, _, errors = run(head, *wrong)

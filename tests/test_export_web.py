@@ -154,9 +154,9 @@ def smooth_parts(targets, view, number):
     """Each target is the projection of the histogram on the basis, of one scale for all."""
     config = CONFIGS["default"]
     basis = basis_table(config.rings, config.sectors, config.harmonics, 0.0)
-    wanted = (view.histograms.bins[number].flatten(1) @ basis.T @ basis).numpy()
-    scale = np.linalg.norm(wanted) / np.linalg.norm(targets)
-    np.testing.assert_allclose(targets * scale, wanted, atol=1e-5)
+    expected = (view.histograms.bins[number].flatten(1) @ basis.T @ basis).numpy()
+    scale = np.linalg.norm(expected) / np.linalg.norm(targets)
+    np.testing.assert_allclose(targets * scale, expected, atol=1e-5)
 
 
 def residuals(targets, view, number):
@@ -217,7 +217,7 @@ def test_label_pictures_are_read_bit_by_bit(page, site):
         found = page.run(reading(name))
         np.testing.assert_array_equal(np.array(found).reshape(pixels.shape), pixels, name)
     write_png(site / "colour.png", np.zeros((2, 2, 3), int), COLOUR, 8)
-    with pytest.raises(AssertionError, match="wanted a PNG of gray"):
+    with pytest.raises(AssertionError, match="expected a PNG of gray"):
         page.run(reading("colour"))
 
 

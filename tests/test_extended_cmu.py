@@ -177,12 +177,12 @@ def test_headings(tmp_path, quaternion, heading):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("a.jpg 1 0 0 0 1 2", "line 3: wanted 7 numbers, got 6"),
-        ("a.jpg 1 0 0 0 1 2 3 4", "line 3: wanted 7 numbers, got 8"),
-        ("a.jpg", "line 3: wanted 7 numbers, got 0"),
+        ("a.jpg 1 0 0 0 1 2", "line 3: expected 7 numbers, got 6"),
+        ("a.jpg 1 0 0 0 1 2 3 4", "line 3: expected 7 numbers, got 8"),
+        ("a.jpg", "line 3: expected 7 numbers, got 0"),
         ("a.jpg 1 0 0 0 east 2 3", "line 3: .*'east'"),
         ("a.jpg 0 0 0 0 1 2 3", "line 3: .* is no rotation"),
-        ("\x00\x01\x02", "line 3: wanted 7 numbers"),
+        ("\x00\x01\x02", "line 3: expected 7 numbers"),
     ],
 )
 def test_damaged_lists_are_refused_by_file_and_line(tmp_path, line, message):

@@ -16,8 +16,8 @@ def noise(seed, *shape):
 
 def test_gray_is_that_of_pillow():
     image = noise(0, 300, 400, 3)
-    wanted = np.asarray(Image.fromarray(image).convert("L"))
-    np.testing.assert_array_equal(gray(torch.from_numpy(image)[None])[0].numpy(), wanted)
+    expected = np.asarray(Image.fromarray(image).convert("L"))
+    np.testing.assert_array_equal(gray(torch.from_numpy(image)[None])[0].numpy(), expected)
 
 
 def test_gray_of_the_corners_of_the_colour_cube():
@@ -46,8 +46,8 @@ def test_resize_is_that_of_opencv(before, after):
     found = resize(torch.from_numpy(pictures), *after)
     assert (found.shape, found.dtype) == ((2, *after), torch.uint8)
     for picture, resized in zip(pictures, found, strict=True):
-        wanted = cv2.resize(picture, after[::-1], interpolation=cv2.INTER_LINEAR)
-        np.testing.assert_array_equal(resized.numpy(), wanted.reshape(after))
+        expected = cv2.resize(picture, after[::-1], interpolation=cv2.INTER_LINEAR)
+        np.testing.assert_array_equal(resized.numpy(), expected.reshape(after))
 
 
 def test_resize_to_the_same_size_changes_nothing():

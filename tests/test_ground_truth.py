@@ -47,8 +47,8 @@ def test_headings_are_compared_the_shorter_way_round():
     references = np.column_stack((np.zeros((7, 2)), there))
     here = np.radians([0, 2, 90 + 720, 270])
     queries = np.column_stack((np.zeros((4, 2)), here))
-    wanted = [[0, 1, 4, 6], [0, 1, 6], [2], [5]]
-    assert as_lists(from_poses(queries, references, 1, degrees=10)) == wanted
+    expected = [[0, 1, 4, 6], [0, 1, 6], [2], [5]]
+    assert as_lists(from_poses(queries, references, 1, degrees=10)) == expected
     assert as_lists(from_poses(queries[:1], references, 1, degrees=180)) == [[*range(7)]]
     assert as_lists(from_poses(queries[2:3], references, 1, degrees=0)) == [[2]]
 
@@ -140,7 +140,7 @@ FRAMES = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 120)), min_siz
 def test_frame_numbers_equal_a_loop(queries, references, reach):
     references += [("a", 1000), ("b", 1000)]
     drives = {name: sorted({n for s, n in queries + references if s == name}) for name in "ab"}
-    wanted = [
+    expected = [
         [
             row
             for row, (there, number) in enumerate(references)
@@ -150,4 +150,4 @@ def test_frame_numbers_equal_a_loop(queries, references, reach):
         for here, asked in queries
     ]
     ids = [[f"{sequence}/{number}" for sequence, number in f] for f in (queries, references)]
-    assert as_lists(from_frame_numbers(*ids, reach)) == wanted
+    assert as_lists(from_frame_numbers(*ids, reach)) == expected

@@ -38,11 +38,11 @@ def test_hog_is_that_of_scikit_image(seed):
 def test_cell_histograms_equal_a_loop():
     rng = np.random.default_rng(0)
     bins, votes = rng.integers(0, 5, (2, 32, 48)), rng.random((2, 32, 48)).astype(np.float32)
-    wanted = np.zeros((2, 2, 3, 5))
+    expected = np.zeros((2, 2, 3, 5))
     for b, y, x in np.ndindex(bins.shape):
-        wanted[b, y // CELL, x // CELL, bins[b, y, x]] += votes[b, y, x]
+        expected[b, y // CELL, x // CELL, bins[b, y, x]] += votes[b, y, x]
     found = cell_histograms(torch.from_numpy(bins), torch.from_numpy(votes), 5)
-    np.testing.assert_allclose(found.numpy(), wanted, rtol=1e-5)
+    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5)
 
 
 def test_central_differences_are_zero_at_the_border():

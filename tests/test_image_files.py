@@ -143,7 +143,7 @@ def test_palette_images_show_their_colours(transparency):
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (b"", "is no image file; wanted JPEG, PNG, WEBP, BMP, TIFF, PPM or .npy"),
+        (b"", "is no image file; expected JPEG, PNG, WEBP, BMP, TIFF, PPM or .npy"),
         (b"hello", "is no image file"),
         (b"%!PS-Adobe-3.0 EPSF-3.0\n", "is no image file"),
         (encoded(SMOOTH[..., 0].astype(np.float32), "TIFF"), "8 or 16 bits .* got mode F"),
@@ -210,7 +210,7 @@ def test_a_row_has_the_bytes_of_the_file_that_it_would_be_alone(tmp_path):
 )
 def test_arrays_that_are_no_images(tmp_path, array):
     np.save(tmp_path / "a.npy", array)
-    with pytest.raises(ValueError, match=r"wanted an \(H, W, 3\) uint8 image, got"):
+    with pytest.raises(ValueError, match=r"expected an \(H, W, 3\) uint8 image, got"):
         read(tmp_path / "a.npy")
 
 
@@ -240,7 +240,7 @@ def test_images_are_found_as_label_maps_are(tmp_path):
 
 def test_a_folder_without_images_says_so(tmp_path):
     (tmp_path / "a.txt").touch()
-    with pytest.raises(ValueError, match=rf"holds no images; wanted {SUFFIXES[0]}, "):
+    with pytest.raises(ValueError, match=rf"holds no images; expected {SUFFIXES[0]}, "):
         find_image_files([str(tmp_path)])
 
 

@@ -150,7 +150,7 @@ def test_sixteen_bit_colour_outside_png_is_refused_rather_than_read_as_void(tmp_
         cv2.imwrite(str(tmp_path / "a.tif"), pixels)
     else:
         (tmp_path / "a.tif").write_bytes(raw_tiff(pixels, order))
-    with pytest.raises(ValueError, match="would be read scaled; wanted"):
+    with pytest.raises(ValueError, match="would be read scaled; expected"):
         read(tmp_path / "a.tif")
 
 
@@ -338,9 +338,9 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
     touch(*(folder / name for name in ("f10.png", "f2.png", "f1.tif", "f3.PNG", "f01.bmp")))
     touch(folder / "notes.txt", folder / "poses", folder / "below" / "f5.png")
     (folder / "f6.png").mkdir()
-    wanted = ["monday/f01", "monday/f1", "monday/f2", "monday/f3", "monday/f10"]
-    assert ids(find_label_files([str(folder)])) == wanted
-    assert ids(find_label_files([f"{folder}/"])) == wanted
+    expected = ["monday/f01", "monday/f1", "monday/f2", "monday/f3", "monday/f10"]
+    assert ids(find_label_files([str(folder)])) == expected
+    assert ids(find_label_files([f"{folder}/"])) == expected
 
 
 def test_hidden_files_and_halves_are_no_frames(tmp_path):
@@ -356,7 +356,7 @@ def test_weird_names_are_kept(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("source", "wanted"),
+    ("source", "expected"),
     [
         (".", "monday/1"),
         ("./", "monday/1"),
@@ -368,11 +368,11 @@ def test_weird_names_are_kept(tmp_path):
         ("../tuesday/../monday", "monday/1"),
     ],
 )
-def test_a_relative_folder_gives_its_real_name(tmp_path, monkeypatch, source, wanted):
+def test_a_relative_folder_gives_its_real_name(tmp_path, monkeypatch, source, expected):
     maps = tmp_path / "maps"
     touch(maps / "monday" / "1.png", maps / "2.png", maps / "tuesday" / "3.png")
     monkeypatch.chdir(maps / "monday")
-    assert ids(find_label_files([source])) == [wanted]
+    assert ids(find_label_files([source])) == [expected]
 
 
 def test_a_link_to_a_folder_gives_its_own_name(tmp_path):
@@ -468,7 +468,7 @@ def test_one_frame_of_two_formats_is_refused(tmp_path):
     [
         ("missing", "missing does not exist and matches no file"),
         ("missing/*.png", "does not exist and matches no file"),
-        ("empty", r"empty holds no label maps; wanted \.png"),
+        ("empty", r"empty holds no label maps; expected \.png"),
         ("others", "others holds no label maps"),
         ("others/a.txt", "a.txt holds no label maps"),
         ("others/*", "holds no label maps"),

@@ -26,8 +26,8 @@ def plain(labels, rows, columns):
                 top, bottom = row * height // rows, math.ceil((row + 1) * height / rows)
                 left, right = column * width // columns, math.ceil((column + 1) * width / columns)
                 cell = labels[top:bottom, left:right].ravel()
-                share = sum(category[int(pixel)] == name for pixel in cell) / len(cell)
-                numbers.append(math.sqrt(share))
+                fraction = sum(category[int(pixel)] == name for pixel in cell) / len(cell)
+                numbers.append(math.sqrt(fraction))
     length = math.hypot(*numbers)
     return np.array(numbers) / (length or 1)
 
@@ -46,10 +46,10 @@ def test_the_label_grid_equals_a_loop(size, grid):
 def test_sky_above_road_by_hand():
     labels = np.array([[SKY] * 4] * 2 + [[ROAD, ROAD, ROAD, CAR]] * 2, np.uint8)
     found = make("label-grid", rows=2, columns=2).encode_query([frame(labels)])[0].view(8, 2, 2)
-    wanted = torch.zeros(8, 2, 2)
-    wanted[CATEGORIES.index("sky"), 0] = 1
-    wanted[CATEGORIES.index("ground"), 1] = torch.tensor([1.0, 0.5**0.5])
-    torch.testing.assert_close(found, wanted / 3.5**0.5)
+    expected = torch.zeros(8, 2, 2)
+    expected[CATEGORIES.index("sky"), 0] = 1
+    expected[CATEGORIES.index("ground"), 1] = torch.tensor([1.0, 0.5**0.5])
+    torch.testing.assert_close(found, expected / 3.5**0.5)
 
 
 def test_an_image_without_a_category_matches_nothing():

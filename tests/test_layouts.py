@@ -1,4 +1,4 @@
-"""Opening data sets: recognising layouts, and saying what was wanted."""
+"""Opening data sets: recognising layouts, and saying what was expected."""
 
 import pytest
 from trees import plant, write
@@ -36,7 +36,7 @@ def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tm
     with pytest.raises(ValueError, match="is not in the layout extended-cmu") as refusal:
         open_dataset(tmp_path, "extended-cmu")
     assert str(refusal.value) == (
-        f"{tmp_path} is not in the layout extended-cmu: wanted slice*/database/*.jpg and "
+        f"{tmp_path} is not in the layout extended-cmu: expected slice*/database/*.jpg and "
         "slice*/query/*.jpg; found intrinsics.txt, slice7/images, slice10/images; the data set is "
         "at visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)"
     )
@@ -44,14 +44,16 @@ def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tm
 
 def test_what_no_layout_knows_is_refused_with_all_that_are_known(tmp_path):
     write(tmp_path / "a" / "b" / "c.txt", "")
-    with pytest.raises(ValueError, match="in no known layout; found a/b; wanted one of") as refusal:
+    with pytest.raises(
+        ValueError, match="in no known layout; found a/b; expected one of"
+    ) as raised:
         open_dataset(tmp_path)
-    assert all(f"{layout.name}: {layout.wanted}" in str(refusal.value) for layout in LAYOUTS)
-    assert "\n" not in str(refusal.value)
+    assert all(f"{layout.name}: {layout.expected}" in str(raised.value) for layout in LAYOUTS)
+    assert "\n" not in str(raised.value)
 
 
 def test_an_empty_folder_holds_nothing(tmp_path):
-    with pytest.raises(ValueError, match=r"folders: wanted folders .* found nothing$"):
+    with pytest.raises(ValueError, match=r"folders: expected folders .* found nothing$"):
         open_dataset(tmp_path, "folders")
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="found empty/; "):
@@ -59,14 +61,14 @@ def test_an_empty_folder_holds_nothing(tmp_path):
 
 
 def test_a_strange_layout_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="unknown layout 'kitti'; wanted one of extended-cmu, rob"):
+    with pytest.raises(ValueError, match="unknown layout 'kitti'; expected one of extended-cmu"):
         open_dataset(tmp_path, "kitti")
 
 
 @pytest.mark.parametrize("name", ["nowhere", "file"])
 def test_what_is_no_folder_is_refused(tmp_path, name):
     (tmp_path / "file").touch()
-    with pytest.raises(ValueError, match=f"{name} is no folder; wanted the folder of a data set"):
+    with pytest.raises(ValueError, match=f"{name} is no folder; expected the folder of a data set"):
         open_dataset(tmp_path / name)
 
 

@@ -31,9 +31,9 @@ def test_scores_are_those_of_standardised_descriptors(stream):
     query = torch.from_numpy(swept[-1:]) - mean
     if min(known.norm(dim=1).min(), query.norm(dim=2).min()) < 0.05:
         return  # the directions of such differences are mostly rounding
-    wanted = score(query.float(), known.float())[0]
+    expected = score(query.float(), known.float())[0]
     got = fed(swept[:-1, centre]).scores(swept[-1])
-    np.testing.assert_allclose(got, wanted, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-4)
 
 
 def test_one_anchor_gives_what_standardise_gives():

@@ -173,7 +173,7 @@ def test_names_on_stdin_are_the_same_stream(loops, drive):
     assert loops("-", "--json", "--tolerance-metres", 5, stdin=spaced) == by_folder
 
 
-def test_a_bad_frame_is_refused_and_the_stream_goes_on(loops, drive):
+def test_a_bad_frame_is_skipped_and_the_stream_goes_on(loops, drive):
     """Damaged, no picture, an unknown id, missing, a folder, and one that was there before."""
     paths = sorted(map(str, drive.glob("*.png")))
     (drive / "damaged.png").write_bytes((drive / "03.png").read_bytes()[:60])
@@ -185,16 +185,16 @@ def test_a_bad_frame_is_refused_and_the_stream_goes_on(loops, drive):
     assert code == 3, err
     assert accepted(objects(out)) == LOOPS
     assert len(objects(out)) == 54
-    refused = [line.split(": ")[1] for line in err]
-    assert refused[:4] == [
+    skipped = [line.split(": ")[1] for line in err]
+    assert skipped[:4] == [
         f"skipped drive/{name}" for name in ("damaged", "text", "strange", "gone")
     ]
-    assert refused[5] == "skipped drive/00"
+    assert skipped[5] == "skipped drive/00"
     assert "was there before" in err[5]
-    assert len(refused) == 6
+    assert len(skipped) == 6
 
 
-def test_a_damaged_poses_file_refuses_its_frames(loops, drive):
+def test_a_damaged_poses_file_skips_its_frames(loops, drive):
     (drive / "poses.csv").write_text("frame,x,y\ndrive/00,here,0\n")
     code, out, err = loops("-", "--json", stdin=f"{drive / '00.png'}\n".encode())
     assert (code, out, len(err)) == (3, "", 1)
@@ -307,7 +307,7 @@ def test_a_stream_that_was_killed_goes_on_from_its_last_checkpoint(drive, tmp_pa
     assert len(Database.open(tmp_path / "db")) == 54
 
 
-def test_what_a_detector_refuses_is_a_refusal(drive):
+def test_what_a_detector_cannot_take_is_skipped(drive):
     detector = LoopDetector(LoopConfig(), SSRVLAD.from_preset("default", labels_as="camvid-11"))
     names = [str(drive / "00.png")]
     results = list(detect_loops(detector, encode_as_they_come(detector, [*names, *names])))

@@ -70,8 +70,8 @@ def test_a_query_is_the_equations_on_what_the_network_saw(method):
     for row, frame in zip(found.descriptors, frames(3), strict=True):
         features, probabilities, labels = seen(frame)
         means = [mean_feature(features, labels, s) for s in SEEN]
-        wanted = described(features, probabilities, means)
-        np.testing.assert_allclose(row.numpy(), wanted, atol=1e-5)
+        expected = described(features, probabilities, means)
+        np.testing.assert_allclose(row.numpy(), expected, atol=1e-5)
 
 
 def test_references_take_means_over_15_frames_of_their_sequence(method):
@@ -83,8 +83,8 @@ def test_references_take_means_over_15_frames_of_their_sequence(method):
         labels = np.concatenate([part[2] for part in parts])
         means = [mean_feature(together, labels, s) for s in SEEN]
         features, probabilities, _ = seen(drives[i])
-        wanted = described(features, probabilities, means)
-        np.testing.assert_allclose(found.descriptors[i].numpy(), wanted, atol=1e-5)
+        expected = described(features, probabilities, means)
+        np.testing.assert_allclose(found.descriptors[i].numpy(), expected, atol=1e-5)
 
 
 def test_key_points_are_the_strongest_places_with_their_classes(method):

@@ -160,8 +160,8 @@ def test_temporal_sum_equals_a_loop(lengths, reach, seed):
     descriptors = rng.uniform(0.1, 1, (len(sequences), 5)).astype(np.float32)
     descriptors[rng.random(len(sequences)) < 0.2] = 0
     summed = temporal_sum(descriptors, sequences, reach)
-    wanted = plain_temporal_sum(descriptors.astype(np.float64), sequences, reach)
-    np.testing.assert_allclose(summed.numpy(), wanted, rtol=0, atol=1e-6)
+    expected = plain_temporal_sum(descriptors.astype(np.float64), sequences, reach)
+    np.testing.assert_allclose(summed.numpy(), expected, rtol=0, atol=1e-6)
     assert summed.dtype == torch.float32
 
 

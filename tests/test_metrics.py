@@ -22,14 +22,14 @@ def rows(*matches):
 
 
 @pytest.mark.parametrize(
-    ("n", "wanted"),
+    ("n", "expected"),
     [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)],
 )
-def test_recall_rate_by_hand(n, wanted):
+def test_recall_rate_by_hand(n, expected):
     """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
     indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])
     truth = rows([5], [6, 100], [7], [])
-    assert recall_rate(indices, truth, n) == pytest.approx(wanted)
+    assert recall_rate(indices, truth, n) == pytest.approx(expected)
 
 
 def test_recall_rate_counts_a_query_once():
@@ -134,7 +134,7 @@ HANDMADE = {
 
 
 @pytest.mark.parametrize(
-    ("convention", "wanted"),
+    ("convention", "expected"),
     [
         (
             "exact",
@@ -160,10 +160,10 @@ HANDMADE = {
         ),
     ],
 )
-def test_conventions_by_hand(convention, wanted):
+def test_conventions_by_hand(convention, expected):
     metrics = evaluate(**HANDMADE, at=(1,), convention=convention)
     assert metrics["convention"] == convention
-    for name, figure in wanted.items():
+    for name, figure in expected.items():
         assert metrics[name] == pytest.approx(figure), name
 
 
@@ -196,8 +196,8 @@ def test_no_convention_stumbles_over_nothing(convention, resamples):
     no_candidate = math.nan if convention == "vpr-bench" else 0.0
     assert results[2]["auc_pr"] == pytest.approx(no_candidate, nan_ok=True)
     equal = {"exact": 1 / 4, "vpr-bench": 3 / 4, "vpr-tutorial": 2 / 3}
-    wanted = equal.get(convention, (1 + 1 / 2) / 2 * (1 / 2))
-    assert results[3]["auc_pr"] == pytest.approx(wanted)
+    expected = equal.get(convention, (1 + 1 / 2) / 2 * (1 / 2))
+    assert results[3]["auc_pr"] == pytest.approx(expected)
 
 
 def test_the_tutorial_has_no_figures_that_it_does_not_define():

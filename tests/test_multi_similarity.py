@@ -26,12 +26,12 @@ def test_the_formula(settings):
     kind = torch.randint(0, 3, (5, 7), generator=torch.Generator().manual_seed(1))
     kind[0], kind[1] = 0, 2  # a query of which nothing is the same, one of which nothing is known
     found = multi_similarity(similarity, kind == 1, kind == 0, *settings)
-    wanted = plainly(similarity.tolist(), (kind == 1).tolist(), (kind == 0).tolist(), *settings)
-    assert float(found) == pytest.approx(wanted)
+    expected = plainly(similarity.tolist(), (kind == 1).tolist(), (kind == 0).tolist(), *settings)
+    assert float(found) == pytest.approx(expected)
     everything = multi_similarity(similarity, kind == 1, None, *settings)
     others = (kind != 1).tolist()
-    wanted = plainly(similarity.tolist(), (kind == 1).tolist(), others, *settings)
-    assert float(everything) == pytest.approx(wanted)
+    expected = plainly(similarity.tolist(), (kind == 1).tolist(), others, *settings)
+    assert float(everything) == pytest.approx(expected)
 
 
 def test_gradients():

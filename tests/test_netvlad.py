@@ -40,8 +40,8 @@ def test_it_is_the_network_on_each_frame(checkpoint):
     found = method.encode_query(frames)
     assert found.shape == (3, 32768)
     with torch.no_grad():
-        wanted = [network(torch.tensor(f.image).permute(2, 0, 1)[None])[0] for f in frames]
-    torch.testing.assert_close(found, torch.stack(wanted))
+        expected = [network(torch.tensor(f.image).permute(2, 0, 1)[None])[0] for f in frames]
+    torch.testing.assert_close(found, torch.stack(expected))
     assert torch.equal(method.encode_reference(frames), found)
     scores = method.scores(found, found[:2])
     torch.testing.assert_close(scores, found @ found[:2].T)

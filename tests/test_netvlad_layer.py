@@ -29,8 +29,8 @@ def test_it_is_equation_4(seed):
     layer = NetVLADLayer(clusters=4, channels=5).double()
     maps = torch.randn(2, 5, 3, 4, dtype=torch.float64)
     w, b = layer.conv.weight.flatten(1).numpy(), layer.conv.bias.numpy()
-    wanted = [described(m, w, b, layer.centroids.numpy()) for m in maps.numpy()]
-    np.testing.assert_allclose(layer(maps).numpy(), wanted, rtol=1e-9)
+    expected = [described(m, w, b, layer.centroids.numpy()) for m in maps.numpy()]
+    np.testing.assert_allclose(layer(maps).numpy(), expected, rtol=1e-9)
 
 
 def test_the_published_size():

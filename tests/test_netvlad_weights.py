@@ -127,8 +127,8 @@ def test_whitening_of_matlab_goes_channel_by_channel(tmp_path):
     matlab = np.array([vlad[k, d] for d in range(WIDTHS[-1]) for k in range(CLUSTERS)])
     by_centre = array(source.whiten.weight).reshape(OUTPUTS, CLUSTERS, WIDTHS[-1])
     matrix = by_centre.transpose(2, 1, 0).reshape(-1, OUTPUTS)
-    wanted = unit(matlab @ matrix + array(source.whiten.bias))
-    np.testing.assert_allclose(found(image)[0].numpy(), wanted, rtol=1e-4, atol=1e-6)
+    expected = unit(matlab @ matrix + array(source.whiten.bias))
+    np.testing.assert_allclose(found(image)[0].numpy(), expected, rtol=1e-4, atol=1e-6)
 
 
 def test_a_missing_layer_is_named(tmp_path):

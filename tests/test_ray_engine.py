@@ -46,9 +46,9 @@ def same_as_local(path, files):
     """Whether a database holds what the local engine makes of the same files."""
     local = Database.create(path.with_name("local"), HEAD.config)
     encode_to_database(HEAD, files, local, EncodeOptions(workers=0))
-    wanted, found = local.load(), Database.open(path).load()
-    assert found.frames == wanted.frames
-    assert torch.equal(found.descriptors, wanted.descriptors)
+    expected, found = local.load(), Database.open(path).load()
+    assert found.frames == expected.frames
+    assert torch.equal(found.descriptors, expected.descriptors)
     rows = [repr(sorted(database.known().values())) for database in (Database.open(path), local)]
     assert rows[0] == rows[1]
 

@@ -60,8 +60,8 @@ def test_it_is_vlad_of_the_regions(folder):
     words = np.load(folder / "region_vlad_vocabulary.npy")
     for row, regions in zip(found, RegionFeatures(folder)(images()), strict=True):
         assert regions.shape == (400, 384)
-        wanted = described(regions.double().numpy(), words)
-        np.testing.assert_allclose(row.numpy(), wanted, atol=1e-5)
+        expected = described(regions.double().numpy(), words)
+        np.testing.assert_allclose(row.numpy(), expected, atol=1e-5)
     assert torch.equal(method.encode_reference(frames()), found)
     torch.testing.assert_close(method.scores(found, found).diagonal(), torch.ones(2))
     assert method.encode_query([]).shape == (0, 256 * 384)

@@ -19,14 +19,14 @@ def test_a_hand_worked_case():
             [[0.5, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 3.0, 3.0]],
         ]
     )
-    wanted = [
+    expected = [
         [5.5, 3.0],
         [5.5, 6.0],
         [2.1 + 0.9 + 1.9 + 2.6, 1.0],
         [1.9, 0.0],
     ]
-    torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(wanted))
-    torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(wanted[:3]))
+    torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(expected))
+    torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(expected[:3]))
 
 
 def authors_way(maps: np.ndarray, count: int) -> np.ndarray:
@@ -72,6 +72,6 @@ def test_equal_energies_come_in_the_order_of_maps_rows_and_columns():
     marks = maps[:1] * torch.arange(81.0).reshape(1, 9, 9) / 2  # a map that tells the places
     found = region_descriptors(torch.cat([maps, marks / 100]), 300)
     place = (100 * found[:, -1]).round().long()
-    wanted = (maps > 0)[:12].nonzero()
-    assert torch.equal(place, wanted[:, 1] * 9 + wanted[:, 2])
-    assert len(wanted) == len(found) == 300
+    expected = (maps > 0)[:12].nonzero()
+    assert torch.equal(place, expected[:, 1] * 9 + expected[:, 2])
+    assert len(expected) == len(found) == 300

@@ -55,7 +55,7 @@ def test_what_has_changed_is_encoded_anew_and_what_is_gone_is_skipped(folder, tm
 
 
 def test_what_holds_no_frames_is_refused(folder, tmp_path):
-    with pytest.raises(ValueError, match=r"deeper holds no label maps; wanted \.png"):
+    with pytest.raises(ValueError, match=r"deeper holds no label maps; expected \.png"):
         find_label_files([(folder / "deeper").as_uri()])
     with pytest.raises(FileNotFoundError, match="none"):
         find_label_files([(tmp_path / "none").as_uri()])

@@ -23,8 +23,8 @@ from ssrvlad_torch.evaluation.report.page import (
     MATCHES_OF_A_KIND,
     MOST_STEPS,
     figures,
+    fraction,
     render,
-    share,
 )
 from ssrvlad_torch.taxonomy import CATEGORIES, colourise
 
@@ -83,8 +83,8 @@ def test_it_fits_a_phone_and_both_themes(page):
     assert metas["viewport"] == "width=device-width, initial-scale=1"
     assert metas["color-scheme"] == "light dark"
     style = next(text for around, text in page.texts if around[-1] == "style")
-    for wanted in ("prefers-color-scheme: dark", "max-width: 700px", "@media print"):
-        assert wanted in style
+    for expected in ("prefers-color-scheme: dark", "max-width: 700px", "@media print"):
+        assert expected in style
 
 
 def test_it_tells_every_figure_with_its_interval(report, page):
@@ -92,25 +92,25 @@ def test_it_tells_every_figure_with_its_interval(report, page):
     assert "Convention exact" in page.words
     assert "2 of 42 are left out" in page.words
     for name, value, ends in figures(report.metrics):
-        assert f"{name} {share(value)} {share(*ends)}" in page.words
+        assert f"{name} {fraction(value)} {fraction(*ends)}" in page.words
 
 
 def test_it_tells_every_threshold(report, page):
     points = report.metrics["thresholds"]
-    wanted = [
+    expected = [
         ("precision 99\N{NO-BREAK SPACE}%", points["at_precision"]["0.99"]),
         ("precision 100\N{NO-BREAK SPACE}%", points["at_precision"]["1"]),
         ("recall 50\N{NO-BREAK SPACE}%", points["at_recall"]["0.5"]),
         ("suggested", points["suggested"]),
     ]
     texts = [text for around, text in page.texts if around[-1] in ("th", "td")]
-    for name, point in wanted:
+    for name, point in expected:
         row = texts[texts.index(name) :][1:6]
         if point is None:
             assert row == ["none", *["\N{EN DASH}"] * 4]
         else:
-            shares = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
-            assert row == [f"{point['score']:.4f}", *shares, str(point["accepted"])]
+            fractions = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
+            assert row == [f"{point['score']:.4f}", *fractions, str(point["accepted"])]
     assert points["at_precision"]["1"]
     assert points["suggested"]
 

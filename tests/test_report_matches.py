@@ -86,4 +86,4 @@ def test_the_table_tells_what_leads_to_the_wrong_place():
     assert "sky 0.800 0.8000 0.040" in page.words
     assert "sum 0.800 0.2000 0.400" in page.words
     widths = [a["style"] for a in page.all("td", "lead")]
-    assert widths[:2] == ["--share:75%", "--share:100%"]
+    assert widths[:2] == ["--fraction:75%", "--fraction:100%"]

@@ -19,11 +19,11 @@ def test_rates_and_intervals_are_those_of_the_metrics(convention, of_all):
     scores, indices = (best.numpy() for best in found)
     truth = [np.array([row] if row % 5 else [], np.int64) for row in range(80)]
     n = range(1, 31)
-    wanted = evaluate(scores, indices, truth, at=n, convention=convention, resamples=70)
+    expected = evaluate(scores, indices, truth, at=n, convention=convention, resamples=70)
     rates = recall_rates(judge(scores, indices, truth), 30, of_all, resamples=70)
     assert rates.n.tolist() == [*n]
-    np.testing.assert_allclose(rates.rate, [wanted["recall_at"][str(k)] for k in n], atol=1e-12)
-    ends = np.array([wanted["intervals"]["recall_at"][str(k)] for k in n])
+    np.testing.assert_allclose(rates.rate, [expected["recall_at"][str(k)] for k in n], atol=1e-12)
+    ends = np.array([expected["intervals"]["recall_at"][str(k)] for k in n])
     np.testing.assert_allclose(np.stack((rates.low, rates.high), 1), ends, atol=1e-12)
     assert 0 < rates.rate[0] < rates.rate[-1] < 1
 

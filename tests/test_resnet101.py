@@ -47,5 +47,5 @@ def test_a_block_is_three_convolutions_beside_a_shortcut(channels, stride):
     first, _, second, _, third = block.residual
     changes = (channels, stride) != (8, 1)
     beside = layer(block.shortcut, x) if changes else x
-    wanted = relu(layer(third, relu(layer(second, relu(layer(first, x))))) + beside)
-    np.testing.assert_allclose(block(image[None])[0].numpy(), wanted, rtol=1e-9, atol=1e-12)
+    expected = relu(layer(third, relu(layer(second, relu(layer(first, x))))) + beside)
+    np.testing.assert_allclose(block(image[None])[0].numpy(), expected, rtol=1e-9, atol=1e-12)

@@ -160,7 +160,7 @@ def test_the_header_may_hold_a_calibration_and_the_points_are_not_read(tmp_path)
         (["NVM_V3"], "holds no number of cameras"),
         (["NVM_V3", "", "many"], "line 3: .*'many'"),
         (["NVM_V3", "", "2", camera("a", 1, 2)], "line 4: the file ends 1 cameras too soon"),
-        (["NVM_V3", "", "1", "a 400 1 0 0 0 1 2"], "line 4: wanted 10 numbers, got 7"),
+        (["NVM_V3", "", "1", "a 400 1 0 0 0 1 2"], "line 4: expected 10 numbers, got 7"),
         (["NVM_V3", "", "1", camera("a", "x", 2)], "line 4: .*'x'"),
         (["NVM_V3", "", "1", camera("a", 1, 2, "0 0 0 0")], "line 4: .* is no rotation"),
     ],
@@ -175,7 +175,10 @@ def test_damaged_models_are_refused_by_file_and_line(tmp_path, lines, message):
 
 @pytest.mark.parametrize(
     ("line", "message"),
-    [("a.png 1 2 3", "line 2: wanted 16 numbers, got 3"), ("a.png " + "x " * 16, "line 2: .*'x'")],
+    [
+        ("a.png 1 2 3", "line 2: expected 16 numbers, got 3"),
+        ("a.png " + "x " * 16, "line 2: .*'x'"),
+    ],
 )
 def test_damaged_poses_of_version_2_are_refused(tmp_path, line, message):
     path = write(tmp_path / "train.txt", [matrix("b.png", 1, 2), line])

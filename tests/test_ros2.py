@@ -85,7 +85,7 @@ def test_names_of_ones_own_are_given_a_meaning():
     table = label_table.LabelTable(class_map, meanings)
     got = categories(table(np.array([[0, 1, 2]], np.uint8)), "cityscapes-ids")
     assert got.tolist() == [[CATEGORIES.index("ground"), 8, 8]]
-    with pytest.raises(ValueError, match="unknown category 'street'; wanted one of ground, "):
+    with pytest.raises(ValueError, match="unknown category 'street'; expected one of ground, "):
         label_table.LabelTable(class_map, {"asphalt": "street"})
 
 
@@ -134,10 +134,10 @@ def test_images_are_read_whatever_their_rows_and_bytes(encoding, padding, big):
 def test_images_of_another_form_are_refused():
     image = picture(np.zeros((3, 4), int))
     for changes, message in (
-        ({"encoding": "rgb8"}, "encoding 'rgb8'; wanted one of mono8, 8UC1, mono16, 16UC1"),
-        ({"step": 3}, "12 bytes in rows of 3; wanted 3 rows of 4"),
-        ({"height": 4}, "12 bytes in rows of 4; wanted 4 rows of 4"),
-        ({"height": 0}, "wanted 0 rows of 4"),
+        ({"encoding": "rgb8"}, "encoding 'rgb8'; expected one of mono8, 8UC1, mono16, 16UC1"),
+        ({"step": 3}, "12 bytes in rows of 3; expected 3 rows of 4"),
+        ({"height": 4}, "12 bytes in rows of 4; expected 4 rows of 4"),
+        ({"height": 0}, "expected 0 rows of 4"),
     ):
         with pytest.raises(ValueError, match=message):
             live_loops.decode(SimpleNamespace(**{**vars(image), **changes}))
@@ -156,7 +156,7 @@ def test_the_heading_of_a_rotation(angle):
 def test_meanings_are_given_as_words():
     assert live_loops.meanings_of(["", "a=b=sky", "x=void"]) == {"a=b": "sky", "x": "void"}
     for word in ("sky", "=sky", "road="):
-        with pytest.raises(ValueError, match=f"wanted name=category, got '{word}'"):
+        with pytest.raises(ValueError, match=f"expected name=category, got '{word}'"):
             live_loops.meanings_of([word])
 
 
@@ -172,13 +172,13 @@ def test_it_finds_what_the_detector_finds():
     core = live_loops.LiveLoops(CONFIG, "monday")
     core.learn_labels(CAMVID)
     detector = LoopDetector(CONFIG, SSRVLAD.from_preset("default", labels_as="camvid-11"))
-    wanted = [
+    expected = [
         detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
         for number, seed in enumerate(SEEDS)
     ]
     got = seen(core)
     assert sum(line["reason"] == "accepted" for line in got) == 5
-    for line, result in zip(got, wanted, strict=True):
+    for line, result in zip(got, expected, strict=True):
         assert line == {**result._asdict(), "reason": result.reason.value}
 
 
@@ -206,7 +206,7 @@ def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     monkeypatch.setattr(live_loops, "CHECKPOINT_FRAMES", 6)
     whole = live_loops.LiveLoops(CONFIG)
     whole.learn_labels(CAMVID)
-    wanted = seen(whole)
+    expected = seen(whole)
     memory = tmp_path / "drive.ssrdb"
     first = live_loops.LiveLoops(CONFIG, memory=memory)
     first.learn_labels(CAMVID)
@@ -216,8 +216,8 @@ def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     second = live_loops.LiveLoops(CONFIG, memory=memory)
     second.learn_labels(CAMVID)
     got += seen(second, SEEDS[14:], 14)
-    assert [line["frame"] for line in got] == [line["frame"] for line in wanted]
-    assert got[-1]["candidate"] == wanted[-1]["candidate"]
+    assert [line["frame"] for line in got] == [line["frame"] for line in expected]
+    assert got[-1]["candidate"] == expected[-1]["candidate"]
     second.save()
     stored = Database.open(memory)
     assert stored.load().poses[3].tolist() == [3, -1, 0.5]
@@ -310,7 +310,7 @@ def test_the_node_passes_messages_on(node, monkeypatch, tmp_path):
     }
     hear = {topic: callback for topic, (_, callback, _) in made.listeners.items()}
     hear["labels"](stamped(street(0), 0))
-    assert made.said == ["frame refused: no table of labels has come yet"]
+    assert made.said == ["frame skipped: no table of labels has come yet"]
     classes = [SimpleNamespace(class_id=i, class_name=name) for i, name in CAMVID]
     hear["label_info"](SimpleNamespace(class_map=classes))
     hear["label_info"](SimpleNamespace(class_map=[]))

@@ -140,14 +140,14 @@ def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
     assert "carries no fingerprint" in warning
 
 
-def test_unknown_ids_are_counted_and_refused(head, maps, tmp_path, run):
+def test_unknown_ids_are_counted_and_skipped(head, maps, tmp_path, run):
     labels = np.zeros((20, 30), np.uint8)
     labels[3, :7] = 200
     Image.fromarray(labels).save(maps / "strange.png")
     code, out, errors = run(head, maps, "--save-descriptors", tmp_path / "out.npy")
     assert code == 3
     assert errors[0].endswith("7 of 600 pixels have an id outside label space camvid-11")
-    assert errors[1] == "refused 1 of 7 frames"
+    assert errors[1] == "skipped 1 of 7 frames"
     assert "strange" not in out + Path(f"{tmp_path / 'out.npy'}.frames.txt").read_text()
     assert len(np.load(tmp_path / "out.npy")) == 6
 
@@ -157,9 +157,9 @@ def test_unknown_ids_are_counted_and_refused(head, maps, tmp_path, run):
     [
         (np.full((5, 6), -1), "30 of 30 pixels have an id that is no uint8"),
         (np.full((5, 6), 256), "30 of 30 pixels have an id that is no uint8"),
-        (np.zeros((5, 6), np.float32), "wanted an (H, W) label map, got (5, 6) float32"),
-        (np.zeros((2, 5, 6), int), "wanted an (H, W) label map, got (2, 5, 6) int64"),
-        (np.zeros((0, 6), int), "wanted an (H, W) label map, got (0, 6) int64"),
+        (np.zeros((5, 6), np.float32), "expected an (H, W) label map, got (5, 6) float32"),
+        (np.zeros((2, 5, 6), int), "expected an (H, W) label map, got (2, 5, 6) int64"),
+        (np.zeros((0, 6), int), "expected an (H, W) label map, got (0, 6) int64"),
     ],
 )
 def test_arrays_that_are_no_label_map(head, tmp_path, run, labels, message):
@@ -174,7 +174,7 @@ def test_pictures_that_are_no_label_map(head, tmp_path, run):
     write_png(tmp_path / "c.png", np.zeros((5, 6), int), GRAY, 16)
     (tmp_path / "d.png").write_bytes((tmp_path / "c.png").read_bytes()[:40])
     code, out, errors = run(head, tmp_path / "a.png", *(tmp_path / f"{n}.png" for n in "bcd"))
-    assert (code, len(out.splitlines()), errors[-1]) == (3, 1, "refused 3 of 4 frames")
+    assert (code, len(out.splitlines()), errors[-1]) == (3, 1, "skipped 3 of 4 frames")
     assert "got RGB" in errors[0]
     assert "got L L;4" in errors[1]
 

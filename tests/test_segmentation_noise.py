@@ -80,5 +80,5 @@ def test_any_shape(shape):
 
 @pytest.mark.parametrize("strength", [-1.0, float("nan"), float("inf")])
 def test_bad_strength(strength):
-    with pytest.raises(ValueError, match=r"noise strength: got .*, wanted a finite number >= 0"):
+    with pytest.raises(ValueError, match=r"noise strength: got .*, expected a finite number >= 0"):
         SegmentationNoise(strength)

@@ -56,8 +56,8 @@ def test_neighbours_are_those_around_the_place_that_a_query_has(numbers, query, 
     found = [int(frame[2:]) for frame in references.frames[first:last]]
     below = sorted(n for n in numbers if n < query)
     above = sorted(n for n in numbers if n > query)
-    wanted = below[len(below) - min(reach, len(below)) :] + [query] * (query in numbers)
-    assert found == wanted + above[:reach]
+    expected = below[len(below) - min(reach, len(below)) :] + [query] * (query in numbers)
+    assert found == expected + above[:reach]
 
 
 def test_a_query_of_another_sequence_has_no_neighbours():
@@ -88,7 +88,7 @@ def test_what_is_not_allowed_is_no_candidate(seed, top):
 
 def test_limits_of_another_shape_are_refused():
     eye = torch.eye(3)
-    with pytest.raises(ValueError, match=r"where: wanted \(3,\) bool, got \(2,\)"):
+    with pytest.raises(ValueError, match=r"where: expected \(3,\) bool, got \(2,\)"):
         match(eye, eye, where=np.ones(2, bool))
-    with pytest.raises(ValueError, match=r"exclude: wanted \(3, 2\) rows, got \(3,\)"):
+    with pytest.raises(ValueError, match=r"exclude: expected \(3, 2\) rows, got \(3,\)"):
         match(eye, eye, exclude=np.zeros(3, int))

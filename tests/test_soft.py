@@ -148,15 +148,15 @@ def test_gradients_lead_to_another_place(preset):
     hard = SSRVLAD.from_preset(preset, labels_as=SPACE)
     twin = SoftSSRVLAD(hard.config)
     here, there = street(1, 24, 32), street(2, 24, 32)
-    wanted = hard(torch.from_numpy(there)[None])
+    expected = hard(torch.from_numpy(there)[None])
     given = (one_hot(here) * 2).requires_grad_()
-    before = cosine(hard(given.detach()), wanted)
+    before = cosine(hard(given.detach()), expected)
     optimiser = torch.optim.Adam([given], lr=0.1)
     for _ in range(30):
         optimiser.zero_grad()
-        (-(twin(given) * wanted).sum()).backward()
+        (-(twin(given) * expected).sum()).backward()
         optimiser.step()
-    assert cosine(hard(given.detach()), wanted) > before + 0.1
+    assert cosine(hard(given.detach()), expected) > before + 0.1
 
 
 def test_dtypes_and_shapes():

@@ -26,10 +26,10 @@ def cost(columns: tuple[np.ndarray, np.ndarray], distances: np.ndarray) -> float
 @pytest.mark.parametrize("seed", range(6))
 def test_the_authors_steps(seed):
     (x, y), distances = pairs(seed)
-    shares = distances / np.abs(distances).sum()
-    weights = shares.max() - shares
-    wanted = cosine(x * weights, y * weights) / np.linalg.norm(weights) / len(x)
-    assert cost((x, y), distances) == pytest.approx(wanted, rel=1e-9)
+    fractions = distances / np.abs(distances).sum()
+    weights = fractions.max() - fractions
+    expected = cosine(x * weights, y * weights) / np.linalg.norm(weights) / len(x)
+    assert cost((x, y), distances) == pytest.approx(expected, rel=1e-9)
 
 
 def test_the_same_order_costs_nothing_and_the_reverse_more_than_a_shuffle():

@@ -19,9 +19,9 @@ def frames(seeds, sequence="a"):
 def test_queries_are_encoded_as_the_head_does(preset):
     head = SSRVLAD.from_preset(preset, labels_as=SPACE)
     found = make("ssr-vlad", preset=preset).encode_query(iter(frames(range(20))))
-    wanted = head(torch.stack([torch.from_numpy(street(seed)) for seed in range(20)]))
+    expected = head(torch.stack([torch.from_numpy(street(seed)) for seed in range(20)]))
     assert (found.shape, found.dtype) == ((20, 480), torch.float32)
-    assert torch.equal(found, wanted)
+    assert torch.equal(found, expected)
 
 
 @pytest.mark.parametrize("temporal", [0, 1, 3])
@@ -29,8 +29,8 @@ def test_references_are_summed_inside_their_sequence(temporal):
     method = make("ssr-vlad", temporal=temporal)
     drives = [*frames(range(5), "a"), *frames(range(5, 9), "b")]
     single = method.encode_query(drives)
-    wanted = temporal_sum(single, ["a"] * 5 + ["b"] * 4, temporal)
-    assert torch.equal(method.encode_reference(iter(drives)), wanted)
+    expected = temporal_sum(single, ["a"] * 5 + ["b"] * 4, temporal)
+    assert torch.equal(method.encode_reference(iter(drives)), expected)
 
 
 def test_scores_are_those_of_match():
@@ -53,10 +53,10 @@ def test_frames_of_several_label_spaces_and_sizes_are_read_each_as_its_own():
     large = Frame("a/3", street(3, 48, 64), SPACE)
     mixed = [camvid, cityscapes, large, cityscapes, camvid]
     method = make("ssr-vlad")
-    wanted = torch.cat([method.encode_query([frame]) for frame in mixed])
-    assert torch.equal(method.encode_query(mixed), wanted)
+    expected = torch.cat([method.encode_query([frame]) for frame in mixed])
+    assert torch.equal(method.encode_query(mixed), expected)
     head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
-    assert torch.equal(wanted[1], head(torch.from_numpy(cityscapes.labels)[None])[0])
+    assert torch.equal(expected[1], head(torch.from_numpy(cityscapes.labels)[None])[0])
 
 
 def test_settings_of_the_method_are_taken():

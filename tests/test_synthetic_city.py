@@ -114,8 +114,8 @@ def test_without_traffic_nothing_dynamic_occurs():
 
 
 def test_more_traffic_shows_more_of_it():
-    shares = [np.isin(stack(drive(30, traffic=t)), list(DYNAMIC)).mean() for t in (0, 1, 3)]
-    assert shares[0] < shares[1] < shares[2]
+    fractions = [np.isin(stack(drive(30, traffic=t)), list(DYNAMIC)).mean() for t in (0, 1, 3)]
+    assert fractions[0] < fractions[1] < fractions[2]
 
 
 def test_winter_bares_the_trees_and_nothing_else():
@@ -316,11 +316,11 @@ def test_query_without_a_match_has_an_empty_list(tmp_path):
     ("call", "message"),
     [
         (lambda: SyntheticCity(-1), "seed: got -1"),
-        (lambda: SyntheticCity().traverse(0), "frames: got 0, wanted at least 1"),
+        (lambda: SyntheticCity().traverse(0), "frames: got 0, expected at least 1"),
         (lambda: SyntheticCity().traverse(1, size=(8, 64)), r"size: got \(8, 64\)"),
         (lambda: SyntheticCity().traverse(1, labels_as="camvid-11"), "labels_as: got 'camvid-11'"),
-        (lambda: Conditions(season="spring"), "season: got 'spring', wanted one of"),
-        (lambda: Conditions(spacing=0), "spacing: got 0, wanted metres > 0"),
+        (lambda: Conditions(season="spring"), "season: got 'spring', expected one of"),
+        (lambda: Conditions(spacing=0), "spacing: got 0, expected metres > 0"),
         (lambda: Conditions(traffic=-1), "traffic: got -1"),
         (lambda: Conditions(heading_jitter=-1), "heading_jitter: got -1"),
         (lambda: Conditions(lateral_offset=math.nan), "lateral_offset: got nan"),

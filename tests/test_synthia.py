@@ -79,8 +79,8 @@ def test_the_class_is_read_from_the_first_channel(tree):
 
 def test_a_season_is_encoded(tree):
     files = open_dataset(tree).select(["*-NIGHT-*"]).label_files()
-    frames, refused = encode_to_memory(SSRVLAD.from_preset("default", labels_as="synthia"), files)
-    assert refused == []
+    frames, skipped = encode_to_memory(SSRVLAD.from_preset("default", labels_as="synthia"), files)
+    assert skipped == []
     assert frames.frames[0] == "SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F/000000"
     np.testing.assert_allclose(frames.poses[:, :2], [[0, 10], [2, 10], [4, 10]])
     assert not frames.empty.any()
@@ -137,7 +137,7 @@ def test_a_matrix_may_be_written_in_lines(tmp_path):
 
 @pytest.mark.parametrize(
     ("text", "message"),
-    [("", "wanted 16 numbers, got 0"), ("1 " * 12, "got 12"), ("1 " * 15 + "x", "'x'")],
+    [("", "expected 16 numbers, got 0"), ("1 " * 12, "got 12"), ("1 " * 15 + "x", "'x'")],
 )
 def test_damaged_poses_are_refused_by_file(tree, text, message):
     path = tree / "SYNTHIA-SEQS-04-FALL" / "CameraParams" / FRONT / "000002.txt"

@@ -54,20 +54,20 @@ def test_points_that_are_never_reached():
     assert at_recall(empty, 0.5) is at_precision(empty, 0.99) is suggested(empty) is None
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.1, math.nan])
-def test_shares_beyond_their_range_are_refused(curve, share):
+@pytest.mark.parametrize("fraction", [-0.1, 1.1, math.nan])
+def test_fractions_beyond_their_range_are_refused(curve, fraction):
     for point in (at_precision, at_recall, suggested):
         with pytest.raises(ValueError, match="from 0 to 1"):
-            point(curve, share)
+            point(curve, fraction)
 
 
 def test_wilson_is_that_of_scipy():
     right, accepted = np.array([(r, n) for n in (1, 10, 73, 400) for r in (0, n // 2, n)], float).T
-    wanted = [
+    expected = [
         binomtest(int(r), int(n)).proportion_ci(0.95, "wilson").low
         for r, n in zip(right, accepted, strict=True)
     ]
-    np.testing.assert_allclose(wilson_low(right, accepted), wanted, atol=1e-12)
+    np.testing.assert_allclose(wilson_low(right, accepted), expected, atol=1e-12)
     assert wilson_low(np.zeros(1), np.zeros(1)) == 0
 
 
@@ -102,24 +102,24 @@ SCORES = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
 
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(SCORES, st.booleans()), min_size=1, max_size=30), st.floats(0.01, 1))
-def test_points_equal_a_search(queries, share):
+def test_points_equal_a_search(queries, fraction):
     scores = np.array([score for score, _ in queries])
     correct = np.array([right for _, right in queries])
     curve = precision_recall(scores, correct, len(queries))
     counts = {t: (correct[scores >= t].sum(), (scores >= t).sum()) for t in set(scores)}
-    precise = [t for t, (right, accepted) in counts.items() if right / accepted >= share]
-    found = [t for t, (right, _) in counts.items() if right / len(queries) >= share]
-    for point, wanted in (
-        (at_precision(curve, share), min(precise, default=None)),
-        (at_recall(curve, share), max(found, default=None)),
+    precise = [t for t, (right, accepted) in counts.items() if right / accepted >= fraction]
+    found = [t for t, (right, _) in counts.items() if right / len(queries) >= fraction]
+    for point, expected in (
+        (at_precision(curve, fraction), min(precise, default=None)),
+        (at_recall(curve, fraction), max(found, default=None)),
     ):
-        assert (point and point.score) == wanted
+        assert (point and point.score) == expected
         if point:
-            assert point.accepted == counts[wanted][1]
-            assert point.precision == pytest.approx(counts[wanted][0] / counts[wanted][1])
-    point = suggested(curve, share)
+            assert point.accepted == counts[expected][1]
+            assert point.precision == pytest.approx(counts[expected][0] / counts[expected][1])
+    point = suggested(curve, fraction)
     low = {t: float(wilson_low(np.array(r), np.array(n))) for t, (r, n) in counts.items()}
-    sure = [t for t in low if low[t] >= min(share, max(low.values()))]
+    sure = [t for t in low if low[t] >= min(fraction, max(low.values()))]
     assert (point is None) == (not correct.any())
     if point:
         assert (scores >= point.score).sum() == (scores > point.score).sum() == point.accepted

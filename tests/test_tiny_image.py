@@ -50,8 +50,8 @@ def test_the_picture_equals_a_loop():
     gray = np.random.default_rng(0).integers(0, 256, (64, 192), dtype=np.uint8)
     found = make("tiny-image").encode_query(frames([np.repeat(gray[..., None], 3, axis=2)]))
     assert (found.shape, found.dtype) == ((1, 64 * 32), torch.float32)
-    wanted = plain_picture(gray, 32, 64)
-    np.testing.assert_allclose(found.view(32, 64).numpy(), wanted, rtol=0, atol=1e-5)
+    expected = plain_picture(gray, 32, 64)
+    np.testing.assert_allclose(found.view(32, 64).numpy(), expected, rtol=0, atol=1e-5)
 
 
 def test_a_flat_patch_is_zero():
@@ -73,8 +73,8 @@ def test_normalisation_equals_a_loop(lengths, reach, seed):
     sequence = np.repeat(np.arange(len(lengths)), lengths).astype(np.int64)
     difference = np.random.default_rng(seed).uniform(0.2, 1.8, (3, len(sequence)))
     found = enhance(torch.from_numpy(difference), *windows(torch.from_numpy(sequence), reach))
-    wanted = plain_scores(difference, sequence, reach)
-    np.testing.assert_allclose(found.numpy(), wanted, rtol=0, atol=1e-4)
+    expected = plain_scores(difference, sequence, reach)
+    np.testing.assert_allclose(found.numpy(), expected, rtol=0, atol=1e-4)
 
 
 def test_windows_end_with_the_sequence():
@@ -96,8 +96,8 @@ def test_scores_equal_loops_whatever_the_block(reach, monkeypatch):
     there = np.stack([plain_picture(frame.image[..., 0], 32, 64) for frame in drives])
     here = np.stack([plain_picture(query[..., 0], 32, 64) for query in queries])
     difference = np.abs(here[:, None] - there).mean((2, 3))
-    wanted = plain_scores(difference, [frame.sequence for frame in drives], reach)
-    np.testing.assert_allclose(found.numpy(), wanted, rtol=0, atol=1e-3)
+    expected = plain_scores(difference, [frame.sequence for frame in drives], reach)
+    np.testing.assert_allclose(found.numpy(), expected, rtol=0, atol=1e-3)
     assert found[:3].argmax(1).tolist() == [1, 4, 8]
 
 

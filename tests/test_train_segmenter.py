@@ -240,7 +240,7 @@ def test_mirrored_views_are_mirrored(patch, problem):
 
 def test_drives_are_told_by_name(patch, camvid):
     data = load("_train_data", patch)
-    with pytest.raises(ValueError, match="no drive 'Seq05VD'; wanted one of 0001TP, 0016E5"):
+    with pytest.raises(ValueError, match="no drive 'Seq05VD'; expected one of 0001TP, 0016E5"):
         data.read_drive(camvid, "Seq05VD", SIZE)
 
 

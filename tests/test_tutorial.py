@@ -83,11 +83,11 @@ def test_what_cannot_match_is_the_least_similar():
     similarity = np.array([[0.9, -INF], [0.3, 0.1]])
     filled = np.array([[0.9, 0.1], [0.3, 0.1]])
     for matching in ("multi", "single"):
-        found, wanted = (
+        found, expected = (
             whole(count_pairs(matrix, rows([0], [1]), matching)) for matrix in (similarity, filled)
         )
-        np.testing.assert_array_equal(found.precision, wanted.precision)
-        np.testing.assert_array_equal(found.thresholds, wanted.thresholds)
+        np.testing.assert_array_equal(found.precision, expected.precision)
+        np.testing.assert_array_equal(found.thresholds, expected.thresholds)
 
 
 def test_float32_is_compared_as_it_is():

@@ -151,9 +151,9 @@ class TestFilling:
 
 def test_random_networks_are_the_same_and_leave_the_random_numbers_alone():
     torch.manual_seed(3)
-    wanted = torch.rand(1)
+    expected = torch.rand(1)
     torch.manual_seed(3)
     first, second = (random_network(lambda: nn.Linear(4, 4)) for _ in range(2))
     assert torch.equal(first.weight, second.weight)
     assert not first.training
-    assert torch.equal(torch.rand(1), wanted)
+    assert torch.equal(torch.rand(1), expected)

@@ -62,7 +62,7 @@ inline Array load(const std::string& path) {
   array.dtype = field(header, "'descr': *'([^']*)'");
   array.shape = numbers(field(header, "'shape': *\\(([^)]*)\\)"));
   if (field(header, "'fortran_order': *(True|False)") == "True")
-    throw std::runtime_error(path + ": wanted C order");
+    throw std::runtime_error(path + ": expected C order");
   array.bytes.assign(content.begin() + static_cast<std::ptrdiff_t>(begin + length), content.end());
   const std::size_t width = std::stoul(field(array.dtype, "[|<][a-z](\\d+)$"));
   if (array.bytes.size() != array.size() * width)

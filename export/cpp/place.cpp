@@ -40,7 +40,7 @@ npy::Array load_netpbm(const std::string& path, bool colour) {
   std::int64_t width = 0, height = 0, highest = 0;
   if (!(file >> magic >> width >> height >> highest) || magic != (colour ? "P6" : "P5") || highest > 255 ||
       width < 1 || height < 1)
-    throw std::runtime_error(path + ": wanted a binary " + (colour ? "PPM" : "PGM") +
+    throw std::runtime_error(path + ": expected a binary " + (colour ? "PPM" : "PGM") +
                              " of 8 bits without comments");
   file.get();
   npy::Array map{"|u1", {height, width}, std::vector<char>(width * height * (colour ? 3 : 1))};
@@ -58,7 +58,7 @@ bool ends_with(const std::string& text, const std::string& end) {
 npy::Array load_photo(const std::string& path) {
   auto photo = ends_with(path, ".ppm") ? load_netpbm(path, true) : npy::load(path);
   if (photo.shape.size() != 3 || photo.size() == 0 || photo.shape[2] != 3 || photo.dtype != "|u1")
-    throw std::runtime_error(path + ": wanted an (H, W, 3) photograph of uint8, got " +
+    throw std::runtime_error(path + ": expected an (H, W, 3) photograph of uint8, got " +
                              std::to_string(photo.shape.size()) + " axes of " + photo.dtype);
   return photo;
 }
@@ -66,7 +66,7 @@ npy::Array load_photo(const std::string& path) {
 npy::Array load_labels(const std::string& path) {
   auto map = ends_with(path, ".pgm") ? load_netpbm(path, false) : npy::load(path);
   if (map.shape.size() != 2 || map.size() == 0 || (map.dtype != "|u1" && map.dtype != "<i8"))
-    throw std::runtime_error(path + ": wanted an (H, W) map of uint8 or int64, got " +
+    throw std::runtime_error(path + ": expected an (H, W) map of uint8 or int64, got " +
                              std::to_string(map.shape.size()) + " axes of " + map.dtype);
   return map;
 }
@@ -82,7 +82,7 @@ class Head {
     photos_ = given.GetShape().size() == 4 && type == ONNX_TENSOR_ELEMENT_DATA_TYPE_UINT8;
     if (session_.GetInputCount() != 1 || (given.GetShape().size() != 3 && !photos_))
       throw std::runtime_error(path +
-                               ": wanted a file of `ssrvlad export --input labels` or `fuse`");
+                               ": expected a file of `ssrvlad export --input labels` or `fuse`");
     wide_ = type == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64;
     fingerprint_ = property("ssrvlad.fingerprint");
     if (fingerprint_.empty()) throw std::runtime_error(path + ": no metadata ssrvlad.fingerprint");
@@ -160,7 +160,7 @@ npy::Array load_database(const std::string& path, const Head& head, std::size_t 
   auto database = npy::load(path);
   if (database.dtype != "<f4" || database.shape.size() != 2 ||
       database.shape[1] != static_cast<std::int64_t>(length))
-    throw std::runtime_error(path + ": wanted (R, " + std::to_string(length) + ") float32");
+    throw std::runtime_error(path + ": expected (R, " + std::to_string(length) + ") float32");
   std::string carried;
   if (!(std::ifstream(path + ".fingerprint.txt") >> carried))
     std::cerr << path << " carries no fingerprint: whether it fits the model cannot be checked\n";
@@ -175,14 +175,14 @@ std::vector<std::string> load_frames(const std::string& path, std::size_t count)
   std::vector<std::string> frames;
   for (std::string line; std::getline(file, line);) frames.push_back(line);
   if (frames.size() != count)
-    throw std::runtime_error(path + ": wanted " + std::to_string(count) + " ids, got " +
+    throw std::runtime_error(path + ": expected " + std::to_string(count) + " ids, got " +
                              std::to_string(frames.size()));
   return frames;
 }
 
 std::size_t number(const std::string& text) {
   if (text.empty() || text.size() > 9 || text.find_first_not_of("0123456789") != text.npos)
-    throw std::runtime_error("TOP: wanted a number, got " + text);
+    throw std::runtime_error("TOP: expected a number, got " + text);
   return std::stoul(text);
 }
 

@@ -19,7 +19,7 @@ export class Database {
   /** ``[{frame, score}]``, the highest cosines (Eq. 4) first. A zero vector matches nothing. */
   search(query, top) {
     if (query.length !== this.length)
-      throw new Error(`wanted a database of ${query.length} numbers a frame, got ${this.length}`);
+      throw new Error(`expected a database of ${query.length} numbers a frame, got ${this.length}`);
     const own = Math.sqrt(product(query, query));
     return this.rows
       .map((row, at) => ({
@@ -40,12 +40,12 @@ function product(one, other) {
 
 function readArray(file) {
   const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
-  if (decoder.decode(file.subarray(1, 6)) !== "NUMPY") throw new Error("wanted a .npy file");
+  if (decoder.decode(file.subarray(1, 6)) !== "NUMPY") throw new Error("expected a .npy file");
   const [begin, length] = file[6] > 1 ? [12, view.getUint32(8, true)] : [10, view.getUint16(8, true)];
   const header = decoder.decode(file.subarray(begin, begin + length));
   const [, shape] = /'shape': \((\d+, \d+)\)/.exec(header) ?? [];
   if (!header.includes("'<f4'") || !header.includes("False") || !shape)
-    throw new Error("wanted an (R, D) float32 array in C order");
+    throw new Error("expected an (R, D) float32 array in C order");
   const sizes = shape.split(", ").map(Number);
   const content = file.slice(begin + length);
   if (content.length !== sizes[0] * sizes[1] * 4) throw new Error("the .npy file is cut short");

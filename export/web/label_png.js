@@ -7,7 +7,7 @@ const [GRAY, PALETTE] = [0, 3];
 /** ``{labels, height, width}``; labels are a Uint8Array, or a Uint16Array of a 16-bit file. */
 export async function readLabels(file) {
   const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
-  if (SIGNATURE.some((byte, at) => file[at] !== byte)) throw new Error("wanted a PNG");
+  if (SIGNATURE.some((byte, at) => file[at] !== byte)) throw new Error("expected a PNG");
   const parts = [];
   let header = null;
   for (let at = 8; at + 12 <= file.length; ) {
@@ -32,8 +32,8 @@ function headerOf(view, at) {
   const [width, height] = [view.getUint32(at), view.getUint32(at + 4)];
   const [bits, colour, , , interlaced] = Array.from({ length: 5 }, (_, i) => view.getUint8(at + 8 + i));
   const readable = colour === PALETTE || (colour === GRAY && bits >= 8);
-  if (!readable) throw new Error("wanted a PNG of gray of 8 or 16 bits, or of a palette");
-  if (interlaced) throw new Error("wanted a PNG that is not interlaced");
+  if (!readable) throw new Error("expected a PNG of gray of 8 or 16 bits, or of a palette");
+  if (interlaced) throw new Error("expected a PNG that is not interlaced");
   return { width, height, bits };
 }
 

@@ -44,7 +44,7 @@ async function openFiles(files) {
     open.database = new Database(files[array], frames, fingerprint);
   }
   if (frame) open.frame = { name: frame, bytes: files[frame] };
-  if (!model && !array && !frame) throw new Error("wanted .onnx, .npy with .txt, or picture files");
+  if (!model && !array && !frame) throw new Error("expected .onnx, .npy with .txt, or picture files");
   await describe();
 }
 

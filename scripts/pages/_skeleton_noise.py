@@ -109,7 +109,7 @@ class SkeletonPoints:
             ValueError: ``pixels`` is negative.
         """
         if pixels < 0:
-            raise ValueError(f"wanted a shift of 0 pixels or more, got {pixels}")
+            raise ValueError(f"expected a shift of 0 pixels or more, got {pixels}")
         drawn = torch.randint(
             -pixels, pixels + 1, (2, len(self.skeleton.group)), generator=generator
         )

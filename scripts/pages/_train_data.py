@@ -28,7 +28,7 @@ CLASSES = 11
 MEAN, STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 
 ZOOM = 0.25
-"""Largest share by which a view is wider or narrower, and moved."""
+"""Largest fraction by which a view is wider or narrower, and moved."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ def read_drive(root: Path, name: str, size: tuple[int, int]) -> Drive:
     """A drive of a CamVid folder, in any of its layouts; only frames with image and labels."""
     drives = {drive.name: drive for drive in open_dataset(root, "camvid").traverses}
     if name not in drives:
-        raise ValueError(f"{root} has no drive {name!r}; wanted one of {', '.join(drives)}")
+        raise ValueError(f"{root} has no drive {name!r}; expected one of {', '.join(drives)}")
     frames = [frame for frame in drives[name].frames if frame.image and frame.label]
     if not frames:
         raise ValueError(f"drive {name} of {root} has no frame with an image and a label map")

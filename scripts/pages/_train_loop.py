@@ -86,7 +86,7 @@ class _State:
     def load(self, path: Path) -> None:
         held = torch.load(path, weights_only=True)
         if held["run"] != self.run:
-            raise ValueError(f"{path} is of another run ({held['run']}); wanted {self.run}")
+            raise ValueError(f"{path} is of another run ({held['run']}); expected {self.run}")
         self.network.load_state_dict(held.pop("network"))
         self.optimiser.load_state_dict(held.pop("optimiser"))
         for name, value in held.items():

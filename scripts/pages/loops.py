@@ -142,12 +142,12 @@ def total(outcomes: Sequence[Outcome]) -> LoopScore:
 def intervals(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
     counts = np.array([outcome.score for outcome in outcomes], float)
 
-    def shares(drawn: np.ndarray) -> dict[str, np.ndarray]:
+    def fractions(drawn: np.ndarray) -> dict[str, np.ndarray]:
         accepted, right, revisits, recognised = (drawn @ counts).T
         with np.errstate(invalid="ignore"):
             return {"precision": right / accepted, "recall": recognised / revisits}
 
-    return bootstrap(shares, len(outcomes), RESAMPLES)
+    return bootstrap(fractions, len(outcomes), RESAMPLES)
 
 
 def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:

@@ -32,7 +32,7 @@ CONTROL = Phase("control", steps=200, rate=1e-3)
 PLACE = Phase("place", steps=200, rate=1e-3, place=2.0)
 
 VALIDATION = 0.15
-"""Share of the drive at its end that is kept from training."""
+"""Fraction of the drive at its end that is kept from training."""
 
 GAP = 3
 """Frames between those that are trained on and those that are validated on."""

@@ -142,9 +142,9 @@ def region_descriptors(pictures: Tensor) -> Tensor:
     along_x, along_y = sobel((pictures / brightest).sqrt())
     turn = torch.atan2(along_y, along_x) / (2 * torch.pi) % 1 * ORIENTATIONS
     lower, strength = turn.long(), (along_x + along_y).abs()
-    share = turn - lower
-    cells = cell_histograms(lower % ORIENTATIONS, strength * (1 - share), ORIENTATIONS)
-    cells += cell_histograms((lower + 1) % ORIENTATIONS, strength * share, ORIENTATIONS)
+    fraction = turn - lower
+    cells = cell_histograms(lower % ORIENTATIONS, strength * (1 - fraction), ORIENTATIONS)
+    cells += cell_histograms((lower + 1) % ORIENTATIONS, strength * fraction, ORIENTATIONS)
     blocks = (cells[:, :-1, :-1], cells[:, :-1, 1:], cells[:, 1:, :-1], cells[:, 1:, 1:])
     return F.normalize(torch.cat(blocks, -1).flatten(1, 2), dim=-1)
 

@@ -68,7 +68,7 @@ def _taps(before: int, after: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     centres = torch.arange(after, dtype=torch.float64) + 0.5
     place = (centres * (before / after) - 0.5).float()
     first = place.floor()
-    share = place - first
-    weights = [(part * _WEIGHT_UNIT).round().int() for part in (1 - share, share)]
+    fraction = place - first
+    weights = [(part * _WEIGHT_UNIT).round().int() for part in (1 - fraction, fraction)]
     places = [(first.long() + step).clamp(0, before - 1) for step in (0, 1)]
     return places[0], places[1], weights[0], weights[1]

@@ -123,7 +123,7 @@ def make(name: str, **settings: Any) -> Method:
         ValueError: no such method, or no such setting of it.
     """
     if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}; wanted one of {', '.join(METHODS)}")
+        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
     module, noun = METHODS[name]
     method: type[Method] = getattr(import_module(f".{module}", __package__), noun)
     try:

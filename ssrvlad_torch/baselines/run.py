@@ -37,7 +37,7 @@ class Retrieval:
         encode: encoding a query, without reading it from the disk.
         match: scoring a query against all references, without ranking them.
         bytes_a_reference: size of an encoded reference.
-        stepped: what the steps of `recognition` make of it, if they are wanted.
+        stepped: what the steps of `recognition` make of it, if they are asked for.
     """
 
     queries: tuple[str, ...]
@@ -81,7 +81,7 @@ def run(
             the method refuses.
     """
     if top < 1 or block < 1:
-        raise ValueError(f"wanted a top and a block of 1 or more, got {top} and {block}")
+        raise ValueError(f"expected a top and a block of 1 or more, got {top} and {block}")
     tell = progress or _tell_nobody
     reference_ids: list[str] = []
     query_ids: list[str] = []

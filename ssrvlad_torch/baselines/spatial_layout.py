@@ -32,8 +32,8 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     count = len(columns[0])
     if count < 2:
         return math.inf
-    shares = F.normalize(distances.double(), p=1, dim=0)
-    weights = shares.max() - shares
+    fractions = F.normalize(distances.double(), p=1, dim=0)
+    weights = fractions.max() - fractions
     if not bool(weights.any()):
         weights = torch.full_like(weights, 1 / count)
     one, other = (weights * side.double() for side in columns)

@@ -87,7 +87,7 @@ def train_vocabulary(
     """
     described = list(features(_images(Path(folder))))
     if not described:
-        raise ValueError(f"no images under {folder}; wanted files with {', '.join(_SUFFIXES)}")
+        raise ValueError(f"no images under {folder}; expected files with {', '.join(_SUFFIXES)}")
     centres = _cluster(torch.cat(described), words, seed)
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.save(file, centres.numpy())

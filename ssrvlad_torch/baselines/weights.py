@@ -39,7 +39,7 @@ def find_weights(given: str | Path | None, names: Sequence[str], origin: str) ->
         if path.is_file():
             return path
     raise FileNotFoundError(
-        f"no weights at {place}: wanted {' or '.join(names)}, published by {origin}; "
+        f"no weights at {place}: expected {' or '.join(names)}, published by {origin}; "
         f"put it into {weights_folder()}, or name the file or its folder"
     )
 

@@ -74,7 +74,7 @@ class Drives:
         whole = _told_apart(open_dataset(folder, name, labels.folder, labels.labels_as))
         if naming.odd_even:
             if naming.queries:
-                raise ValueError("--odd-even takes both of --references; wanted no --queries")
+                raise ValueError("--odd-even takes both of --references; expected no --queries")
             both = whole.select(naming.references)
             return cls(whole, _every_other(both, 0), _every_other(both, 1))
         references = whole.select(naming.references, None if naming.references else "reference")
@@ -87,7 +87,7 @@ class Drives:
             raise ValueError("--layout and --odd-even want the folder of a data set")
         if not naming.references or not naming.queries:
             raise ValueError(
-                "wanted the folder of a data set, or folders as --references and --queries"
+                "expected the folder of a data set, or folders as --references and --queries"
             )
         references, queries = (
             _joined([open_dataset(path, "folders", labels.folder, labels.labels_as) for path in p])

@@ -42,7 +42,7 @@ class Recognition:
     Attributes:
         references, queries: the frames.
         found: candidates of each query, `TOP` at least.
-        similarity: ``(Q, R)`` scores of all pairs, where they are wanted.
+        similarity: ``(Q, R)`` scores of all pairs, where they are needed.
         descriptors: of the queries and of the references, where a database has them.
         pictures: of the queries and of the references, by their ids.
         skipped: queries that could not be encoded.
@@ -152,5 +152,5 @@ def _thresholds(points: Mapping[str, Any]) -> Table:
 def _point(point: Mapping[str, Any] | None) -> list[str]:
     if point is None:
         return ["none"]
-    shares = [figure(point[key]) for key in ("precision", "precision_low", "recall")]
-    return [f"{point['score']:.4f}", *shares, str(point["accepted"])]
+    fractions = [figure(point[key]) for key in ("precision", "precision_low", "recall")]
+    return [f"{point['score']:.4f}", *fractions, str(point["accepted"])]

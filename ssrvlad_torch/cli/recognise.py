@@ -63,7 +63,7 @@ def by_database(
     Args:
         options: what is done with the descriptors. A convention that looks at all pairs looks at
             their cosines, and no step is taken.
-        page: the page that is wanted, if any.
+        page: the page to write, if any.
 
     Raises:
         ValueError: the database is empty or damaged, or there are no queries.
@@ -158,7 +158,7 @@ def by_method(
     method = make(given.method, {**parse_settings(given.settings or ()), **given.named})
     labelled = "labels" in method.needs
     if labelled and source.labels_as is None:
-        raise ValueError(f"method {method.name} reads label maps; wanted their --labels-as")
+        raise ValueError(f"method {method.name} reads label maps; expected their --labels-as")
     there = (find_label_files if labelled else find_image_files)([str(references)])
     here = source.label_files() if labelled else source.image_files()
     labels_as = source.labels_as if labelled else None
@@ -191,7 +191,7 @@ def takes(name: str, setting: str) -> bool:
         ValueError: no such method.
     """
     if name not in baselines.METHODS:
-        raise ValueError(f"unknown method {name!r}; wanted one of {', '.join(baselines.METHODS)}")
+        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(baselines.METHODS)}")
     module, noun = baselines.METHODS[name]
     method = getattr(import_module(f"..baselines.{module}", __package__), noun)
     return setting in signature(method).parameters
@@ -230,7 +230,7 @@ def recognise(
         method: what reads the files: label maps or images, as it needs.
         labels_as: label space of the label maps; of images ``None``.
         workers: threads that read ahead.
-        all_pairs: whether the scores of all pairs are wanted.
+        all_pairs: whether the scores of all pairs are needed.
         steps: what is done between encodings and a decision.
 
     Raises:

@@ -34,7 +34,7 @@ CANDIDATES = 100
 
 @dataclass(frozen=True)
 class Page:
-    """A page that is wanted.
+    """The page that was asked for.
 
     Attributes:
         path: the file.

@@ -60,7 +60,7 @@ class TrueMatches:
         given = sum(value is not None for value in (self.file, self.metres, self.frames))
         if given != 1:
             raise ValueError(
-                "wanted one of --ground-truth, --tolerance-metres and --tolerance-frames, "
+                "expected one of --ground-truth, --tolerance-metres and --tolerance-frames, "
                 f"got {given} of them"
             )
         if self.degrees is not None and self.metres is None:

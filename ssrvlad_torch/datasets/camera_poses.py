@@ -67,5 +67,5 @@ def parse_numbers(words: Sequence[str], count: int) -> list[float]:
         ValueError: there are more or fewer, or one is no number.
     """
     if len(words) != count:
-        raise ValueError(f"wanted {count} numbers, got {len(words)}")
+        raise ValueError(f"expected {count} numbers, got {len(words)}")
     return [float(word) for word in words]

@@ -45,7 +45,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     spaces = {pair.labels_as for pair in pairs}
     if len(spaces) > 1:
         raise ValueError(
-            f"{root} holds label maps of {' and '.join(sorted(spaces))}; wanted one layout only"
+            f"{root} holds label maps of {' and '.join(sorted(spaces))}; expected one layout only"
         )
     images: dict[str, dict[str, Path]] = {}
     labels: dict[str, dict[str, Path]] = {}

@@ -210,7 +210,7 @@ class Dataset:
         if all(frame.label is None for frame in found.frames):
             frame = next(self.frames)
             raise ValueError(
-                f"{folder} holds no label map of a frame of {self.root}; wanted, for example, "
+                f"{folder} holds no label map of a frame of {self.root}; expected, for example, "
                 f"{Path(folder) / frame.sequence / frame.name}.png"
             )
         return found
@@ -241,7 +241,7 @@ class Dataset:
         self, path: Callable[[Frame], Path | None], every: int, start: int
     ) -> list[FrameFile]:
         if every < 1 or start < 0:
-            raise ValueError(f"wanted every >= 1 and start >= 0, got {every} and {start}")
+            raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
         kept = []
         for traverse in self.traverses:
             files = [
@@ -261,7 +261,7 @@ class Layout(NamedTuple):
     Attributes:
         name: what users call it.
         origin: where the data set is to be had; empty for no data set in particular.
-        wanted: the folders and files that it is recognised by, in words.
+        expected: the folders and files that it is recognised by, in words.
         recognises: whether a folder is laid out so.
         read: the data set in a folder; the second argument is the label space that the user
             gave, if any.
@@ -269,7 +269,7 @@ class Layout(NamedTuple):
 
     name: str
     origin: str
-    wanted: str
+    expected: str
     recognises: Callable[[Path], bool]
     read: Callable[[Path, str | None], Dataset]
 

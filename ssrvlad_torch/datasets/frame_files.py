@@ -66,7 +66,7 @@ def find_frames(
         OSError: the folder of a URI cannot be read.
     """
     if every < 1 or start < 0:
-        raise ValueError(f"wanted every >= 1 and start >= 0, got {every} and {start}")
+        raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
     files = [file for source in sources for file in _expand(source, kind)]
     names = {} if sequence else names_of(dict.fromkeys(file.folder for file in files), known)
     found: dict[str, FrameFile] = {}
@@ -136,7 +136,7 @@ def _expand(source: str, kind: FileKind) -> list[FrameFile]:
         files = [file for place in places for file in _frames_at(place, kind)]
         if files:
             return files
-    raise ValueError(f"{source} holds no {kind.name}; wanted {', '.join(kind.suffixes)} files")
+    raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
 
 
 def _is_same(one: FrameFile, other: FrameFile) -> bool:
@@ -144,7 +144,7 @@ def _is_same(one: FrameFile, other: FrameFile) -> bool:
 
 
 def _frames_at(place: Path, kind: FileKind) -> Iterator[FrameFile]:
-    """The frames of a folder or a file. A link to nothing is a frame, refused when it is read."""
+    """The frames of a folder or a file. A link to nothing is a frame, skipped when it is read."""
     if not place.is_dir():
         yield from _frames(place, kind, absolute(place.parent), alone=True)
         return
@@ -169,7 +169,7 @@ def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[Fr
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:
     """Frames in a ``.npy`` stack; ``None`` for a single one or a file that cannot be read,
-    which is refused by name when its turn comes."""
+    which is named and skipped when its turn comes."""
     try:
         array = open_memmap(path, mode="r")
     except Exception:  # what damaged bytes raise has no bounds

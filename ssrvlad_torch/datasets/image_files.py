@@ -58,7 +58,7 @@ def decode_image(content: bytes) -> Pixels:
     try:
         return _decode_npy(content) if content.startswith(MAGIC_PREFIX) else _decode(content)
     except UnidentifiedImageError as error:
-        raise ValueError(f"is no image file; wanted {', '.join(_FORMATS)} or .npy") from error
+        raise ValueError(f"is no image file; expected {', '.join(_FORMATS)} or .npy") from error
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
         raise ValueError(one_line(error)) from error
 
@@ -77,7 +77,7 @@ def _decode_npy(content: bytes) -> Pixels:
         check_pixels(*shape[:2])
     array: npt.NDArray[Any] = np.load(io.BytesIO(content), allow_pickle=False)
     if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
-        raise ValueError(f"wanted an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
+        raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
     return array
 
 
@@ -91,7 +91,7 @@ def _decode(content: bytes) -> Pixels:
         image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
     elif image.mode not in _EIGHT_BIT:
         raise ValueError(
-            f"wanted an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
+            f"expected an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
         )
     if "transparency" in image.info:
         image = image.convert("RGBA")

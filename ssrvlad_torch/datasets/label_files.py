@@ -58,11 +58,11 @@ def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
         is_array = is_npy(file.path) or content.startswith(MAGIC_PREFIX)
         labels = _decode_npy(content) if is_array else _decode_image(content, space)
     except UnidentifiedImageError as error:
-        raise ValueError(f"cannot identify the image; wanted {', '.join(_FORMATS)}") from error
+        raise ValueError(f"cannot identify the image; expected {', '.join(_FORMATS)}") from error
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
         raise ValueError(one_line(error)) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
-        raise ValueError(f"wanted an (H, W) integer label map, got {labels.shape} {labels.dtype}")
+        raise ValueError(f"expected an (H, W) integer label map, got {labels.shape} {labels.dtype}")
     return _with_dtype_of_torch(labels)
 
 
@@ -97,7 +97,7 @@ def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
             return _first_of_sixteen_bit_channels(content, raw_mode)
         if image.mode in ("L", "LA", "RGB", "RGBA") and ";" in raw_mode:
             raise ValueError(
-                f"pixels stored as {raw_mode} would be read scaled; wanted gray of 8 or 16 bits, "
+                f"pixels stored as {raw_mode} would be read scaled; expected gray of 8 or 16 bits, "
                 "or colours of 8, or 16 in a PNG"
             )
         pixels = np.asarray(image)
@@ -107,7 +107,7 @@ def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
             return pixels[..., 0]
         if image.mode in ("RGB", "RGBA"):
             return _ids_of_colours(pixels[..., :3], space)
-        raise ValueError(f"wanted a label image, got an image of mode {image.mode}")
+        raise ValueError(f"expected a label image, got an image of mode {image.mode}")
 
 
 def _opened(content: bytes) -> ImageFile:

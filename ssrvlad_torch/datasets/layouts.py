@@ -50,7 +50,7 @@ def open_dataset(
     """
     root = Path(path)
     if not root.is_dir():
-        raise ValueError(f"{root} is no folder; wanted the folder of a data set")
+        raise ValueError(f"{root} is no folder; expected the folder of a data set")
     if labels is not None and labels_as is None:
         raise ValueError(f"the label maps in {labels} are of a label space that was not given")
     dataset = _choose(root, layout).read(root, labels_as)
@@ -63,19 +63,19 @@ def _choose(root: Path, name: str | None) -> Layout:
     if name is None:
         layout = next((layout for layout in LAYOUTS if layout.recognises(root)), None)
         if layout is None:
-            known = "; ".join(f"{layout.name}: {layout.wanted}" for layout in LAYOUTS)
+            known = "; ".join(f"{layout.name}: {layout.expected}" for layout in LAYOUTS)
             raise ValueError(
-                f"{root} is in no known layout; found {_found(root)}; wanted one of {known}"
+                f"{root} is in no known layout; found {_found(root)}; expected one of {known}"
             )
         return layout
     layout = next((layout for layout in LAYOUTS if layout.name == name), None)
     if layout is None:
         names = ", ".join(layout.name for layout in LAYOUTS)
-        raise ValueError(f"unknown layout {name!r}; wanted one of {names}")
+        raise ValueError(f"unknown layout {name!r}; expected one of {names}")
     if not layout.recognises(root):
         origin = f"; the data set is at {layout.origin}" if layout.origin else ""
         raise ValueError(
-            f"{root} is not in the layout {name}: wanted {layout.wanted}; found {_found(root)}"
+            f"{root} is not in the layout {name}: expected {layout.expected}; found {_found(root)}"
             f"{origin}"
         )
     return layout

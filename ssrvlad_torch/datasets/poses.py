@@ -37,7 +37,7 @@ def find_poses(folder: Path) -> dict[str, Pose]:
 def read_poses(path: Path) -> dict[str, Pose]:
     """Poses by frame, which is a frame's id ``<sequence>/<name>`` or its name alone.
 
-    The columns ``frame``, ``x`` and ``y`` are wanted, ``heading`` may be left out.
+    The columns ``frame``, ``x`` and ``y`` are needed, ``heading`` may be left out.
 
     Raises:
         ValueError: the file is no such table, a column is missing or a value is no number; the
@@ -48,7 +48,7 @@ def read_poses(path: Path) -> dict[str, Pose]:
         try:
             missing = {"frame", "x", "y"} - set(rows.fieldnames or ())
             if missing:
-                raise ValueError(f"no column {min(missing)!r}; wanted frame,x,y,heading")
+                raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
             return {row["frame"]: _pose(row) for row in rows}
         except (csv.Error, ValueError) as error:
             raise ValueError(f"{path} line {rows.line_num}: {error}") from error

@@ -33,5 +33,5 @@ def remote_files(folder: str, kind: str, suffixes: Sequence[str]) -> list[FrameF
             listed = f"{entry.size} {entry.mtime_ns}"
             found.append(RemoteFile("", path.stem, Path(path), folder=folder, listed=listed))
     if not found:
-        raise ValueError(f"{folder} holds no {kind}; wanted {', '.join(suffixes)} files")
+        raise ValueError(f"{folder} holds no {kind}; expected {', '.join(suffixes)} files")
     return found

@@ -42,7 +42,7 @@ class SegmentationNoise:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.strength) and self.strength >= 0):
-            raise ValueError(f"noise strength: got {self.strength}, wanted a finite number >= 0")
+            raise ValueError(f"noise strength: got {self.strength}, expected a finite number >= 0")
 
     def apply(self, labels: LabelMap, rng: np.random.Generator) -> LabelMap:
         """Return a noisy copy of a label map.
@@ -65,29 +65,29 @@ class SegmentationNoise:
         return noisy
 
 
-def _lose_poles(labels: LabelMap, share: float, rng: np.random.Generator) -> LabelMap:
-    """Fill thin things in a `share` of the image with the nearest other label to their left."""
-    lost = np.isin(labels, THIN_IDS) & _regions(rng, labels.shape, share, cells=8)
+def _lose_poles(labels: LabelMap, fraction: float, rng: np.random.Generator) -> LabelMap:
+    """Fill thin things in a `fraction` of the image with the nearest other label to their left."""
+    lost = np.isin(labels, THIN_IDS) & _regions(rng, labels.shape, fraction, cells=8)
     lost[:, 0] = False
     columns = np.arange(labels.shape[1])
     source = np.maximum.accumulate(np.where(lost, 0, columns), axis=1)
     return np.take_along_axis(labels, source, axis=1)
 
 
-def _confuse(labels: LabelMap, share: float, rng: np.random.Generator) -> LabelMap:
-    """Rename classes to similar ones in a `share` of the image."""
+def _confuse(labels: LabelMap, fraction: float, rng: np.random.Generator) -> LabelMap:
+    """Rename classes to similar ones in a `fraction` of the image."""
     rename = np.arange(256, dtype=np.uint8)
     rename[list(CONFUSED_WITH)] = list(CONFUSED_WITH.values())
-    return np.where(_regions(rng, labels.shape, share, cells=5), rename[labels], labels)
+    return np.where(_regions(rng, labels.shape, fraction, cells=5), rename[labels], labels)
 
 
-def _add_blobs(labels: LabelMap, share: float, rng: np.random.Generator) -> LabelMap:
-    """Paint blobs of random classes over a `share` of the image."""
+def _add_blobs(labels: LabelMap, fraction: float, rng: np.random.Generator) -> LabelMap:
+    """Paint blobs of random classes over a `fraction` of the image."""
     classes = rng.choice(np.array(BLOB_IDS, np.uint8), size=(4, 4))
     painted = np.asarray(
         Image.fromarray(classes).resize(labels.shape[::-1], Image.Resampling.NEAREST)
     )
-    return np.where(_regions(rng, labels.shape, share, cells=10), painted, labels)
+    return np.where(_regions(rng, labels.shape, fraction, cells=10), painted, labels)
 
 
 def _wobble(labels: LabelMap, amplitude: float, rng: np.random.Generator) -> LabelMap:
@@ -107,11 +107,13 @@ def _wobble(labels: LabelMap, amplitude: float, rng: np.random.Generator) -> Lab
 
 
 def _regions(
-    rng: np.random.Generator, shape: tuple[int, ...], share: float, cells: int
+    rng: np.random.Generator, shape: tuple[int, ...], fraction: float, cells: int
 ) -> NDArray[np.bool_]:
-    """Smooth random regions that cover a `share` (clipped to 0..1) of the image."""
+    """Smooth random regions that cover a `fraction` (clipped to 0..1) of the image."""
     field = _smooth_field(rng, shape, cells)
-    return field <= np.quantile(field, min(share, 1.0)) if share > 0 else np.zeros(shape, bool)
+    return (
+        field <= np.quantile(field, min(fraction, 1.0)) if fraction > 0 else np.zeros(shape, bool)
+    )
 
 
 def _smooth_field(

@@ -88,7 +88,7 @@ class Describer:
         return [results[place] for place in range(len(items))]
 
     def _describe(self, batch: Sequence[Item]) -> list[Described | Skipped]:
-        """Describes frames of one size and dtype; if the batch is refused, one by one."""
+        """Describes frames of one size and dtype; if the batch fails, one by one."""
         try:
             stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
             descriptors = self.head(stack.to(_device(self.head))).cpu().numpy()

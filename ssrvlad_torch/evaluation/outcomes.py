@@ -54,7 +54,7 @@ def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) ->
     check_candidates(indices, truth)
     if scores.shape != indices.shape or indices.shape[1] == 0:
         raise ValueError(
-            "wanted scores and indices of one shape (Q, top) with top >= 1, "
+            "expected scores and indices of one shape (Q, top) with top >= 1, "
             f"got {scores.shape} and {indices.shape}"
         )
     refuse_nan(scores, "scores of candidates")
@@ -80,7 +80,7 @@ def check_candidates(indices: Rows, truth: Truth) -> None:
     """Refuses candidates that are not ``(Q, top)`` for the queries of the ground truth."""
     if indices.ndim != 2 or len(indices) != len(truth):
         raise ValueError(
-            f"wanted (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
+            f"expected (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
         )
 
 

@@ -44,7 +44,7 @@ def at_precision(curve: PrecisionRecall, precision: float) -> OperatingPoint | N
     Raises:
         ValueError: ``precision`` is not in 0 to 1.
     """
-    _check_share("precision", precision)
+    _check_fraction("precision", precision)
     reached = np.flatnonzero(curve.precision >= precision)
     return _point(curve, int(reached[-1])) if len(reached) else None
 
@@ -59,7 +59,7 @@ def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
     Raises:
         ValueError: ``recall`` is not in 0 to 1.
     """
-    _check_share("recall", recall)
+    _check_fraction("recall", recall)
     reached = np.flatnonzero(curve.recall >= recall)
     return _point(curve, int(reached[0])) if len(reached) else None
 
@@ -85,7 +85,7 @@ def suggested(curve: PrecisionRecall, precision: float = SURE_PRECISION) -> Oper
     Raises:
         ValueError: ``precision`` is not in 0 to 1.
     """
-    _check_share("precision", precision)
+    _check_fraction("precision", precision)
     low = wilson_low(curve.true_positives, curve.accepted)
     if not low.max(initial=0.0):
         return None
@@ -121,16 +121,16 @@ def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) 
 
 
 def wilson_low(right: Floats, accepted: Floats) -> Floats:
-    """Lower end of Wilson's interval of a share, `LEVEL` wide (Wilson, JASA 1927).
+    """Lower end of Wilson's interval of a fraction, `LEVEL` wide (Wilson, JASA 1927).
 
     Args:
-        right, accepted: counts; the share is ``right / accepted``. 0 of 0 gives 0.
+        right, accepted: counts; the fraction is ``right / accepted``. 0 of 0 gives 0.
     """
     z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
     n = np.maximum(accepted, 1)
-    share = right / n
-    spread = np.sqrt(z2 * share * (1 - share) / n + (z2 / n / 2) ** 2)
-    return np.maximum((share + z2 / n / 2 - spread) / (1 + z2 / n), 0.0)
+    fraction = right / n
+    spread = np.sqrt(z2 * fraction * (1 - fraction) / n + (z2 / n / 2) ** 2)
+    return np.maximum((fraction + z2 / n / 2 - spread) / (1 + z2 / n), 0.0)
 
 
 def _point(curve: PrecisionRecall, place: int) -> OperatingPoint:
@@ -155,6 +155,6 @@ def _mapping(point: OperatingPoint | None) -> dict[str, Any] | None:
     return None if point is None else point._asdict()
 
 
-def _check_share(name: str, share: float) -> None:
-    if not 0 <= share <= 1:
-        raise ValueError(f"wanted a {name} from 0 to 1, got {share}")
+def _check_fraction(name: str, fraction: float) -> None:
+    if not 0 <= fraction <= 1:
+        raise ValueError(f"expected a {name} from 0 to 1, got {fraction}")

@@ -78,7 +78,7 @@ def count_pairs(
         raise ValueError(f"matching must be one of {', '.join(MATCHINGS)}, got {matching!r}")
     if similarity.ndim != 2 or len(similarity) != len(truth):
         raise ValueError(
-            f"wanted a (Q, R) similarity matrix for {len(truth)} queries, got {similarity.shape}"
+            f"expected a (Q, R) similarity matrix for {len(truth)} queries, got {similarity.shape}"
         )
     refuse_nan(similarity, "similarities")
     true = truth_matrix(truth, similarity.shape[1])

@@ -106,7 +106,7 @@ def encode_as_they_come(
 def detect_loops(
     detector: LoopDetector, frames: Iterable[Encoded | Skipped], database: Database | None = None
 ) -> Generator[LoopResult | Skipped]:
-    """Shows frames to a detector, in order; a frame that it does not take is refused.
+    """Shows frames to a detector, in order; a frame that it cannot use is skipped.
 
     Args:
         detector: goes on from what it knows.

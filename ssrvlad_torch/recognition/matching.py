@@ -128,7 +128,7 @@ def temporal_sum(
     single = torch.as_tensor(descriptors).float()
     if len(sequences) != len(single):
         raise ValueError(
-            f"wanted a sequence for each of {len(single)} frames, got {len(sequences)}"
+            f"expected a sequence for each of {len(single)} frames, got {len(sequences)}"
         )
     if reach < 0:
         raise ValueError(f"the temporal reach must be 0 or more frames, got {reach}")
@@ -214,16 +214,16 @@ def _limits(
     allowed = None if where is None else torch.as_tensor(where)
     ranges = None if exclude is None else torch.as_tensor(exclude)
     if allowed is not None and (allowed.shape != (references,) or allowed.dtype != torch.bool):
-        raise ValueError(f"where: wanted ({references},) bool, got {tuple(allowed.shape)}")
+        raise ValueError(f"where: expected ({references},) bool, got {tuple(allowed.shape)}")
     if ranges is not None and ranges.shape != (queries, 2):
-        raise ValueError(f"exclude: wanted ({queries}, 2) rows, got {tuple(ranges.shape)}")
+        raise ValueError(f"exclude: expected ({queries}, 2) rows, got {tuple(ranges.shape)}")
     return allowed, ranges
 
 
 def _check(queries: Tensor, references: Tensor, top: int) -> None:
     if queries.ndim != 2 or references.ndim != 2 or queries.shape[1] != references.shape[1]:
         raise ValueError(
-            "wanted queries (Q, D) and references (R, D) of one width D, "
+            "expected queries (Q, D) and references (R, D) of one width D, "
             f"got {tuple(queries.shape)} and {tuple(references.shape)}"
         )
     if top < 1:

@@ -90,6 +90,6 @@ def _plain(name: str) -> str:
 
 def _category(name: str) -> str:
     if name not in (*CATEGORIES, DYNAMIC, VOID):
-        wanted = ", ".join((*CATEGORIES, DYNAMIC, VOID))
-        raise ValueError(f"unknown category {name!r}; wanted one of {wanted}")
+        expected = ", ".join((*CATEGORIES, DYNAMIC, VOID))
+        raise ValueError(f"unknown category {name!r}; expected one of {expected}")
     return name

@@ -90,7 +90,7 @@ class LiveLoops:
             JSON of a `ssrvlad_torch.loops.result.LoopResult`.
 
         Raises:
-            ValueError: the frame is refused: no table yet, another encoding, an unknown id, a
+            ValueError: the frame cannot be used: no table yet, another encoding, an unknown id, a
                 stamp that goes back. Nothing has changed.
         """
         if self._table is None:
@@ -120,12 +120,12 @@ def decode(image: LabelImage) -> npt.NDArray[Any]:
         ValueError: another encoding, or less data than the image's size wants.
     """
     if image.encoding not in DTYPES:
-        raise ValueError(f"encoding {image.encoding!r}; wanted one of {', '.join(DTYPES)}")
+        raise ValueError(f"encoding {image.encoding!r}; expected one of {', '.join(DTYPES)}")
     stored = np.dtype(DTYPES[image.encoding]).newbyteorder(">" if image.is_bigendian else "<")
     row, content = image.width * stored.itemsize, bytes(image.data)
     if image.step < row or len(content) < image.height * image.step or not image.height * row:
         raise ValueError(
-            f"{len(content)} bytes in rows of {image.step}; wanted {image.height} rows of {row}"
+            f"{len(content)} bytes in rows of {image.step}; expected {image.height} rows of {row}"
         )
     rows = np.frombuffer(content, np.uint8, image.height * image.step)
     pixels = rows.reshape(image.height, image.step)[:, :row].copy().view(stored)
@@ -148,6 +148,6 @@ def meanings_of(words: Iterable[str]) -> dict[str, str]:
     for word in filter(None, words):
         name, equals, category = word.rpartition("=")
         if not (name and equals and category):
-            raise ValueError(f"wanted name=category, got {word!r}")
+            raise ValueError(f"expected name=category, got {word!r}")
         meanings[name] = category
     return meanings

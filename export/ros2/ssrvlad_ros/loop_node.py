@@ -70,7 +70,7 @@ class LoopNode(Node):
         try:
             found = self._loops.see(message, stamp.sec * 10**9 + stamp.nanosec, self._pose)
         except (ValueError, OSError) as error:
-            self.get_logger().warning(f"frame refused: {error}")
+            self.get_logger().warning(f"frame skipped: {error}")
         else:
             self._publisher.publish(String(data=found))
 

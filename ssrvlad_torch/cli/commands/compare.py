@@ -120,8 +120,8 @@ def _make(
     for key, value in settings.items():
         name, dot, setting = key.partition(".")
         if not dot or name not in own:
-            wanted = ", ".join(own)
-            raise ValueError(f"--set wants METHOD.NAME=VALUE for one of {wanted}, got {key!r}")
+            expected = ", ".join(own)
+            raise ValueError(f"--set wants METHOD.NAME=VALUE for one of {expected}, got {key!r}")
         own[name][setting] = value
     methods: dict[str, Method | str] = {}
     for name, given in own.items():

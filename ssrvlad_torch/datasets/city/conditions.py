@@ -44,7 +44,7 @@ class Conditions:
         require(self.seed >= 0, "seed", self.seed, "an integer >= 0")
 
 
-def require(holds: bool, name: str, got: object, wanted: str) -> None:
-    """Raises a `ValueError` that names what was got and wanted, unless the condition holds."""
+def require(holds: bool, name: str, got: object, expected: str) -> None:
+    """Raises a `ValueError` that names what was got and expected, unless the condition holds."""
     if not holds:
-        raise ValueError(f"{name}: got {got!r}, wanted {wanted}")
+        raise ValueError(f"{name}: got {got!r}, expected {expected}")

@@ -39,8 +39,8 @@ def scores_address(scores: npt.NDArray[np.float32]) -> str:
     a gray of its own."""
     finite = np.isfinite(scores)
     low, high = span(scores)
-    shares = (np.where(finite, scores, low) - low) / max(high - low, 1e-12)
-    index = np.where(finite, 1 + np.round(shares * 254), 0).astype(np.uint8)
+    fractions = (np.where(finite, scores, low) - low) / max(high - low, 1e-12)
+    index = np.where(finite, 1 + np.round(fractions * 254), 0).astype(np.uint8)
     ramp = np.linspace(DARKEST, LIGHTEST, 255).round().astype(np.uint8)
     return _indexed(index, np.concatenate((np.array([_ABSENT], np.uint8), ramp)))
 

@@ -111,7 +111,7 @@ def render(report: Report) -> str:
     environment = Environment(
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals |= {"share": share, "isnan": math.isnan, "NOTHING": NOTHING}
+    environment.globals |= {"fraction": fraction, "isnan": math.isnan, "NOTHING": NOTHING}
     return environment.get_template("page.html").render(
         report=report,
         metrics=metrics,
@@ -139,7 +139,7 @@ def render(report: Report) -> str:
     )
 
 
-def share(*values: float) -> str:
+def fraction(*values: float) -> str:
     """A fraction in three digits, or the two ends of an interval; a dash for NaN."""
     return NOTHING if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
 

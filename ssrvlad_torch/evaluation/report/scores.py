@@ -1,4 +1,4 @@
-"""Scores of pairs, as many at a time as are wanted."""
+"""Scores of pairs, a block at a time."""
 
 from __future__ import annotations
 
