@@ -48,6 +48,25 @@ def test_a_missing_extra_is_named(module, tmp_path):
     assert not (tmp_path / "x.png").exists()
 
 
+ELSEWHERE = """
+import os, sys
+sys.modules |= dict.fromkeys(("fcntl", "resource", "termios", "pwd", "grp"))
+for name in ("fork", "getuid", "killpg", "posix_fallocate", "sched_getaffinity"):
+    delattr(os, name)
+import ssrvlad_torch
+from ssrvlad_torch.cli.main import main
+[getattr(ssrvlad_torch, name) for name in ssrvlad_torch.__all__]
+main()
+"""
+
+
+def test_every_public_name_and_help_do_without_what_windows_lacks():
+    command = [sys.executable, "-c", ELSEWHERE, "encode", "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "Example: ssrvlad encode" in done.stdout
+
+
 def test_settings_label_spaces_and_names_need_no_torch():
     code = (
         "import sys, ssrvlad_torch; from ssrvlad_torch import SSRVLADConfig, LabelSpace;"

@@ -55,7 +55,10 @@ def accepted(results):
 
 
 def test_the_first_frames_have_nothing_to_compare_with():
-    results = drive(detector(exclude=5), views(range(8)))
+    loops = detector(exclude=5)
+    assert repr(loops).startswith("LoopDetector(0 frames, LoopConfig(")
+    results = drive(loops, views(range(8)))
+    assert repr(loops).startswith("LoopDetector(8 frames, last drive/7, LoopConfig(exclude=5")
     assert reasons(results) == ["no_candidate", *["too_recent"] * 6, "below_threshold"]
     assert results[6]._replace(frame="") == ("", Reason.TOO_RECENT, None, None, None, None)
 

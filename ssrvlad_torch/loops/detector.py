@@ -69,6 +69,12 @@ class LoopDetector:
     def __len__(self) -> int:
         return len(self._memory)
 
+    def __repr__(self) -> str:
+        last = f", last {self._memory.frames[-1]}" if len(self) else ""
+        return (
+            f"LoopDetector({len(self)} frames{last}, {self.config}, {self.head.config.fingerprint})"
+        )
+
     def __contains__(self, frame: object) -> bool:
         return frame in self._memory.rows
 
