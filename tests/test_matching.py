@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ssrvlad_torch.recognition import matching
-from ssrvlad_torch.recognition.matching import match, temporal_sum
+from ssrvlad_torch.recognition.matching import Rows, match, temporal_sum
 
 
 def coarse_vectors(seed, count):
@@ -60,6 +60,8 @@ def test_match_equals_brute_force(query_count, reference_count, top, threshold, 
         patch.setattr(matching, "_QUERY_BLOCK", 4)
         patch.setattr(matching, "_REFERENCE_BLOCK", 7)
         found = match(queries, references, top, threshold)
+        measured = match(queries, Rows.of(references), top, threshold)
+    assert all(torch.equal(*pair) for pair in zip(found, measured, strict=True))
     scores, indices = brute_force(queries, references, top, threshold)
     np.testing.assert_array_equal(found.indices.numpy(), indices)
     np.testing.assert_array_equal(found.scores.numpy(), scores)

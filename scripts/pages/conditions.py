@@ -191,7 +191,7 @@ def figures(searches: list[Search]) -> dict[str, list[float]]:
 def camvid(folder: Path, kind: str) -> Drive:
     """All sequences of CamVid, each named as its folder."""
     files: list[LabelFile] = []
-    for sequence in sorted(path.name for path in folder.iterdir()):
+    for sequence in sorted(path.name for path in folder.iterdir() if path.is_dir()):
         files += find_label_files([str(folder / sequence / kind)], sequence)
     space = label_space(SPACES[kind])
     return Drive(

@@ -90,34 +90,33 @@ class Filter:
         """
         told = self.evidence(scores, spread)
         before = self.belief if self._begins else self.predicted(self.belief)
-        together = float((before.mapped.sum(0) * told).sum()) + before.unmapped
+        self.belief, together = updated(before, told)
         chance = self.motion.unmapped if len(self) else 1.0
         alone = (1 - chance) * float(told.sum()) / max(1, len(self)) + chance
         self.gain += math.log(together / alone)
-        self.belief, self._begins = updated(before, told), False
+        self._begins = False
 
     def rows(self, belief: Belief | None = None) -> Tensor:
         """``(R,)`` float32, the probability of each row, now or by a belief."""
-        return (belief or self.belief).mapped.sum(0)[self._cells]
+        return (belief or self.belief).mapped.sum(0).index_select(0, self._cells)
 
     def evidence(self, scores: Tensor, spread: tuple[float, float] | None = None) -> Tensor:
         """``(cells,)`` float32, see `motion.evidence`; 0 between the sequences."""
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
-        told = torch.zeros_like(self._inside)
-        told[self._cells] = evidence(scores, self.motion, spread)
-        return told
+        told = evidence(scores, self.motion, spread)
+        return torch.zeros_like(self._inside).index_copy_(0, self._cells, told)
 
     def predicted(self, belief: Belief) -> Belief:
         """The belief one frame later, before it is seen."""
         motion = self.motion
-        mapped = moved(belief.mapped, motion) * self._inside
+        mapped = moved(belief.mapped, motion).mul_(self._inside)
         lost = max(0.0, 1 - belief.unmapped - float(mapped.sum()))
         arriving = lost * (1 - motion.unmapped) + belief.unmapped * (1 - motion.stay)
         if not len(self):
             return Belief(mapped, 1.0)
-        mapped += prior_of_speeds() * (self._inside * (arriving / len(self)))
+        mapped.addcmul_(prior_of_speeds(), self._inside[None], value=arriving / len(self))
         return Belief(mapped, lost * motion.unmapped + belief.unmapped * motion.stay)
 
     def before(self, told: Tensor, after: Belief) -> Belief:
@@ -130,7 +129,7 @@ class Filter:
         motion, seen = self.motion, after.mapped * told
         anywhere = float((prior_of_speeds() * seen).sum()) / max(1, len(self))
         left = (1 - motion.unmapped) * anywhere + motion.unmapped * after.unmapped
-        kept = moved_back(self._inside.expand(len(SPEEDS), -1).contiguous(), motion)
+        kept = moved_back(self._inside.expand(len(SPEEDS), -1), motion)
         mapped = moved_back(seen, motion) + (1 - kept) * left
         unmapped = motion.stay * after.unmapped + (1 - motion.stay) * anywhere
         size = max(unmapped, float((mapped * self._inside).max()))
@@ -141,8 +140,7 @@ class Filter:
         return Belief(self._inside.expand(len(SPEEDS), -1), 1.0)
 
 
-def updated(belief: Belief, told: Tensor) -> Belief:
-    """A belief after a frame was seen, or in the light of those that came after."""
-    mapped = belief.mapped * told
-    total = float(mapped.sum()) + belief.unmapped
-    return Belief(mapped.div_(total), belief.unmapped / total)
+def updated(belief: Belief, told: Tensor) -> tuple[Belief, float]:
+    """A belief after a frame was seen, and how likely the frame was."""
+    total = float(belief.mapped.sum(0) @ told) + belief.unmapped
+    return Belief(belief.mapped * (told / total), belief.unmapped / total), total

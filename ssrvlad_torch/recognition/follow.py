@@ -94,21 +94,27 @@ def follow(
         raise ValueError(f"expected a sequence for each of {len(scores)} queries, got {got}")
     track = Filter(sequences, motion)
     ends = NearSums(sequences)
-    found: list[Places] = []
+    found: dict[int, Places] = {}
+    for part in runs(drives):
+        offline = mode == "offline"
+        beliefs = _offline(track, scores, part) if offline else _online(track, scores, part, delay)
+        for query, belief in beliefs:
+            allowed = _candidates(scores[query])
+            found[query] = ends.places(track.rows(belief), belief.unmapped, top, allowed)
+    return stacked([found[query] for query in range(len(drives))], top)
+
+
+def runs(sequences: Sequence[str]) -> Iterator[range]:
+    """The rows of each sequence; those of one stand together."""
     first = 0
-    for _, same in itertools.groupby(drives):
+    for _, same in itertools.groupby(sequences):
         last = first + len(list(same))
-        part = range(first, last)
-        beliefs = (
-            _offline(track, scores, part)
-            if mode == "offline"
-            else _online(track, scores, part, delay)
-        )
-        found += [
-            ends.places(track.rows(belief), belief.unmapped, top, _candidates(scores[query]))
-            for query, belief in zip(part, beliefs, strict=True)
-        ]
+        yield range(first, last)
         first = last
+
+
+def stacked(found: Sequence[Places], top: int) -> Places:
+    """The places of all queries, from those of each."""
     if not found:
         none = torch.zeros(0)
         return Places(none.view(0, top), none.view(0, top).long(), none, none)
@@ -149,34 +155,37 @@ def _candidates(scores: Tensor) -> Tensor:
     return scored if scored.any() else ~scored
 
 
-def _online(track: Filter, scores: Tensor | Scores, part: range, delay: int) -> Iterator[Belief]:
+def _online(
+    track: Filter, scores: Tensor | Scores, part: range, delay: int
+) -> Iterator[tuple[int, Belief]]:
     """Beliefs of one sequence of queries, each in the light of ``delay`` later ones."""
     track.restart()
-    kept: list[tuple[Belief, Tensor]] = []
+    kept: list[tuple[int, Belief, Tensor]] = []
     for query in part:
-        track.step(scores[query])
+        told = scores[query]
+        track.step(told)
         if not delay:
-            yield track.belief
+            yield query, track.belief
             continue
-        kept.append((track.belief, track.evidence(scores[query])))
+        kept.append((query, track.belief, track.evidence(told)))
         if len(kept) > delay:
-            yield _looking_back(track, kept)
+            yield kept[0][0], _looking_back(track, kept)
             kept.pop(0)
     while kept:
-        yield _looking_back(track, kept)
+        yield kept[0][0], _looking_back(track, kept)
         kept.pop(0)
 
 
-def _looking_back(track: Filter, kept: Sequence[tuple[Belief, Tensor]]) -> Belief:
+def _looking_back(track: Filter, kept: Sequence[tuple[int, Belief, Tensor]]) -> Belief:
     """The first belief in the light of what the later frames told."""
     future = track.no_future()
-    for _, told in reversed(kept[1:]):
+    for _, _, told in reversed(kept[1:]):
         future = track.before(told, future)
-    return _smoothed(kept[0][0], future)
+    return _smoothed(kept[0][1], future)
 
 
-def _offline(track: Filter, scores: Tensor | Scores, part: range) -> list[Belief]:
-    """Beliefs of one sequence of queries in the light of all of it.
+def _offline(track: Filter, scores: Tensor | Scores, part: range) -> Iterator[tuple[int, Belief]]:
+    """Beliefs of one sequence of queries in the light of all of it, the last first.
 
     Of the forward pass one belief in ``sqrt(Q)`` is kept; the others are computed again.
     """
@@ -187,21 +196,19 @@ def _offline(track: Filter, scores: Tensor | Scores, part: range) -> list[Belief
         track.step(scores[query])
         if (query - part.start) % stride == 0:
             kept[query] = track.belief
-    found: list[Belief] = []
     future = track.no_future()
     for start in reversed(range(part.start, part.stop, stride)):
         stretch = range(start, min(start + stride, part.stop))
         told = {query: track.evidence(scores[query]) for query in stretch}
-        forward = [kept[start]]
+        forward = [kept.pop(start)]
         for query in stretch[1:]:
-            forward.append(updated(track.predicted(forward[-1]), told[query]))
-        for query, belief in zip(reversed(stretch), reversed(forward), strict=True):
-            found.append(_smoothed(belief, future))
+            forward.append(updated(track.predicted(forward[-1]), told[query])[0])
+        for query in reversed(stretch):
+            yield query, _smoothed(forward.pop(), future)
             future = track.before(told[query], future)
-    return found[::-1]
 
 
 def _smoothed(belief: Belief, future: Belief) -> Belief:
     mapped, unmapped = belief.mapped * future.mapped, belief.unmapped * future.unmapped
     total = float(mapped.sum()) + unmapped
-    return Belief(mapped / total, unmapped / total)
+    return Belief(mapped.div_(total), unmapped / total)

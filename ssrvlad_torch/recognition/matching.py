@@ -14,7 +14,7 @@ from torch import Tensor
 Vectors = Tensor | npt.NDArray[np.float32]
 
 _QUERY_BLOCK = 1024
-_REFERENCE_BLOCK = 1 << 11
+_REFERENCE_BLOCK = 1 << 12
 
 
 class Matches(NamedTuple):
@@ -32,7 +32,7 @@ class Matches(NamedTuple):
 @torch.no_grad()
 def match(
     queries: Vectors,
-    references: Vectors,
+    references: Vectors | Rows,
     top: int = 5,
     threshold: float | None = None,
     where: Tensor | npt.NDArray[np.bool_] | None = None,
@@ -47,7 +47,8 @@ def match(
     Args:
         queries: ``(Q, D)`` float.
         references: ``(R, D)`` float; in memory or memory-mapped, in single or half precision.
-            What is computed is computed in float32.
+            What is computed is computed in float32. `Rows` of them save a pass over the memory
+            at each call.
         top: number of candidates, at least 1.
         threshold: candidates whose score is not above it are left out.
         where: ``(R,)`` bool, the references that may be candidates; without, all.
@@ -62,17 +63,20 @@ def match(
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
         tensor([[0]])
     """
-    queries, references = torch.as_tensor(queries), torch.as_tensor(references)
-    _check(queries, references, top)
-    allowed, ranges = _limits(len(queries), len(references), where, exclude)
+    queries = torch.as_tensor(queries)
+    vectors = references.vectors if isinstance(references, Rows) else torch.as_tensor(references)
+    _check(queries, vectors, top)
+    allowed, ranges = _limits(len(queries), len(vectors), where, exclude)
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
-    wanted = _unit(queries, "queries")
-    for first in range(0, len(references), _REFERENCE_BLOCK):
-        block = _unit(references[first : first + _REFERENCE_BLOCK], "references")
+    asked = wanted(queries)
+    for first in range(0, len(vectors), _REFERENCE_BLOCK):
+        last = first + _REFERENCE_BLOCK
+        known = isinstance(references, Rows)
+        block = references.block(first, last) if known else Rows.of(vectors[first:last].float())
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
-            scores_here = cosines(wanted[part], block)
+            scores_here = block.cosines(asked[part])
             if allowed is not None:
                 scores_here[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
             if ranges is not None:
@@ -86,6 +90,64 @@ def match(
     )
 
 
+class Rows(NamedTuple):
+    """References that many calls share: their lengths are measured once.
+
+    Attributes:
+        vectors: ``(R, D)`` float.
+        lengths: ``(R,)`` float32.
+
+    Example:
+        >>> rows = Rows.of(torch.eye(3))
+        >>> match(torch.eye(3)[1:2], rows, top=1).indices
+        tensor([[1]])
+    """
+
+    vectors: Tensor
+    lengths: Tensor
+
+    @classmethod
+    def of(cls, vectors: Vectors) -> Rows:
+        """Measures vectors ``(R, D)``.
+
+        Raises:
+            ValueError: they hold values that are not finite.
+        """
+        single = torch.as_tensor(vectors)
+        lengths = [_lengths(block.float()) for block in single.split(_REFERENCE_BLOCK)]
+        return cls(single, torch.cat(lengths))
+
+    def __len__(self) -> int:
+        return len(self.vectors)
+
+    def block(self, first: int, last: int) -> Rows:
+        """Some of them in order, in float32."""
+        return Rows(self.vectors[first:last].float(), self.lengths[first:last])
+
+    def cosines(self, queries: Tensor) -> Tensor:
+        """Of ``(Q, D)`` float32 from `wanted`: ``(Q, R)`` float32, -inf where one is zero."""
+        scores = queries @ self.vectors.float().T
+        scores /= self.lengths
+        return scores.nan_to_num_(nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf)
+
+
+def wanted(queries: Vectors) -> Tensor:
+    """Queries in float32, of length 1 along the last axis; NaN, which matches nothing, for a zero.
+
+    Raises:
+        ValueError: they hold values that are not finite.
+    """
+    single = torch.as_tensor(queries).float()
+    return single / _lengths(single, "queries")[..., None]
+
+
+def _lengths(vectors: Tensor, name: str = "references") -> Tensor:
+    lengths = torch.linalg.vector_norm(vectors, dim=-1)
+    if len(lengths) and not bool(lengths.amax().isfinite()):
+        raise ValueError(f"{name} hold values that are not finite")
+    return lengths
+
+
 def cosines(queries: Tensor, references: Tensor) -> Tensor:
     """Cosines (Eq. 4) of vectors whose lengths are known.
 
@@ -97,10 +159,10 @@ def cosines(queries: Tensor, references: Tensor) -> Tensor:
         ``(Q, R)`` float32, -inf where a vector is zero: what is empty matches nothing.
     """
     scores = (queries @ references.T).float()
-    scores[~queries.any(dim=1)] = -torch.inf
-    empty = ~references.any(dim=1)
-    if bool(empty.any()):
-        scores[:, empty] = -torch.inf
+    told = queries.any(dim=1)
+    scores[~told] = -torch.inf
+    suspect = (scores[told][:1] == 0).any(dim=0).nonzero()[:, 0]  # a zero row scores exactly 0
+    scores[:, suspect[~references[suspect].any(dim=1)]] = -torch.inf
     return scores
 
 
@@ -155,14 +217,6 @@ def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
         there = slice(max(0, offset), len(single) - max(0, -offset))
         total[here] += single[there] * (drive[here] == drive[there])[:, None]
     return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
-
-
-def _unit(vectors: Tensor, name: str) -> Tensor:
-    """Vectors of length 1 or 0 in float32."""
-    norms = torch.linalg.vector_norm(vectors.float(), dim=1, keepdim=True)
-    if not bool(norms.isfinite().all()):
-        raise ValueError(f"{name} hold values that are not finite")
-    return vectors.float() / torch.where(norms > 0, norms, 1)
 
 
 def _improve(scores: Tensor, indices: Tensor, found: Tensor, first: int) -> None:

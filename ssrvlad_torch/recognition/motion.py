@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 from torch import Tensor
+from torch.nn.functional import conv1d
 
 SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.04, {-2: 0.1, -1: 0.8, 0: 0.1}),
@@ -23,7 +25,7 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
 GAP = 5
 """No step is longer: so many empty cells keep two sequences apart."""
 
-_BLOCK = 1 << 14
+_LEAST_STEP = min(step for _, steps in SPEEDS for step in steps)
 _LEAST_SPREAD = 1e-6
 _MOST = 50.0
 """Of the logarithm of evidence: frames that equal their rows must not overflow float32."""
@@ -75,10 +77,16 @@ def nearness(scores: Tensor) -> Tensor:
 
 def moments(scores: Tensor) -> tuple[float, float]:
     """Mean and standard deviation of the nearness of scores, those that are -inf left out."""
-    near = nearness(scores[scores > -torch.inf])
+    return _moments(nearness(scores))
+
+
+def _moments(near: Tensor) -> tuple[float, float]:
+    if len(near) and near.amin() == -torch.inf:
+        near = near[near > -torch.inf]
     if not len(near):
         return 0.0, _LEAST_SPREAD
-    return float(near.mean()), max(_LEAST_SPREAD, float(near.std(correction=0)))
+    deviation, mean = torch.std_mean(near, correction=0)
+    return float(mean), max(_LEAST_SPREAD, float(deviation))
 
 
 def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None) -> Tensor:
@@ -93,12 +101,12 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
         ``(R,)`` float32, ``exp(weight * (z - level))``, 0 where there can be no match. Scores that
         are all equal or all -inf say nothing: 1 everywhere.
     """
-    mean, deviation = moments(scores) if spread is None else spread
+    z = nearness(scores.float())
+    mean, deviation = _moments(z) if spread is None else spread
     if deviation <= _LEAST_SPREAD:
         return torch.ones(len(scores))
-    z = (nearness(scores.float()) - mean) / deviation
-    told = torch.exp((motion.weight * (z - motion.level)).clamp_(max=_MOST))
-    return told.masked_fill_(scores == -torch.inf, 0)
+    z.sub_(mean).mul_(motion.weight / deviation).sub_(motion.weight * motion.level)
+    return z.clamp_(max=_MOST).exp_()
 
 
 def moved(belief: Tensor, motion: Motion) -> Tensor:
@@ -110,36 +118,26 @@ def moved(belief: Tensor, motion: Motion) -> Tensor:
     Returns:
         likewise, without what jumps; what left the map is in the gaps.
     """
-    after = torch.zeros_like(belief)
-    cells, prior = belief.shape[1], prior_of_speeds()
-    for first in range(GAP, cells - GAP, _BLOCK):
-        last = min(first + _BLOCK, cells - GAP)
-        part = belief[:, first - GAP : last + GAP]
-        mixed = part * (1 - motion.change) + motion.change * prior * part.sum(0)
-        for speed, (_, steps) in enumerate(SPEEDS):
-            for step, chance in steps.items():
-                start = GAP - step
-                after[speed, first:last].add_(
-                    mixed[speed, start : start + last - first],
-                    alpha=chance * (1 - motion.jump),
-                )
-    return after
+    return conv1d(belief[None], _chances(motion), padding=GAP)[0, :, : belief.shape[1]]
 
 
 def moved_back(belief: Tensor, motion: Motion) -> Tensor:
     """The transpose of `moved`."""
-    before = torch.zeros_like(belief)
-    cells, prior = belief.shape[1], prior_of_speeds()
-    for first in range(GAP, cells - GAP, _BLOCK):
-        last = min(first + _BLOCK, cells - GAP)
-        part = before[:, first:last]
-        for speed, (_, steps) in enumerate(SPEEDS):
-            for step, chance in steps.items():
-                part[speed].add_(
-                    belief[speed, first + step : last + step], alpha=chance * (1 - motion.jump)
-                )
-        before[:, first:last] = part * (1 - motion.change) + motion.change * (prior * part).sum(0)
-    return before
+    chances = _chances(motion).transpose(0, 1).flip(2)
+    return conv1d(belief[None], chances, padding=GAP)[0, :, -belief.shape[1] :]
+
+
+@cache
+def _chances(motion: Motion) -> Tensor:
+    """``(8, 8, taps)``: to each speed from each, the chance to come from so many cells away; the
+    first tap is the longest step."""
+    chances = torch.zeros(len(SPEEDS), len(SPEEDS), GAP - _LEAST_STEP + 1)
+    for speed, (prior, steps) in enumerate(SPEEDS):
+        kept = motion.change * prior * torch.ones(len(SPEEDS))
+        kept[speed] += 1 - motion.change
+        for step, chance in steps.items():
+            chances[speed, :, GAP - step] = kept * chance * (1 - motion.jump)
+    return chances
 
 
 def prior_of_speeds() -> Tensor:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -12,8 +11,8 @@ from torch import Tensor
 
 from .confidence import confidence_of_places, confidence_of_scores
 from .filter import Filter
-from .follow import Mode, Scores, follow
-from .matching import Matches, Vectors
+from .follow import Mode, Scores, follow, runs
+from .matching import Matches, Rows, Vectors
 from .motion import Motion
 from .standardise import standardise
 from .sweep import COLUMNS, narrowed, score
@@ -107,9 +106,11 @@ def recognise(
         known = standardise(known, reference_sequences)
     used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
     parts: list[tuple[Matches, Tensor]] = []
-    for name, rows in _runs(query_sequences):
-        part, width = _prepared(swept[rows], known, steps)
-        scores = _Scores(part, known, None if barred is None else barred[rows])
+    measured = Rows.of(known)
+    for run in runs(query_sequences):
+        name, rows = query_sequences[run.start], slice(run.start, run.stop)
+        part, width = _prepared(swept[rows], measured, steps)
+        scores = _Scores(part, measured, None if barred is None else barred[rows])
         found, followed = _judged(scores, reference_sequences, steps, top)
         parts.append(found)
         used["sweep"][name], used["follow"][name] = width, followed
@@ -131,20 +132,12 @@ def recognise_by_scores(
     steps = replace(steps or Steps(), standardise=False, sweep=False)
     used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
     parts: list[tuple[Matches, Tensor]] = []
-    for name, rows in _runs(query_sequences):
+    for run in runs(query_sequences):
+        name, rows = query_sequences[run.start], slice(run.start, run.stop)
         found, used["follow"][name] = _judged(scores[rows], reference_sequences, steps, top)
         used["sweep"][name] = 0
         parts.append(found)
     return _joined(parts, used, top)
-
-
-def _runs(sequences: Sequence[str]) -> Iterator[tuple[str, slice]]:
-    """Each sequence and its rows."""
-    first = 0
-    for name, same in itertools.groupby(sequences):
-        last = first + len(list(same))
-        yield name, slice(first, last)
-        first = last
 
 
 def _joined(parts: Sequence[tuple[Matches, Tensor]], used: dict[str, Any], top: int) -> Recognised:
@@ -158,7 +151,7 @@ def _joined(parts: Sequence[tuple[Matches, Tensor]], used: dict[str, Any], top: 
     return Recognised(matches, torch.cat([sure for _, sure in parts]), used)
 
 
-def _prepared(queries: Tensor, references: Tensor, steps: Steps) -> tuple[Tensor, int]:
+def _prepared(queries: Tensor, references: Rows, steps: Steps) -> tuple[Tensor, int]:
     """The queries of one sequence, standardised, and the width of their sweep."""
     if queries.ndim == 3 and not steps.sweep:
         queries = queries[:, queries.shape[1] // 2]
@@ -168,24 +161,25 @@ def _prepared(queries: Tensor, references: Tensor, steps: Steps) -> tuple[Tensor
 
 
 class _Scores(Scores):
-    """Scores of one sequence, computed at once if they are few and row by row if not."""
+    """Scores of one sequence, computed at once if they are few and by blocks of queries if not."""
 
-    def __init__(self, queries: Tensor, references: Tensor, barred: Tensor | None) -> None:
+    def __init__(self, queries: Tensor, references: Rows, barred: Tensor | None) -> None:
         self._queries, self._references, self._barred = queries, references, barred
+        anchors = queries.shape[1] if queries.ndim == 3 else 1
         few = len(queries) * len(references) <= _SCORES_IN_MEMORY
-        self._known = score(queries, references) if few else None
-        self._last = -1, torch.empty(0)
+        room = _SCORES_IN_MEMORY // (4 * anchors * max(1, len(references)))
+        self._block = len(queries) if few else max(1, room)
+        self._first, self._known = 0, torch.empty(0)
 
     def __len__(self) -> int:
         return len(self._queries)
 
     def __getitem__(self, query: int, /) -> Tensor:
-        if self._known is not None:
-            row = self._known[query]
-        else:
-            if self._last[0] != query:
-                self._last = query, score(self._queries[query : query + 1], self._references)[0]
-            row = self._last[1]
+        if not self._first <= query < self._first + len(self._known):
+            self._first = query - query % self._block
+            part = slice(self._first, self._first + self._block)
+            self._known = score(self._queries[part], self._references)
+        row = self._known[query - self._first]
         return row if self._barred is None else row.masked_fill(self._barred[query], -torch.inf)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .matching import Vectors, _unit, cosines
+from .matching import Rows, Vectors, wanted
 from .motion import nearness
 from .standardise import standardise
 
@@ -17,12 +17,12 @@ COLUMNS = tuple(range(-24, 25, 4))
 
 
 @torch.no_grad()
-def score(queries: Vectors, references: Vectors) -> Tensor:
+def score(queries: Vectors, references: Vectors | Rows) -> Tensor:
     """``(Q, R)`` float32 cosines (Eq. 4) of queries to all references.
 
     Args:
         queries: ``(Q, D)`` float, or ``(Q, S, D)`` of a sweep: each reference scores its best.
-        references: ``(R, D)`` float.
+        references: ``(R, D)`` float, or `Rows` of them, for many calls.
 
     Returns:
         -inf for empty references and for empty queries, whose descriptors are zero.
@@ -32,26 +32,20 @@ def score(queries: Vectors, references: Vectors) -> Tensor:
     """
     swept = torch.as_tensor(queries)
     swept = swept[:, None] if swept.ndim == 2 else swept
-    fixed = torch.as_tensor(references)
+    fixed = references.vectors if isinstance(references, Rows) else torch.as_tensor(references)
     if swept.ndim != 3 or fixed.ndim != 2 or swept.shape[2] != fixed.shape[1]:
         raise ValueError(
             "expected queries (Q, D) or (Q, S, D) and references (R, D) of one width D, got "
             f"{tuple(swept.shape)} and {tuple(fixed.shape)}"
         )
-    known = _unit(fixed, "references")
-    best: Tensor | None = None
-    for anchor in range(swept.shape[1]):
-        wanted = _unit(swept[:, anchor], "queries")
-        scores = cosines(wanted, known)
-        best = scores if best is None else torch.maximum(best, scores)
-    assert best is not None
-    return best
+    known = references if isinstance(references, Rows) else Rows.of(fixed)
+    return known.cosines(wanted(swept).flatten(0, 1)).unflatten(0, swept.shape[:2]).amax(1)
 
 
 @torch.no_grad()
 def narrowed(
     queries: Vectors,
-    references: Vectors,
+    references: Vectors | Rows,
     columns: tuple[int, ...] = COLUMNS,
     standardised: bool = True,
 ) -> tuple[Tensor, int]:
@@ -63,7 +57,7 @@ def narrowed(
 
     Args:
         queries: ``(Q, S, D)`` raw descriptors of one traverse.
-        references: ``(R, D)``, standardised as the queries will be.
+        references: ``(R, D)``, standardised as the queries will be, or `Rows` of them.
         columns: the S anchors, rising and symmetric about 0.
         standardised: take the mean of the queries off.
 
@@ -79,30 +73,33 @@ def narrowed(
             f"expected (Q, {len(columns)}, D) for columns {columns}, one of which is 0, "
             f"got {tuple(swept.shape)}"
         )
-    widths = sorted({abs(column) for column in columns})
+    known = references if isinstance(references, Rows) else Rows.of(references)
     chosen, most = swept, -torch.inf
     width = 0
-    for reach in widths:
+    for reach in sorted({abs(column) for column in columns}):
         part = swept[:, [abs(column) <= reach for column in columns]]
         part = standardise(part) if standardised else part
-        ahead = _lead(score(part[:: max(1, len(part) // _SAMPLE)], references))
+        ahead = _lead(part[:: max(1, len(part) // _SAMPLE)], known)
         if ahead > most:
             chosen, most, width = part, ahead, reach
     return chosen, width
 
 
 _SAMPLE = 200
+_SCORES = 1 << 24
 _ELSEWHERE = 5
 
 
-def _lead(scores: Tensor) -> float:
+def _lead(queries: Tensor, references: Rows) -> float:
     """How much nearer first candidates are than the best of the rows elsewhere, on average."""
-    told = scores.amax(1).isfinite() if scores.numel() else torch.zeros(0, dtype=torch.bool)
-    if not told.any() or scores.shape[1] <= 2 * _ELSEWHERE + 1:
+    if len(references) <= 2 * _ELSEWHERE + 1:
         return 0.0
-    near = nearness(scores[told])
-    first = near.argmax(1, keepdim=True)
-    apart = (torch.arange(near.shape[1]) - first).abs()
-    other = near.masked_fill(apart <= _ELSEWHERE, -torch.inf).amax(1)
-    lead = near.amax(1) - other
+    rows = torch.arange(len(references))
+    leads = []
+    for part in queries.split(max(1, _SCORES // (len(references) * queries.shape[1]))):
+        scores = score(part, references)
+        near = nearness(scores[scores.amax(1).isfinite()])
+        apart = (rows - near.argmax(1, keepdim=True)).abs()
+        leads.append(near.amax(1) - near.masked_fill(apart <= _ELSEWHERE, -torch.inf).amax(1))
+    lead = torch.cat(leads) if leads else torch.zeros(0)
     return float(lead[lead.isfinite()].mean()) if lead.isfinite().any() else 0.0
