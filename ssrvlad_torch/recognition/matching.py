@@ -114,7 +114,7 @@ class Rows(NamedTuple):
             ValueError: they hold values that are not finite.
         """
         single = torch.as_tensor(vectors)
-        lengths = [_lengths(block.float()) for block in single.split(_REFERENCE_BLOCK)]
+        lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
         return cls(single, torch.cat(lengths))
 
     def __len__(self) -> int:
@@ -128,7 +128,7 @@ class Rows(NamedTuple):
         """Of ``(Q, D)`` float32 from `wanted`: ``(Q, R)`` float32, -inf where one is zero."""
         scores = queries @ self.vectors.float().T
         scores /= self.lengths
-        return scores.nan_to_num_(nan=-torch.inf, posinf=torch.inf, neginf=-torch.inf)
+        return torch.nan_to_num(scores, -torch.inf, torch.inf, -torch.inf, out=scores)
 
 
 def wanted(queries: Vectors) -> Tensor:
@@ -142,7 +142,7 @@ def wanted(queries: Vectors) -> Tensor:
 
 
 def _lengths(vectors: Tensor, name: str = "references") -> Tensor:
-    lengths = torch.linalg.vector_norm(vectors, dim=-1)
+    lengths: Tensor = torch.linalg.vector_norm(vectors, dim=-1)
     if len(lengths) and not bool(lengths.amax().isfinite()):
         raise ValueError(f"{name} hold values that are not finite")
     return lengths

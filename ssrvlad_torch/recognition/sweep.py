@@ -39,7 +39,8 @@ def score(queries: Vectors, references: Vectors | Rows) -> Tensor:
             f"{tuple(swept.shape)} and {tuple(fixed.shape)}"
         )
     known = references if isinstance(references, Rows) else Rows.of(fixed)
-    return known.cosines(wanted(swept).flatten(0, 1)).unflatten(0, swept.shape[:2]).amax(1)
+    scores = known.cosines(wanted(swept).flatten(0, 1))
+    return scores.view(*swept.shape[:2], len(known)).amax(1)
 
 
 @torch.no_grad()
@@ -96,7 +97,8 @@ def _lead(queries: Tensor, references: Rows) -> float:
         return 0.0
     rows = torch.arange(len(references))
     leads = []
-    for part in queries.split(max(1, _SCORES // (len(references) * queries.shape[1]))):
+    few = max(1, _SCORES // (len(references) * queries.shape[1]))
+    for part in torch.split(queries, few):
         scores = score(part, references)
         near = nearness(scores[scores.amax(1).isfinite()])
         apart = (rows - near.argmax(1, keepdim=True)).abs()
