@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .encoding.encoder import encode_to_database as encode_to_database
     from .encoding.results import EncodeOptions as EncodeOptions
     from .explanation import Explanation as Explanation
+    from .localiser import Localiser as Localiser
     from .loops.config import LoopConfig as LoopConfig
     from .loops.detector import LoopDetector as LoopDetector
     from .recognition.follow import follow as follow
@@ -36,6 +37,7 @@ _ROOMS = {
     "FrameRecord": "database.frames",
     "FrameSet": "database.frames",
     "LabelSpace": "taxonomy",
+    "Localiser": "localiser",
     "LoopConfig": "loops.config",
     "LoopDetector": "loops.detector",
     "SSRVLAD": "descriptor",

@@ -185,6 +185,12 @@ class SSRVLAD(nn.Module):
         return ", ".join((self.config.preset, self.config.labels_name, self.config.fingerprint))
 
 
+def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:
+    """What describes queries: from all anchors, where there are some and the method has them."""
+    sweeps = columns and config.aggregation == "harmonics"
+    return SweepHead(config, columns) if sweeps else SSRVLAD(config)
+
+
 class SweepHead(SSRVLAD):
     """`SSRVLAD.sweep` as a module, for what encodes queries: ``(B, S, 480)``.
 

@@ -122,9 +122,9 @@ def test_the_commands_on_onnx_files(run, photos):
         assert run(line.removeprefix("$ "))
 
 
-def test_python(run, maps, monkeypatch):
+def test_python(run, photos, monkeypatch):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
-    monkeypatch.chdir(maps)
+    monkeypatch.chdir(photos)
     exec("\n".join(PYTHON), {})
 
 
@@ -138,6 +138,9 @@ def test_help_examples(command, run, photos, tmp_path):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
     if command == "verify":
         run("ssrvlad fuse seg.yaml -o place.onnx --labels-as camvid-11")
+    if command == "locate":
+        given = "--segmenter seg.yaml --labels-as cityscapes-trainids"
+        run(f"ssrvlad encode photos/monday -o photos.ssrdb {given}")
     if command == "db index":
         ids = [f"drive/{n:06d}" for n in range(300)]
         vectors = np.random.default_rng(0).random((300, 8))

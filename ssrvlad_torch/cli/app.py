@@ -22,6 +22,7 @@ from .commands.evaluate import evaluate
 from .commands.export import export
 from .commands.fuse import fuse
 from .commands.labels import labels
+from .commands.locate import locate
 from .commands.loops import loops
 from .commands.query import query
 from .commands.show import show
@@ -56,6 +57,7 @@ for command in (
     city,
     encode,
     query,
+    locate,
     evaluate,
     loops,
     compare,

@@ -51,6 +51,25 @@ def steps_of(given: StepOptions) -> Steps:
     return Steps(given.standardise, given.sweep, follow, given.delay)
 
 
+def judged(
+    queries: FrameSet,
+    references: FrameSet,
+    steps: Steps,
+    top: int,
+    shut: torch.Tensor | None = None,
+) -> Recognised:
+    """What is found of encoded queries; ``shut`` as for `barred`."""
+    return recognise_places(
+        queries.descriptors,
+        references.descriptors,
+        queries.sequences,
+        references.sequences,
+        steps,
+        top,
+        shut,
+    )
+
+
 def by_database(
     database: Database,
     source: Source,
@@ -71,14 +90,7 @@ def by_database(
     steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
     references = load_references(database, options.t)
     queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else ())
-    found = recognise_places(
-        queries.descriptors,
-        references.descriptors,
-        queries.sequences,
-        references.sequences,
-        steps,
-        CANDIDATES if page else TOP,
-    )
+    found = judged(queries, references, steps, CANDIDATES if page else TOP)
     queries = with_single_descriptors(queries)
     names = [frame.frame for frame in skipped]
     config = with_labels_as(database.config, source.labels_as)

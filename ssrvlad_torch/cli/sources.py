@@ -18,7 +18,7 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
-from ..descriptor import SSRVLAD, SweepHead
+from ..descriptor import query_head
 from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
 from ..recognition.matching import temporal_sum
@@ -168,8 +168,7 @@ def encode_queries(
     config = with_labels_as(database.config, source.labels_as)
     files, segmenter = source.frames(config.labels_as)
     with progress_bar("encoding", len(files)) as bar:
-        sweeps = columns and config.aggregation == "harmonics"
-        head = SweepHead(config, columns) if sweeps else SSRVLAD(config)
+        head = query_head(config, columns)
         return encode_to_memory(head, files, source.given.workers, bar.advance, segmenter)
 
 

@@ -296,17 +296,20 @@ class Database:
             f"settings have {config.fingerprint} ({config.preset}): {'; '.join(differing)}"
         )
 
-    def add_origin(self, label_space: LabelSpace | None, segmenter: str = "") -> str:
+    def add_origin(
+        self, label_space: LabelSpace | None, segmenter: str = "", network: str = ""
+    ) -> str:
         """Says what made label maps; in a commit of its own, if the database does not know yet.
 
         Args:
             label_space: stored whole.
             segmenter: identity of the network, empty for label maps that were there.
+            network: name by which it can be opened again.
 
         Returns:
             The key that stands for it in a `FrameRecord`.
         """
-        origin = Origin(label_space, segmenter)
+        origin = Origin(label_space, segmenter, network)
         if origin.key in self._meta.origins:
             return origin.key
         self._see_writable()
@@ -640,7 +643,7 @@ def _told(origin: Origin | None) -> str:
     if origin is None:
         return "unknown"
     name = origin.label_space.name if origin.label_space else "unknown"
-    return f"{name} by {origin.segmenter}" if origin.segmenter else name
+    return f"{name} by {origin.network or origin.segmenter}" if origin.segmenter else name
 
 
 def _order(table: pa.Table) -> npt.NDArray[np.int64]:

@@ -15,10 +15,12 @@ class Origin(NamedTuple):
     Attributes:
         label_space: what their ids mean, ``None`` where unknown.
         segmenter: identity of the network that made them, empty where they were there.
+        network: name of that network, to be opened by; empty where unknown. No part of the key.
     """
 
     label_space: LabelSpace | None = None
     segmenter: str = ""
+    network: str = ""
 
     @property
     def key(self) -> str:
@@ -29,11 +31,13 @@ class Origin(NamedTuple):
     def to_json(self) -> str:
         """All of its content as text."""
         space = self.label_space and self.label_space.to_dict()
-        return json.dumps({"label_space": space, "segmenter": self.segmenter}, sort_keys=True)
+        content = {"label_space": space, "segmenter": self.segmenter, "network": self.network}
+        return json.dumps(content, sort_keys=True)
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
         """What `to_json` wrote."""
         content = json.loads(text)
         space = content["label_space"]
-        return cls(space and LabelSpace.from_dict(space), content["segmenter"])
+        space = space and LabelSpace.from_dict(space)
+        return cls(space, content["segmenter"], content.get("network", ""))

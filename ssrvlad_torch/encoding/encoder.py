@@ -69,7 +69,8 @@ def encode_to_database(
     database.require(head.config)
     _see_fit(head, segmenter)
     with deferred_interruption() as check:
-        origin = database.add_origin(head.label_space, segmenter.key() if segmenter else "")
+        made_by = (segmenter.key(), segmenter.name) if segmenter else ()
+        origin = database.add_origin(head.label_space, *made_by)
         plan = Plan.of(files, database, database.origins[origin])
         options.progress(plan.already_there)
         results = _encode(Describer(head, origin), plan.files, options.workers, segmenter)

@@ -73,6 +73,13 @@ def open_network(name: str | Path) -> NamedNetwork:
     return _open(str(name), {}, {})
 
 
+def runs_code(name: str) -> bool:
+    """Whether a name stands for code, which runs when it is opened; those of data do not."""
+    path = Path(name)
+    data = path.suffix.lower() in (".yaml", ".yml", ".onnx") or path.is_dir()
+    return not data and not name.startswith("hf:")
+
+
 def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> NamedNetwork:
     path = Path(name)
     if path.suffix.lower() in (".yaml", ".yml"):
@@ -122,7 +129,7 @@ def _of_file(path: Path) -> NamedNetwork:
     found = _open(name, settings, arguments)
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
-    return dataclasses.replace(found, labels_as=labels_as)
+    return dataclasses.replace(found, name=str(path), labels_as=labels_as)
 
 
 def channels(text: str) -> tuple[int, int]:

@@ -22,6 +22,7 @@ from ..class_names import label_space_of_names
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import Pixels, decode_image
 from ..datasets.label_files import LabelMap
+from ..datasets.names import absolute
 from ..files import one_line
 from ..taxonomy import LabelSpace, label_space
 from .cache import LARGEST, LabelMapCache
@@ -132,6 +133,7 @@ class Segmenter:
             its classes, their plain attributes, weights, buffers and what it makes of a picture;
             and by the settings.
         cache_bytes: most that the whole cache may hold.
+        name: by which `load` finds the network again, if there is one.
 
     Raises:
         ValueError: the settings or the label space do not fit the ONNX graph.
@@ -151,10 +153,11 @@ class Segmenter:
         config: SegmenterConfig | None = None,
         cache: Path | None = None,
         cache_bytes: int = LARGEST,
+        name: str = "",
     ) -> None:
         self.label_space = space = label_space(labels_as)
         self.labels = LabelNetwork(network, space, config or SegmenterConfig())
-        self.cache, self.cache_bytes = cache, cache_bytes
+        self.cache, self.cache_bytes, self.name = cache, cache_bytes, name
 
     @property
     def network(self) -> nn.Module:
@@ -198,7 +201,7 @@ class Segmenter:
             if isinstance(labels_as, LabelSpace)
             else _space(found, str(labels_as), config)
         )
-        return cls(found.network, space, config, cache)
+        return cls(found.network, space, config, cache, name=_lasting(found.name))
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, past the cache.
@@ -346,6 +349,12 @@ def _space(found: NamedNetwork, labels_as: str, config: SegmenterConfig) -> Labe
     first, last = config.classes or (0, max(found.class_names) + 1)
     names = {c - first: name for c, name in found.class_names.items() if first <= c < last}
     return label_space_of_names(names, found.name)
+
+
+def _lasting(name: str) -> str:
+    """The name of a network as it is understood in any folder."""
+    path = Path(name.removeprefix("hf:"))
+    return absolute(path) if path.exists() else name
 
 
 def _fitted(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:

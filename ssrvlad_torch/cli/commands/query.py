@@ -56,10 +56,9 @@ def query(
     from ...database.database import Damage, Database
     from ...database.index import search_index
     from ...database.selection import neighbours, select
-    from ...recognition.recognise import recognise
     from ...recognition.sweep import COLUMNS
     from ..measure import steps_in_words
-    from ..recognise import barred, steps_of, sure_enough
+    from ..recognise import barred, judged, steps_of, sure_enough
     from ..sources import Source, encode_queries, load_references
 
     opened = Source.open(source)
@@ -84,18 +83,11 @@ def query(
         found = search_index(town, queries.descriptors, top, threshold, from_sequence, spared)
         sure, used = [None] * len(found), None
     else:
-        judged = recognise(
-            queries.descriptors,
-            references.descriptors,
-            queries.sequences,
-            references.sequences,
-            steps,
-            top,
-            barred(len(queries.frames), len(references.frames), where, near),
-        )
+        shut = barred(len(queries.frames), len(references.frames), where, near)
+        all_found = judged(queries, references, steps, top, shut)
         least = -math.inf if threshold is None else threshold
-        matches = sure_enough(judged, recognition.min_confidence)
-        sure, used = judged.confidence.tolist(), judged.used
+        matches = sure_enough(all_found, recognition.min_confidence)
+        sure, used = all_found.confidence.tolist(), all_found.used
         found = [
             [
                 (references.frames[row], score)

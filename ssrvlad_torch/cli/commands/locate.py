@@ -1,0 +1,82 @@
+"""``ssrvlad locate``."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..options import Json, RecognitionOptions, SourceOptions
+from ..output import finish, note, print_json
+
+if TYPE_CHECKING:
+    from ...database.database import Database
+    from ..sources import Source
+
+
+def locate(
+    source: SourceOptions,
+    database: Annotated[str, typer.Option("--in", help="Database of known places.")],
+    recognition: RecognitionOptions,
+    as_json: Json = False,
+) -> None:
+    """Say where pictures were taken: the best frame of a database, its score, how sure that is,
+    and its pose. Without --segmenter the network that made the database labels the pictures.
+
+    Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
+    """
+    from ...database.database import Database
+    from ...recognition.sweep import COLUMNS
+    from ..measure import steps_in_words
+    from ..recognise import judged, steps_of, sure_enough
+    from ..sources import Source, encode_queries, load_references
+
+    town = Database.open(database)
+    opened = Source.open(source)
+    if source.segmenter is None:
+        opened = _by_its_network(town, opened)
+    steps = steps_of(recognition)
+    references = load_references(town, recognition.t)
+    queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep else ())
+    found = judged(queries, references, steps, top=1)
+    scores, rows = sure_enough(found, recognition.min_confidence)
+    for picture, score, row, sure in zip(
+        queries.frames, scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist(),
+        strict=True,
+    ):  # fmt: skip
+        place = references.frames[row] if row >= 0 else None
+        pose = references.poses[row].tolist() if row >= 0 else [math.nan] * 3
+        if as_json:
+            told = {"score": score if place else None, "confidence": sure}
+            x, y, heading = pose
+            print_json({"picture": picture, "place": place, **told, "x": x, "y": y,
+                        "heading": heading})  # fmt: skip
+        elif place is None:
+            print(f"{picture}: no place (confidence {sure:.2f})")
+        else:
+            print(f"{picture}: {place}, score {score:.4f}, confidence {sure:.2f}, {_where(*pose)}")
+    if not as_json:
+        note(steps_in_words(found.used, recognition.t))
+    finish(skipped)
+
+
+def _by_its_network(town: Database, source: Source) -> Source:
+    """The source with the network that made a database, which must be as it was."""
+    from ...localiser import made_by, see_made_by
+
+    origin = made_by(town)
+    given = dataclasses.replace(source.given, segmenter=origin.network)
+    source = dataclasses.replace(source, given=given, labels_as=origin.label_space)
+    segmenter = source.segmenter(origin.label_space or town.config.labels_as)
+    if segmenter:
+        see_made_by(town, segmenter)
+    return source
+
+
+def _where(x: float, y: float, heading: float) -> str:
+    if math.isnan(x):
+        return "pose unknown"
+    turned = "unknown" if math.isnan(heading) else f"{math.degrees(heading):.0f} degrees"
+    return f"x {x:.1f} m, y {y:.1f} m, heading {turned}"

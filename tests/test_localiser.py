@@ -1,0 +1,74 @@
+"""Pictures in, places out, in Python."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from drawings import SPACE
+from helpers import street
+from networks import PLAIN, Strided, photo, write_graph
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD, Database, Localiser, Segmenter
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.encoding.encoder import encode_to_database
+
+
+@pytest.fixture
+def settings(tmp_path):
+    write_graph(tmp_path / "net.onnx")
+    path = tmp_path / "net.yaml"
+    path.write_text(f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: {SPACE}\n")
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Thirty photos, half of them with a pose."""
+    (tmp_path / "monday").mkdir()
+    for seed in range(30):
+        Image.fromarray(photo(street(seed, 60, 80))).save(tmp_path / "monday" / f"{seed}.png")
+    rows = [f"monday/{seed},{seed},{-seed},0.5" for seed in range(15)]
+    (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
+    return tmp_path / "monday"
+
+
+def test_a_picture_finds_its_place(settings, folder, tmp_path):
+    localiser = Localiser.from_pretrained(settings, tmp_path / "town")
+    with pytest.raises(ValueError, match="town holds no frames yet"):
+        localiser.locate(folder / "7.png")
+    assert localiser.add(folder).encoded == len(localiser) == 30
+    place = localiser.locate(folder / "7.png")
+    assert place.frame == "monday/7"
+    assert place.pose == (7, -7, 0.5)
+    assert 0.5 < place.confidence <= 1
+    again = Localiser.open(tmp_path / "town").locate(photo(street(22, 60, 80)))
+    assert again.frame == "monday/22"
+    assert math.isnan(again.pose.x)
+
+
+def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
+    localiser = Localiser.from_pretrained(settings, tmp_path / "town", preset="paper")
+    localiser.add(folder / "1.png", folder / "2.png")
+    only_cars = photo(np.full((60, 80), 8))
+    assert localiser.locate(only_cars) is None
+    assert localiser.locate(folder / "1.png").confidence == 0, "two frames are nothing to go by"
+    with pytest.raises(ValueError, match=r"expected \(H, W, 3\) uint8"):
+        localiser.locate(np.zeros((3, 4)))
+
+
+def test_another_network_is_refused_and_label_maps_are_not(settings, folder, maps, tmp_path):
+    Localiser.from_pretrained(settings, tmp_path / "town").add(folder)
+    other = Segmenter(Strided(2), SPACE, PLAIN)
+    with pytest.raises(
+        ValueError, match=r"made by .*net\.yaml as it was then; the network at hand"
+    ):
+        Localiser(other, Database.open(tmp_path / "town"))
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    drawn = Database.create(tmp_path / "drawn", head.config)
+    encode_to_database(head, find_label_files([str(maps)]), drawn)
+    assert Localiser(other, drawn).locate(folder / "3.png")
+    with pytest.raises(ValueError, match="was not made from pictures"):
+        Localiser.open(tmp_path / "drawn")
