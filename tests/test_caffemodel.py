@@ -108,39 +108,3 @@ def test_fewer_numbers_than_the_shape_says(tmp_path):
     path.write_bytes(message(100, message(1, b"conv") + message(7, wrong)))
     with pytest.raises(ValueError, match=r"shape '\[5\]' is invalid for input of size 4"):
         read_caffemodel(path)
-
-
-def test_googles_library_writes_the_same(tmp_path):
-    """The same bytes through Google's own library, with the messages defined at run time."""
-    descriptor_pb2 = pytest.importorskip("google.protobuf.descriptor_pb2")
-    from google.protobuf import descriptor_pool, message_factory
-
-    file = descriptor_pb2.FileDescriptorProto(name="caffe.proto", package="caffe")
-    fields = {
-        "BlobShape": [("dim", 1, 3, 3, "")],
-        "BlobProto": [("shape", 7, 1, 11, "BlobShape"), ("data", 5, 3, 2, "")],
-        "LayerParameter": [("name", 1, 1, 9, ""), ("blobs", 7, 3, 11, "BlobProto")],
-        "NetParameter": [("name", 1, 1, 9, ""), ("layer", 100, 3, 11, "LayerParameter")],
-    }
-    for kind, entries in fields.items():
-        added = file.message_type.add(name=kind)
-        for name, number, label, form, inner in entries:
-            field = added.field.add(name=name, number=number, label=label, type=form)
-            if inner:
-                field.type_name = f".caffe.{inner}"
-            elif label == 3:
-                field.options.packed = True
-    pool = descriptor_pool.DescriptorPool()
-    pool.Add(file)
-    kinds = message_factory.GetMessageClass(pool.FindMessageTypeByName("caffe.NetParameter"))
-    net = kinds(name="net")
-    weight = np.random.default_rng(2).random((300, 2, 1, 1)).astype(np.float32)
-    blobs = net.layer.add(name="conv1").blobs
-    for array in (weight, weight[:, 0, 0, 0]):
-        added = blobs.add(data=array.ravel().tolist())
-        added.shape.dim.extend(array.shape)
-    path = tmp_path / "net.caffemodel"
-    path.write_bytes(net.SerializeToString())
-    read = read_caffemodel(path)
-    np.testing.assert_array_equal(read["conv1.weight"].numpy(), weight)
-    np.testing.assert_array_equal(read["conv1.bias"].numpy(), weight[:, 0, 0, 0])

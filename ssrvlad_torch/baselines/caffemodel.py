@@ -1,28 +1,33 @@
-"""Networks that Caffe saved: the arrays of a ``.caffemodel``, without Caffe and without protobuf.
+"""Networks that Caffe saved: the arrays of a ``.caffemodel``, read by Google's protobuf.
 
-A ``.caffemodel`` is a ``NetParameter`` message of ``caffe.proto``. Only four of its message types
-matter, and of the wire format of protocol buffers only how fields follow each other:
-
-- ``NetParameter``: ``layer`` is field 100, in files of before 2015 ``layers``, field 2
-- ``LayerParameter``: ``name`` is 1, ``blobs`` 7; ``V1LayerParameter``: ``name`` is 4, ``blobs`` 6
-- ``BlobProto``: ``shape`` is 7, ``data`` 5; before 2015 ``num`` to ``width``, fields 1 to 4
-- ``BlobShape``: ``dim`` is 1
+Only the messages of ``caffe.proto`` that hold weights are defined here, with the layers of before
+2015 beside those of today; protobuf passes over the rest of the file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-_VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
-_LAYERS = {100: (1, 7), 2: (4, 6)}
-"""Fields of a network's layers, and the fields of name and blobs in each."""
-
-Field = tuple[int, int | memoryview]
+_MESSAGES = {
+    "BlobShape": {"dim": (1, "repeated int64")},
+    "BlobProto": {
+        **{name: (number, "int32") for number, name in enumerate(("num", "c", "h", "w"), 1)},
+        "data": (5, "repeated float"),
+        "shape": (7, "BlobShape"),
+    },
+    "V1LayerParameter": {"name": (4, "string"), "blobs": (6, "repeated BlobProto")},
+    "LayerParameter": {"name": (1, "string"), "blobs": (7, "repeated BlobProto")},
+    "NetParameter": {
+        "layers": (2, "repeated V1LayerParameter"),
+        "layer": (100, "repeated LayerParameter"),
+    },
+}
+"""Messages of ``caffe.proto``: the number and the type of each field."""
 
 
 def read_caffemodel(path: Path) -> dict[str, Tensor]:
@@ -33,88 +38,54 @@ def read_caffemodel(path: Path) -> dict[str, Tensor]:
         ``(out, in / groups, h, w)``, as in PyTorch.
 
     Raises:
+        ImportError: protobuf is not installed.
         ValueError: the file is not a Caffe network, or is damaged.
         OSError: the file cannot be read.
     """
-    tensors: dict[str, Tensor] = {}
+    network, damaged = _network_message()
     try:
-        for field, layer in _fields(memoryview(path.read_bytes())):
-            if field in _LAYERS and isinstance(layer, memoryview):
-                name, blobs = _layer(layer, *_LAYERS[field])
-                pairs = zip(("weight", "bias"), blobs, strict=False)
-                tensors |= {f"{name}.{kind}": blob for kind, blob in pairs}
-    except (IndexError, ValueError, RuntimeError) as error:
+        network.ParseFromString(path.read_bytes())
+        tensors = {
+            f"{layer.name}.{kind}": _array(blob)
+            for layer in (*network.layers, *network.layer)
+            for kind, blob in zip(("weight", "bias"), layer.blobs, strict=False)
+        }
+    except (damaged, RuntimeError) as error:
         raise ValueError(f"{path} is not a whole Caffe network: {error}") from error
     if not tensors:
         raise ValueError(f"{path} is not a Caffe network: it has no layer with weights")
     return tensors
 
 
-def _layer(message: memoryview, name_field: int, blob_field: int) -> tuple[str, list[Tensor]]:
-    name, blobs = "", []
-    for field, value in _fields(message):
-        if field == name_field and isinstance(value, memoryview):
-            name = bytes(value).decode()
-        elif field == blob_field and isinstance(value, memoryview):
-            blobs.append(_blob(value))
-    return name, blobs
+def _array(blob: Any) -> Tensor:
+    """Files of before 2015 give four sizes, of which leading ones stand for missing axes."""
+    shape = list(blob.shape.dim) or [blob.num, blob.c, blob.h, blob.w]
+    while not blob.shape.dim and len(shape) > 1 and shape[0] == 1:
+        shape.pop(0)
+    return torch.from_numpy(np.array(blob.data, np.float32)).reshape(shape)
 
 
-def _blob(message: memoryview) -> Tensor:
-    """The array of a ``BlobProto``; both arrays in it are packed or, in old writers, repeated."""
-    data, shape, old_shape = bytearray(), [], []
-    for field, value in _fields(message):
-        if field == 5 and isinstance(value, memoryview):
-            data += value
-        elif field == 7 and isinstance(value, memoryview):
-            shape = [size for _, part in _fields(value) for size in _integers(part)]
-        elif field in (1, 2, 3, 4) and isinstance(value, int):
-            old_shape.append(value)
-    if not shape:
-        ones = next((i for i, size in enumerate(old_shape) if size != 1), len(old_shape) - 1)
-        shape = old_shape[ones:]
-    return torch.from_numpy(np.frombuffer(data, "<f4").astype(np.float32)).reshape(shape)
-
-
-def _integers(value: int | memoryview) -> Iterator[int]:
-    """One integer, or those of a packed field."""
-    if isinstance(value, int):
-        yield value
-        return
-    at = 0
-    while at < len(value):
-        number, at = _varint(value, at)
-        yield number
-
-
-def _fields(message: memoryview) -> Iterator[Field]:
-    """Number and content of each field; four and eight bytes are given as bytes."""
-    at = 0
-    while at < len(message):
-        key, at = _varint(message, at)
-        field, kind = key >> 3, key & 7
-        if kind == _VARINT:
-            value, at = _varint(message, at)
-            yield field, value
-            continue
-        if kind == _BYTES:
-            size, at = _varint(message, at)
-        elif kind in (_FIXED32, _FIXED64):
-            size = 4 if kind == _FIXED32 else 8
-        else:
-            raise ValueError(f"field {field} has wire type {kind}")
-        if at + size > len(message):
-            raise ValueError(f"field {field} ends {at + size - len(message)} bytes after the file")
-        yield field, message[at : at + size]
-        at += size
-
-
-def _varint(message: memoryview, at: int) -> tuple[int, int]:
-    """An integer in groups of seven bits, lowest first, and where it ends."""
-    number = shift = 0
-    while True:
-        byte = message[at]
-        number |= (byte & 0x7F) << shift
-        at, shift = at + 1, shift + 7
-        if byte < 0x80:
-            return number, at
+def _network_message() -> tuple[Any, type[Exception]]:
+    """An empty ``NetParameter``, and what it raises for bytes that are none."""
+    try:
+        from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
+        from google.protobuf.descriptor_pb2 import FileDescriptorProto
+        from google.protobuf.descriptor_pool import DescriptorPool
+        from google.protobuf.message import DecodeError
+        from google.protobuf.message_factory import GetMessageClass
+    except ImportError as error:
+        raise ImportError("Caffe's files need: pip install ssrvlad-torch[eval]") from error
+    file = FileDescriptorProto(name="caffe.proto", package="caffe", syntax="proto2")
+    for message, fields in _MESSAGES.items():
+        added = file.message_type.add(name=message)
+        for name, (number, words) in fields.items():
+            many, _, kind = words.rpartition(" ")
+            field = added.field.add(name=name, number=number)
+            field.label = Field.LABEL_REPEATED if many else Field.LABEL_OPTIONAL
+            if kind in _MESSAGES:
+                field.type, field.type_name = Field.TYPE_MESSAGE, f".caffe.{kind}"
+            else:
+                field.type = Field.Type.Value(f"TYPE_{kind.upper()}")
+    pool = DescriptorPool()
+    pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName("caffe.NetParameter"))(), DecodeError

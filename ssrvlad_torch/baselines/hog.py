@@ -2,63 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Sequence
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..recognition.matching import cosines
 from .gray import grays, resize
-from .protocol import Frame, batches, image_shape
+from .protocol import Frame, image_shape
+from .vectors import Grid
 
 CELL = 16
 """Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""
 
 ORIENTATIONS = 8
 
-_BATCH = 16
 
-
-class HOG:
+class HOG(Grid):
     """A trivial method: one histogram of gradient directions for each cell of a grid.
 
     Gray, resized to 16 pixels a cell, central differences (zero at the border), unsigned
     directions in equal bins, each pixel voting with its gradient's length; each cell's histogram
     is divided by its L2 norm, and so is the whole. These are the semantics of
     ``skimage.feature.hog`` with one cell a block and ``block_norm="L2"``.
-
-    Args:
-        rows, columns: of the grid. With 6 x 10 a descriptor has 480 numbers, as SSR-VLAD's.
-
-    Raises:
-        ValueError: fewer than one row or column.
     """
 
     name = "hog"
     needs = frozenset({"images"})
 
-    def __init__(self, rows: int = 6, columns: int = 10) -> None:
-        if rows < 1 or columns < 1:
-            raise ValueError(f"method hog wants a grid of 1 x 1 or more, got {rows} x {columns}")
-        self.rows, self.columns = rows, columns
-
-    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
-        """``(Q, 8 * rows * columns)`` float32 of length 1, or zero for a flat image."""
-        return self._encode(frames)
-
-    def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
-        """``(R, 8 * rows * columns)``, as queries are encoded."""
-        return self._encode(frames)
-
-    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
-        """Cosines."""
-        return cosines(queries, references)
-
-    @torch.no_grad()
-    def _encode(self, frames: Iterable[Frame]) -> Tensor:
-        described = map(self._describe, batches(frames, _BATCH, image_shape))
-        return torch.cat([torch.zeros(0, self.rows * self.columns * ORIENTATIONS), *described])
+    def _kind(self, frame: Frame) -> Hashable:
+        return image_shape(frame)
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         pictures = grays(frames, self.name)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from ..recognition.matching import cosines
 from .netvlad_network import NetVLADNetwork
 from .netvlad_weights import read_netvlad_weights
-from .protocol import Frame, Image, image_of
+from .protocol import Frame, image_of
+from .vectors import Vectors
 from .weights import fill, find_weights, random_network
 
 _FILES = (
@@ -28,10 +28,11 @@ _ORIGIN = (
 _SMALLEST = 16
 
 
-class NetVLAD:
+class NetVLAD(Vectors):
     """Descriptors of a trained network, compared by their cosine.
 
-    Images keep their own size, as in the authors' programs.
+    Images keep their own size, as in the authors' programs. A descriptor has 4096 numbers, without
+    whitening 32768.
 
     Args:
         weights: a file in a form of `read_netvlad_weights`, or a folder with one under its
@@ -45,6 +46,7 @@ class NetVLAD:
     """
 
     needs = frozenset({"images", "weights"})
+    _batch = 1
 
     def __init__(
         self,
@@ -54,29 +56,18 @@ class NetVLAD:
     ) -> None:
         self.name = "netvlad (random weights)" if random_weights else "netvlad"
         network = random_network(NetVLADNetwork) if random_weights else _trained(weights)
-        self._network = network.to(device)
+        self._network, self.length = network.to(device), network.size
         self._device = device
 
-    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
-        """``(N, 4096)`` float32 of length 1; without whitening ``(N, 32768)``."""
-        rows = [self._encode(image_of(frame, self.name)) for frame in frames]
-        return torch.stack(rows) if rows else torch.empty(0, self._network.size)
-
-    encode_reference = encode_query
-
-    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
-        """``(Q, R)`` cosines."""
-        return cosines(queries, references)
-
-    @torch.no_grad()
-    def _encode(self, image: Image) -> Tensor:
+    def _describe(self, frames: Sequence[Frame]) -> Tensor:
+        image = image_of(frames[0], self.name)
         if min(image.shape[:2]) < _SMALLEST:
             raise ValueError(
                 f"method {self.name} needs images of at least {_SMALLEST} x {_SMALLEST} pixels, "
                 f"got {image.shape[0]} x {image.shape[1]}"
             )
         pixels = torch.tensor(image, device=self._device).permute(2, 0, 1)
-        descriptor: Tensor = self._network(pixels[None])[0]
+        descriptor: Tensor = self._network(pixels[None])
         return descriptor.cpu()
 
 

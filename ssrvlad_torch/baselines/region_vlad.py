@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..recognition.matching import cosines
 from .protocol import Frame, image_of
 from .region_features import RegionFeatures
+from .vectors import Vectors
 from .vocabulary import CHANNELS, read_vocabulary
 from .weights import find_weights
 
@@ -21,7 +21,7 @@ _ORIGIN = (
 )
 
 
-class RegionVLAD:
+class RegionVLAD(Vectors):
     """VLAD of an image's regions over a vocabulary, compared by the cosine.
 
     Args:
@@ -61,17 +61,11 @@ class RegionVLAD:
             path = find_weights(vocabulary, ("region_vlad_vocabulary.npy", published), _ORIGIN)
             self._words = read_vocabulary(path, words, regions)
 
-    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
-        """``(N, words * 384)`` float32 of length 1, or zero for an image without regions."""
+        self.length = self._words.numel()
+
+    def _describe(self, frames: Sequence[Frame]) -> Tensor:
         images = (image_of(frame, self.name) for frame in frames)
-        rows = [vlad(regions, self._words) for regions in self._features(images)]
-        return torch.stack(rows) if rows else torch.empty(0, self._words.numel())
-
-    encode_reference = encode_query
-
-    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
-        """``(Q, R)`` cosines."""
-        return cosines(queries, references)
+        return torch.stack([vlad(regions, self._words) for regions in self._features(images)])
 
 
 def vlad(descriptors: Tensor, words: Tensor) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Hashable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,13 @@ from torch import Tensor
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..recognition.matching import cosines, temporal_sum
+from ..recognition.matching import temporal_sum
 from ..recognition.sweep import COLUMNS
 from .protocol import Frame, batches, label_kind, labels_of
+from .vectors import Vectors
 
-_BATCH = 16
 
-
-class SSRVLADMethod:
+class SSRVLADMethod(Vectors):
     """Raw descriptors of queries against references summed over their neighbours (Eq. 3).
 
     Frames may be of several label spaces; each is read as its own.
@@ -39,19 +38,14 @@ class SSRVLADMethod:
         if temporal < 0:
             raise ValueError(f"method ssr-vlad wants a temporal of 0 or more, got {temporal}")
         self.config = SSRVLADConfig.from_preset(preset, **settings)
-        self.temporal = temporal
+        self.temporal, self.length = temporal, self.config.length
         self._heads: dict[str, SSRVLAD] = {}
-
-    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
-        """``(Q, 480)`` float32 of length 1, or zero for an empty image."""
-        described = map(self._describe, batches(frames, _BATCH, label_kind))
-        return torch.cat([torch.zeros(0, self.config.length), *described])
 
     def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
         """``(Q, S, 480)`` float32; of residuals, which have no anchor to move, ``(Q, 480)``."""
         if self.config.aggregation != "harmonics":
             return self.encode_query(frames)
-        described = [self._sweep(batch) for batch in batches(frames, _BATCH, label_kind)]
+        described = [self._sweep(batch) for batch in batches(frames, self._batch, self._kind)]
         return torch.cat([torch.zeros(0, len(COLUMNS), self.config.length), *described])
 
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
@@ -65,11 +59,9 @@ class SSRVLADMethod:
 
         return temporal_sum(self.encode_query(noting_sequences()), sequences, self.temporal)
 
-    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
-        """Cosines (Eq. 4)."""
-        return cosines(queries, references)
+    def _kind(self, frame: Frame) -> Hashable:
+        return label_kind(frame)
 
-    @torch.no_grad()
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         head, maps = self._opened(frames)
         descriptors: Tensor = head(maps)

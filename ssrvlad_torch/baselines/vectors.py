@@ -1,0 +1,60 @@
+"""What methods have in common whose encodings are vectors, compared by their cosine."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Sequence
+
+import torch
+from torch import Tensor
+
+from ..recognition.matching import cosines
+from .protocol import Frame, batches
+
+
+class Vectors:
+    """A method that encodes queries and references alike, in batches of frames of one kind.
+
+    A subclass has `name` and `length`, and describes a batch.
+    """
+
+    name: str
+    length: int
+    _batch = 16
+
+    @torch.no_grad()
+    def encode_query(self, frames: Iterable[Frame]) -> Tensor:
+        """``(Q, length)`` float32 of length 1, or zero for a frame in which nothing is seen."""
+        described = map(self._describe, batches(frames, self._batch, self._kind))
+        return torch.cat([torch.zeros(0, self.length), *described])
+
+    def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
+        """``(R, length)``, as queries are encoded."""
+        return self.encode_query(frames)
+
+    def scores(self, queries: Tensor, references: Tensor) -> Tensor:
+        """``(Q, R)`` cosines."""
+        return cosines(queries, references)
+
+    def _kind(self, frame: Frame) -> Hashable:
+        """What the frames of a batch have in common."""
+
+    def _describe(self, frames: Sequence[Frame]) -> Tensor:
+        raise NotImplementedError
+
+
+class Grid(Vectors):
+    """A method with eight numbers in each cell of a grid over the frame.
+
+    Args:
+        rows, columns: of the grid. With 6 x 10 a descriptor has 480 numbers, as SSR-VLAD's.
+
+    Raises:
+        ValueError: fewer than one row or column.
+    """
+
+    def __init__(self, rows: int = 6, columns: int = 10) -> None:
+        if rows < 1 or columns < 1:
+            raise ValueError(
+                f"method {self.name} wants a grid of 1 x 1 or more, got {rows} x {columns}"
+            )
+        self.rows, self.columns, self.length = rows, columns, 8 * rows * columns
