@@ -24,8 +24,7 @@ from .segmentation.networks import AUTO, runs_code
 from .segmentation.segmenter import Segmenter
 from .taxonomy import LabelSpace
 
-_ALONE = Steps(standardise=False, follow=None)
-"""A single picture has no traverse whose mean could be taken off."""
+_ALONE = Steps(follow=None)
 
 
 class Place(NamedTuple):

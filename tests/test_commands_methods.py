@@ -30,7 +30,7 @@ def test_another_method_is_evaluated_on_images(ssrvlad, tmp_path, method):
     assert report["bytes_a_reference"] > 0
     assert report["intervals"]["recall_at"]["1"] == [1, 1]
     assert "fingerprint" not in report
-    assert report["steps"]["standardise"] == (method == "hog")
+    assert not any(report["steps"]["standardise"].values()), "of six frames"
     assert set(report["steps"]["follow"].values()) == {"offline"}
     single = ("--no-standardise", "--no-sweep", "--follow", "no")
     told = ssrvlad("evaluate", *arguments, *single)[1]

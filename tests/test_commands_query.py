@@ -21,7 +21,7 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
     assert [line.split(" (")[0].split()[-1] for line in out.splitlines()] == ["1.0000"] * 6
     assert "not standardised, no sweep, followed: no, no temporal sum" in err[-1]
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
-    assert 0 < sure["confidence"] < 1 and sure["steps"]["standardise"] is True
+    assert 0 < sure["confidence"] < 1 and sure["steps"]["standardise"] == {"monday": False}
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
     assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]

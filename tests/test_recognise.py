@@ -41,6 +41,18 @@ def test_each_step_finds_more():
     assert rates == sorted(rates) and rates[0] < 0.9 * rates[-1] and rates[-1] > 0.97
 
 
+def test_a_few_queries_have_no_mean_of_their_own():
+    """Anchors of one picture have nearly all in common, which is where it was taken."""
+    queries, references = two_traverses(80, 0.8, common=0.0)
+    swept = F.normalize(queries[:, None] + 0.1 * torch.randn(80, len(COLUMNS), 64), dim=2)
+    alone = [recognise(query[None], references, ["q"], ["r"] * 80) for query in swept]
+    found = torch.stack([each.matches.indices[0, 0] for each in alone])
+    assert (found == torch.arange(80)).float().mean() > 0.9
+    assert alone[0].used["standardise"] == {"q": False}
+    whole = recognise(swept, references, ["q"] * 80, ["r"] * 80)
+    assert whole.used["standardise"] == {"q": True}
+
+
 def test_queries_that_are_no_sequence_are_judged_one_by_one():
     queries, references = two_traverses(80, 0.8)
     order = torch.randperm(80, generator=torch.Generator().manual_seed(0))

@@ -126,7 +126,7 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:
     """What was done between descriptors and decision, in a line; ``None`` says nothing of Eq. 3."""
     widths, followed = used["sweep"].values(), used["follow"].values()
     told = [
-        "standardised" if used["standardise"] else "not standardised",
+        "standardised" if any(used["standardise"].values()) else "not standardised",
         f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns"
         if any(widths)
         else "no sweep",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from typing import Any, NamedTuple
 
 import torch
@@ -17,6 +18,10 @@ from .motion import Motion
 from .standardise import standardise
 from .sweep import COLUMNS, narrowed, score
 
+LEAST = 30
+"""Frames of a traverse whose mean is taken off. That of fewer is their place, not what they have in
+common: with it Recall@1 of single pictures, swept, was 0.66 in place of 0.83 on CamVid."""
+
 _SCORES_IN_MEMORY = 1 << 26
 
 
@@ -25,7 +30,8 @@ class Steps:
     """What is done between descriptors and a decision.
 
     Attributes:
-        standardise: take each traverse's own mean off, see `standardise`.
+        standardise: take each traverse's own mean off, see `standardise`. A traverse of fewer
+            than `LEAST` queries is compared as it is, with the references as they are.
         sweep: use the anchors of queries that have several, see `sweep.narrowed`.
         follow: see `follow.follow`; ``None`` judges every query by itself.
         delay: queries for which an online answer waits.
@@ -59,8 +65,8 @@ class Recognised(NamedTuple):
             An empty query has no candidate.
         confidence: ``(Q,)`` float32, the probability that the first candidate is right, see
             `confidence`; 0 without one.
-        used: what was done, to be told: the steps, the width of the sweep and whether it was
-            followed, by sequence.
+        used: what was done, to be told: the steps, and by sequence whether it was standardised,
+            the width of the sweep and how it was followed.
     """
 
     matches: Matches
@@ -102,18 +108,18 @@ def recognise(
     if len(query_sequences) != len(swept):
         got = len(query_sequences)
         raise ValueError(f"expected a sequence for each of {len(swept)} queries, got {got}")
-    if steps.standardise:
-        known = standardise(known, reference_sequences)
-    used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
+    measured = cache(lambda own: Rows.of(standardise(known, reference_sequences) if own else known))
+    used = _used(steps)
     parts: list[tuple[Matches, Tensor]] = []
-    measured = Rows.of(known)
     for run in runs(query_sequences):
         name, rows = query_sequences[run.start], slice(run.start, run.stop)
-        part, width = _prepared(swept[rows], measured, steps)
-        scores = _Scores(part, measured, None if barred is None else barred[rows])
+        own = steps.standardise and len(run) >= LEAST
+        part, width = _prepared(swept[rows], measured(own), replace(steps, standardise=own))
+        scores = _Scores(part, measured(own), None if barred is None else barred[rows])
         found, followed = _judged(scores, reference_sequences, steps, top)
         parts.append(found)
-        used["sweep"][name], used["follow"][name] = width, followed
+        used["standardise"][name], used["sweep"][name] = own, width
+        used["follow"][name] = followed
     return _joined(parts, used, top)
 
 
@@ -130,14 +136,18 @@ def recognise_by_scores(
         scores: ``(Q, R)`` float, at most 1; -inf where there can be no match.
     """
     steps = replace(steps or Steps(), standardise=False, sweep=False)
-    used: dict[str, Any] = {**asdict(steps), "sweep": {}, "follow": {}}
+    used = _used(steps)
     parts: list[tuple[Matches, Tensor]] = []
     for run in runs(query_sequences):
         name, rows = query_sequences[run.start], slice(run.start, run.stop)
         found, used["follow"][name] = _judged(scores[rows], reference_sequences, steps, top)
-        used["sweep"][name] = 0
+        used["standardise"][name], used["sweep"][name] = False, 0
         parts.append(found)
     return _joined(parts, used, top)
+
+
+def _used(steps: Steps) -> dict[str, Any]:
+    return {**asdict(steps), "standardise": {}, "sweep": {}, "follow": {}}
 
 
 def _joined(parts: Sequence[tuple[Matches, Tensor]], used: dict[str, Any], top: int) -> Recognised:
