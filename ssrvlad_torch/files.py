@@ -9,8 +9,24 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-_MOST_PIXELS = 64_000_000
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+def check_output(path: Path) -> Path:
+    """The file that something may be written to: ``path``, or what it links to.
+
+    Raises:
+        OSError: a folder, a device or a pipe is there, or there is no such folder; with the name
+            that was given.
+    """
+    if path.is_dir():
+        raise IsADirectoryError(f"cannot write {path}: it is a folder")
+    if path.exists() and not path.is_file():
+        raise OSError(f"cannot write {path}: it is no regular file")
+    target = path.resolve() if path.is_symlink() else path
+    if not target.parent.is_dir():
+        raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
+    return target
 
 
 @contextmanager
@@ -19,27 +35,31 @@ def replacing(path: Path) -> Iterator[Path]:
 
     The file is flushed to the disk, renamed, and the folder flushed, in this order. Where the
     folder cannot be flushed, what was there takes its place again. The temporary file's name
-    starts with a dot and the name of ``path``.
+    starts with a dot and the name of ``path``. A link stays a link; what it leads to is replaced.
 
     Raises:
-        OSError: the disk refused, with the name of the file; what was at ``path`` is as it was.
+        OSError: nothing can be written there, see `check_output`, or the disk refused; with the
+            name of the file. What was there is as it was.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{secrets.token_hex(4)}")
+    target = check_output(path)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(4)}")
     before = temporary.with_name(f"{temporary.name}.before")
     try:
         yield temporary
         flush(temporary)
-        if path.exists():
-            before.hardlink_to(path)
-        temporary.replace(path)
+        if target.exists():
+            before.hardlink_to(target)
+        temporary.replace(target)
         try:
-            flush(path.parent)
+            flush(target.parent)
         except OSError:
-            _put_back(before, path)
+            _put_back(before, target)
             raise
     except OSError as error:
-        if error.errno in _FULL and error.filename is None:
-            error.filename = str(path)
+        if error.filename in (str(temporary), temporary) or (
+            error.errno in _FULL and error.filename is None
+        ):
+            error.filename, error.filename2 = str(path), None
         raise
     finally:
         temporary.unlink(missing_ok=True)
@@ -95,17 +115,3 @@ def _put_back(before: Path, path: Path) -> None:
         before.replace(path)
     else:
         path.unlink()
-
-
-def check_pixels(height: int, width: int) -> None:
-    """Checks the size of a picture before its pixels are in memory: a small file may hold many.
-
-    Raises:
-        ValueError: more than 64 million pixels, or than the environment variable
-            ``SSRVLAD_PIXEL_LIMIT`` says.
-    """
-    most = int(os.environ.get("SSRVLAD_PIXEL_LIMIT") or _MOST_PIXELS)
-    if height * width > most:
-        raise ValueError(
-            f"has {height} x {width} pixels; expected at most {most} (SSRVLAD_PIXEL_LIMIT)"
-        )

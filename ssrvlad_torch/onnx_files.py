@@ -8,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from .files import flush, one_line, replacing
+from .files import check_output, flush, one_line, replacing
+from .untrusted import InputError, check_regular
 
 if TYPE_CHECKING:
     import onnx
@@ -35,10 +36,11 @@ def load_model(path: Path) -> onnx.ModelProto:
         import onnx
     except ImportError as error:
         raise ImportError(_NEEDED) from error
-    if not path.is_file():
-        raise ValueError(f"{path} does not exist or is no file; expected an ONNX graph")
     try:
+        check_regular(path)
         model = onnx.load(path)
+    except (InputError, FileNotFoundError) as error:
+        raise ValueError(f"{one_line(error)}; expected an ONNX graph") from error
     except Exception as error:  # protobuf's, the checker's and the file system's own types
         raise ValueError(f"{path} cannot be read as an ONNX graph: {one_line(error)}") from error
     if not model.graph.node:
@@ -127,8 +129,7 @@ def save_model(
     """
     import onnx
 
-    if not path.absolute().parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
+    path = check_output(path)
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
         staged = Path(folder) / path.name
         weights = f"{path.name}.{graph_digest(model)[:16]}.data"

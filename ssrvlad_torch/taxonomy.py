@@ -15,12 +15,12 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
 from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-import yaml
+
+from .untrusted import MOST_YAML, parse_yaml, read_text
 
 CATEGORIES = (
     "ground",
@@ -178,8 +178,8 @@ def label_space(given: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
     name = os.fspath(given)
     if name.endswith((".yaml", ".yml")):
         try:
-            return _parsed(Path(name).read_text(encoding="utf-8"), name)
-        except (OSError, UnicodeDecodeError) as error:
+            return _parsed(read_text(name, MOST_YAML), name)
+        except (OSError, ValueError) as error:
             raise ValueError(f"cannot read the label space {name}: {error}") from error
     names = label_space_names()
     if name not in names:
@@ -195,11 +195,7 @@ def label_space(given: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
 
 @lru_cache(maxsize=32)
 def _parsed(text: str, where: str) -> LabelSpace:
-    try:
-        document = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ValueError(f"{where} is not YAML: {' '.join(str(error).split())}") from error
-    return LabelSpace.from_dict(document, where)
+    return LabelSpace.from_dict(parse_yaml(text, where), where)
 
 
 def palette(space: str | os.PathLike[str] | LabelSpace) -> npt.NDArray[np.uint8]:

@@ -1,7 +1,7 @@
 """The entry point of the command line: an error becomes one line on stderr and an exit code.
 
-Exit codes: 0 success, 1 a file that is not what `verify` wants, 2 wrong use or an input that
-nothing can be done with, 3 finished with some inputs skipped, 130 interrupted.
+Exit codes: 0 success, 1 a file that is not what `verify` expects, 2 wrong use or an input that
+nothing can be done with, 3 finished with some inputs skipped, 130 interrupted, 143 terminated.
 
 Everything is imported inside `main`, so that Ctrl-C during an import is an interruption like any
 other.
@@ -10,15 +10,21 @@ other.
 from __future__ import annotations
 
 import os
+import signal
 import sys
 
 WRONG_USE = 2
-INTERRUPTED = 130
+INTERRUPTED = 128 + signal.SIGINT
+TERMINATED = 128 + signal.SIGTERM
+
+_ENDS = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 
 
 def main() -> None:
     """Runs the command that ``sys.argv`` names, and exits."""
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
+    if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
     try:
         code = _run(arguments, debug=len(arguments) < len(sys.argv) - 1)
         sys.stdout.flush()
@@ -27,8 +33,10 @@ def main() -> None:
         code = 0
     except KeyboardInterrupt:
         code = INTERRUPTED
-    if code == INTERRUPTED:
-        print("ssrvlad: interrupted", file=sys.stderr)
+    except SystemExit as end:
+        code = end.code if isinstance(end.code, int) else WRONG_USE
+    if code in _ENDS:
+        print(f"ssrvlad: {_ENDS[code]}", file=sys.stderr)
     sys.exit(code)
 
 
@@ -41,17 +49,32 @@ def _run(arguments: list[str], debug: bool) -> int:
     try:
         code: int = app(arguments, standalone_mode=False)
         return code
-    except SystemExit:  # what typer makes of a broken pipe
-        raise BrokenPipeError from None
+    except SystemExit as end:
+        if end.code == TERMINATED:
+            raise
+        raise BrokenPipeError from None  # typer ends with another code where a pipe is broken
     except typer.Abort:
         return INTERRUPTED
     except typer.TyperException as error:
-        message = error.format_message()
-    except (ValueError, OSError, ImportError) as error:
-        if debug:
+        note(error.format_message())
+    except Exception as error:
+        message = _sentence(error)
+        if debug or message is None:
             import traceback
 
-            traceback.print_exc()
-        message = str(error)
-    note(message)
+            traceback.print_exception(error)
+        note(message or f"an error in ssrvlad itself: {error!r}")
     return WRONG_USE
+
+
+def _sentence(error: Exception) -> str | None:
+    """What an input or the machine is at fault for, in words; ``None`` for an error in the code."""
+    if isinstance(error, RecursionError):
+        return f"an input is nested too deeply: {error}"
+    if isinstance(error, MemoryError) or "allocate memory" in str(error):
+        return f"out of memory: {error}".removesuffix(": ")
+    return (
+        str(error)
+        if isinstance(error, ValueError | OSError | ImportError | OverflowError)
+        else None
+    )

@@ -36,7 +36,21 @@ class Progress(NamedTuple):
 
 def note(message: str) -> None:
     """One line on stderr."""
-    print(f"ssrvlad: {' '.join(message.split())}", file=sys.stderr)
+    print(f"ssrvlad: {shown(' '.join(message.split()))}", file=sys.stderr)
+
+
+def say(text: object) -> None:
+    """One line on stdout, whatever names are in it."""
+    print(shown(str(text)), flush=True)
+
+
+def shown(text: str) -> str:
+    """A text with what is not printable, such as a newline in a file's name, as ``\\n``."""
+    return text if text.isprintable() else "".join(map(_shown, text))
+
+
+def _shown(character: str) -> str:
+    return character if character.isprintable() else ascii(character)[1:-1]
 
 
 @contextmanager

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-import yaml
 
 from .. import baselines
 from ..baselines.run import Retrieval, run
@@ -28,6 +27,7 @@ from ..recognition.recognise import AS_PAPER, Recognised, Steps
 from ..recognition.recognise import recognise as recognise_places
 from ..recognition.sweep import COLUMNS, score
 from ..taxonomy import label_space
+from ..untrusted import parse_yaml
 from .measure import TOP, Recognition, wants_similarity
 from .options import MethodOptions, RecognitionOptions, StepOptions
 from .output import progress_bar
@@ -220,10 +220,7 @@ def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
         name, equals, value = pair.partition("=")
         if not equals:
             raise ValueError(f"--set wants NAME=VALUE, got {pair!r}")
-        try:
-            settings[name] = yaml.safe_load(value)
-        except yaml.YAMLError as error:
-            raise ValueError(f"--set {name} wants a value in YAML, got {value!r}") from error
+        settings[name] = parse_yaml(value, f"the value of --set {name}")
     return settings
 
 

@@ -7,10 +7,10 @@ scripts make; ``vehicle/`` has the GPS fixes of the frames.
 
 from __future__ import annotations
 
-import json
 import math
 from pathlib import Path
 
+from ..untrusted import read_json
 from .dataset import Dataset, Layout, Traverse, files_in, folders_in
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
@@ -70,7 +70,7 @@ def read_fix(path: Path) -> Pose:
         ValueError: the file is no JSON object with these numbers; the message names it.
     """
     try:
-        fix = json.loads(path.read_text(encoding="utf-8"))
+        fix = read_json(path)
         x, y = _on_map(fix["gpsLatitude"], fix["gpsLongitude"])
         course = math.radians(fix.get("gpsHeading", math.nan))
         return Pose(x, y, math.remainder(math.pi / 2 - course, 2 * math.pi))

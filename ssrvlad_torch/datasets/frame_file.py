@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from numpy.lib.format import open_memmap, write_array
 
 from ..files import one_line
+from ..untrusted import read_bytes
 from .names import absolute
 from .poses import UNKNOWN, Pose
 
@@ -91,7 +92,7 @@ class FrameFile:
 
     def _content(self) -> bytes:
         if self.row is None:
-            return self.path.read_bytes()
+            return read_bytes(self.path)
         content = io.BytesIO()
         write_array(content, open_memmap(self.path, mode="r")[self.row], allow_pickle=False)
         return content.getvalue()

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.format import (
-    MAGIC_PREFIX,
-    read_array_header_1_0,
-    read_array_header_2_0,
-    read_magic,
-)
+from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ..files import check_pixels, one_line
+from ..files import one_line
+from ..untrusted import check_pixels, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
@@ -69,13 +64,7 @@ def read_image(file: FrameFile) -> Pixels:
 
 
 def _decode_npy(content: bytes) -> Pixels:
-    file = io.BytesIO(content)
-    version = read_magic(file)
-    read_header = read_array_header_1_0 if version == (1, 0) else read_array_header_2_0
-    shape = read_header(file)[0]
-    if len(shape) > 1:
-        check_pixels(*shape[:2])
-    array: npt.NDArray[Any] = np.load(io.BytesIO(content), allow_pickle=False)
+    array = parse_npy(content)
     if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
         raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
     return array

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib.format import MAGIC_PREFIX, read_array
+from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, UnidentifiedImageError
 from PIL.ImageFile import ImageFile
 
 from ..files import one_line
 from ..taxonomy import LabelSpace
+from ..untrusted import check_pixels, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames, is_npy
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
@@ -56,7 +57,7 @@ def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
     content = file.read()
     try:
         is_array = is_npy(file.path) or content.startswith(MAGIC_PREFIX)
-        labels = _decode_npy(content) if is_array else _decode_image(content, space)
+        labels = parse_npy(content) if is_array else _decode_image(content, space)
     except UnidentifiedImageError as error:
         raise ValueError(f"cannot identify the image; expected {', '.join(_FORMATS)}") from error
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
@@ -83,13 +84,9 @@ def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
     return labels.astype(labels.dtype.newbyteorder("="), copy=False)
 
 
-def _decode_npy(content: bytes) -> npt.NDArray[Any]:
-    array: npt.NDArray[Any] = read_array(io.BytesIO(content), allow_pickle=False)
-    return array
-
-
 def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
     with _opened(content) as image:
+        check_pixels(image.height, image.width)
         image.verify()  # the checksums of PNG, which decoding passes over
     with _opened(content) as image:
         raw_mode = _raw_mode(image)

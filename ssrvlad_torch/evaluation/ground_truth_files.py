@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
-from zipfile import ZipFile
 
 import numpy as np
 import numpy.typing as npt
-from numpy.lib import format as npy
 
+from ..untrusted import check_regular, npy_header, parse_npy, read_bytes, read_json, read_npz
 from .object_arrays import PickledArray, load_object_array
 from .outcomes import Rows
 
@@ -46,11 +44,12 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
             reference that is not there, or has an entry for none of the queries.
     """
     path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"cannot read the ground truth {path}: there is no such file")
     if path.suffix.lower() not in READERS:
-        raise ValueError(f"expected a ground truth in {', '.join(READERS)}, got {path}")
+        raise ValueError(
+            f"cannot read the ground truth {path}: expected a file in {', '.join(READERS)}"
+        )
     try:
+        check_regular(path)
         found = READERS[path.suffix.lower()](path)
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
         raise ValueError(f"cannot read the ground truth {path}: {error}") from error
@@ -71,13 +70,13 @@ def of_known(truth: Known) -> tuple[list[int], list[Rows]]:
 
 
 def _read_json(path: Path) -> Pairs:
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = read_json(path)
     if isinstance(content, dict) and all(map(_is_ids, content.values())):
         return content
     if isinstance(content, list) and all(_is_ids(pair) and len(pair) == 2 for pair in content):
         return _grouped(content)
     raise ValueError(
-        'expected {"<query id>": ["<reference id>", ...], ...} or '
+        'wanted {"<query id>": ["<reference id>", ...], ...} or '
         '[["<query id>", "<reference id>"], ...]'
     )
 
@@ -89,28 +88,24 @@ def _read_csv(path: Path) -> Pairs | Matrix:
         if {"query", "reference"} <= set(first):
             return _grouped((line["query"], line["reference"]) for line in lines)
     if not first or not all(map(_is_number, first)):
-        raise ValueError("expected a first line query,reference or a matrix of 0 and 1")
+        raise ValueError("wanted a first line query,reference or a matrix of 0 and 1")
     return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
 
 
 def _read_npy(path: Path) -> PickledArray | Matrix:
     with path.open("rb") as file:
-        version = npy.read_magic(file)
-        read_header = npy.read_array_header_1_0 if version[0] == 1 else npy.read_array_header_2_0
-        if read_header(file)[2].hasobject:
+        if npy_header(file)[2].hasobject:
             return load_object_array(file)
-    return np.asarray(np.load(path, allow_pickle=False))
+    return parse_npy(read_bytes(path))
 
 
 def _read_npz(path: Path) -> Matrix:
-    with ZipFile(path):
-        archive = np.load(path, allow_pickle=False)
-    with archive:
-        if "GThard" in archive.files:
-            return np.asarray(archive["GThard"].T)
-        if len(archive.files) != 1:
-            raise ValueError(f"expected one matrix, or GThard, got {', '.join(archive.files)}")
-        return np.asarray(archive[archive.files[0]])
+    arrays = read_npz(path)
+    if "GThard" in arrays:
+        return arrays["GThard"].T
+    if len(arrays) != 1:
+        raise ValueError(f"expected one matrix, or GThard, got {', '.join(arrays)}")
+    return next(iter(arrays.values()))
 
 
 READERS: dict[str, Callable[[Path], Pairs | PickledArray | Matrix]] = {
@@ -158,7 +153,7 @@ def _of_pairs(pairs: Pairs, queries: Sequence[str], references: Sequence[str]) -
 def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:
     if matrix.shape != (queries, references):
         raise ValueError(
-            f"is a matrix of shape {matrix.shape}, expected {(queries, references)} for "
+            f"is a matrix of shape {matrix.shape}, wanted {(queries, references)} for "
             f"{queries} queries and {references} references"
         )
     if matrix.dtype.kind not in "biuf" or not np.isin(matrix, (0, 1)).all():
@@ -169,12 +164,12 @@ def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:
 def _of_vpr_bench(rows: PickledArray, queries: int, references: int) -> Known:
     """Rows ``[query, [reference, ...]]`` of numbers from 0, in any order of the queries."""
     if len(rows) != queries:
-        raise ValueError(f"has {len(rows)} rows, expected one for each of {queries} queries")
+        raise ValueError(f"has {len(rows)} rows, wanted one for each of {queries} queries")
     truth: dict[int, Rows] = {}
     for place, row in enumerate(rows):
         query, matches = _row(place, row)
         if not 0 <= query < queries or query in truth:
-            raise ValueError(f"has query {query} in row {place}, expected each of {queries} once")
+            raise ValueError(f"has query {query} in row {place}, wanted each of {queries} once")
         past = [match for match in matches if not 0 <= match < references]
         if past:
             raise ValueError(

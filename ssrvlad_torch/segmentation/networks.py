@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from torch import Tensor, nn
 
 from ..files import one_line
+from ..untrusted import read_yaml
 from .onnx_network import OnnxNetwork
 from .preparation import SegmenterConfig
 
@@ -103,8 +103,8 @@ def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> Nam
 def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        document = read_yaml(path)
+    except (OSError, ValueError) as error:
         raise ValueError(f"cannot read the settings {path}: {one_line(error)}") from error
     if not isinstance(document, dict) or not isinstance(document.get("network"), str):
         raise ValueError(f"{path} names no network; expected network: NAME, and settings")

@@ -6,6 +6,7 @@ import ast
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -113,13 +114,12 @@ class OnnxNetwork(nn.Module):
 def _names(text: str) -> dict[int, str]:
     """Class names of a metadata property: JSON, or a Python literal as Ultralytics writes it; a
     mapping, or a list."""
-    try:
-        found = json.loads(text)
-    except json.JSONDecodeError:
-        try:
-            found = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            return {}
+    for parse in (json.loads, ast.literal_eval):
+        with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+            found = parse(text)
+            break
+    else:
+        return {}
     if not isinstance(found, list | dict):
         return {}
     entries: Any = enumerate(found) if isinstance(found, list) else found.items()

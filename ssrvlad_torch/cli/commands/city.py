@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import Seed
-from ..output import progress_bar
+from ..output import progress_bar, say
 
 FRAMES = 100
 TOUR_FRAMES = 1100
@@ -44,9 +44,9 @@ def city(
     if tour:
         with progress_bar("rendering", frames or TOUR_FRAMES) as bar:
             folder = write_tour(out, frames, seed, progress=bar.advance)
-        print(f"{folder}: {len(list(folder.iterdir()))} frames")
+        say(f"{folder}: {len(list(folder.iterdir()))} frames")
         return
     frames = frames or FRAMES
     with progress_bar("rendering", 2 * frames) as bar:
         write_city(out, frames=frames, seed=seed, progress=bar.advance)
-    print(f"{out}: {frames} reference and {frames} query frames")
+    say(f"{out}: {frames} reference and {frames} query frames")

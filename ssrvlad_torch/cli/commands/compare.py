@@ -11,7 +11,7 @@ import typer
 
 from ...baselines import METHODS
 from ..options import Json, RandomWeights, StepOptions, TruthOptions, Workers
-from ..output import figure, finish, print_json, print_table
+from ..output import figure, finish, print_json, print_table, say
 
 if TYPE_CHECKING:
     from ...baselines import Method
@@ -213,14 +213,14 @@ def _print(rows: Sequence[Row]) -> None:
         times = (_times(row[f"{what}_ms"]) for what in COSTS)
         costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
     print_table(costs)
-    print(
+    say(
         f"{done[0]['queries']} queries ({done[0]['queries_with_match']} with a true match) against "
         f"{done[0]['references']} references, convention {done[0]['convention']}; in each cell the "
         "95 % interval, and of times, which are of single frames, the least and the most"
     )
     for row in done:
         if row["steps"]:
-            print(f"{row['method']} with steps: {steps_in_words(row['steps'])}")
+            say(f"{row['method']} with steps: {steps_in_words(row['steps'])}")
 
 
 def _figures(row: Row) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from ..options import AsOf, DatabaseFolder, Json
-from ..output import SOME_SKIPPED, note, print_json, progress_bar
+from ..output import SOME_SKIPPED, note, print_json, progress_bar, say
 
 db = typer.Typer(help="Look into a database, verify it, export it.", rich_markup_mode=None)
 
@@ -31,7 +31,7 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
     for name, value in report.items():
         entries = value.items() if isinstance(value, dict) else ()
         text = ", ".join(f"{key} {entry}" for key, entry in entries) if entries else value
-        print(f"{name.replace('_', ' ')}: {text}")
+        say(f"{name.replace('_', ' ')}: {text}")
 
 
 @db.command()
@@ -47,7 +47,7 @@ def history(database: DatabaseFolder, as_json: Json = False) -> None:
             print_json({**entry._asdict(), "time": entry.time.isoformat()})
         else:
             when = entry.time.isoformat(" ", "seconds")
-            print(f"{entry.version}  {when}  {entry.frames} frames  {entry.change}")
+            say(f"{entry.version}  {when}  {entry.frames} frames  {entry.change}")
 
 
 @db.command()
@@ -65,7 +65,7 @@ def compact(
 
     opened = Database.open(database)
     opened.compact(keep_days)
-    print(f"{database}: {len(opened)} frames, {len(opened.history())} versions kept")
+    say(f"{database}: {len(opened)} frames, {len(opened.history())} versions kept")
 
 
 @db.command()
@@ -82,7 +82,7 @@ def index(database: DatabaseFolder, as_json: Json = False) -> None:
         print_json(report._asdict())
         return
     at = report.recall_at
-    print(
+    say(
         f"{database}: index of {report.lists} lists in {report.seconds:.1f} s; it finds {at[1]:.3f}"
         f" of the best match and {at[10]:.3f} of the 10 best, {report.milliseconds:.1f} ms a query"
     )
@@ -117,7 +117,7 @@ def verify(
     if as_json:
         print_json({"frames": frames, "damage": [entry._asdict() for entry in damage]})
     else:
-        print(f"{database}: {frames} frames, {sum(entry.rows for entry in damage)} damaged")
+        say(f"{database}: {frames} frames, {sum(entry.rows for entry in damage)} damaged")
     for entry in damage:
         note(f"{database}/{entry.file}: {entry.rows} frames lost: {entry.reason}")
     if damage and drop_damaged:
@@ -149,7 +149,7 @@ def export(
     from ...database.exporting import export_database
 
     for file in export_database(Database.open(database, as_of), form, output):
-        print(file)
+        say(file)
 
 
 def contents(path: Path | str, as_of: int | None = None) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..options import Frames, Seed
+from ..output import say
 
 
 def demo(
@@ -29,7 +30,7 @@ def demo(
     with progress_bar("demo", STEPS * frames) as bar:
         result = run_demo(out, frames, seed, bar.advance)
     _print_metrics(result.metrics)
-    print(f"picture: {result.picture}")
+    say(f"picture: {result.picture}")
 
 
 def _print_metrics(metrics: Mapping[str, Any]) -> None:
@@ -44,4 +45,4 @@ def _print_metrics(metrics: Mapping[str, Any]) -> None:
     table.add_row("AUC-PR", figure(metrics["auc_pr"]))
     table.add_row("Recall@100%Precision", figure(metrics["recall_at_100_precision"]))
     print_table(table)
-    print(counts(metrics))
+    say(counts(metrics))

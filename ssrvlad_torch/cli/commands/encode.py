@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..options import Json, MaybePreset, SourceOptions
-from ..output import finish, note, print_json, progress_bar
+from ..output import finish, note, print_json, progress_bar, say
 from .db import contents
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def encode(
         told = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
         print_json({"database": output, **told, **contents(output)})
     else:
-        print(f"{output}: {summary}")
+        say(f"{output}: {summary}")
     for frame in summary.gone:
         note(f"{frame} is in {output} and its file is gone; --prune removes it")
     finish(summary.skipped)

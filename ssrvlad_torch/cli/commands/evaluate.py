@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..options import AsOf, Json, MethodOptions, RecognitionOptions, SourceOptions, TruthOptions
-from ..output import finish, print_json
+from ..output import finish, print_json, say
 
 if TYPE_CHECKING:
     from ..report import Page
@@ -80,7 +80,7 @@ def evaluate(
         title, settings = title_and_settings(database, source.paths, true)
         page.write(found, matches, metrics, title, settings)
         if not as_json:
-            print(f"report: {page.path}")
+            say(f"report: {page.path}")
     finish(found.skipped)
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import LabelsAs, Preset
+from ..output import say
 
 
 def export(
@@ -38,4 +39,4 @@ def export(
 
     config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
     export_head(config, output, given, dtype, COLUMNS if sweep else ())
-    print(f"{output}: {given} of {labels_as} to descriptors of fingerprint {config.fingerprint}")
+    say(f"{output}: {given} of {labels_as} to descriptors of fingerprint {config.fingerprint}")

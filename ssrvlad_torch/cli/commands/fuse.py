@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import Preset
+from ..output import say
 
 
 def fuse(
@@ -42,7 +43,7 @@ def fuse(
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
     join(segmenter, config, path)
-    print(
+    say(
         f"{path}: {network} as {segmenter.label_space.name} to descriptors of fingerprint "
         f"{config.fingerprint}"
     )

@@ -6,8 +6,9 @@ from typing import Annotated
 
 import typer
 
+from ...untrusted import read_yaml
 from ..options import Json
-from ..output import print_json, print_table
+from ..output import print_json, print_table, say
 
 
 def labels(
@@ -43,7 +44,7 @@ def labels(
         table.add_row(str(number), each, kind)
     print_table(table)
     out = [each for _, each, kind in rows if kind not in CATEGORIES]
-    print(
+    say(
         f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category; left out: "
         f"{', '.join(out) or 'none'}"
     )
@@ -51,11 +52,10 @@ def labels(
 
 def _is_space(name: str) -> bool:
     """Whether a YAML file defines a label space, and not the settings of a network."""
-    import yaml
 
     if not name.endswith((".yaml", ".yml")):
         return False
     from pathlib import Path
 
     path = Path(name)
-    return not path.is_file() or "network" not in (yaml.safe_load(path.read_text("utf-8")) or {})
+    return not path.is_file() or "network" not in (read_yaml(path) or {})

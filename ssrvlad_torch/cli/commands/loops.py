@@ -14,7 +14,7 @@ import typer
 from ...evaluation.thresholds import SURE_PRECISION, needed
 from ...loops.config import LoopConfig
 from ..options import Json, MaybePreset, SourceOptions
-from ..output import figure, finish, print_json
+from ..output import figure, finish, print_json, say
 
 if TYPE_CHECKING:
     from ...encoding.results import Encoded, Skipped
@@ -104,7 +104,7 @@ def _print_result(result: LoopResult, as_json: bool) -> None:
         print_json({name: getattr(result, name) for name in FIELDS})
     elif result.accepted:
         ahead = "" if result.ahead is None else f" {result.ahead:+.1f} m"
-        print(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}", flush=True)
+        say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")
 
 
 def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
@@ -114,21 +114,21 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
             print_json(told)
         return
     reasons = (f"{count} {reason}" for reason, count in sorted(told["reasons"].items()))
-    print(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
+    say(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
     columns = ", ".join(map(str, told["steps"]["sweep"])) or "0"
-    print(f"steps: less the mean so far, anchors {columns}, no temporal sum, followed online")
+    say(f"steps: less the mean so far, anchors {columns}, no temporal sum, followed online")
     if "precision" not in told:
         return
-    print(
+    say(
         f"precision {figure(told['precision'])} ({told['right']} of {told['accepted']} loops "
         f"are right), recall {figure(told['recall'])} ({told['recognised']} of "
         f"{told['revisits']} revisits)"
     )
     if not told["suggested"]:
-        print("no threshold to suggest: no candidate is right; a drive with revisits is needed")
+        say("no threshold to suggest: no candidate is right; a drive with revisits is needed")
         return
     point = told["suggested"]
-    print(
+    say(
         f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
         f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
         f"{figure(point['recall'])}; {needed()} loops without a mistake would prove "

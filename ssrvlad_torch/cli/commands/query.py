@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions
-from ..output import finish, note, print_json
+from ..output import finish, note, print_json, say
 
 
 def query(
@@ -104,7 +104,7 @@ def query(
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
             certain = "" if confidence is None else f" (confidence {confidence:.2f})"
-            print(f"{frame}: {listed or 'no candidate'}{certain}")
+            say(f"{frame}: {listed or 'no candidate'}{certain}")
     if not as_json:
         note("single frames by the index" if used is None else steps_in_words(used, recognition.t))
     finish(skipped)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import Preset
+from ..output import say
 
 
 def show(
@@ -50,4 +51,4 @@ def show(
         if isinstance(labels, ValueError):
             raise labels
         draw(labels, head, output, title=file.frame)
-    print(output)
+    say(output)

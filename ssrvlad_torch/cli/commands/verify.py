@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..options import Json
-from ..output import finish, note, print_json, print_table, progress_bar
+from ..output import finish, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ...deployment.verify import Verification
@@ -70,9 +70,9 @@ def _print(model: Path, found: Verification) -> None:
         table.add_row(one.name, f"{one.difference:.2g}", one.problem or "equal")
     print_table(table)
     for problem in found.problems:
-        print(problem)
+        say(problem)
     network = f" with {found.network}" if found.network else ""
-    print(
+    say(
         f"{model}: {'as it should be' if found.passed else 'NOT as it should be'}, largest "
         f"difference {found.difference:.2g}; version {found.version}, fingerprint "
         f"{found.fingerprint}, {found.labels_as}{network}"

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import Weights
+from ..output import say
 
 
 def vocabulary(
@@ -29,4 +30,4 @@ def vocabulary(
 
     features = RegionFeatures(weights, regions=regions)
     train_vocabulary(images, output, features, words, seed)
-    print(f"{output}: {words} words")
+    say(f"{output}: {words} words")
