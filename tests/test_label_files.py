@@ -246,7 +246,7 @@ def zipped(path):
         ("four.npy", array(np.zeros((2, 3, 4, 5), int)), r"got \(2, 3, 4, 5\)"),
         ("one.npy", array(np.zeros(5, int)), r"got \(5,\)"),
         ("nothing.npy", array(np.zeros((0, 5), int)), r"got \(0, 5\)"),
-        ("pickle.npy", array(np.array([[{"id": 3}]])), "Object arrays"),
+        ("pickle.npy", array(np.array([[{"id": 3}]])), "holds Python objects"),
         ("bilevel.png", image(LABELS > 3), "mode 1"),
     ],
 )

@@ -174,7 +174,9 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
         array = open_memmap(path, mode="r")
     except Exception:  # what damaged bytes raise has no bounds
         return None
-    return len(array) if array.ndim == kind.stack_rank and array.size else None
+    if array.ndim != kind.stack_rank:
+        return None
+    return len(array) if array.size else 0
 
 
 def _with_poses(files: list[FrameFile]) -> Iterator[FrameFile]:

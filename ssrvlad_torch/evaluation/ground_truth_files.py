@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..files import one_line
 from ..untrusted import check_regular, npy_header, parse_npy, read_bytes, read_json, read_npz
 from .object_arrays import PickledArray, load_object_array
 from .outcomes import Rows
@@ -52,7 +53,7 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
         check_regular(path)
         found = READERS[path.suffix.lower()](path)
     except Exception as error:  # what decoders raise on damaged bytes has no bounds
-        raise ValueError(f"cannot read the ground truth {path}: {error}") from error
+        raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
     try:
         if isinstance(found, dict):
             return _of_pairs(found, queries, references)
