@@ -99,23 +99,23 @@ def test_the_known_queries_can_be_chosen():
         ("a.json", "", "cannot read the ground truth"),
         ("a.json", b"\xff\xfe\x00", "cannot read the ground truth"),
         ("a.json", "[" * 100_000, "cannot read the ground truth"),
-        ("a.json", 3, "a.json: wanted .*query id.* or "),
-        ("a.json", {"a": "day/1"}, "wanted"),
-        ("a.json", {"a": {"day/1": 1}}, "wanted"),
-        ("a.json", {"a": [["day/1"]]}, "wanted"),
-        ("a.json", {"a": [1]}, "wanted"),
-        ("a.json", [["a", "day/1", "day/2"]], "wanted"),
-        ("a.json", ["ab"], "wanted"),
+        ("a.json", 3, "a.json: expected .*query id.* or "),
+        ("a.json", {"a": "day/1"}, "expected"),
+        ("a.json", {"a": {"day/1": 1}}, "expected"),
+        ("a.json", {"a": [["day/1"]]}, "expected"),
+        ("a.json", {"a": [1]}, "expected"),
+        ("a.json", [["a", "day/1", "day/2"]], "expected"),
+        ("a.json", ["ab"], "expected"),
         ("a.json", {"c": []}, "has an entry for none of the 2 queries, as a"),
         ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
-        ("a.csv", "", "wanted a first line query,reference or a matrix of 0 and 1"),
-        ("a.csv", "query,place\na,day/1\n", "wanted a first line query,reference"),
+        ("a.csv", "", "expected a first line query,reference or a matrix of 0 and 1"),
+        ("a.csv", "query,place\na,day/1\n", "expected a first line query,reference"),
         ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
         ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
         ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),
         ("a.csv", "1,0,2\n0,0,0\n", "is no matrix of 0 and 1"),
-        ("a.csv", "1,0,1\n", r"shape \(1, 3\), wanted \(2, 3\) for 2 queries and 3 references"),
-        ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), wanted \(2, 3\)"),
+        ("a.csv", "1,0,1\n", r"shape \(1, 3\), expected \(2, 3\) for 2 queries and 3 references"),
+        ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), expected \(2, 3\)"),
         ("a.npy", MATRIX[0], r"is a matrix of shape \(3,\)"),
         ("a.npy", MATRIX * 0.5, "is no matrix of 0 and 1"),
         ("a.npy", MATRIX * np.nan, "is no matrix of 0 and 1"),
@@ -125,9 +125,9 @@ def test_the_known_queries_can_be_chosen():
         ("a.npz", b"PK", "cannot read the ground truth"),
         ("a.npz", {"x": MATRIX, "y": MATRIX}, "expected one matrix, or GThard, got x, y"),
         ("a.npz", {"x": np.array([[0, []]], object)}, "cannot read the ground truth"),
-        ("a.npy", vpr_bench((0, [])), "has 1 rows, wanted one for each of 2 queries"),
+        ("a.npy", vpr_bench((0, [])), "has 1 rows, expected one for each of 2 queries"),
         ("a.npy", vpr_bench(*[(n, []) for n in range(3)]), "has 3 rows"),
-        ("a.npy", vpr_bench((0, []), (0, [])), "has query 0 in row 1, wanted each of 2 once"),
+        ("a.npy", vpr_bench((0, []), (0, [])), "has query 0 in row 1, expected each of 2 once"),
         ("a.npy", vpr_bench((1, []), (2, [])), "has query 2 in row 1"),
         ("a.npy", vpr_bench((0, []), (1, [0, 3])), "names reference 3 of query 1; .* has 3"),
         ("a.npy", vpr_bench((0, [-1]), (1, [])), "names reference -1 of query 0"),
@@ -179,7 +179,7 @@ def test_files_that_vpr_bench_ships(name, queries, references, first, last):
     assert (truth[0], truth[-1]) == ([*first], [*last])
     trusting = np.load(path, allow_pickle=True)
     assert truth == [sorted(set(matches)) for _, matches in trusting]
-    with pytest.raises(ValueError, match="wanted one for each of"):
+    with pytest.raises(ValueError, match="expected one for each of"):
         from_file(path, frames[0][1:], frames[1])
     with pytest.raises(ValueError, match=f"the database has {references // 2}"):
         from_file(path, frames[0], frames[1][: references // 2])

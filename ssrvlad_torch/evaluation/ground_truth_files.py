@@ -77,7 +77,7 @@ def _read_json(path: Path) -> Pairs:
     if isinstance(content, list) and all(_is_ids(pair) and len(pair) == 2 for pair in content):
         return _grouped(content)
     raise ValueError(
-        'wanted {"<query id>": ["<reference id>", ...], ...} or '
+        'expected {"<query id>": ["<reference id>", ...], ...} or '
         '[["<query id>", "<reference id>"], ...]'
     )
 
@@ -89,7 +89,7 @@ def _read_csv(path: Path) -> Pairs | Matrix:
         if {"query", "reference"} <= set(first):
             return _grouped((line["query"], line["reference"]) for line in lines)
     if not first or not all(map(_is_number, first)):
-        raise ValueError("wanted a first line query,reference or a matrix of 0 and 1")
+        raise ValueError("expected a first line query,reference or a matrix of 0 and 1")
     return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
 
 
@@ -154,7 +154,7 @@ def _of_pairs(pairs: Pairs, queries: Sequence[str], references: Sequence[str]) -
 def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:
     if matrix.shape != (queries, references):
         raise ValueError(
-            f"is a matrix of shape {matrix.shape}, wanted {(queries, references)} for "
+            f"is a matrix of shape {matrix.shape}, expected {(queries, references)} for "
             f"{queries} queries and {references} references"
         )
     if matrix.dtype.kind not in "biuf" or not np.isin(matrix, (0, 1)).all():
@@ -165,12 +165,12 @@ def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:
 def _of_vpr_bench(rows: PickledArray, queries: int, references: int) -> Known:
     """Rows ``[query, [reference, ...]]`` of numbers from 0, in any order of the queries."""
     if len(rows) != queries:
-        raise ValueError(f"has {len(rows)} rows, wanted one for each of {queries} queries")
+        raise ValueError(f"has {len(rows)} rows, expected one for each of {queries} queries")
     truth: dict[int, Rows] = {}
     for place, row in enumerate(rows):
         query, matches = _row(place, row)
         if not 0 <= query < queries or query in truth:
-            raise ValueError(f"has query {query} in row {place}, wanted each of {queries} once")
+            raise ValueError(f"has query {query} in row {place}, expected each of {queries} once")
         past = [match for match in matches if not 0 <= match < references]
         if past:
             raise ValueError(
