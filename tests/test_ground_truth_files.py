@@ -148,7 +148,7 @@ def test_other_files_are_refused(read, name, content, message):
 
 def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / "missing.json", tmp_path):
-        with pytest.raises(ValueError, match="No such file|expected a file"):
+        with pytest.raises(ValueError, match=r"No such file|expected a file"):
             from_file(path, QUERIES, REFERENCES)
 
 
