@@ -424,8 +424,10 @@ def test_a_full_disk_keeps_what_was_committed_and_says_so(maps, monkeypatch):
     assert counts(maps.encode()) == (6, 4, 0)
 
 
-def test_workers_make_the_same_rows(maps, monkeypatch):
-    monkeypatch.setattr(encoder, "WORTH_A_WORKER", 1)
+@pytest.mark.parametrize("most_threads", [0, 2], ids=["processes", "threads"])
+def test_workers_make_the_same_rows(maps, monkeypatch, most_threads):
+    monkeypatch.setattr(encoder, "WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(encoder, "MOST_THREADS", most_threads)
     maps.add("a", range(70, 110))
     (maps.folder / "a" / "75.png").write_text("no image")
     frames, skipped = encode_to_memory(HEAD, maps.files(), workers=2)
@@ -457,7 +459,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from ssrvlad_torch import SSRVLAD, Database, EncodeOptions, encode_to_database
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import describer, encoder, writer
-describer.BATCH, encoder.BATCH, encoder.WORTH_A_WORKER, writer.COMMIT_ROWS = 1, 1, 1, 8
+describer.BATCH, encoder.BATCH, encoder.WORTH_A_PROCESS, writer.COMMIT_ROWS = 1, 1, 1, 8
 head = SSRVLAD.from_preset("default", labels_as="camvid-11")
 database = Database.open_or_create(sys.argv[1], head.config)
 told = []

@@ -1,9 +1,10 @@
-"""Work in worker processes: in order, bounded, honest about what went wrong, and no orphans."""
+"""Work in threads and processes: in order, bounded, honest about errors, and no orphans."""
 
 import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -40,20 +41,35 @@ def slow(number):
     return os.getpid() if number < 2 else number
 
 
-@pytest.mark.parametrize(("workers", "count"), [(0, 5), (1, 5), (2, 0), (2, 50), (3, 2)])
+@pytest.mark.parametrize("count", [0, 2, 50])
+@pytest.mark.parametrize("workers", [(0, 0), (1, 0), (2, 0), (0, 1), (1, 2)])
 def test_results_come_in_the_order_of_the_items(workers, count):
-    assert list(in_order(squared, range(count), workers)) == [n * n for n in range(count)]
+    assert list(in_order(squared, range(count), *workers)) == [n * n for n in range(count)]
 
 
-def test_the_work_is_done_elsewhere_with_more_than_one_worker():
-    assert os.getpid() not in in_order(own_process, range(4), 2)
-    assert set(in_order(own_process, range(4), 1)) == {os.getpid()}
+def test_threads_and_processes_share_the_work_with_a_thread_of_torch_each():
+    import torch
+
+    before = torch.get_num_threads()
+    done = set(in_order(where, range(40), 2, 1))
+    assert {process == os.getpid() for process, _, _ in done} == {True, False}
+    assert len({thread for process, thread, _ in done if process == os.getpid()}) > 1
+    assert {threads for _, _, threads in done} == {1}
+    assert threading.get_ident() not in {thread for _, thread, _ in done}
+    assert torch.get_num_threads() == before
+
+
+def where(_item):
+    import torch  # takes a process long, and is for this one only
+
+    time.sleep(0.2)
+    return os.getpid(), threading.get_ident(), torch.get_num_threads()
 
 
 def test_items_are_taken_as_they_are_needed():
     taken = []
     items = (taken.append(number) or number for number in range(1000))
-    results = in_order(squared, items, 2)
+    results = in_order(squared, items, 1, 1)
     assert next(results) == 0
     assert len(taken) < 20
 
@@ -63,28 +79,29 @@ def test_an_error_of_the_items_comes_after_what_was_before_it():
         yield from range(7)
         raise KeyboardInterrupt
 
-    results = in_order(squared, items(), 2)
+    results = in_order(squared, items(), 1, 1)
     assert [next(results) for _ in range(7)] == [n * n for n in range(7)]
     with pytest.raises(KeyboardInterrupt):
         next(results)
 
 
-def test_an_error_of_the_work_has_its_own_kind():
+@pytest.mark.parametrize("workers", [(2, 0), (0, 2)])
+def test_an_error_of_the_work_has_its_own_kind(workers):
     with pytest.raises(ZeroDivisionError, match="nothing to share"):
-        list(in_order(fail, range(3), 2))
+        list(in_order(fail, range(3), *workers))
 
 
 def test_a_killed_worker_is_named():
     with pytest.raises(ChildProcessError, match="a worker process was killed"):
-        list(in_order(die_at_five, range(20), 2))
+        list(in_order(die_at_five, range(20), 0, 2))
 
 
 def test_what_libraries_print_is_no_result():
-    assert list(in_order(noisy, range(4), 2)) == [0, 1, 2, 3]
+    assert list(in_order(noisy, range(4), 0, 2)) == [0, 1, 2, 3]
 
 
 def test_workers_end_with_the_results():
-    results = in_order(own_process, iter(range(100)), 2)
+    results = in_order(own_process, iter(range(100)), 0, 2)
     worker = next(results)
     results.close()
     assert is_gone(worker)
@@ -95,7 +112,7 @@ import sys
 sys.path.insert(0, sys.argv[1])
 from test_workers import slow
 from ssrvlad_torch.encoding.workers import in_order
-for result in in_order(slow, range(1000), 2):
+for result in in_order(slow, range(1000), 0, 2):
     print(result, flush=True)
 """
 

@@ -116,7 +116,7 @@ class SourceOptions:
     ] = None
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes that read and encode; as many as cores if not given."),
+        typer.Option(min=1, help="Frames to encode at once; as many as cores if not given."),
     ] = None
 
     @property

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -20,6 +21,8 @@ SOME_SKIPPED = 3
 """Exit code of a command that finished with some inputs skipped."""
 
 _WIDE = 200
+_SECONDS = 0.2
+"""Between two updates of a progress bar. Frames come in batches: one alone has no rate."""
 
 
 class Progress(NamedTuple):
@@ -78,18 +81,30 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
     console = Console(stderr=True)
     with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total, told="")
-        skipped = 0
+        waiting = skipped = 0
+        due = 0.0
+
+        def show() -> None:
+            nonlocal waiting, due
+            rate = bar.tasks[task].speed
+            told = (f"{rate:.0f}/s" if rate else "") + (f", {skipped} skipped" if skipped else "")
+            bar.update(task, advance=waiting, told=told)
+            waiting, due = 0, time.monotonic() + _SECONDS
 
         def advance(done: int) -> None:
-            rate = bar.tasks[task].speed or 0.0
-            told = f"{rate:.0f}/s" + (f", {skipped} skipped" if skipped else "")
-            bar.update(task, advance=done, told=told)
+            nonlocal waiting
+            waiting += done
+            if time.monotonic() > due:
+                show()
 
         def skip(_frame: object) -> None:
             nonlocal skipped
             skipped += 1
 
-        yield Progress(advance, skip)
+        try:
+            yield Progress(advance, skip)
+        finally:
+            show()
 
 
 def print_table(table: Table) -> None:

@@ -14,6 +14,7 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
+from ..native.operator import is_built
 from ..segmentation.segmenter import Segmenter
 from .describer import BATCH, Described, Describer, Item, read
 from .interruption import deferred_interruption
@@ -30,8 +31,12 @@ from .results import (
 from .workers import in_order
 from .writer import Writer
 
-WORTH_A_WORKER = 100
-"""Frames for which a process more pays: it takes a second to start."""
+WORTH_A_PROCESS = 500
+"""Frames for which a process more pays: it takes some seconds to start."""
+
+MOST_THREADS = 4
+"""Threads that work at once where they seldom wait for Python's lock: in the native core and in
+the decoders of images they do not hold it."""
 
 
 def encode_to_database(
@@ -120,12 +125,13 @@ def encode(
 
     Each worker reads and describes a batch at a time. Where the head lies on another device than
     the CPU, the workers read and the head describes here. A segmenter runs here, while the workers
-    describe what it gave before. A few frames are not worth a worker.
+    describe what it gave before. The first workers are threads: some where the native core
+    describes, one where torch does. The others are processes, if there are frames enough.
 
     Args:
         head: the method.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        workers: number of processes, without it the number of cores; with 0 or 1 all is done here.
+        workers: how many, without it the number of cores; with 0 or 1 all is done here.
         segmenter: makes the label maps; without, they are read.
 
     Raises:
@@ -160,12 +166,16 @@ def _encode(
     workers = cores() if workers is None else workers
     items = _segmented(files, segmenter, workers) if segmenter else map(Item, files)
     batches = iter(lambda: list(islice(items, BATCH)), [])
-    workers = min(workers, len(files) // WORTH_A_WORKER)
-    if next(describer.head.buffers()).device.type == "cpu":
-        results = in_order(describer, batches, workers)
-    else:
+    reads_only = next(describer.head.buffers()).device.type != "cpu"
+    free = reads_only or (describer.head.native and is_built())
+    threads = min(workers, MOST_THREADS if free else 1)
+    processes = min(workers - threads, len(files) // WORTH_A_PROCESS)
+    if reads_only:
         reading = partial(read, describer.head.label_space)
-        results = map(describer.describe, in_order(reading, batches, workers))
+        ready = in_order(reading, batches, threads, processes)
+        results: Iterator[list[Described | Skipped]] = map(describer.describe, ready)
+    else:
+        results = in_order(describer, batches, threads, processes)
     yield from map(encoded, chain.from_iterable(results))
 
 

@@ -48,8 +48,8 @@ class EncodeOptions:
     """How a database is filled.
 
     Attributes:
-        workers: processes that read and encode, if not given as many as cores; with 0 or 1 all is
-            done in this one.
+        workers: threads and processes that read and encode, if not given as many as cores; with 0
+            or 1 all is done in the caller's thread.
         complete: the files are all that there are of their folders, so that other frames of these
             are known to be gone.
         prune: with ``complete``, remove the frames that are gone.

@@ -1,9 +1,10 @@
-"""Work on many items in processes of their own: in order, and never many of them in memory.
+"""Work on many items by several workers: in order, and never many of them in memory.
 
-A worker is this Python run anew, with a pipe for each direction. It reads pickled items from the
-one and writes pickled results to the other. Nothing is forked, so it does not matter what threads
-run here, and it is the same on every system. When this process ends, however it ends, its ends of
-the pipes close, and the worker reads the end of its file and ends too.
+A worker is a thread of this process, or a process of its own: this Python run anew, with a pipe for
+each direction. That reads pickled items from the one and writes pickled results to the other.
+Nothing is forked, so it does not matter what threads run here, and it is the same on every system.
+When this process ends, however it ends, its ends of the pipes close, and the worker reads the end
+of its file and ends too.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _AHEAD = 2
 
 
 def in_order(
-    work: Callable[[Item], Result], items: Iterable[Item], workers: int
+    work: Callable[[Item], Result], items: Iterable[Item], threads: int, processes: int = 0
 ) -> Iterator[Result]:
     """What work makes of items, in their order.
 
@@ -37,20 +38,28 @@ def in_order(
     Ctrl-C: whoever consumes the results decides what becomes of it.
 
     Args:
-        work: what is done with an item. It, the items and the results must be picklable.
+        work: what is done with an item. For processes it, the items and the results must be
+            picklable; for several threads it must be safe to call at once.
         items: taken one by one, some ahead of what is worked on.
-        workers: number of processes; with 0 or 1 the work is done here.
+        threads, processes: number of workers of each kind, of which each has one thread of torch.
+            Without processes and at most one thread the work is done in the caller's.
 
     Raises:
         ChildProcessError: a worker was killed.
     """
-    if workers <= 1:
+    workers = threads + processes
+    if not processes and threads <= 1:
         yield from map(work, items)
         return
+    import torch
+
     with ExitStack() as stack:
-        pool = stack.enter_context(ThreadPoolExecutor(workers))  # a thread waits for each worker
-        idle: queue.SimpleQueue[_Worker] = queue.SimpleQueue()
-        for _ in range(workers):
+        stack.callback(torch.set_num_threads, torch.get_num_threads())  # of threads to come
+        pool = stack.enter_context(ThreadPoolExecutor(workers, "", torch.set_num_threads, (1,)))
+        idle: queue.SimpleQueue[Callable[[Item], Result]] = queue.SimpleQueue()
+        for _ in range(threads):
+            idle.put(work)
+        for _ in range(processes):
             worker = _Worker(work)
             stack.callback(worker.end)
             idle.put(worker)
