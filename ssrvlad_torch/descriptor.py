@@ -15,7 +15,7 @@ from .bitplanes import Masks, unpack
 from .config import SSRVLADConfig
 from .explanation import Explanation
 from .front_end import FrontEnd, label_map
-from .native.operator import UnknownIdError, describe, is_built, method_of
+from .native.operator import UnknownIdError, describe, is_built, method_of, operator
 from .soft.descriptor import SoftSSRVLAD
 from .stages.centroid import centre_table, centroids
 from .stages.harmonics import Harmonics
@@ -83,7 +83,7 @@ class SSRVLAD(nn.Module):
         self._front_end = FrontEnd(self.config)
         self._aggregation: Aggregation = AGGREGATIONS[self.config.aggregation](self.config)
         self._surrogate = SoftSSRVLAD(self.config) if surrogate else None
-        self.native = True
+        self.native = is_built()
         self._method = method_of(self.config)
         self._warned = False
 
@@ -100,12 +100,13 @@ class SSRVLAD(nn.Module):
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = _tensor(labels)
-        if labels.is_cpu and self.native and is_built() and not self._takes_gradient(labels):
+        if labels.is_cpu and self.native and not self._takes_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
         return descriptor
 
-    @torch.compiler.disable  # type: ignore[untyped-decorator]
+    # as torch.compiler.disable, which has torch load its compiler when this module is imported
+    @torch._disable_dynamo  # type: ignore[attr-defined, untyped-decorator]
     def _describe_by_stages(self, labels: Tensor) -> Tensor:
         with torch.autocast(labels.device.type, enabled=False):
             masks = self._front_end(labels)  # Table II, clean layers, skeletons
@@ -118,7 +119,8 @@ class SSRVLAD(nn.Module):
         labels = label_map(labels, self.label_space)
         table, origin = self._front_end.table.to(labels.device), self._front_end.origin
         try:
-            descriptor: Tensor = describe(labels, table, origin, self._method)
+            run = operator if torch.compiler.is_compiling() else describe
+            descriptor: Tensor = run(labels, table, origin, self._method)
             return descriptor
         except UnknownIdError:
             refuse_unknown(labels, categorise(labels, table, origin), self.label_space)
@@ -179,6 +181,11 @@ class SSRVLAD(nn.Module):
     @staticmethod
     def _takes_gradient(labels: Tensor) -> bool:
         return labels.requires_grad and torch.is_grad_enabled()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """From a pickle, perhaps of a machine with another core."""
+        super().__setstate__(state)
+        self.native = self.native and is_built()
 
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""

@@ -131,7 +131,7 @@ def test_votes(seed, height, width, data, dtype):
 
 
 def describe(labels: Tensor, config: SSRVLADConfig) -> Tensor:
-    from ssrvlad_torch.native.operator import describe as operator
+    from ssrvlad_torch.native.operator import operator
 
     table, origin = category_table(label_space(config.labels_as))
     return operator(labels, table, origin, json.dumps(config.to_dict()))
@@ -215,7 +215,7 @@ def test_unknown_ids(bad, working_size):
 
 def test_the_operator_keeps_the_rules_of_torch():
     """Schema, fake kernel, ahead-of-time dispatch: torch's own check; then compile and export."""
-    from ssrvlad_torch.native.operator import describe as operator
+    from ssrvlad_torch.native.operator import operator
 
     config = SSRVLADConfig(labels_as=SPACE)
     table, origin = category_table(label_space(SPACE))

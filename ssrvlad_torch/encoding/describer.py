@@ -112,7 +112,7 @@ class Describer:
 
 def _made_of(config: SSRVLADConfig, native: bool, origin: str) -> Describer:
     head = SSRVLAD(config)
-    head.native = native
+    head.native = head.native and native
     return Describer(head, origin)
 
 

@@ -14,7 +14,6 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
-from ..native.operator import is_built
 from ..segmentation.segmenter import Segmenter
 from .describer import BATCH, Described, Describer, Item, read
 from .interruption import deferred_interruption
@@ -167,7 +166,7 @@ def _encode(
     items = _segmented(files, segmenter, workers) if segmenter else map(Item, files)
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = next(describer.head.buffers()).device.type != "cpu"
-    free = reads_only or (describer.head.native and is_built())
+    free = reads_only or describer.head.native
     threads = min(workers, MOST_THREADS if free else 1)
     processes = min(workers - threads, len(files) // WORTH_A_PROCESS)
     if reads_only:

@@ -1,4 +1,8 @@
-"""``torch.ops.ssrvlad.describe``: `torch.compile` and `torch.export` see one operator."""
+"""``torch.ops.ssrvlad.describe``: `torch.compile` and `torch.export` see one operator.
+
+Without them the function is called as it is: its first call as an operator has torch load its
+compiler, which takes as long as torch itself.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +32,6 @@ class UnknownIdError(ValueError):
     """A label map holds an id that the table does not know."""
 
 
-@torch.compiler.assume_constant_result  # type: ignore[untyped-decorator]
 def is_built() -> bool:
     """Whether the operator can run here."""
     return core().library is not None
@@ -41,7 +44,6 @@ def method_of(config: SSRVLADConfig) -> str:
     return json.dumps(settings)
 
 
-@torch.library.custom_op("ssrvlad::describe", mutates_args=(), device_types="cpu")
 def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     """The descriptors of a batch of label maps; torch's threads share the images.
 
@@ -79,7 +81,12 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
     return descriptors
 
 
-@describe.register_fake
+operator = torch.library.custom_op(
+    "ssrvlad::describe", describe, mutates_args=(), device_types="cpu"
+)
+
+
+@operator.register_fake
 def _(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     length = SSRVLADConfig.from_dict(json.loads(settings)).length
     return labels.new_empty((labels.shape[0], length), dtype=torch.float32)
