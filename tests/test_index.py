@@ -2,10 +2,14 @@
 
 import pytest
 import torch
+import torch.nn.functional as F
 from helpers import descriptors, flip_byte
 
-from ssrvlad_torch import Database, match
-from ssrvlad_torch.database.index import build_index, search_index
+from ssrvlad_torch import Database, match, standardise
+from ssrvlad_torch.database import index
+from ssrvlad_torch.database.index import IndexSearch, build_index, search_index
+from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_search
+from ssrvlad_torch.recognition.sweep import score
 
 
 @pytest.fixture(scope="module")
@@ -93,3 +97,39 @@ def test_a_damaged_row_that_is_found_is_refused(tmp_path):
     flip_byte(file, file.read_bytes().index(numbers[5].numpy().tobytes()) + 8, 1)
     with pytest.raises(ValueError, match="is damaged"):
         search_index(Database.open(tmp_path / "db"), numbers[5][None], 1)
+
+
+@pytest.mark.parametrize("follow", ["offline", "online", None])
+@pytest.mark.parametrize("off", [True, False])
+def test_all_frames_as_candidates_give_what_exact_search_gives(town, monkeypatch, follow, off):
+    database, _ = town
+    monkeypatch.setattr(index, "CANDIDATES", 1000)
+    frames = database.load()
+    queries = F.normalize(frames.descriptors[300:340] + 0.3 * descriptors(5, 40, 32), dim=1)
+    queries[11] = 0
+    steps = Steps(standardise=off, sweep=False, follow=follow)
+    names = ["q"] * 40
+    expected = recognise(queries, frames.descriptors, names, frames.sequences, steps, 3)
+    got = recognise_by_search(
+        lambda own: IndexSearch(database, queries, names, own), names, frames.sequences, steps, 3
+    )
+    assert got.used == {**expected.used, "sweep": {"q": 0}}
+    assert torch.equal(got.matches.indices, expected.matches.indices)
+    torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-4, rtol=0)
+    torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-3, rtol=0)
+
+
+def test_rows_are_scored_exactly_whether_found_or_reached(town):
+    database, _ = town
+    frames = database.load()
+    queries = frames.descriptors[::50]
+    ids = ["a's/013"] * len(queries)
+    search = IndexSearch(database, queries, ["q"] * len(queries), True, ["a's"], (ids, 2))
+    exact = score(standardise(queries), standardise(frames.descriptors, frames.sequences))
+    rows = torch.tensor([3, 6, 100, 290])
+    expected = exact[2, rows]
+    expected[1] = -torch.inf
+    torch.testing.assert_close(search.scores(2, rows), expected)
+    assert all(frames.sequences[row] == "a's" for row in search.candidates(2).tolist())
+    with pytest.raises(ValueError, match="no sequence 'c'"):
+        IndexSearch(database, queries, ["q"] * len(queries), allowed=["c"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -17,13 +18,14 @@ from .. import baselines
 from ..baselines.run import Retrieval, run
 from ..database.database import Database
 from ..database.frames import FrameSet
+from ..database.index import IndexSearch
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.results import cores
 from ..evaluation.metrics import Convention
 from ..recognition.matching import Matches
-from ..recognition.recognise import AS_PAPER, Recognised, Steps
+from ..recognition.recognise import AS_PAPER, LEAST, Recognised, Steps, recognise_by_search
 from ..recognition.recognise import recognise as recognise_places
 from ..recognition.sweep import COLUMNS, score
 from ..taxonomy import label_space
@@ -114,6 +116,39 @@ def by_database(
             "mean_confidence": float(found.confidence.mean()),
         },
     )
+
+
+def by_index(
+    database: Database,
+    queries: FrameSet,
+    steps: Steps,
+    top: int,
+    sequences: Sequence[str] | None,
+    exclude: int | None,
+) -> tuple[Recognised, FrameSet]:
+    """What is recognised over the candidates of a database's index, and the database's frames.
+
+    Args:
+        queries: single descriptors.
+        steps: there is no sweep.
+        top: candidates of each query.
+        sequences: the only ones that candidates may be of, if given.
+        exclude: so many frames on each side of a query in its own sequence are no candidates.
+
+    Raises:
+        ValueError: there is no index, a sequence is not there, or the database is damaged.
+    """
+    ids, names = queries.frames, queries.sequences
+
+    @cache
+    def search(standardised: bool) -> IndexSearch:
+        return IndexSearch(
+            database, queries.descriptors, names, standardised, sequences, (ids, exclude)
+        )
+
+    long = names.count(names[0]) >= LEAST if names else False
+    frames = search(steps.standardise and long).frames
+    return recognise_by_search(search, names, frames.sequences, steps, top), frames
 
 
 def with_single_descriptors(queries: FrameSet) -> FrameSet:

@@ -431,9 +431,13 @@ class Database:
 
     def frames(self) -> FrameSet:
         """All frames as from `load`, without their descriptors, ``(R, 0)``, and not verified."""
+        return self.placed()[0]
+
+    def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
+        """`frames`, and ``(R,)`` the place of each among the rows as they are stored."""
         table = self._columns(_OF_A_SET)
         order = _order(table)
-        return _frame_set(table.take(order), np.empty((len(order), 0), np.float32))
+        return _frame_set(table.take(order), np.empty((len(order), 0), np.float32)), order
 
     def load(self, damage: list[Damage] | None = None) -> FrameSet:
         """All frames in memory, every byte of them verified.

@@ -33,24 +33,29 @@ def confidence_of_places(near: Tensor, mode: str) -> Tensor:
     return torch.sigmoid(offset + slope * torch.logit(near.float(), _LEAST))
 
 
-def confidence_of_scores(scores: Tensor) -> Tensor:
+def confidence_of_scores(
+    scores: Tensor, rows: Tensor | None = None, spread: tuple[float, float] | None = None
+) -> Tensor:
     """Of a single frame, by how far its first candidate stands out and leads.
 
     Args:
-        scores: ``(R,)`` cosines of one query, -inf where there can be no match.
+        scores: ``(N,)`` cosines of one query, -inf where there can be no match.
+        rows: ``(N,)`` of the map, to which the scores belong; without, they are of all rows.
+        spread: mean and standard deviation of the nearness of all rows; without, of these.
 
     Returns:
         float32, 0 to 1; 0 where there is no candidate, or nothing to hold it against.
     """
     if not len(scores) or not bool((scores > -torch.inf).any()):
         return torch.tensor(0.0)
-    mean, deviation = moments(scores)
+    mean, deviation = moments(scores) if spread is None else spread
     near = nearness(scores)
-    row = int(scores.argmax())
-    z = (near[row] - mean) / deviation
-    others = torch.cat((near[: max(0, row - _ELSEWHERE)], near[row + _ELSEWHERE + 1 :]))
+    first = int(scores.argmax())
+    places = torch.arange(len(scores)) if rows is None else rows
+    others = near[(places - places[first]).abs() > _ELSEWHERE]
     others = others[others.isfinite()]
     if not len(others):
         return torch.tensor(0.0)
+    z = (near[first] - mean) / deviation
     offset, by_z, by_lead = SINGLE
-    return torch.sigmoid(offset + by_z * z + by_lead * (near[row] - others.max()))
+    return torch.sigmoid(offset + by_z * z + by_lead * (near[first] - others.max()))

@@ -84,14 +84,7 @@ def follow(
         >>> follow(scores, ["drive"] * 30).indices[:, 0].tolist()
         [10, 11, 12, 13, 14, 15, 16, 17, 18, 19]
     """
-    if mode not in ("online", "offline"):
-        raise ValueError(f"mode: expected online or offline, got {mode!r}")
-    if delay < 0 or top < 1:
-        raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
-    drives = [""] * len(scores) if queries is None else queries
-    if len(drives) != len(scores):
-        got = len(drives)
-        raise ValueError(f"expected a sequence for each of {len(scores)} queries, got {got}")
+    drives = checked(mode, delay, top, len(scores), queries)
     track = Filter(sequences, motion)
     ends = NearSums(sequences)
     found: dict[int, Places] = {}
@@ -102,6 +95,20 @@ def follow(
             allowed = _candidates(scores[query])
             found[query] = ends.places(track.rows(belief), belief.unmapped, top, allowed)
     return stacked([found[query] for query in range(len(drives))], top)
+
+
+def checked(
+    mode: Mode, delay: int, top: int, count: int, queries: Sequence[str] | None
+) -> Sequence[str]:
+    """The sequence of each query, where the arguments of `follow` fit."""
+    if mode not in ("online", "offline"):
+        raise ValueError(f"mode: expected online or offline, got {mode!r}")
+    if delay < 0 or top < 1:
+        raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
+    drives = [""] * count if queries is None else queries
+    if len(drives) != count:
+        raise ValueError(f"expected a sequence for each of {count} queries, got {len(drives)}")
+    return drives
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:

@@ -72,8 +72,11 @@ def match(
     asked = wanted(queries)
     for first in range(0, len(vectors), _REFERENCE_BLOCK):
         last = first + _REFERENCE_BLOCK
-        known = isinstance(references, Rows)
-        block = references.block(first, last) if known else Rows.of(vectors[first:last].float())
+        block = (
+            references.block(first, last)
+            if isinstance(references, Rows)
+            else Rows.of(vectors[first:last].float())
+        )
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
             scores_here = block.cosines(asked[part])

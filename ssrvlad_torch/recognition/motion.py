@@ -118,17 +118,17 @@ def moved(belief: Tensor, motion: Motion) -> Tensor:
     Returns:
         likewise, without what jumps; what left the map is in the gaps.
     """
-    return conv1d(belief[None], _chances(motion), padding=GAP)[0, :, : belief.shape[1]]
+    return conv1d(belief[None], chances(motion), padding=GAP)[0, :, : belief.shape[1]]
 
 
 def moved_back(belief: Tensor, motion: Motion) -> Tensor:
     """The transpose of `moved`."""
-    chances = _chances(motion).transpose(0, 1).flip(2)
-    return conv1d(belief[None], chances, padding=GAP)[0, :, -belief.shape[1] :]
+    back = chances(motion).transpose(0, 1).flip(2)
+    return conv1d(belief[None], back, padding=GAP)[0, :, -belief.shape[1] :]
 
 
 @cache
-def _chances(motion: Motion) -> Tensor:
+def chances(motion: Motion) -> Tensor:
     """``(8, 8, taps)``: to each speed from each, the chance to come from so many cells away; the
     first tap is the longest step."""
     chances = torch.zeros(len(SPEEDS), len(SPEEDS), GAP - _LEAST_STEP + 1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -10,9 +10,10 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from .candidates import Part, Search, follow_candidates, gain
 from .confidence import confidence_of_places, confidence_of_scores
 from .filter import Filter
-from .follow import Mode, Scores, follow, runs
+from .follow import Mode, Places, Scores, follow, runs
 from .matching import Matches, Rows, Vectors
 from .motion import Motion
 from .standardise import standardise
@@ -150,6 +151,38 @@ def _used(steps: Steps) -> dict[str, Any]:
     return {**asdict(steps), "standardise": {}, "sweep": {}, "follow": {}}
 
 
+def recognise_by_search(
+    search: Callable[[bool], Search],
+    query_sequences: Sequence[str],
+    reference_sequences: Sequence[str],
+    steps: Steps | None = None,
+    top: int = 5,
+) -> Recognised:
+    """Likewise, over the candidates of a search: for maps of which not every row is scored.
+
+    Args:
+        search: gives what finds candidates, standardised or not. There is no sweep.
+    """
+    steps = replace(steps or Steps(), sweep=False)
+    used = _used(steps)
+    parts: list[tuple[Matches, Tensor]] = []
+    for run in runs(query_sequences):
+        name, own = query_sequences[run.start], steps.standardise and len(run) >= LEAST
+        part, mode = Part(search(own), run), steps.follow
+        if mode and gain(part, reference_sequences, Motion(unmapped=0.0)) > 0:
+            places = follow_candidates(
+                part, reference_sequences, mode=mode, delay=steps.delay, top=top
+            )
+            empty = torch.tensor([not len(part.candidates(query)) for query in range(len(part))])
+            parts.append(_placed(places, empty, mode))
+        else:
+            mode = None
+            parts.append(_single([_best_candidate(part, query, top) for query in range(len(part))]))
+        used["standardise"][name], used["sweep"][name] = own, 0
+        used["follow"][name] = mode or "no"
+    return _joined(parts, used, top)
+
+
 def _joined(parts: Sequence[tuple[Matches, Tensor]], used: dict[str, Any], top: int) -> Recognised:
     if not parts:
         none = torch.zeros(0, top)
@@ -200,19 +233,28 @@ def _judged(
     mode = steps.follow
     if mode is not None and _is_sequence(scores, sequences):
         places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top)
-        ranked = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
-        found = Matches(
-            ranked.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf),
-            places.indices.masked_fill(empty[:, None], -1),
-        )
-        sure = confidence_of_places(places.near, mode)
-        return (found, sure.masked_fill(empty, 0)), mode
-    rows = [_best(scores[query], top) for query in range(len(scores))]
-    matches = Matches(
-        torch.stack([row.scores for row, _ in rows]), torch.stack([row.indices for row, _ in rows])
+        return _placed(places, empty, mode), mode
+    return _single([_best(scores[query], top) for query in range(len(scores))]), "no"
+
+
+def _placed(places: Places, empty: Tensor, mode: Mode) -> tuple[Matches, Tensor]:
+    """Candidates and confidences of what was followed; an empty query has none."""
+    ranked = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
+    found = Matches(
+        ranked.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf),
+        places.indices.masked_fill(empty[:, None], -1),
     )
-    return (matches, torch.stack([sure for _, sure in rows])), "no"
+    return found, confidence_of_places(places.near, mode).masked_fill(empty, 0)
+
+
+def _single(found: Sequence[tuple[Matches, Tensor]]) -> tuple[Matches, Tensor]:
+    """Candidates and confidences of queries that were judged one by one."""
+    matches = Matches(
+        torch.stack([one.scores for one, _ in found]),
+        torch.stack([one.indices for one, _ in found]),
+    )
+    return matches, torch.stack([sure for _, sure in found])
 
 
 def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
@@ -230,3 +272,14 @@ def _best(scores: Tensor, top: int) -> tuple[Matches, Tensor]:
     count = min(top, int((scores > -torch.inf).sum()))
     best[:count], rows[:count] = ranked.values[:count], ranked.indices[:count]
     return Matches(best, rows), confidence_of_scores(scores)
+
+
+def _best_candidate(search: Search, query: int, top: int) -> tuple[Matches, Tensor]:
+    """The same among the candidates of a search."""
+    rows = search.candidates(query).sort().values
+    scores = search.scores(query, rows)
+    best, _ = _best(scores, top)
+    indices = best.indices.clone()
+    indices[best.indices >= 0] = rows[best.indices[best.indices >= 0]]
+    sure = confidence_of_scores(scores, rows, search.spread(query))
+    return Matches(best.scores, indices), sure

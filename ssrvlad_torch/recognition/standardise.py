@@ -64,11 +64,22 @@ def _less_mean(single: Tensor, running: bool) -> Tensor:
         counted, totals = counted.cumsum(0), totals.cumsum(0)
     else:
         counted, totals = counted.sum(0, keepdim=True), totals.sum(0, keepdim=True)
-    mean = (totals / counted.clamp(min=1)[:, None]).float()[:, None]
-    less = F.normalize(flat - mean, dim=2)
-    first = (flat - mean).abs().amax(dim=2, keepdim=True) <= _ROUNDING
-    less = torch.where(first, flat, less) * flat.any(dim=2, keepdim=True)
-    return less.view_as(single)
+    return less(flat, (totals / counted.clamp(min=1)[:, None]).float()[:, None]).view_as(single)
+
+
+def less(vectors: Tensor, mean: Tensor) -> Tensor:
+    """Vectors of length 1 or zero less a mean, normalised again.
+
+    Zeros stay zero, and a vector that is the mean stays as it is.
+
+    Args:
+        vectors: ``(..., D)`` float32.
+        mean: of a shape that fits.
+    """
+    away = vectors - mean
+    alone = away.abs().amax(dim=-1, keepdim=True) <= _ROUNDING
+    after = torch.where(alone, vectors, F.normalize(away, dim=-1))
+    return after * vectors.any(dim=-1, keepdim=True)
 
 
 _ROUNDING = 1e-6

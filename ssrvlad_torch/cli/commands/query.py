@@ -40,7 +40,9 @@ def query(
     index: Annotated[
         bool,
         typer.Option(
-            "--index", help="Search by the index on disk, see ssrvlad db index; scores are exact."
+            "--index",
+            help="Search by the index on disk, see ssrvlad db index: scores are exact, and "
+            "sequences are followed over its candidates; no sweep.",
         ),
     ] = False,
     as_of: AsOf = None,
@@ -54,11 +56,10 @@ def query(
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
     from ...database.database import Damage, Database
-    from ...database.index import search_index
     from ...database.selection import neighbours, select
     from ...recognition.sweep import COLUMNS
     from ..measure import steps_in_words
-    from ..recognise import barred, judged, steps_of, sure_enough
+    from ..recognise import barred, by_index, judged, steps_of, sure_enough
     from ..sources import Source, encode_queries, load_references
 
     opened = Source.open(source)
@@ -66,36 +67,30 @@ def query(
     if index and (recognition.t or window or skip_damaged):
         raise ValueError("--index does not go with a temporal sum, --window or --skip-damaged")
     town, damage = Database.open(database, as_of), list[Damage]()
-    if index:
-        references = town.frames()
-    else:
-        references = load_references(town, recognition.t, damage if skip_damaged else None)
-    for entry in damage:
-        note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
-    where = None
-    if from_sequence or window:
-        where = select(references, from_sequence, first, last)
     steps = steps_of(recognition)
     queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep and not index else ())
-    near = None if exclude is None else neighbours(queries.frames, references, exclude)
     if index:
-        spared = None if near is None else [references.frames[a:b] for a, b in near.tolist()]
-        found = search_index(town, queries.descriptors, top, threshold, from_sequence, spared)
-        sure, used = [None] * len(found), None
+        all_found, references = by_index(town, queries, steps, top, from_sequence, exclude)
     else:
+        references = load_references(town, recognition.t, damage if skip_damaged else None)
+        for entry in damage:
+            note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
+        limited = from_sequence or window
+        where = select(references, from_sequence, first, last) if limited else None
+        near = None if exclude is None else neighbours(queries.frames, references, exclude)
         shut = barred(len(queries.frames), len(references.frames), where, near)
         all_found = judged(queries, references, steps, top, shut)
-        least = -math.inf if threshold is None else threshold
-        matches = sure_enough(all_found, recognition.min_confidence)
-        sure, used = all_found.confidence.tolist(), all_found.used
-        found = [
-            [
-                (references.frames[row], score)
-                for row, score in zip(rows, scores, strict=True)
-                if row >= 0 and score > least
-            ]
-            for scores, rows in zip(*(m.tolist() for m in matches), strict=True)
+    least = -math.inf if threshold is None else threshold
+    matches = sure_enough(all_found, recognition.min_confidence)
+    sure, used = all_found.confidence.tolist(), all_found.used
+    found = [
+        [
+            (references.frames[row], score)
+            for row, score in zip(rows, scores, strict=True)
+            if row >= 0 and score > least
         ]
+        for scores, rows in zip(*(m.tolist() for m in matches), strict=True)
+    ]
     for frame, ranked, confidence in zip(queries.frames, found, sure, strict=True):
         candidates = [{"frame": name, "score": score} for name, score in ranked]
         if as_json:
@@ -103,10 +98,10 @@ def query(
             print_json({"query": frame, "candidates": candidates, **told})
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
-            certain = "" if confidence is None else f" (confidence {confidence:.2f})"
-            say(f"{frame}: {listed or 'no candidate'}{certain}")
+            say(f"{frame}: {listed or 'no candidate'} (confidence {confidence:.2f})")
     if not as_json:
-        note("single frames by the index" if used is None else steps_in_words(used, recognition.t))
+        way = "candidates of the index, " if index else ""
+        note(way + steps_in_words(used, recognition.t))
     finish(skipped)
 
 
