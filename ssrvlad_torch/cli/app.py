@@ -24,6 +24,7 @@ from .commands.fuse import fuse
 from .commands.labels import labels
 from .commands.locate import locate
 from .commands.loops import loops
+from .commands.poses import poses
 from .commands.query import query
 from .commands.show import show
 from .commands.verify import verify
@@ -66,6 +67,7 @@ for command in (
     fuse,
     verify,
     labels,
+    poses,
     show,
     bench,
 ):

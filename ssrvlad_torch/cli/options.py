@@ -63,7 +63,7 @@ class SourceOptions:
         typer.Argument(
             metavar="SOURCE...",
             help="Folders, globs or files of label maps, or of images with --segmenter; a folder "
-            "is a sequence.",
+            "is a sequence, and so is a ROS bag of images.",
         ),
     ]
     labels_as: Annotated[
@@ -94,6 +94,16 @@ class SourceOptions:
     ] = None
     sequence: Annotated[
         str | None, typer.Option(help="Name of the sequence; the folder's if not given.")
+    ] = None
+    poses: Annotated[
+        str | None,
+        typer.Option(
+            help="Where frames were taken: a .csv file, a file of KITTI or TUM, or exif; if not "
+            "given, poses.csv in or beside a folder, or @UTM@ fields of file names."
+        ),
+    ] = None
+    topic: Annotated[
+        str | None, typer.Option(help="Topic of a ROS bag, if it has several of pictures.")
     ] = None
     every: Annotated[int, typer.Option(min=1, help="Take every N-th frame of a sequence.")] = 1
     start: Annotated[int, typer.Option(min=0, help="First frame to take of a sequence.")] = 0

@@ -110,7 +110,9 @@ class Source:
         if self.dataset:
             return self.dataset.label_files(given.every, given.start)
         try:
-            return find_label_files(given.paths, given.sequence, given.every, given.start, known)
+            return find_label_files(
+                given.paths, given.sequence, given.every, given.start, known, given.poses
+            )
         except ValueError:
             if not _any(find_label_files, given.paths) and _any(find_image_files, given.paths):
                 raise ValueError(
@@ -124,7 +126,9 @@ class Source:
         given = self.given
         if self.dataset:
             return self.dataset.image_files(given.every, given.start)
-        return find_image_files(given.paths, given.sequence, given.every, given.start, known)
+        return find_image_files(
+            given.paths, given.sequence, given.every, given.start, known, given.poses, given.topic
+        )
 
 
 def load_references(
@@ -178,6 +182,8 @@ def with_labels_as(config: SSRVLADConfig, labels_as: LabelsAs | None) -> SSRVLAD
 
 
 def _open_dataset(given: SourceOptions) -> Dataset | None:
+    if given.layout and (given.poses or given.topic):
+        raise ValueError("--poses and --topic are of folders and bags; a --layout has its own")
     if given.layout is None:
         if given.split or given.role or given.labels:
             raise ValueError("--split, --role and --labels want a --layout, for example auto")

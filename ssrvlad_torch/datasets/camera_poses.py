@@ -35,6 +35,7 @@ class Ground(NamedTuple):
 
 Z_UP = Ground(0, 1)
 Z_DOWN = Ground(1, 0)
+Y_DOWN = Ground(0, 2)
 Y_UP_LEFT_HANDED = Ground(0, 2)
 
 

@@ -27,10 +27,11 @@ class FrameFile:
         sequence, name: the frame's id is ``<sequence>/<name>``.
         path: the file.
         row: which frame of a ``.npy`` stack, ``None`` for a file that holds one.
-        pose: from ``poses.csv``, NaN where there is none.
+        pose: where it was taken, NaN where unknown.
         named: whether the user chose the name of the sequence.
         folder: what the sequence is made of: absolute path of the folder, of a stack that of the
             file without its suffix.
+        stamp: when it was taken, in seconds, NaN where unknown.
     """
 
     sequence: str
@@ -40,6 +41,7 @@ class FrameFile:
     pose: Pose = UNKNOWN
     named: bool = False
     folder: str = ""
+    stamp: float = float("nan")
 
     def __post_init__(self) -> None:
         if not self.folder:

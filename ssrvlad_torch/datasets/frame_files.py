@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import glob
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -13,10 +14,14 @@ from typing import TypeVar
 from numpy.lib.format import open_memmap
 
 from ..database.frames import natural_key
+from .bags import bag_files, is_bag
 from .frame_file import FrameFile
+from .gps import read_exif
 from .names import absolute, is_uri, names_of
-from .poses import UNKNOWN, find_poses
+from .poses import UNKNOWN, Pose, find_poses, poses_of_fixes, read_poses
 from .remote_files import remote_files
+from .trajectories import read_trajectory
+from .utm_names import read_name
 
 __all__ = ["FileKind", "FrameFile", "find_frames", "is_npy", "read_ahead"]
 
@@ -31,11 +36,13 @@ class FileKind:
         name: what messages call them.
         suffixes: what their names end in, in lower case; all others are passed over.
         stack_rank: rank of a ``.npy`` array that holds a frame a row.
+        topic: of a bag, if it has several; see `bag_files`.
     """
 
     name: str
     suffixes: tuple[str, ...]
     stack_rank: int
+    topic: str | None = None
 
 
 def find_frames(
@@ -45,6 +52,7 @@ def find_frames(
     every: int = 1,
     start: int = 0,
     known: Mapping[str, str] | None = None,
+    poses: str | None = None,
 ) -> list[FrameFile]:
     """The frames of some sources: sequences in the order of the sources, which is the order of
     time; of a glob, and the frames of a sequence, by name as a person would sort them.
@@ -59,6 +67,8 @@ def find_frames(
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
         known: names that folders have already, see `names_of`.
+        poses: where poses are, see `put_poses`; without, those that are found: in ``poses.csv`` in
+            a folder or beside it, and in `utm_names`.
 
     Raises:
         ValueError: a source holds no frames, two folders give the same frame, ``every`` or
@@ -81,15 +91,58 @@ def find_frames(
     by_sequence: dict[str, list[FrameFile]] = {}
     for file in found.values():
         by_sequence.setdefault(file.sequence, []).append(file)
-    kept = [
-        file
-        for members in by_sequence.values()
-        for file in sorted(members, key=lambda file: natural_key(file.name))[start::every]
+    drives = [
+        sorted(members, key=lambda file: natural_key(file.name)) for members in by_sequence.values()
     ]
+    drives = put_poses(drives, poses) if poses else drives
+    kept = [file for drive in drives for file in drive[start::every]]
     if not kept:
         longest = max(map(len, by_sequence.values()))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return list(_with_poses(kept))
+    return kept if poses else list(_with_poses(kept))
+
+
+def put_poses(drives: Sequence[list[FrameFile]], source: str) -> list[list[FrameFile]]:
+    """Frames with poses.
+
+    Args:
+        drives: the frames of each sequence, all of them, in order.
+        source: a CSV file, see `read_poses`; a file of KITTI or TUM, see `read_trajectory`; or
+            ``exif`` for what the pictures say themselves.
+
+    Raises:
+        ValueError: the file is damaged or does not fit, or no frame is in it.
+    """
+    if source == "exif":
+        return [_posed(drive, _poses_of_exif(drive)) for drive in drives]
+    path = Path(source)
+    if not path.is_file():
+        raise ValueError(f"no file {source}; expected poses in a file, or exif")
+    if path.suffix.lower() == ".csv":
+        table = read_poses(path)
+        found = [[table.get(f.frame, table.get(f.name, UNKNOWN)) for f in d] for d in drives]
+        if all(pose is UNKNOWN for poses in found for pose in poses):
+            raise ValueError(f"{source} has none of the frames, as {drives[0][0].frame}")
+        return list(map(_posed, drives, found))
+    if len(drives) > 1:
+        raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
+    trajectory = read_trajectory(path)
+    try:
+        return [_posed(drives[0], trajectory.of_frames([file.name for file in drives[0]]))]
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def _posed(drive: Sequence[FrameFile], poses: Sequence[Pose]) -> list[FrameFile]:
+    return [replace(file, pose=pose) for file, pose in zip(drive, poses, strict=True)]
+
+
+def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
+    fixes = [read_exif(file.path) for file in drive]
+    if not any(fixes):
+        raise ValueError(f"no picture of {drive[0].sequence} says in EXIF where it was taken")
+    poses = iter(poses_of_fixes([fix for fix in fixes if fix]))
+    return [next(poses) if fix else UNKNOWN for fix in fixes]
 
 
 def read_ahead(
@@ -144,6 +197,13 @@ def _is_same(one: FrameFile, other: FrameFile) -> bool:
 
 
 def _frames_at(place: Path, kind: FileKind) -> Iterator[FrameFile]:
+    if kind.name == "images" and is_bag(place):
+        yield from bag_files(place, kind.topic)
+    else:
+        yield from _frames_of(place, kind)
+
+
+def _frames_of(place: Path, kind: FileKind) -> Iterator[FrameFile]:
     """The frames of a folder or a file. A link to nothing is a frame, skipped when it is read."""
     if not place.is_dir():
         yield from _frames(place, kind, absolute(place.parent), alone=True)
@@ -180,7 +240,8 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
 
 
 def _with_poses(files: list[FrameFile]) -> Iterator[FrameFile]:
-    """The files with the poses of their ids, of ``<folder>/<name>``, or of their bare names."""
+    """The files with the poses of their ids, of ``<folder>/<name>``, of their bare names, or in
+    their names."""
     folders = {file.local_folder for file in files} - {None}
     poses = {folder: find_poses(folder) for folder in folders if folder}
     names = {folder: Path(absolute(folder)).name for folder in poses}
@@ -190,5 +251,6 @@ def _with_poses(files: list[FrameFile]) -> Iterator[FrameFile]:
             continue
         known = poses[folder]
         ids = (file.frame, f"{names[folder]}/{file.name}", file.name)
-        pose = next((known[frame] for frame in ids if frame in known), UNKNOWN)
-        yield replace(file, pose=pose)
+        told, stamp = read_name(file.name)
+        pose = next((known[frame] for frame in ids if frame in known), told)
+        yield replace(file, pose=pose, stamp=stamp if math.isnan(file.stamp) else file.stamp)

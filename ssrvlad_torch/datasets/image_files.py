@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import io
+import shutil
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ..files import one_line
+from ..files import empty_folder, one_line
 from ..untrusted import check_pixels, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
+from .utm_names import write_name
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
@@ -28,10 +31,13 @@ def find_image_files(
     every: int = 1,
     start: int = 0,
     known: Mapping[str, str] | None = None,
+    poses: str | None = None,
+    topic: str | None = None,
 ) -> list[FrameFile]:
-    """The images of some sources; see `find_frames`. A ``.npy`` stack of them has rank 4."""
-    kind = FileKind("images", SUFFIXES, stack_rank=4)
-    return find_frames(kind, sources, sequence, every, start, known)
+    """The images of some sources; see `find_frames`. A ``.npy`` stack of them has rank 4; a bag of
+    ROS is a source too, see `bag_files` for the topic."""
+    kind = FileKind("images", SUFFIXES, stack_rank=4, topic=topic)
+    return find_frames(kind, sources, sequence, every, start, known, poses)
 
 
 def decode_image(content: bytes) -> Pixels:
@@ -61,6 +67,27 @@ def decode_image(content: bytes) -> Pixels:
 def read_image(file: FrameFile) -> Pixels:
     """An image on disk, ``(H, W, 3)`` uint8; see `decode_image`."""
     return decode_image(file.read())
+
+
+def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
+    """Pictures under names that say where they were taken: links to files where the disk can, PNGs
+    of what lies in a stack or a bag.
+
+    Raises:
+        ValueError: something is in the folder, or a picture has no pose or cannot be read.
+        OSError: the folder cannot be written.
+    """
+    empty_folder(folder)
+    for file in files:
+        name = write_name(file.frame.replace("/", "_"), file.pose, file.stamp)
+        if file.row is not None:
+            Image.fromarray(decode_image(file.read())).save(folder / f"{name}.png")
+            continue
+        target = folder / f"{name}{file.path.suffix}"
+        try:
+            target.hardlink_to(file.path)
+        except OSError:  # another disk
+            shutil.copyfile(file.path, target)
 
 
 def _decode_npy(content: bytes) -> Pixels:

@@ -34,10 +34,11 @@ def find_label_files(
     every: int = 1,
     start: int = 0,
     known: Mapping[str, str] | None = None,
+    poses: str | None = None,
 ) -> list[LabelFile]:
     """The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
     kind = FileKind("label maps", SUFFIXES, stack_rank=3)
-    return find_frames(kind, sources, sequence, every, start, known)
+    return find_frames(kind, sources, sequence, every, start, known, poses)
 
 
 def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:

@@ -105,8 +105,8 @@ class Describer:
         file, pose = item.file, item.file.pose
         height, width = np.asarray(item.labels).shape
         return FrameRecord(
-            file.sequence, file.name, pose.x, pose.y, pose.heading, signature=item.signature,
-            digest=item.digest, height=height, width=width, origin=self.origin,
+            file.sequence, file.name, pose.x, pose.y, pose.heading, file.stamp,
+            item.signature, item.digest, height, width, self.origin,
         )  # fmt: skip
 
 

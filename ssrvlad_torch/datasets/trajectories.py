@@ -1,0 +1,92 @@
+"""Poses of one drive in the files of KITTI and TUM, put to its frames."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from .camera_poses import Y_DOWN, Z_UP, optical_axis
+from .poses import UNKNOWN, Pose
+
+_KITTI, _TUM = 12, 8
+_NEAR = 0.02
+
+
+class Trajectory(NamedTuple):
+    """Poses of one drive.
+
+    Attributes:
+        poses: in order.
+        stamps: seconds of each, rising; empty where the n-th pose is that of the n-th frame.
+    """
+
+    poses: list[Pose]
+    stamps: list[float]
+
+    def of_frames(self, names: Sequence[str]) -> list[Pose]:
+        """The pose of each frame of the drive, by its place or by the time that is its name.
+
+        A frame takes the pose that is nearest in time, at most 0.02 s away, as TUM's own tools do.
+
+        Args:
+            names: of all frames of the drive, in order; with stamps each a time in seconds.
+
+        Raises:
+            ValueError: the numbers of frames and poses differ, or a name is no time.
+        """
+        if self.stamps:
+            return [self._at(_seconds(name)) for name in names]
+        if len(names) != len(self.poses):
+            raise ValueError(f"expected {len(self.poses)} frames, one a pose, got {len(names)}")
+        return self.poses
+
+    def _at(self, time: float) -> Pose:
+        place = bisect_left(self.stamps, time)
+        around = range(max(0, place - 1), min(len(self.stamps), place + 1))
+        nearest = min(around, key=lambda n: abs(self.stamps[n] - time))
+        return self.poses[nearest] if abs(self.stamps[nearest] - time) <= _NEAR else UNKNOWN
+
+
+def read_trajectory(path: Path) -> Trajectory:
+    """A file of KITTI or of TUM, told apart by the numbers of a line.
+
+    KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera
+    (x to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose
+    z is up. The heading is where the camera looks, along its own z.
+
+    Raises:
+        ValueError: neither; the message names the line.
+    """
+    poses, stamps = list[Pose](), list[float]()
+    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+        words = line.replace(",", " ").split()
+        if not words or words[0].startswith("#"):
+            continue
+        try:
+            numbers = [float(word) for word in words]
+            if len(numbers) == _KITTI:
+                poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
+            elif len(numbers) == _TUM:
+                x, y, z, w = numbers[4:]
+                # camera to world; `optical_axis` takes the inverse
+                poses.append(Z_UP.pose(numbers[1:4], optical_axis((w, -x, -y, -z))))
+                stamps.append(numbers[0])
+            else:
+                raise ValueError(f"expected 12 numbers (KITTI) or 8 (TUM), got {len(numbers)}")
+        except ValueError as error:
+            raise ValueError(f"{path} line {number}: {error}") from error
+    if stamps and (len(stamps) != len(poses) or stamps != sorted(stamps)):
+        raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
+    if not poses:
+        raise ValueError(f"{path} holds no poses")
+    return Trajectory(poses, stamps)
+
+
+def _seconds(name: str) -> float:
+    """The time that a name is: seconds, or 19 digits of nanoseconds as of a bag."""
+    try:
+        return float(name) * (1e-9 if name.isdigit() and len(name) >= 16 else 1)
+    except ValueError:
+        raise ValueError(f"expected frames named by their time in seconds, got {name!r}") from None

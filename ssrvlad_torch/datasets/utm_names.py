@@ -1,0 +1,74 @@
+"""File names that say where a picture was taken, as VPR-methods-evaluation has them.
+
+``@ UTM east @ UTM north @ zone number @ zone letter @ latitude @ longitude @ panorama @ tile
+@ heading @ pitch @ roll @ height @ time stamp @ note @.jpg``; all but the first two may be empty or
+left out. The heading is in degrees from north to the east.
+"""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+
+from .gps import heading_of_course
+from .poses import UNKNOWN, Pose
+
+_HEADING, _TIME, _NOTE = 9, 13, 14
+_FIELDS = 15
+
+
+def read_name(name: str) -> tuple[Pose, float]:
+    """The pose and the time in seconds that a name says; NaN where it says none. A name that does
+    not begin with ``@``, two numbers and ``@`` says nothing.
+
+    Args:
+        name: of a file, without its suffix.
+
+    Example:
+        >>> read_name("@0303189.3@5787193.0@31@U@@@@@90@@@@@@")[0]
+        Pose(x=303189.3, y=5787193.0, heading=0.0)
+    """
+    fields = name.split("@") + [""] * _FIELDS
+    place = _number(fields[1]), _number(fields[2])
+    if fields[0] or math.isnan(sum(place)):
+        return UNKNOWN, math.nan
+    return Pose(*place, heading_of_course(_number(fields[_HEADING]))), _seconds(fields[_TIME])
+
+
+def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
+    """A name that says the pose, and the time if it is known; its note is the name as it was.
+
+    Raises:
+        ValueError: the position is unknown.
+
+    Example:
+        >>> write_name("000007", Pose(303189.3, 5787193.0, 0.0))
+        '@0303189.30@5787193.00@@@@@@@90.00@@@@@000007@'
+    """
+    if math.isnan(pose.x) or math.isnan(pose.y):
+        raise ValueError(f"where {name} was taken is not known")
+    fields = [""] * _FIELDS
+    fields[1], fields[2] = f"{pose.x:010.2f}", f"{pose.y:010.2f}"
+    if not math.isnan(pose.heading):
+        fields[_HEADING] = f"{(90 - math.degrees(pose.heading)) % 360:.2f}"
+    if not math.isnan(stamp):
+        fields[_TIME] = datetime.fromtimestamp(stamp, UTC).strftime(_TIME_FORMAT)
+    fields[_NOTE] = name.replace("@", "_")
+    return "@".join([*fields, ""])
+
+
+_TIME_FORMAT = "%Y%m%d_%H%M%S"
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
+
+
+def _seconds(text: str) -> float:
+    try:
+        return datetime.strptime(text, _TIME_FORMAT).replace(tzinfo=UTC).timestamp()
+    except ValueError:  # some data sets have a year or a month there
+        return math.nan

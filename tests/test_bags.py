@@ -1,0 +1,119 @@
+"""Pictures in ROS bags, which the library that reads them wrote."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from drawings import SPACE
+from helpers import street
+from networks import photo, write_graph
+from PIL import Image
+
+from ssrvlad_torch import Database
+from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+
+rosbags = pytest.importorskip("rosbags")
+from rosbags import rosbag1, rosbag2  # noqa: E402
+from rosbags.typesys import Stores, get_typestore  # noqa: E402
+
+FIRST = 1_700_000_000_000_000_000
+PHOTOS = [photo(street(seed, 60, 80)) for seed in range(5)]
+FORMS = {
+    "rgb8": lambda p: p,
+    "bgr8": lambda p: p[..., ::-1],
+    "rgba8": lambda p: np.dstack([p, p[..., :1]]),
+    "bgra8": lambda p: np.dstack([p[..., ::-1], p[..., :1]]),
+}
+
+
+def write_bag(path, topics, kind=1, padding=0):
+    """A bag with every photo on each topic, in the encoding that the topic has."""
+    store = get_typestore(Stores.ROS1_NOETIC if kind == 1 else Stores.ROS2_HUMBLE)
+    types = store.types
+    stamp = types["builtin_interfaces/msg/Time"](0, 0)
+    sequence = {"seq": 0} if kind == 1 else {}
+    header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **sequence)
+    writer = rosbag1.Writer(path) if kind == 1 else rosbag2.Writer(path, version=9)
+    with writer as bag:
+        for topic, encoding in topics.items():
+            name = f"sensor_msgs/msg/{'CompressedImage' if encoding == 'png' else 'Image'}"
+            connection = bag.add_connection(topic, name, typestore=store)
+            for row, pixels in enumerate(PHOTOS):
+                if encoding == "png":
+                    file = io.BytesIO()
+                    Image.fromarray(pixels).save(file, "PNG")
+                    data = np.frombuffer(file.getvalue(), np.uint8)
+                    message = types[name](header=header, format="png", data=data)
+                else:
+                    lines = FORMS.get(encoding, lambda p: p[..., :1])(pixels)
+                    lines = lines.reshape(60, -1)
+                    if encoding == "mono16":
+                        lines = (lines.astype("<u2") * 256 + 7).view(np.uint8)
+                    lines = np.pad(lines, ((0, 0), (0, padding)))
+                    message = types[name](
+                        header=header, height=60, width=80, encoding=encoding, is_bigendian=0,
+                        step=lines.shape[1], data=lines.reshape(-1),
+                    )  # fmt: skip
+                serialise = store.serialize_ros1 if kind == 1 else store.serialize_cdr
+                time = FIRST + row * 100_000_000
+                bag.write(connection, time, serialise(message, name))
+    return path
+
+
+@pytest.mark.parametrize("encoding", [*FORMS, "png", "mono8", "mono16"])
+def test_every_encoding(encoding, tmp_path):
+    bag = write_bag(tmp_path / "drive.bag", {"/camera": encoding}, padding=3)
+    files = find_image_files([str(bag)])
+    assert [file.frame for file in files] == [f"drive/{FIRST + n * 10**8}" for n in range(5)]
+    assert files[3].stamp == pytest.approx(FIRST * 1e-9 + 0.3)
+    for row in (0, 4, 1, 1, 3):
+        expected = PHOTOS[row][..., :1].repeat(3, 2) if "mono" in encoding else PHOTOS[row]
+        np.testing.assert_array_equal(read_image(files[row]), expected)
+
+
+def test_ros_2(tmp_path):
+    folder = write_bag(tmp_path / "drive", {"/camera": "rgb8"}, kind=2)
+    for source in (folder, next(folder.glob("*.db3"))):
+        files = find_image_files([str(source)], every=2)
+        assert [file.stamp - FIRST * 1e-9 for file in files] == pytest.approx([0, 0.2, 0.4])
+        np.testing.assert_array_equal(read_image(files[1]), PHOTOS[2])
+    assert files[0].sequence == "drive"
+
+
+def test_a_topic_is_named_where_there_are_several(tmp_path):
+    bag = str(write_bag(tmp_path / "drive.bag", {"/left": "rgb8", "/right": "mono8"}))
+    with pytest.raises(ValueError, match="2 topics of pictures, /left, /right; name one"):
+        find_image_files([bag])
+    with pytest.raises(ValueError, match="no topic /up of pictures; it has /left, /right"):
+        find_image_files([bag], topic="/up")
+    np.testing.assert_array_equal(read_image(find_image_files([bag], topic="/left")[0]), PHOTOS[0])
+
+
+def test_what_cannot_be_read_is_an_error_in_one_line(tmp_path):
+    bag = write_bag(tmp_path / "drive.bag", {"/depth": "16UC1"})
+    with pytest.raises(ValueError, match="pictures in '16UC1' are not read; expected rgb8, bgr8"):
+        read_image(find_image_files([str(bag)])[0])
+    whole = bag.read_bytes()
+    bag.write_bytes(whole[:50])
+    with pytest.raises(ValueError, match=r"drive\.bag is no bag that can be read") as error:
+        find_image_files([str(bag)])
+    assert "\n" not in str(error.value)
+
+
+def test_a_drive_is_one_argument(tmp_path, ssrvlad, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    network = write_graph(tmp_path / "net.onnx")
+    bag = write_bag(tmp_path / "drive.bag", {"/left": "rgb8", "/right": "bgr8"})
+    given = (bag, "-o", tmp_path / "town", "--segmenter", network, "--labels-as", SPACE)
+    code, _, (line,) = ssrvlad("encode", *given)
+    assert code == 2 and "/left, /right; name one with --topic" in line
+    rows = [f"{FIRST * 1e-9 + n / 10:.9f} {n} 0 0 0 0 0 1" for n in range(5)]
+    (tmp_path / "tum.txt").write_text("\n".join(rows))
+    given = (*given, "--topic", "/left", "--poses", tmp_path / "tum.txt")
+    assert "5 frames encoded" in ssrvlad("encode", *given)[1]
+    assert "0 frames encoded" in ssrvlad("encode", *given)[1]
+    frames = Database.open(tmp_path / "town").load()
+    assert frames.poses[:, 0].tolist() == [0, 1, 2, 3, 4]
+    np.testing.assert_allclose(frames.stamps - FIRST * 1e-9, np.arange(5) / 10, atol=1e-6)
