@@ -19,7 +19,7 @@ from ssrvlad_torch import native
 
 torch.set_num_threads(1)
 
-settings.register_profile("steady", derandomize=True, deadline=None)
+settings.register_profile("steady", max_examples=25, derandomize=True, deadline=None)
 settings.register_profile("random", max_examples=1000, deadline=None)
 settings.load_profile("steady")
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
@@ -38,7 +38,6 @@ def test_turns_worked_by_hand(quaternion, axis):
     assert optical_axis([7 * part for part in quaternion]) == pytest.approx(axis, abs=1e-12)
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 1e-3))
 def test_the_axis_is_the_third_row_of_the_rotation(quaternion):
     w, x, y, z = quaternion

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.evaluation.curves import precision_recall, rank, roc_auc
@@ -82,7 +82,6 @@ def test_without_positives_recall_is_nan():
 SCORES = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
 
 
-@settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(SCORES, st.booleans()), max_size=30), st.integers(0, 5))
 def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
     scores = np.array([score for score, _ in queries], float)
@@ -190,7 +189,6 @@ def test_more_positives_scale_recall_and_nothing_else(seed):
 QUERIES = st.lists(st.tuples(SCORES, st.booleans(), st.integers(0, 3)), max_size=20)
 
 
-@settings(max_examples=200, deadline=None)
 @given(QUERIES, st.sampled_from([None, 1.0]))
 def test_a_weight_is_so_many_copies_of_a_query(queries, start):
     """Also where the queries of the highest scores have weight 0."""

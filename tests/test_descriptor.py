@@ -47,7 +47,7 @@ def with_few_harmonics(harmonics: int, rings: int, sectors: int, **settings) -> 
     return SSRVLADConfig(harmonics=min(harmonics, most), rings=rings, sectors=sectors, **settings)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(suppress_health_check=[HealthCheck.too_slow])
 @given(
     seed=st.integers(0, 10_000),
     height=st.integers(1, 70),

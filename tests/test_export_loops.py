@@ -15,7 +15,7 @@ import onnx
 import pytest
 import torch
 from helpers import street, write_street
-from hypothesis import given, settings
+from hypothesis import given
 from loop_streams import configs, noisy_stream, streams
 from onnx import TensorProto, helper
 from PIL import Image
@@ -130,7 +130,6 @@ def both(stream, config):
     return got, expected
 
 
-@settings(max_examples=100, deadline=None)
 @given(streams, configs)
 def test_it_follows_the_rules_of_the_package(stream, config):
     """Of two candidates that are alike to the last digits either may be named, and at the very

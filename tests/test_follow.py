@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -59,7 +59,6 @@ def plain(scores: Tensor, sequences: list[str], motion: Motion, future: int) -> 
     return np.array(found)
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 1000),
     lengths=st.lists(st.integers(1, 12), min_size=1, max_size=3),

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
@@ -135,7 +135,6 @@ def test_a_reach_below_zero_is_refused():
 FRAMES = st.lists(st.tuples(st.sampled_from("ab"), st.integers(0, 120)), min_size=1, unique=True)
 
 
-@settings(max_examples=60, deadline=None)
 @given(FRAMES, FRAMES, st.integers(0, 4))
 def test_frame_numbers_equal_a_loop(queries, references, reach):
     references += [("a", 1000), ("b", 1000)]

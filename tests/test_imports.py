@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -65,6 +67,15 @@ def test_every_public_name_and_help_do_without_what_windows_lacks():
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "Example: ssrvlad encode" in done.stdout
+
+
+SCRIPTS = Path(__file__).parents[1] / "scripts" / "pages"
+
+
+@pytest.mark.parametrize("script", sorted(path.stem for path in SCRIPTS.glob("*.py")))
+def test_what_the_scripts_of_pages_import_is_there(script):
+    """Most of their tests are slow ones."""
+    importlib.import_module(script)
 
 
 def test_settings_label_spaces_and_names_need_no_torch():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from loop_streams import noisy_stream, streams
 
 from ssrvlad_torch.loops.memory import Memory
@@ -18,7 +18,6 @@ def fed(vectors):
     return memory
 
 
-@settings(max_examples=40, deadline=None)
 @given(streams)
 def test_scores_are_those_of_standardised_descriptors(stream):
     swept, _ = stream

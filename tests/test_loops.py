@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.evaluation.loops import (
@@ -76,7 +76,6 @@ def test_wrong_arguments_are_refused():
         score_loops(np.array([-1, 0]), np.full((2, 3), np.nan), 0, 5)
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.integers(1, 30), st.integers(0, 5), st.floats(0, 4), st.integers(0, 2**31))
 def test_the_counts_equal_a_plain_count(length, exclude, metres, seed):
     rng = np.random.default_rng(seed)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.recognition import matching
@@ -43,7 +43,6 @@ def brute_force(queries, references, top, threshold):
     return wanted_scores, wanted_indices
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     st.integers(0, 9),
     st.integers(0, 60),
@@ -154,7 +153,6 @@ def plain_temporal_sum(descriptors, sequences, reach):
     return summed
 
 
-@settings(max_examples=60, deadline=None)
 @given(st.lists(st.integers(0, 6), max_size=4), st.integers(0, 9), st.integers(0, 2**32 - 1))
 def test_temporal_sum_equals_a_loop(lengths, reach, seed):
     rng = np.random.default_rng(seed)

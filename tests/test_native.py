@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import torch
 from drawings import MASKS, VOID, mask, planes
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -76,7 +76,6 @@ def noise(seed: int, height: int, width: int, density: int) -> Tensor:
     return some
 
 
-@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10_000),
     height=SIZES,
@@ -107,7 +106,6 @@ def maps(seed: int, count: int, height: int, width: int, grain: int = 8) -> Tens
     return torch.where(torch.rand(fine.shape, generator=generator) < 0.1, fine, large)
 
 
-@settings(max_examples=25)
 @given(
     seed=st.integers(0, 1000),
     height=st.integers(1, 90),
@@ -155,7 +153,6 @@ configs = pytest.mark.parametrize(
 
 
 @configs
-@settings(max_examples=10)
 @given(seed=st.integers(0, 1000), height=st.integers(1, 80), width=st.integers(1, 200))
 def test_descriptors(config, seed, height, width):
     labels = maps(seed, 2, height, width)

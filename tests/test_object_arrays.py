@@ -7,7 +7,7 @@ import pickle
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.evaluation.object_arrays import PickledArray, load_object_array
@@ -68,7 +68,6 @@ ELEMENTS = st.recursive(
 )
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(ELEMENTS, max_size=6), st.sampled_from(PROTOCOLS))
 def test_nested_elements_come_back(elements, protocol):
     found = load(pickle.dumps(array(elements, len(elements)), protocol))

@@ -1,4 +1,4 @@
-"""scripts/pages/reproduce_paper.py on small data: its page, its cache, and the paper's numbers."""
+"""pages/reproduce_paper.py on small data: its page, its cache, and the paper's numbers."""
 
 from __future__ import annotations
 
@@ -65,6 +65,7 @@ def page(run, home):
     return run(home, "--data", home / "data", "--camvid", home / "camvid")
 
 
+@pytest.mark.slow
 def test_ours_stand_beside_the_papers(page):
     robotcar = {cells[0]: cells[1:] for cells in table(page, "### RobotCar")}
     assert robotcar["CoHOG"] == [
@@ -85,6 +86,7 @@ def test_ours_stand_beside_the_papers(page):
     assert synthia["CoHOG"][1:3] == ["100.0 [100.0, 100.0]", "2.3"]
 
 
+@pytest.mark.slow
 def test_what_was_not_run_says_so(page):
     cmu = table(page, "### Extended CMU")
     assert {cells[2] for cells in cmu[1:]} == {"not here"}
@@ -102,6 +104,7 @@ def test_what_was_not_run_says_so(page):
         assert f"- {told}" in missing
 
 
+@pytest.mark.slow
 def test_all_shifts_are_measured_beside_the_papers(page):
     noise = table(page, "## Table IV")
     assert noise[0][2:] == ["+-25", "+-50", "+-75", "+-100", "+-125", "+-150"]
@@ -117,6 +120,7 @@ def test_all_shifts_are_measured_beside_the_papers(page):
             assert 0 <= low <= mean <= high <= 1
 
 
+@pytest.mark.slow
 def test_costs_are_sorted_and_the_papers_stand_beside_them(page):
     costs = {cells[0]: cells[1:] for cells in table(page, "## Table III")}
     assert costs["CoHOG"][3:] == ["240.89/105.73/92.29", "", "2.5/1.4/0.9"]
@@ -129,6 +133,7 @@ def test_costs_are_sorted_and_the_papers_stand_beside_them(page):
             assert bool(encoding) == name.startswith(("SSR-VLAD", "Region-VLAD"))
 
 
+@pytest.mark.slow
 def test_the_figure_is_a_picture(page, home):
     figure = Image.open(home / "docs" / "figures" / "paper_pr_curves.png")
     assert figure.format == "PNG"
@@ -136,6 +141,7 @@ def test_the_figure_is_a_picture(page, home):
     assert len(np.unique(np.asarray(figure.convert("L")))) > 50
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_was(run, monkeypatch, capsys, tmp_path):
     trials = load("_trials", monkeypatch)
     real, done = trials._run, []
@@ -170,6 +176,7 @@ def test_another_source_of_the_package_takes_no_old_results(monkeypatch, tmp_pat
     assert kept.get(("x", 1), lambda: [3.5]) == [3.5]
 
 
+@pytest.mark.slow
 def test_one_part_alone_writes_no_page(run, capsys, tmp_path):
     assert run(tmp_path, "--only", "table4") is None
     printed = capsys.readouterr().out

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.database.frames import FrameSet, natural_key
@@ -66,7 +66,6 @@ def test_a_query_of_another_sequence_has_no_neighbours():
         neighbours([], FRAMES, -1)
 
 
-@settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
 def test_what_is_not_allowed_is_no_candidate(seed, top):
     """Against a search among only those that are."""

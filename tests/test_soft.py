@@ -234,7 +234,8 @@ print(status[status.index("VmHWM:") + 1])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
-@pytest.mark.parametrize("preset", ["paper", pytest.param("default", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@presets
 def test_a_batch_of_eight_fits_in_two_gigabytes(preset):
     done = subprocess.run(
         [sys.executable, "-c", COST, preset], capture_output=True, text=True, check=True

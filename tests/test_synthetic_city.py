@@ -122,7 +122,8 @@ def test_more_traffic_shows_more_of_it():
 
 def test_winter_bares_the_trees_and_nothing_else():
     """Where summer and winter differ, one of them shows a tree."""
-    summer, winter = (stack(drive(20, season=s, traffic=0, spacing=6)) for s in ("summer", "winter"))
+    seasons = ("summer", "winter")
+    summer, winter = (stack(drive(20, season=s, traffic=0, spacing=6)) for s in seasons)
     assert (winter == VEGETATION).sum() < 0.8 * (summer == VEGETATION).sum()
     differing = summer != winter
     assert ((summer == VEGETATION) | (winter == VEGETATION))[differing].all()

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
@@ -100,7 +100,6 @@ def test_the_suggestion_is_what_match_takes():
 SCORES = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.lists(st.tuples(SCORES, st.booleans()), min_size=1, max_size=30), st.floats(0.01, 1))
 def test_points_equal_a_search(queries, fraction):
     scores = np.array([score for score, _ in queries])

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -52,7 +52,6 @@ def tables(draw):
     return similarity, hard, draw(hnp.arrays(bool, shape))
 
 
-@settings(max_examples=150, deadline=None)
 @given(tables(), st.sampled_from(["multi", "single"]))
 def test_equals_a_plain_loop(table, matching):
     similarity, hard, soft = table
