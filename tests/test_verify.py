@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,10 @@ from PIL import Image
 import ssrvlad_torch
 from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.deployment.fuse import DIGEST, fuse
-from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
+from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.deployment.metadata import PREFIX, SEAL, Metadata, seal
 from ssrvlad_torch.deployment.verify import compare, verify
+from ssrvlad_torch.onnx_files import graph_digest
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 GOLDEN = ["golden pair", "module"]
@@ -47,9 +49,16 @@ def streets(tmp_path) -> Path:
     return tmp_path / "maps"
 
 
-def changed(file: Path, target: Path, change: Callable[[onnx.ModelProto], None]) -> Path:
+def changed(
+    file: Path, target: Path, change: Callable[[onnx.ModelProto], None], sealed: bool = True
+) -> Path:
+    """A changed copy; sealed again, as if another version had written it so."""
     model = onnx.load(file)
     change(model)
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    if sealed and properties:
+        properties[SEAL] = seal(graph_digest(model), properties)
+        onnx.helper.set_model_props(model, properties)
     onnx.save(model, target)
     return target
 
@@ -102,17 +111,31 @@ def test_an_edited_network_is_found_by_its_digest(files, tmp_path):
     def edit(model: onnx.ModelProto) -> None:
         edit_bias(model, lambda bias: bias + 1e-6)
 
-    found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit))
-    assert found.problems == ["the graph was edited after it was written"]
+    found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit, sealed=False))
+    assert found.problems == ["the graph or its metadata was edited after it was written"]
     assert not found.passed
+
+
+def add_one_to_two_constants(model: onnx.ModelProto) -> None:
+    whole = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.INT64]
+    for tensor in whole[:2]:
+        tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor) + 1, tensor.name))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [add_one_to_two_constants, with_property("interface", lambda text: text.replace("18", "17"))],
+)
+def test_any_edit_of_a_head_is_found(files, tmp_path, change):
+    file = changed(files["labels"], tmp_path / "edited.onnx", change, sealed=False)
+    with suppress(ValueError):  # what cannot run is found too
+        problems = verify(file).problems
+        assert "the graph or its metadata was edited after it was written" in problems
 
 
 def test_a_network_that_labels_otherwise_is_found(files, tmp_path):
     def edit(model: onnx.ModelProto) -> None:
         edit_bias(model, lambda bias: bias[::-1].copy())
-        kept = [entry for entry in model.metadata_props if entry.key != DIGEST]
-        del model.metadata_props[:]
-        model.metadata_props.extend(kept)
 
     found = verify(changed(files["fused"], tmp_path / "edited.onnx", edit))
     assert not found.problems

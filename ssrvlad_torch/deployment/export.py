@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD, SweepHead
-from ..files import replacing
+from ..files import check_output, replacing
+from ..onnx_files import graph_digest
 from ..taxonomy import LabelSpace
 from .golden import golden_pair
 from .graph import OPSET, Form, Graph
 from .head_graph import describe_in_graph
-from .metadata import Metadata
+from .metadata import SEAL, Metadata, seal
 
 if TYPE_CHECKING:
     import onnx
@@ -56,8 +57,7 @@ def export_head(
         OSError: the file cannot be written.
     """
     path = Path(path)
-    if not path.absolute().parent.is_dir():
-        raise FileNotFoundError(f"cannot write {path}: there is no folder {path.parent}")
+    check_output(path)
     content = head_model(config, input, dtype, columns).SerializeToString()
     with replacing(path) as temporary:
         temporary.write_bytes(content)
@@ -118,4 +118,6 @@ def _label(model: onnx.ModelProto, metadata: Metadata) -> None:
     model.producer_name = "ssrvlad_torch"
     model.producer_version = metadata.version
     model.doc_string = "SSR-VLAD (arXiv 2202.03677): segmentation label maps to place descriptors"
-    onnx.helper.set_model_props(model, metadata.to_properties())
+    properties = metadata.to_properties()
+    properties[SEAL] = seal(graph_digest(model), properties)
+    onnx.helper.set_model_props(model, properties)

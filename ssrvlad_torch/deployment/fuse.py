@@ -20,14 +20,13 @@ from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
 from .label_graph import join, label_graph, opset, raised
-from .metadata import PREFIX, Metadata
+from .metadata import PREFIX, SEAL, Metadata, seal
 
 if TYPE_CHECKING:
     import onnx
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
-DIGEST = f"{PREFIX}graph_sha256"
 NETWORK = f"{PREFIX}network"
 HEAD_GOLDEN = f"{PREFIX}head_golden"
 
@@ -121,11 +120,12 @@ def _fuse(segmenter: Segmenter, name: str, config: SSRVLADConfig, path: Path) ->
     head_alone = head_model(config, LABELS, dtype)
     model = _joined(before, head_alone)
     fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config))
-    digest = {DIGEST: graph_digest(model)}
+    graph = graph_digest(model)
 
     def describe(file: Path) -> dict[str, str]:
         golden = _golden(open_session(file, file.name), images, labels, head)
-        return digest | _properties(model, head_alone, fused, golden, head)
+        properties = _properties(model, head_alone, fused, golden, head)
+        return {**properties, SEAL: seal(graph, properties)}
 
     save_model(model, path, describe)
     return fused

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
+import math
 import zlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
@@ -15,8 +17,15 @@ import numpy.typing as npt
 from .. import __version__
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace
+from ..untrusted import InputError, naming, parse_json
 
 PREFIX = "ssrvlad."
+
+SEAL = f"{PREFIX}sha256"
+"""The property that `seal` gives."""
+
+_DTYPES = ("uint8", "int64", "float32", "float64")
+_MOST_GOLDEN = 64 << 20
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
@@ -70,10 +79,12 @@ class Metadata:
             if name not in properties:
                 raise ValueError(f"no metadata {name}: this is no file of `ssrvlad export`")
             text = properties[name]
-            try:
-                found[field.name] = text if field.type == "str" else json.loads(text)
-            except json.JSONDecodeError as error:
-                raise ValueError(f"metadata {name} is not JSON: {error}") from error
+            if field.type == "str":
+                found[field.name] = text
+                continue
+            found[field.name] = parse_json(text, f"metadata {name}")
+            if not isinstance(found[field.name], dict):
+                raise InputError(f"metadata {name} is {text[:40]}; expected a JSON object")
         return cls(**found)
 
     def to_properties(self) -> dict[str, str]:
@@ -85,7 +96,15 @@ class Metadata:
 
     def golden_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The golden input and outputs by name."""
-        return {name: _from_text(entry) for name, entry in self.golden.items()}
+        return {name: _from_text(name, entry) for name, entry in self.golden.items()}
+
+
+def seal(graph: str, properties: Mapping[str, str]) -> str:
+    """SHA-256 of a graph's digest and of every property ``ssrvlad.*``, in hex: what it is changes
+    where either is edited."""
+    ours = {name: text for name, text in properties.items() if name.startswith(PREFIX)}
+    ours.pop(SEAL, None)
+    return hashlib.sha256(json.dumps([graph, ours], sort_keys=True).encode()).hexdigest()
 
 
 def _to_text(array: npt.NDArray[Any]) -> dict[str, Any]:
@@ -94,8 +113,17 @@ def _to_text(array: npt.NDArray[Any]) -> dict[str, Any]:
     return {"dtype": array.dtype.name, "shape": list(array.shape), "data": data}
 
 
-def _from_text(entry: Mapping[str, Any]) -> npt.NDArray[Any]:
-    dtype = np.dtype(entry["dtype"]).newbyteorder("<")
-    expected = dtype.itemsize * int(np.prod(entry["shape"], dtype=np.int64))
-    content = zlib.decompressobj().decompress(base64.b64decode(entry["data"]), expected + 1)
-    return np.frombuffer(content, dtype).reshape(entry["shape"]).astype(entry["dtype"])
+def _from_text(name: str, entry: Any) -> npt.NDArray[Any]:
+    """A golden array from what `Metadata` holds of it.
+
+    Raises:
+        InputError: it is damaged, or larger than 64 MiB.
+    """
+    with naming(f"golden {name}", "damaged"):
+        dtype, shape = np.dtype(entry["dtype"]), [abs(int(length)) for length in entry["shape"]]
+        expected = dtype.itemsize * math.prod(shape)
+        if dtype.name not in _DTYPES or expected > _MOST_GOLDEN:
+            raise InputError(f"golden {name} is {dtype.name} {shape}; expected at most 64 MiB")
+        compressed = base64.b64decode(entry["data"], validate=True)
+        content = zlib.decompressobj().decompress(compressed, expected + 1)
+        return np.frombuffer(content, dtype.newbyteorder("<")).reshape(shape).astype(dtype)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,10 +14,11 @@ from .. import __version__
 from ..config import SSRVLADConfig
 from ..datasets.label_files import LabelFile, LabelMap, read_label_map
 from ..descriptor import SSRVLAD, SweepHead
+from ..files import one_line
 from ..onnx_files import CPU, graph_digest, load_model, open_session
 from ..taxonomy import LabelSpace
+from ..untrusted import parse_json
 from .fuse import (
-    DIGEST,
     HEAD,
     HEAD_GOLDEN,
     IMAGE,
@@ -31,7 +30,7 @@ from .fuse import (
     described,
     run_by_name,
 )
-from .metadata import PREFIX, Metadata
+from .metadata import PREFIX, SEAL, Metadata, seal
 
 if TYPE_CHECKING:
     import onnx
@@ -120,8 +119,10 @@ def verify(
     model = load_model(path)
     try:
         return _verify(path, model, labels, provider, progress)
-    except (ValueError, zlib.error, KeyError, TypeError) as error:
-        reason = f"metadata lacks {error}" if isinstance(error, KeyError) else str(error)
+    except ImportError:
+        raise
+    except Exception as error:  # metadata and graphs can be wrong in any way
+        reason = f"metadata lacks {error}" if isinstance(error, KeyError) else one_line(error)
         named = reason.startswith(str(path))
         raise ValueError(reason if named else f"{path}: {reason}") from error
 
@@ -136,7 +137,8 @@ def _verify(
     properties = {entry.key: entry.value for entry in model.metadata_props}
     metadata = Metadata.from_properties(properties)
     config = _config(metadata)
-    fused = FusedNetwork(**json.loads(properties[NETWORK])) if NETWORK in properties else None
+    network = properties.get(NETWORK)
+    fused = FusedNetwork(**parse_json(network, NETWORK)) if network else None
     found = Verification(
         metadata.version,
         metadata.fingerprint,
@@ -148,7 +150,7 @@ def _verify(
     golden = metadata.golden_arrays()
     if fused:
         whole = open_session(path, path, provider)
-        alone = json.loads(properties[HEAD_GOLDEN])
+        alone = parse_json(properties[HEAD_GOLDEN], HEAD_GOLDEN)
         found.checks.append(_check_whole(whole, golden, head))
         golden = replace(metadata, golden=alone).golden_arrays()
         model = cut_head(model)
@@ -268,8 +270,8 @@ def _compare_words(
         found.warnings.append(
             f"written by version {metadata.version} of ssrvlad_torch, this is {__version__}"
         )
-    if DIGEST in properties and properties[DIGEST] != graph_digest(model):
-        found.problems.append("the graph was edited after it was written")
+    if properties.get(SEAL) != seal(graph_digest(model), properties):
+        found.problems.append("the graph or its metadata was edited after it was written")
     if config.fingerprint != metadata.fingerprint:
         found.problems.append(
             f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
