@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -15,6 +16,9 @@ from PIL import Image
 from ssrvlad_torch import Database
 from ssrvlad_torch.cli import sources
 from ssrvlad_torch.taxonomy import label_space
+
+REAL = Path(__file__).resolve().parents[2] / "shared" / "data"
+TRUTH = "same_place_odd_even.json"
 
 
 @pytest.fixture
@@ -108,3 +112,23 @@ def test_show_takes_an_image(network, ssrvlad, tmp_path):
     assert ssrvlad("show", frame, "-o", picture, "--segmenter", network)[0] == 0
     assert np.asarray(Image.open(picture)).size
     assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not REAL.is_dir(), reason="the real networks of ../shared/data are not here")
+def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path):
+    """ESPNetv2 on every other picture of CamVid against the label maps of those between."""
+    camvid, town = REAL / "camvid", tmp_path / "town"
+    known = (camvid, "--layout", "folders", "--every", 2)
+    assert ssrvlad("encode", *known, "--labels-as", SPACE, "-o", town)[0] == 0
+    asked = ("--start", 1, "--labels-as", "cityscapes-trainids", "--json", "--follow", "no")
+    truth = ("--no-standardise", "--no-sweep", "--ground-truth", camvid / TRUTH)
+    network = REAL / "networks" / "espnetv2.yaml"
+    stored, made = (
+        json.loads(ssrvlad("evaluate", town, *known, *asked, *truth, *labelled)[1])
+        for labelled in (
+            ("--labels", "predicted_espnetv2"),
+            ("--segmenter", network, "--segmenter-cache", tmp_path / "cache"),
+        )
+    )
+    assert made["recall_at"]["1"] >= stored["recall_at"]["1"] - 0.02

@@ -17,14 +17,15 @@ from drawings import SPACE, blobs
 from graphs import session
 from networks import CLASSES, PLAIN, Strided, photo, write_graph
 from onnx import TensorProto, helper, numpy_helper
-from PIL import Image
 from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head, head_model
 from ssrvlad_torch.deployment.fuse import NETWORK, OUTPUTS, fuse
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.verify import verify
+from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
@@ -204,12 +205,17 @@ def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not REAL.is_dir(), reason="the real networks of ../shared/data are not here")
 @pytest.mark.parametrize("name", ["espnetv2", "dabnet"])
-def test_a_real_network_gives_the_same_bits_on_both_ways(name, tmp_path):
+def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     config = SSRVLADConfig()
     segmenter = Segmenter.load(REAL / "networks" / f"{name}.yaml", config.labels_as)
     fuse(segmenter, config, tmp_path / "place.onnx")
-    file = sorted((REAL / "camvid" / "0001TP" / "images").iterdir())[7]
-    images = np.asarray(Image.open(file).convert("RGB"))[None]
-    assert_fused(segmenter, tmp_path / "place.onnx", images, 1e-4)
+    folders = [REAL / "camvid" / "0001TP" / "images", REAL / "uofa" / "evening" / "images"]
+    files = [find_image_files([str(folder)])[7] for folder in folders]
+    encoded, _ = encode_to_memory(SSRVLAD(config), files, segmenter=segmenter)
+    whole = session(tmp_path / "place.onnx")
+    for file, descriptor in zip(files, encoded.descriptors, strict=True):
+        (found,) = whole.run(["descriptor"], {"image": read_image(file)[None]})
+        np.testing.assert_allclose(found[0], descriptor, rtol=0, atol=1e-6)

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Writes docs/benchmark.md: what the method costs here, in one run.
 
-    .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid
+    .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
+        --networks ../shared/data/networks
 
 Every table times its ways in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with the threads pinned.
 Label maps are those of CamVid, enlarged to each size, or of the synthetic city without it. Needs
@@ -30,6 +31,7 @@ import torch
 from _costs import ENCODED
 from _encoding_rates import encoding_rates
 from _markdown import head_row, largest_mean_smallest, paragraph, row
+from _picture_costs import pictures_section
 from _stage_costs import stage_section
 from bench_loops import loops_section
 from PIL import Image
@@ -359,6 +361,7 @@ def by(size: Sequence[int]) -> str:
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--camvid", type=Path, default=None)
+    arguments.add_argument("--networks", type=Path, default=None)
     arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
     arguments.add_argument("--references", type=int, default=1_000_000)
@@ -376,6 +379,7 @@ def main() -> None:
         f"repetition. Label maps: {maps.source}. torch {torch.__version__}, Python",
         f"{platform.python_version()}, {platform.machine()}.\n",
     ]
+    pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     sections = [
         partial(size_section, maps, options.repetitions),
         partial(batch_section, maps, options.repetitions),
@@ -383,6 +387,7 @@ def main() -> None:
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),
         partial(methods_section, options),
+        partial(pictures_section, options.networks, pictures, options.repetitions),
         partial(loops_section),
         partial(encoding_section, maps, options.repetitions),
         partial(matching_section, options.references),

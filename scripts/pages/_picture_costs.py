@@ -1,0 +1,93 @@
+"""What a picture costs on its way to a descriptor: file, network and head."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from _markdown import head_row, paragraph, row
+
+from ssrvlad_torch import SSRVLAD, Segmenter
+from ssrvlad_torch.cli.bench import Timing, time_in_turn
+from ssrvlad_torch.datasets.image_files import decode_image
+from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.onnx_files import open_session
+from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged, take_output
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+
+PARTS = ("decoded", "prepared", "network", "class and size", "head")
+PICTURES = 8
+
+
+def pictures_section(
+    networks: Path | None, pictures: list[Path], repetitions: int
+) -> Iterator[str]:
+    """The table, for every YAML file in a folder whose network gives trainIds."""
+    yield "## From the picture to the place\n"
+    if networks is None or not pictures:
+        yield "Not measured: expected --networks and --camvid.\n"
+        return
+    pictures = pictures[:: len(pictures) // PICTURES][:PICTURES]
+    yield paragraph(
+        f"Milliseconds a picture, from a JPEG of CamVid ({PICTURES} of them, one by one) to "
+        f"the descriptor of `default`. The networks run in ONNX Runtime on {os.cpu_count()} cores, "
+        "all else on one. The parts are timed within the whole, and their fraction of it is in "
+        "brackets. The fused file is the same in one ONNX graph."
+    )
+    yield from head_row("network", "size", "whole", *PARTS, "fused file, decoding left out")
+    for settings in sorted(networks.glob("*.yaml")):
+        segmenter = Segmenter.load(settings, "cityscapes-trainids")
+        head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "place.onnx"
+            fuse(segmenter, head.config, file)
+            session = open_session(file, file)
+            decoded = [decode_image(picture.read_bytes())[None] for picture in pictures]
+            run = partial(_run_all, session, decoded)
+            fused = time_in_turn({"fused": run}, repetitions)["fused"]
+        taken = np.array([_parts(segmenter, head, pictures) for _ in range(repetitions + 1)])[1:]
+        parts = np.median(taken, 0) / len(pictures) * 1e3
+        whole = Timing(tuple((taken.sum(1) / len(pictures)).tolist())).milliseconds
+        size = segmenter.config.size
+        assert isinstance(size, tuple)
+        yield row(
+            settings.stem,
+            f"{size[0]} x {size[1]}",
+            f"{whole['median']:.0f} [{whole['min']:.0f}, {whole['max']:.0f}]",
+            *(f"{part:.1f} ({part / parts.sum():.1%})" for part in parts),
+            f"{fused.milliseconds['median'] / len(pictures):.0f}",
+        )
+    yield ""
+
+
+def _run_all(session: object, images: list[np.ndarray]) -> None:
+    for image in images:
+        session.run(["descriptor"], {"image": image})
+
+
+def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[float]:
+    """Seconds of each of `PARTS`, of all pictures."""
+    labels, network = segmenter.labels, segmenter.network
+    assert isinstance(network, OnnxNetwork)
+    taken = [0.0] * len(PARTS)
+    for picture in pictures:
+        marks = [time.perf_counter()]
+        pixels = np.array(decode_image(picture.read_bytes()))
+        marks.append(time.perf_counter())
+        numbers = labels.preparation(torch.from_numpy(pixels)[None])
+        marks.append(time.perf_counter())
+        result = network(numbers, names=[labels.config.output])
+        marks.append(time.perf_counter())
+        scores = take_output(result, labels.space, labels.config.output, labels.config.classes)
+        found = enlarged(classes_of(scores), *pixels.shape[:2])
+        marks.append(time.perf_counter())
+        head(found)
+        marks.append(time.perf_counter())
+        taken = [sum(pair) for pair in zip(taken, np.diff(marks).tolist(), strict=True)]
+    return taken
