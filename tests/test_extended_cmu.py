@@ -6,7 +6,7 @@ import time
 import pytest
 from trees import outline, plant, roles, write
 
-from ssrvlad_torch.datasets.extended_cmu import read_poses
+from ssrvlad_torch.datasets.extended_cmu import read_list
 from ssrvlad_torch.datasets.layouts import open_dataset
 
 README = (
@@ -151,7 +151,7 @@ def test_the_example_of_the_data_set(tmp_path):
     """By hand from the published line: the third row of the rotation is (-0.888, 0.456, 0.063) and
     the second, which is down, (-0.019, 0.099, -0.995): so z is up, and the camera looks west by
     north."""
-    known = read_poses(write(tmp_path / "poses.txt", [README]))
+    known = read_list(write(tmp_path / "poses.txt", [README]))
     x, y, heading = known["img_00122_c0_1303398475046031us"]
     assert (x, y) == (-85.392177, 55.210379)
     assert heading == pytest.approx(math.atan2(0.4562, -0.8877), abs=1e-3)
@@ -170,7 +170,7 @@ def test_headings(tmp_path, quaternion, heading):
     """The camera's y is the world's -z in each, its z the named direction. For the first: rows of
     the rotation (0, -1, 0), (0, 0, -1), (1, 0, 0), of trace 0; so w is a half, and the others are
     ((0 + 1) / 2, (0 - 1) / 2, (0 + 1) / 2)."""
-    known = read_poses(write(tmp_path / "poses.txt", [pose("a.jpg", quaternion, 0, 0)]))
+    known = read_list(write(tmp_path / "poses.txt", [pose("a.jpg", quaternion, 0, 0)]))
     assert math.cos(known["a"].heading - heading) == pytest.approx(1, abs=1e-9)
 
 
@@ -188,6 +188,6 @@ def test_headings(tmp_path, quaternion, heading):
 def test_damaged_lists_are_refused_by_file_and_line(tmp_path, line, message):
     path = write(tmp_path / "poses.txt", ["# name qw qx qy qz cx cy cz", README, line])
     with pytest.raises(ValueError, match=message) as refusal:
-        read_poses(path)
+        read_list(path)
     assert str(path) in str(refusal.value)
     assert "\n" not in str(refusal.value)

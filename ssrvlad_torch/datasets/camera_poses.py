@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 from .poses import Pose
@@ -59,6 +60,24 @@ def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
         raise ValueError(f"{tuple(quaternion)} is no rotation")
     w, x, y, z = (part / length for part in quaternion)
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+
+
+def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> dict[str, Pose]:
+    """Poses by name, from lines of a name and ``count`` numbers; lines with ``#`` are passed over.
+
+    Raises:
+        ValueError: a line is of another form; the message names file and line.
+    """
+    poses = {}
+    text = path.read_text(encoding="utf-8", errors="replace")
+    for number, line in enumerate(text.splitlines(), 1):
+        words = line.split()
+        if words and not line.startswith("#"):
+            try:
+                poses[words[0]] = pose(parse_numbers(words[1:], count))
+            except ValueError as error:
+                raise ValueError(f"{path} line {number}: {error}") from error
+    return poses
 
 
 def parse_numbers(words: Sequence[str], count: int) -> list[float]:

@@ -15,7 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from ..files import absolute_folder
-from .camera_poses import Z_UP, optical_axis, parse_numbers
+from .camera_poses import Z_UP, optical_axis, read_poses
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .poses import Pose
@@ -37,7 +37,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         for part, role in _ROLES.items():
             images = files_in(folder / part, IMAGE_SUFFIXES)
             files = _pose_files(folder, part)
-            poses = {name: pose for file in files for name, pose in read_poses(file).items()}
+            poses = {name: pose for file in files for name, pose in read_list(file).items()}
             if images and not poses:
                 notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
             strange = [path.name for name, path in images.items() if not _NAME.fullmatch(name)]
@@ -56,25 +56,14 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
 
 
-def read_poses(path: Path) -> dict[str, Pose]:
+def read_list(path: Path) -> dict[str, Pose]:
     """Poses by image name without suffix.
 
     Raises:
         ValueError: a line is no ``name qw qx qy qz cx cy cz``; the message names file and line.
     """
-    poses = {}
-    text = path.read_text(encoding="utf-8", errors="replace")
-    for number, line in enumerate(text.splitlines(), 1):
-        words = line.split()
-        if words and not line.startswith("#"):
-            try:
-                numbers = parse_numbers(words[1:], 7)
-                poses[_plain(Path(words[0]).stem)] = Z_UP.pose(
-                    numbers[4:], optical_axis(numbers[:4])
-                )
-            except ValueError as error:
-                raise ValueError(f"{path} line {number}: {error}") from error
-    return poses
+    poses = read_poses(path, 7, lambda line: Z_UP.pose(line[4:], optical_axis(line[:4])))
+    return {_plain(Path(name).stem): pose for name, pose in poses.items()}
 
 
 def recognises(root: Path) -> bool:

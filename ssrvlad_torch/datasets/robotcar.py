@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TextIO
 
-from .camera_poses import Z_DOWN, optical_axis, parse_numbers
+from .camera_poses import Z_DOWN, optical_axis, parse_numbers, read_poses
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .poses import Pose
@@ -91,15 +91,8 @@ def read_v2_poses(path: Path) -> dict[str, Pose]:
     Raises:
         ValueError: a line is of another form; the message names file and line.
     """
-    poses = {}
-    with path.open(encoding="utf-8", errors="replace") as file:
-        for number, words in _filled_lines(file, 1):
-            try:
-                matrix = parse_numbers(words[1:], 16)
-                poses[_plain(words[0])] = Z_DOWN.pose(matrix[3:12:4], matrix[2:11:4])
-            except ValueError as error:
-                raise ValueError(f"{path} line {number}: {error}") from error
-    return poses
+    poses = read_poses(path, 16, lambda line: Z_DOWN.pose(line[3:12:4], line[2:11:4]))
+    return {_plain(name): pose for name, pose in poses.items()}
 
 
 def recognises(root: Path) -> bool:
@@ -112,8 +105,8 @@ def _cameras(root: Path) -> list[Path]:
     return [c for condition in conditions for c in folders_in(condition) if c.name in _CAMERAS]
 
 
-def _filled_lines(file: TextIO, first: int = 2) -> Iterator[tuple[int, list[str]]]:
-    for number, line in enumerate(file, first):
+def _filled_lines(file: TextIO) -> Iterator[tuple[int, list[str]]]:
+    for number, line in enumerate(file, 2):
         words = line.split()
         if words:
             yield number, words
