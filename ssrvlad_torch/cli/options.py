@@ -35,7 +35,7 @@ MaybePreset = Annotated[
     str | None,
     typer.Option(
         "--preset",
-        help="paper (SSR-VLAD) or default (ours); if not given the database's, or default.",
+        help="paper (SSR-VLAD) or default (ours). Without it, the preset of the database.",
     ),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
@@ -45,12 +45,12 @@ Seed = Annotated[int, typer.Option(min=0, help="Another seed gives another city.
 Weights = Annotated[
     Path | None,
     typer.Option(
-        help="Weights of the method's network, or their folder; ~/.cache/ssrvlad/weights if not "
-        "given."
+        help="Weights of the method's network, or their folder. Without it, "
+        "~/.cache/ssrvlad/weights."
     ),
 ]
 RandomWeights = Annotated[
-    bool, typer.Option("--random-weights", help="Only to measure what the method costs.")
+    bool, typer.Option("--random-weights", help="Random weights, only to measure costs.")
 ]
 
 
@@ -69,8 +69,8 @@ class SourceOptions:
     labels_as: Annotated[
         str | None,
         typer.Option(
-            help="Label space of the ids: a name or a .yaml file; if not given, what the "
-            "segmenter's own class names mean (auto), or that of the database or the data set."
+            help="Label space of the ids: a name or a .yaml file. Without it, the class names of "
+            "the segmenter decide (auto), or else the database or the data set."
         ),
     ] = None
     layout: Annotated[
@@ -86,24 +86,24 @@ class SourceOptions:
     ] = None
     role: Annotated[
         Literal["reference", "query"] | None,
-        typer.Option(help="With --layout: what the data set means the frames for."),
+        typer.Option(help="With --layout: take the references only, or the queries only."),
     ] = None
     labels: Annotated[
         Path | None,
         typer.Option(help="With --layout: other label maps than the data set's own."),
     ] = None
     sequence: Annotated[
-        str | None, typer.Option(help="Name of the sequence; the folder's if not given.")
+        str | None, typer.Option(help="Name of the sequence. Without it, the name of the folder.")
     ] = None
     poses: Annotated[
         str | None,
         typer.Option(
-            help="Where frames were taken: a .csv file, a file of KITTI or TUM, or exif; if not "
-            "given, poses.csv in or beside a folder, or @UTM@ fields of file names."
+            help="Where frames were taken: a .csv file, a file of KITTI or TUM, or exif. Without "
+            "it, poses.csv in or beside a folder, or @UTM@ fields of file names."
         ),
     ] = None
     topic: Annotated[
-        str | None, typer.Option(help="Topic of a ROS bag, if it has several of pictures.")
+        str | None, typer.Option(help="Topic of a ROS bag that has several topics of images.")
     ] = None
     every: Annotated[int, typer.Option(min=1, help="Take every N-th frame of a sequence.")] = 1
     start: Annotated[int, typer.Option(min=0, help="First frame to take of a sequence.")] = 0
@@ -116,17 +116,19 @@ class SourceOptions:
     ] = None
     classes: Annotated[
         str | None,
-        typer.Option(help="FIRST:LAST, channels of the network that are taken, as 0:19."),
+        typer.Option(help="Channels of the network to use, FIRST:LAST, for example 0:19."),
     ] = None
     segmenter_cache: Annotated[
         Path | None,
         typer.Option(
-            help="Folder that keeps the segmenter's label maps; ~/.cache/ssrvlad if not given."
+            help="Folder that keeps the segmenter's label maps. Without it, ~/.cache/ssrvlad."
         ),
     ] = None
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Frames to encode at once; as many as cores if not given."),
+        typer.Option(
+            min=1, help="Frames to encode at the same time. Without it, one for each core."
+        ),
     ] = None
 
     @property
@@ -140,25 +142,28 @@ class StepOptions:
     """What is done between descriptors and a decision."""
 
     standardise: Annotated[
-        bool, typer.Option(help="Take each traverse's own mean off its descriptors.")
+        bool, typer.Option(help="Subtract the mean descriptor of each traverse.")
     ] = True
     sweep: Annotated[
         bool,
         typer.Option(
-            help="Describe each query from several anchors, for a camera that is turned or moved "
-            "aside; how many of them count is chosen from the scores."
+            help="Describe each query from several anchors: this helps if the camera is turned or "
+            "moved aside. The scores decide how many anchors count."
         ),
     ] = True
     follow: Annotated[
         Literal["offline", "online", "no"],
         typer.Option(
-            help="Judge each query in the light of its sequence: the whole, or what came before "
-            "it. Queries that are no sequence are noticed and judged one by one."
+            help="Judge each query together with its sequence: with all queries (offline), with "
+            "the earlier ones (online), or alone (no). Queries that do not form a sequence are "
+            "judged alone."
         ),
     ] = "offline"
     delay: Annotated[
         int,
-        typer.Option(min=0, help="With --follow online: queries for which an answer waits."),
+        typer.Option(
+            min=0, help="With --follow online: later queries to wait for before an answer."
+        ),
     ] = 0
 
 
@@ -170,22 +175,24 @@ class RecognitionOptions(StepOptions):
         int | None,
         typer.Option(
             min=0,
-            help="t of Eq. 3: sum each reference descriptor over t frames on each side; no sum if "
-            "not given.",
+            help="Sum each reference descriptor over t frames on each side (Eq. 3). Without it, no "
+            "sum.",
         ),
     ] = None
     as_paper: Annotated[
         bool,
         typer.Option(
             "--as-paper",
-            help="Decide as the paper does: single frames by their cosine, the sum of Eq. 3 with "
-            "t = 3, none of the other steps.",
+            help="Decide as the paper does: single frames, their cosine, the sum of Eq. 3 with "
+            "t = 3, and no other step.",
         ),
     ] = False
     min_confidence: Annotated[
         float,
         typer.Option(
-            min=0, max=1, help="Leave out queries whose first candidate is less likely right."
+            min=0,
+            max=1,
+            help="Leave out queries whose first candidate is right with less probability.",
         ),
     ] = 0.0
 
@@ -205,25 +212,26 @@ class TruthOptions:
         Path | None,
         typer.Option(
             help="Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
-            "ground_truth_new.npy; if no truth is given, a data set's own.",
+            "ground_truth_new.npy. Without any, the ground truth of the data set.",
         ),
     ] = None
     tolerance_metres: Annotated[
-        float | None, typer.Option(help="Or: true matches are this near, by poses.csv.")
+        float | None,
+        typer.Option(help="Or: true matches are at most so many metres away, by poses.csv."),
     ] = None
     tolerance_degrees: Annotated[
         float | None,
-        typer.Option(help="With --tolerance-metres: headings may differ by this much."),
+        typer.Option(help="With --tolerance-metres: headings differ by at most so many degrees."),
     ] = None
     tolerance_frames: Annotated[
         int | None,
         typer.Option(
-            help="Or: true matches are at most so many frames away; of a data set all frames count."
+            help="Or: true matches are at most so many frames away. All frames of a data set count."
         ),
     ] = None
     convention: Annotated[
         Convention,
-        typer.Option(help="Convention by which the figures are computed."),
+        typer.Option(help="Convention that the figures follow."),
     ] = "exact"
 
 
@@ -234,7 +242,7 @@ class MethodOptions:
     method: Annotated[
         str | None,
         typer.Option(
-            help=f"Another method, on label maps or images as it needs: {', '.join(METHODS)}."
+            help=f"Another method, which reads label maps or images: {', '.join(METHODS)}."
         ),
     ] = None
     settings: Annotated[

@@ -37,14 +37,14 @@ def compare(
     dataset: Annotated[
         Path | None,
         typer.Argument(
-            help="Folder of a data set; without, --references and --queries are folders."
+            help="Folder of a data set. Without it, --references and --queries are folders."
         ),
     ] = None,
     references: Annotated[
         list[str] | None,
         typer.Option(
-            help="A sequence of the data set, * for any text; repeatable. If not given, what the "
-            "data set means for it."
+            help="A sequence of the data set, * for any text; repeatable. Without it, the data "
+            "set's own references."
         ),
     ] = None,
     queries: Annotated[list[str] | None, typer.Option(help="The same for queries.")] = None,
@@ -52,11 +52,12 @@ def compare(
         bool,
         typer.Option(
             "--odd-even",
-            help="Drives against themselves: even frames are references, odd ones queries.",
+            help="Even frames of each drive are references, odd ones are queries.",
         ),
     ] = False,
     layout: Annotated[
-        str | None, typer.Option(help="Layout of the data set; recognised if not given.")
+        str | None,
+        typer.Option(help="Layout of the data set. Without it, the layout is recognised."),
     ] = None,
     labels: Annotated[
         Path | None, typer.Option(help="Other label maps than the data set's own.")
@@ -64,8 +65,8 @@ def compare(
     labels_as: Annotated[
         str | None,
         typer.Option(
-            help="Label space of the label maps: a name or a .yaml file; the data set's if not "
-            "given. With it, a PNG that could be an image or a label map is a label map."
+            help="Label space of the label maps: a name or a .yaml file. Without it, the data "
+            "set's. With it, a PNG that could be an image or a label map is a label map."
         ),
     ] = None,
     settings: Annotated[
@@ -79,10 +80,10 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare methods on one data set: how well they recognise, with 95 % bootstrap intervals, and
-    what they cost. Each method is measured twice: single frames by their scores, and with the same
-    steps as all others, as far as it can take them: --standardise wants vectors, --sweep is of
-    ssr-vlad. All get the same frames: those that have what the methods need. A method that cannot
-    run, for want of images, label maps or weights, is a row that says why.
+    what they cost. Each method is measured twice: by the scores of single frames, and with the
+    steps below. --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad. All
+    methods get the same frames: those that have what every method needs. A method without images,
+    label maps or weights does not run, and its row says so.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 

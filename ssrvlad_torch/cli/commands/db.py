@@ -54,7 +54,7 @@ def history(database: DatabaseFolder, as_json: Json = False) -> None:
 def compact(
     database: DatabaseFolder,
     keep_days: Annotated[
-        float, typer.Option(min=0, help="Keep the versions of the last so many days.")
+        float, typer.Option(min=0, help="Keep the versions that are at most so many days old.")
     ] = 14,
 ) -> None:
     """Join small files, and forget old versions with the files that only these need.
@@ -95,13 +95,14 @@ def verify(
         bool,
         typer.Option(
             "--drop-damaged",
-            help="Give up the frames that are damaged, and newest versions that cannot be read; "
-            "encoding again brings the frames back.",
+            help="Remove damaged frames, and the newest versions if they cannot be read. Encode "
+            "again to bring the frames back.",
         ),
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Read every byte of a database and say what is not as it was written. Exit code 3 if any.
+    """Read every byte of a database and report what was changed since it was written. The exit
+    code is 3 if anything was.
 
     Example: ssrvlad db verify town.ssrdb
     """

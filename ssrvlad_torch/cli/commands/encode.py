@@ -24,26 +24,24 @@ Engine = Literal["local", "ray"]
 def encode(
     source: SourceOptions,
     output: Annotated[
-        str, typer.Option("--output", "-o", help="Database, a folder or a URI: new, or added to.")
+        str, typer.Option("--output", "-o", help="Database to make or add to: a folder or a URI.")
     ],
     preset: MaybePreset = None,
     engine: Annotated[
         Engine,
         typer.Option(
-            help="local: processes of this machine; ray: Ray Data, on this machine or the cluster "
-            "that it is part of."
+            help="local: processes of this machine; ray: Ray Data, on this machine or on its "
+            "cluster."
         ),
     ] = "local",
     prune: Annotated[
         bool,
-        typer.Option(
-            "--prune", help="Remove frames whose file is gone from the folders that are given."
-        ),
+        typer.Option("--prune", help="Remove frames whose file is no longer in the given folders."),
     ] = False,
     as_json: Json = False,
 ) -> None:
     """Encode label maps, or images with a segmenter, into a database. Run again, it encodes only
-    what is missing, or has changed: the file, its pose, the label space, the segmenter.
+    frames that are missing, and frames whose file, pose, label space or segmenter has changed.
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
     """

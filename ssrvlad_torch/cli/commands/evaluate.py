@@ -24,7 +24,7 @@ def evaluate(
     recognition: RecognitionOptions,
     truth: TruthOptions,
     at_recall: Annotated[
-        float, typer.Option(min=0, max=1, help="Recall at which the precision is told.")
+        float, typer.Option(min=0, max=1, help="Recall at which to report the precision.")
     ] = 0.5,
     as_of: AsOf = None,
     as_json: Json = False,
@@ -38,16 +38,16 @@ def evaluate(
     pictures: Annotated[
         list[str] | None,
         typer.Option(
-            help="With --report: where label maps of the references are, for their pictures; "
-            "repeatable. If not given, they are looked for in the data set or beside SOURCE."
+            help="With --report: folder of the references' label maps, to show them; repeatable. "
+            "Without it, they are looked for in the data set and beside SOURCE."
         ),
     ] = None,
 ) -> None:
     """Measure the recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
-    bootstrap intervals, and what follows from the choice of a threshold. The suggested one is the
-    lowest whose precision is at least 0.95 at the lower end of its own 95 % interval.
+    bootstrap intervals. A table shows what several thresholds do. The suggested threshold is the
+    lowest whose precision is at least 0.95 at the lower end of its 95 % interval.
 
-    With --method it is another method that is measured, from the frames themselves.
+    With --method, another method is measured on the frames themselves.
 
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
 

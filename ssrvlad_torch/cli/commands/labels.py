@@ -18,8 +18,8 @@ def labels(
     ],
     as_json: Json = False,
 ) -> None:
-    """Print which class belongs to which category, and which to none because it moves, has no
-    category, or has an unknown name.
+    """Print the category of each class. A class has none if it moves, if no category fits, or if
+    its name is unknown.
 
     Example: ssrvlad labels cityscapes-trainids
     """

@@ -22,8 +22,8 @@ def locate(
     recognition: RecognitionOptions,
     as_json: Json = False,
 ) -> None:
-    """Say where pictures were taken: the best frame of a database, its score, how sure that is,
-    and its pose. Without --segmenter the network that made the database labels the pictures.
+    """Print where pictures were taken: the best frame of a database, its score, the confidence,
+    and the pose. Without --segmenter, the network that made the database labels the pictures.
 
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """

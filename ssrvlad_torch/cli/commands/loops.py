@@ -29,24 +29,24 @@ FIELDS = ("frame", "reason", "candidate", "score", "probability", "ahead")
 def loops(
     source: SourceOptions,
     exclude: Annotated[
-        int, typer.Option(min=0, help="The last so many frames are no candidates.")
+        int, typer.Option(min=0, help="Number of last frames that are no candidates.")
     ] = LoopConfig.exclude,
     threshold: Annotated[
-        float, typer.Option(min=0, max=1, help="Least probability of a loop.")
+        float, typer.Option(min=0, max=1, help="Lowest probability at which a loop is reported.")
     ] = LoopConfig.threshold,
     sweep: Annotated[
         bool, typer.Option(help="Describe each frame from three anchors.")
     ] = LoopConfig.sweep,
     memory: Annotated[
         Path | None,
-        typer.Option(help="Database that keeps the frames: new, or gone on from and added to."),
+        typer.Option(help="Database that keeps the frames: made, or continued if it exists."),
     ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="Picture to write: the loops, and the drive by poses.csv.")
     ] = None,
     tolerance_metres: Annotated[
         float | None,
-        typer.Option(help="Measure precision and recall: right loops are this near, by poses.csv."),
+        typer.Option(help="Measure precision and recall: a loop is right within so many metres."),
     ] = None,
     preset: MaybePreset = None,
     as_json: Json = False,

@@ -17,37 +17,38 @@ def query(
     recognition: RecognitionOptions,
     top: Annotated[int, typer.Option(min=1, help="Candidates of each query.")] = 5,
     threshold: Annotated[
-        float | None, typer.Option(help="Leave out candidates whose score is not above it.")
+        float | None, typer.Option(help="Leave out candidates whose score is not above this.")
     ] = None,
     from_sequence: Annotated[
         list[str] | None,
-        typer.Option(help="Candidates of this sequence only; repeatable."),
+        typer.Option(help="Take candidates of this sequence only; repeatable."),
     ] = None,
     window: Annotated[
         str | None,
         typer.Option(
-            help="FIRST:LAST, either may be left out: candidates whose number, or time stamp, is "
-            "between them. It is the last number in a frame's name."
+            help="FIRST:LAST, FIRST: or :LAST. Take candidates in this range of numbers or time "
+            "stamps only. A frame's number is the last one in its name."
         ),
     ] = None,
     exclude: Annotated[
         int | None,
         typer.Option(
             min=0,
-            help="No candidates from a query's own sequence that are at most so many frames away.",
+            help="Leave out candidates of the query's own sequence that are so many frames away "
+            "or fewer.",
         ),
     ] = None,
     index: Annotated[
         bool,
         typer.Option(
             "--index",
-            help="Search by the index on disk, see ssrvlad db index: scores are exact, and "
-            "sequences are followed over its candidates; no sweep.",
+            help="Search by the index on disk (ssrvlad db index). Scores are exact. Sequences are "
+            "followed over the candidates of the index; --sweep has no effect.",
         ),
     ] = False,
     as_of: AsOf = None,
     skip_damaged: Annotated[
-        bool, typer.Option("--skip-damaged", help="Read on past what is damaged.")
+        bool, typer.Option("--skip-damaged", help="Leave out damaged frames of the database.")
     ] = False,
     as_json: Json = False,
 ) -> None:

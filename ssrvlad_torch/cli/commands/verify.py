@@ -30,7 +30,7 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Compare an exported or fused file in ONNX Runtime with the PyTorch module, on its golden
-    pair and on label maps. Exit code 1 if it is not what it should be.
+    pair and on label maps. The exit code is 1 if they differ.
 
     Example: ssrvlad verify place.onnx --labels maps/monday
     """
