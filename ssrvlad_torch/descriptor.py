@@ -106,7 +106,7 @@ class SSRVLAD(nn.Module):
         return descriptor
 
     # as torch.compiler.disable, which has torch load its compiler when this module is imported
-    @torch._disable_dynamo  # type: ignore[attr-defined, untyped-decorator]
+    @torch._disable_dynamo  # type: ignore[attr-defined]
     def _describe_by_stages(self, labels: Tensor) -> Tensor:
         with torch.autocast(labels.device.type, enabled=False):
             masks = self._front_end(labels)  # Table II, clean layers, skeletons

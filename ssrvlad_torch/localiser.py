@@ -12,7 +12,7 @@ import torch
 from .config import SSRVLADConfig
 from .database.database import Database
 from .database.frames import FrameSet
-from .database.origin import Origin
+from .database.metadata import Origin
 from .datasets.image_files import Pixels, decode_image, find_image_files
 from .datasets.poses import Pose
 from .descriptor import SSRVLAD, query_head

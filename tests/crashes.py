@@ -41,7 +41,7 @@ def work(path: Path, told: int) -> None:
     os.write(told, b"1")
     database.merge(MORE, NEW)
     os.write(told, b"2")
-    database.replace(KEPT[:1], NEW[:1])
+    database.merge(KEPT[:1], NEW[:1])
     os.write(told, b"3")
     database.remove([KEPT[1]])
     os.write(told, b"4")
@@ -130,7 +130,7 @@ def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
         database.append(KEPT, OLD)
         shim.crash_at(0, str(path).encode())
         shim.record_to(1)
-        database.replace(KEPT, NEW)
+        database.merge(KEPT, NEW)
 
     assert os.waitpid(forked(write), 0)[1] == 0
 

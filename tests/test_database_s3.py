@@ -12,7 +12,7 @@ def test_a_database_lives_in_a_bucket(bucket):
     assert not Database.exists(uri)
     database, numbers = Database.create(uri, width=8), descriptors(0, 3, 8)
     database.append(["a/1", "a/2", "a/3"], numbers)
-    database.replace(["a/1"], torch.zeros(1, 8))
+    database.merge(["a/1"], torch.zeros(1, 8))
     database.remove(["a/2"])
     with pytest.raises(ValueError, match=r"frame 'a/1' is in s3://town/morning\.ssrdb already"):
         database.append(["a/1"], numbers[:1])

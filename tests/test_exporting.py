@@ -30,11 +30,11 @@ def names(file):
 def test_an_array_and_names(database, tmp_path):
     file = tmp_path / "out.npy"
     beside = [
-        file.with_name(f"out.npy{end}") for end in (".frames.txt", ".fingerprint.txt", ".json")
+        file.with_name(f"out.npy{end}") for end in (".frames.txt", ".json", ".fingerprint.txt")
     ]
     assert export_database(database, "npy", file) == [file, *beside]
-    assert beside[1].read_text().strip() == CONFIG.fingerprint
-    assert json.loads(beside[2].read_text())["config"] == CONFIG.to_dict()
+    assert beside[2].read_text().strip() == CONFIG.fingerprint
+    assert json.loads(beside[1].read_text())["config"] == CONFIG.to_dict()
     np.testing.assert_array_equal(np.load(file), database.load().descriptors.numpy())
     assert names(file) == ["a/1", "a/2", "a/10", "b/straße 🚗"]
 

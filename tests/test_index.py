@@ -72,7 +72,7 @@ def test_candidates_can_be_of_some_sequences_and_spare_some_frames(town):
 def test_what_is_replaced_is_found_by_what_it_is_now_and_compacting_keeps_the_index(town):
     database, _ = town
     new = descriptors(9, 1, 32)
-    database.replace(["a's/000"], new)
+    database.merge(["a's/000"], new)
     assert search_index(database, new, 1)[0][0][0] == "a's/000"
     database.compact()
     assert search_index(database, new, 1)[0][0][0] == "a's/000"

@@ -236,7 +236,7 @@ def test_a_memory_whose_frames_were_removed_or_encoded_anew_is_gone_on_from(tmp_
     drive(loops, vectors[:100])
     loops.save(database)
     database.remove([f"drive/{n}" for n in range(5)])
-    database.replace([FrameRecord("drive", "30")], torch.from_numpy(vectors[110:111]))
+    database.merge([FrameRecord("drive", "30")], torch.from_numpy(vectors[110:111]))
     loaded = LoopDetector.load(Database.open(database.path), loops.config, HEAD)
     assert loaded.frames == [f"drive/{n}" for n in range(5, 100)]
     assert accepted(loaded.update(v, f"again/{n}") for n, v in enumerate(vectors[100:]))[20] == 40

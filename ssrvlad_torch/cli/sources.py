@@ -11,8 +11,9 @@ from functools import cache
 from pathlib import Path
 
 from ..config import SSRVLADConfig
-from ..database.database import Damage, Database
+from ..database.database import Database
 from ..database.frames import FrameSet
+from ..database.reading import Damage
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files

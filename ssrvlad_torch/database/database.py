@@ -8,11 +8,9 @@ fingerprint, and each label space and segmenter that a row names as its origin.
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
 import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,28 +25,15 @@ from ..taxonomy import LabelSpace, label_space_names
 from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frames import FrameRecord, FrameSet, Vectors, natural_key
-from .origin import Origin
+from .metadata import Meta, Origin
 from .reading import Damage, read_intact, read_rows
-from .rows import OF_A_RECORD, POSE, matrix, schema, to_record, to_table
+from .rows import OF_A_RECORD, POSE, KnownFrames, matrix, schema, to_table
 
 if TYPE_CHECKING:
     from lance import LanceDataset
-
-__all__ = [
-    "Damage",
-    "Database",
-    "FrameRecord",
-    "FrameSet",
-    "KnownFrames",
-    "Origin",
-    "Version",
-    "Written",
-]
-
-FORMAT = "ssrvlad-database-4"
+    from lance.fragment import LanceFragment
 
 _OF_A_SET = ["frame", "sequence", *POSE, "stamp", "empty"]
-_META, _ORIGIN = "ssrvlad", "origin:"
 _COLUMNS_AT_ONCE = 16
 
 
@@ -80,32 +65,6 @@ class Written(NamedTuple):
     frames: tuple[str, ...]
 
 
-class KnownFrames(Mapping[str, FrameRecord]):
-    """The records of a database by the frame's id, in the order in which they are stored.
-
-    A record is made when it is asked for: of a million frames only the ids are Python's.
-    """
-
-    def __init__(self, table: pa.Table) -> None:
-        self._columns = [column.combine_chunks() for column in table.columns]
-        self._rows = {frame: row for row, frame in enumerate(table["frame"].to_pylist())}
-
-    def __getitem__(self, frame: str) -> FrameRecord:
-        row = self._rows[frame]
-        return to_record(*(column[row].as_py() for column in self._columns))
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._rows)
-
-    def column(self, name: str) -> list[Any]:
-        """One attribute of all records, in their order."""
-        values: list[Any] = self._columns[OF_A_RECORD.index(name)].to_pylist()
-        return values
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-
 class Database:
     """Descriptors of one kind on disk. Use `create` or `open`.
 
@@ -129,10 +88,14 @@ class Database:
 
     def _settle(self, table: LanceDataset) -> None:
         self._table = table
-        self._meta = _Meta.of(table, self.path)
+        self._meta = Meta.of(table.schema.metadata or {}, self.path)
 
     def __len__(self) -> int:
         return int(self._table.count_rows())
+
+    def __bool__(self) -> bool:
+        """True, also without frames."""
+        return True
 
     def __repr__(self) -> str:
         kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
@@ -155,12 +118,7 @@ class Database:
 
     @classmethod
     def create(
-        cls,
-        path: str | Path,
-        config: SSRVLADConfig | None = None,
-        label_space: LabelSpace | None = None,
-        segmenter: str = "",
-        width: int | None = None,
+        cls, path: str | Path, config: SSRVLADConfig | None = None, width: int | None = None
     ) -> Database:
         """A new, empty database.
 
@@ -168,7 +126,6 @@ class Database:
             path: a new or an empty folder, or a URI.
             config: the settings of every descriptor, a label space of one's own stored whole;
                 without, they are a user's own, of which nothing is claimed.
-            label_space, segmenter: of the first frames, see `add_origin`.
             width: numbers of a descriptor, where there is no config.
 
         Raises:
@@ -185,11 +142,7 @@ class Database:
             raise ValueError(f"{text} is a database already")
         if engine.is_local(text) and (Path(text).is_file() or _is_used(Path(text))):
             raise ValueError(f"{text} is there and is no database; expected a new or empty folder")
-        meta = _Meta(config, {})
-        if label_space is not None or segmenter:
-            origin = Origin(label_space, segmenter)
-            meta = _Meta(config, {origin.key: origin})
-        table = engine.create(text, columns.with_metadata(meta.to_dict()))
+        table = engine.create(text, columns.with_metadata(Meta.to_dict(config)))
         return cls(text, table, pinned=False)
 
     @classmethod
@@ -213,10 +166,13 @@ class Database:
         try:
             table = engine.opened(text, version)
         except OSError as error:
-            told = _why_closed(text, version, error)
-            last = None if version else engine.last_readable(text)
+            if version:
+                told = f"{text} has no version {version}, or it is damaged"
+                raise ValueError(f"{told}: {engine.one_line(error)}") from error
+            last, _ = engine.newest_readable(text)
             hint = f"; --as-of {last} reads the version before" if last else ""
-            raise ValueError(f"{told}{hint}") from error
+            told = f"{text} is damaged or not a database: {engine.one_line(error)}{hint}"
+            raise ValueError(told) from error
         return cls(text, table, pinned=version is not None)
 
     @staticmethod
@@ -232,16 +188,14 @@ class Database:
         return engine.put_aside(str(path))
 
     @classmethod
-    def open_or_create(
-        cls, path: str | Path, config: SSRVLADConfig, label_space: LabelSpace | None = None
-    ) -> Database:
+    def open_or_create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
         """The database at ``path``, new if there is none.
 
         Raises:
             ValueError: the database there has another fingerprint; both are shown.
         """
         if not cls.exists(path):
-            return cls.create(path, config, label_space)
+            return cls.create(path, config)
         database = cls.open(path)
         database.require(config)
         return database
@@ -313,9 +267,8 @@ class Database:
         if origin.key in self._meta.origins:
             return origin.key
         self._see_writable()
-        entry = {_ORIGIN + origin.key: origin.to_json()}
         with self._writing:
-            self._settle(engine.add_metadata(self.path, entry))
+            self._settle(engine.add_metadata(self.path, origin.to_entry()))
         return origin.key
 
     def append(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
@@ -331,13 +284,6 @@ class Database:
             OSError: the disk refused; the database is as it was.
         """
         self.adopt([self.write_apart(frames, descriptors)])
-
-    def replace(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
-        """Puts frames in the place of those with the same ids, in one commit.
-
-        Arguments and errors as for `append`, but the ids must be there.
-        """
-        self._change([self.write_apart(frames, descriptors)], "replace")
 
     def merge(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
         """Adds frames, those with ids that are there in the place of these, in one commit.
@@ -363,7 +309,9 @@ class Database:
         self._see_writable()
         records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]
         rows = to_table(records, self._checked(records, descriptors))
-        return Written(engine.write_apart(self._table, rows), tuple(rows["frame"].to_pylist()))
+        with engine.writing(self.path):
+            fragments = engine.write_fragments(self._table, rows) if records else []
+        return Written(engine.described(fragments), tuple(rows["frame"].to_pylist()))
 
     def adopt(self, written: Sequence[Written]) -> None:
         """Adds rows that `write_apart` wrote, in one commit.
@@ -385,9 +333,6 @@ class Database:
             there = _there(table, ids)
             if verb == "append" and there:
                 raise ValueError(f"frame {there[0]!r} is in {self.path} already")
-            if verb == "replace" and len(there) < len(ids):
-                missing = min(set(ids["frame"].to_pylist()) - set(there))
-                raise ValueError(f"frame {missing!r} is not in {self.path}")
             if verb == "remove" and not there:
                 return None
             fragments = [text for part in written for text in part.fragments]
@@ -396,7 +341,7 @@ class Database:
         if len(ids):
             self._commit(plan, f"{verb} {len(ids)} frames")
 
-    def _commit(self, plan: engine.Plan, message: str) -> None:
+    def _commit(self, plan: Callable[[LanceDataset], Any], message: str) -> None:
         with self._writing:
             self._settle(engine.commit(self.path, plan, message))
 
@@ -494,16 +439,15 @@ class Database:
 
         def plan(table: LanceDataset) -> Any:
             damage.clear()
-            gone, kept = [], list[pa.RecordBatch]()
-            for fragment in table.get_fragments():
-                batches, lost = read_intact(fragment)
-                if lost:
-                    damage.extend(lost)
-                    gone.append(fragment.fragment_id)
-                    kept += batches
-            fresh = engine.write_fragments(table, pa.Table.from_batches(kept, table.schema))
-            update = engine.lance().LanceOperation.Update
-            return update(removed_fragment_ids=gone, new_fragments=fresh) if gone else None
+            gone = [fragment for fragment in table.get_fragments() if _tell(fragment, damage)]
+            if not gone:
+                return None
+            whole = (batch for fragment in gone for batch in read_intact(fragment, []))
+            rows = pa.RecordBatchReader.from_batches(table.schema, whole)
+            return engine.lance().LanceOperation.Update(
+                removed_fragment_ids=[fragment.fragment_id for fragment in gone],
+                new_fragments=engine.write_fragments(table, rows),
+            )
 
         self._commit(plan, "drop what is damaged")
         return damage
@@ -530,7 +474,7 @@ class Database:
             number: Any = entry["version"]
             time: Any = entry["timestamp"]
             facts: Any = entry["metadata"]
-            change = engine.change(self._table, number)
+            change = engine.message_of(self._table, number)
             told.append(Version(number, time, int(facts["total_rows"]), change))
         return told
 
@@ -552,7 +496,7 @@ class Database:
         """What is in the database, in numbers and words, ready for JSON; rows are not verified."""
         table = self._columns(["sequence", "x", "empty", "origin"])
         origins = {
-            _told(self._meta.origins.get(key)): count
+            str(self._meta.origins.get(key, Origin())): count
             for key, count in Counter(table["origin"].to_pylist()).items()
         }
         config = self._meta.config
@@ -570,70 +514,10 @@ class Database:
         }
 
 
-class _Meta(NamedTuple):
-    """What a table's metadata says: the settings, and the origins by their keys."""
-
-    config: SSRVLADConfig | None
-    origins: dict[str, Origin]
-
-    def to_dict(self) -> dict[str, str]:
-        config = self.config and self.config.to_dict()
-        fingerprint = self.config.fingerprint if self.config else ""
-        content = {"format": FORMAT, "fingerprint": fingerprint, "config": config}
-        text = json.dumps(content, sort_keys=True)
-        origins = {_ORIGIN + key: origin.to_json() for key, origin in self.origins.items()}
-        return {_META: text, f"{_META}-digest": _digest(text), **origins}
-
-    @classmethod
-    def of(cls, table: LanceDataset, path: str) -> _Meta:
-        entries = {k.decode(): v.decode() for k, v in (table.schema.metadata or {}).items()}
-        text = entries.get(_META, "")
-        content = json.loads(text) if text else {}
-        if content.get("format", "").startswith("ssrvlad-") and content["format"] != FORMAT:
-            raise ValueError(f"{path} was made by an earlier format of database: encode it again")
-        if content.get("format") != FORMAT:
-            raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
-        if entries.get(f"{_META}-digest") != _digest(text):
-            raise ValueError(f"{path} is damaged: the checksum of its settings does not fit")
-        origins = {}
-        for name, entry in entries.items():
-            if name.startswith(_ORIGIN):
-                key = name.removeprefix(_ORIGIN)
-                origins[key] = Origin.from_json(entry)
-                if origins[key].key != key:
-                    raise ValueError(f"{path} is damaged: origin {key} does not fit its content")
-        return cls(_config(content, path), origins)
-
-
-def _config(content: dict[str, Any], path: str) -> SSRVLADConfig | None:
-    if content["config"] is None:
-        return None
-    try:
-        config = SSRVLADConfig.from_dict(content["config"])
-    except ValueError as error:
-        raise ValueError(f"{path} has settings of another version: {error}") from error
-    if config.fingerprint != content["fingerprint"]:
-        raise ValueError(
-            f"{path} has fingerprint {content['fingerprint']}, made by another version of the "
-            f"method; the same settings have {config.fingerprint} here: encode it again"
-        )
-    return config
-
-
-def _digest(text: str) -> str:
-    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
-
-
 def _is_used(folder: Path) -> bool:
     """Whether a folder holds more than a `Database.create` that was killed leaves behind."""
     left = {"_transactions", "_versions", "data"}
     return folder.is_dir() and any(entry.name not in left for entry in folder.iterdir())
-
-
-def _why_closed(path: str, version: int | None, error: Exception) -> str:
-    if version is None:
-        return f"{path} is damaged or not a database: {engine.one_line(error)}"
-    return f"{path} has no version {version}, or it is damaged: {engine.one_line(error)}"
 
 
 def _there(table: LanceDataset, rows: pa.Table) -> list[str]:
@@ -643,11 +527,12 @@ def _there(table: LanceDataset, rows: pa.Table) -> list[str]:
     return ids
 
 
-def _told(origin: Origin | None) -> str:
-    if origin is None:
-        return "unknown"
-    name = origin.label_space.name if origin.label_space else "unknown"
-    return f"{name} by {origin.network or origin.segmenter}" if origin.segmenter else name
+def _tell(fragment: LanceFragment, damage: list[Damage]) -> bool:
+    """Whether a fragment is damaged, and how."""
+    before = len(damage)
+    for _ in read_intact(fragment, damage):
+        pass
+    return len(damage) > before
 
 
 def _order(table: pa.Table) -> npt.NDArray[np.int64]:

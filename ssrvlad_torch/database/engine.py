@@ -14,6 +14,7 @@ import dataclasses
 import json
 import os
 import random
+import re
 import time
 import uuid
 from collections.abc import Callable, Iterable, Iterator
@@ -29,13 +30,9 @@ if TYPE_CHECKING:
     from lance import LanceDataset
     from lance.fragment import FragmentMetadata
 
-_ATTEMPTS = 100
-_PAUSE = 0.02
+_ATTEMPTS, _PAUSE = 100, 0.02
 _COUNT = (1 << 64) - 1
 _MESSAGE = "lance.commit.message"
-
-Plan = Callable[["LanceDataset"], Any]
-"""Makes an operation of Lance for one version of a table, or ``None`` if there is nothing to do."""
 
 
 def lance() -> Any:
@@ -46,10 +43,6 @@ def lance() -> Any:
     import lance.optimize
 
     return module
-
-
-def _wait(attempt: int) -> None:
-    time.sleep(random.uniform(0, _PAUSE * min(attempt + 1, 10)))
 
 
 def opened(uri: str, version: int | None = None) -> LanceDataset:
@@ -65,36 +58,29 @@ def opened(uri: str, version: int | None = None) -> LanceDataset:
     return table
 
 
-def last_readable(uri: str) -> int | None:
-    """The newest version of a folder whose manifest can be read, ``None`` if there is none."""
-    return next((n for n, _ in _manifests(uri) if _is_readable(uri, n)), None)
+def newest_readable(uri: str) -> tuple[int | None, list[Path]]:
+    """The newest version of a folder that can be read, and the manifests of those after it."""
+    unreadable: list[Path] = []
+    for file in sorted(Path(uri, "_versions").glob("*.manifest")):  # named by the steps to 2^64
+        version = _COUNT - int(file.stem)
+        try:
+            opened(uri, version)
+        except OSError:
+            unreadable.append(file)
+        else:
+            return version, unreadable
+    return None, unreadable
 
 
 def put_aside(uri: str) -> list[str]:
     """Renames the newest manifests that cannot be read, if one before them can; their names."""
-    last, names = last_readable(uri), []
-    for number, file in _manifests(uri) if last is not None else ():
-        if number > (last or 0):
-            file.rename(Path(uri, f"damaged-{file.name}"))
-            names.append(file.name)
-    if names:
-        flush(Path(uri, "_versions"))
-        flush(Path(uri))
-    return names
-
-
-def _manifests(uri: str) -> list[tuple[int, Path]]:
-    """The versions of a folder, the newest first; their names count down from 2^64."""
-    files = Path(uri, "_versions").glob("*.manifest") if is_local(uri) else ()
-    return sorted(((_COUNT - int(file.stem), file) for file in files), reverse=True)
-
-
-def _is_readable(uri: str, version: int) -> bool:
-    try:
-        opened(uri, version)
-    except OSError:
-        return False
-    return True
+    last, files = newest_readable(uri)
+    if last is None or not files:
+        return []
+    for file in files:
+        file.rename(Path(uri, f"damaged-{file.name}"))
+    sync(uri, [], ["_versions"])
+    return [file.name for file in files]
 
 
 def is_local(uri: str) -> bool:
@@ -112,101 +98,29 @@ def writing(uri: str) -> Iterator[None]:
     """Names the table in the errors of the disk.
 
     Raises:
-        OSError: it cannot be written, or others keep writing.
+        OSError: it cannot be written.
     """
     try:
         yield
-    except (OSError, RuntimeError) as error:
+    except (OSError, RuntimeError, lance().commit.CommitConflictError) as error:
         raise OSError(f"{uri} cannot be written: {one_line(error)}") from error
 
 
-def change(table: LanceDataset, version: int) -> str:
-    """What was done to make a version."""
-    transaction = table.read_transaction(version)
-    if transaction is None:
-        return ""
-    said = (transaction.transaction_properties or {}).get(_MESSAGE)
-    return said or type(transaction.operation).__name__.lower()
+def changed(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> LanceDataset:
+    """A table after a change, made anew for as long as others commit theirs before it.
 
-
-def write_fragments(table: LanceDataset, rows: pa.Table) -> list[FragmentMetadata]:
-    """Rows as data files that no version names yet."""
-    if not len(rows):
-        return []
-    fragments: list[FragmentMetadata] = lance().fragment.write_fragments(
-        rows, table.uri, schema=table.schema, mode="append"
-    )
-    return fragments
-
-
-def write_apart(table: LanceDataset, rows: pa.Table) -> tuple[str, ...]:
-    """Rows as data files that are on the disk, described in JSON for `addition`."""
-    with writing(table.uri):
-        fragments = write_fragments(table, rows)
-        sync(table.uri, [name for fragment in fragments for name in file_names(fragment)])
-    return tuple(json.dumps(fragment.to_json()) for fragment in fragments)
-
-
-def substitution(table: LanceDataset, ids: pa.Table | None, described: Iterable[str]) -> Any:
-    """The operation that removes the rows of ids, if any, and adds what `write_apart` wrote."""
-    made = [lance().FragmentMetadata.from_json(text) for text in described]
-    if ids is None:
-        return lance().LanceOperation.Update(new_fragments=made)
-    removal: Any = table.merge_insert("frame").when_matched_delete().execute_uncommitted(ids)[0]
-    return dataclasses.replace(removal.operation, new_fragments=made)
-
-
-def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:
-    """Adds entries to a table's metadata."""
+    Raises:
+        OSError: it cannot be written, or others keep writing; and what the change raises.
+    """
     for attempt in range(_ATTEMPTS):
-        table = opened(uri)
-        there = {key.decode() for key in table.schema.metadata}
-        if there.issuperset(entries):
-            return table
         try:
-            table.update_schema_metadata({**entries})
+            with writing(uri):
+                return change(opened(uri))
         except OSError as error:
-            if "oncurrent" not in str(error):
-                raise OSError(f"{uri} cannot be written: {one_line(error)}") from error
-            _wait(attempt)
-            continue
-        sync_version(table)
-        return table
+            if not re.search("conflict|concurrent", str(error).replace(uri, ""), re.IGNORECASE):
+                raise
+        time.sleep(random.uniform(0, _PAUSE * min(attempt + 1, 10)))
     raise OSError(f"{uri} cannot be written: {_ATTEMPTS} times others were first")
-
-
-def compact(uri: str, keep: timedelta) -> LanceDataset:
-    """Joins small files and forgets versions older than ``keep``."""
-    for attempt in range(_ATTEMPTS):
-        table = opened(uri)
-        compaction = lance().optimize.Compaction
-        with writing(uri):
-            plan = compaction.plan(table, lance().optimize.CompactionOptions())
-            done = [task.execute(table) for task in plan.tasks]
-            sync(uri, [name for task in done for f in task.new_fragments for name in file_names(f)])
-            try:
-                compaction.commit(table, done)
-                table = opened(uri)
-                table.optimize.optimize_indices()
-            except (lance().commit.CommitConflictError, OSError) as error:
-                if "conflict" not in str(error):
-                    raise
-                _wait(attempt)
-                continue
-            table = opened(uri)
-            sync_version(table)
-            table.cleanup_old_versions(older_than=keep)
-        return table
-    raise OSError(f"{uri} cannot be written: {_ATTEMPTS} times others were first")
-
-
-def create_index(uri: str, column: str, kind: str, lists: int) -> LanceDataset:
-    """Builds an index of a column for cosines, in the place of what is there."""
-    with writing(uri):
-        opened(uri).create_index(column, kind, metric="cosine", replace=True, num_partitions=lists)
-        table = opened(uri)
-        sync_version(table)
-    return table
 
 
 def create(uri: str, schema: pa.Schema) -> LanceDataset:
@@ -223,41 +137,107 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
     return table
 
 
-def commit(uri: str, plan: Plan, message: str) -> LanceDataset:
-    """One change of rows, made anew for as long as others commit theirs before it.
+def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:
+    """Adds entries to a table's metadata."""
 
-    No two are made of one version, so that no id is added twice.
+    def change(table: LanceDataset) -> LanceDataset:
+        if not {key.decode() for key in table.schema.metadata}.issuperset(entries):
+            table.update_schema_metadata({**entries})
+            sync_version(table)
+        return table
+
+    return changed(uri, change)
+
+
+def compact(uri: str, keep: timedelta) -> LanceDataset:
+    """Joins small files and forgets versions older than ``keep``."""
+
+    def change(table: LanceDataset) -> LanceDataset:
+        compaction = lance().optimize.Compaction
+        plan = compaction.plan(table, lance().optimize.CompactionOptions())
+        done = [task.execute(table) for task in plan.tasks]
+        sync(uri, [fragment for task in done for fragment in task.new_fragments])
+        compaction.commit(table, done)
+        opened(uri).optimize.optimize_indices()
+        table = opened(uri)
+        sync_version(table)
+        table.cleanup_old_versions(older_than=keep)
+        return table
+
+    return changed(uri, change)
+
+
+def create_index(uri: str, column: str, kind: str, lists: int) -> LanceDataset:
+    """Builds an index of a column for cosines, in the place of what is there."""
+
+    def change(table: LanceDataset) -> LanceDataset:
+        table.create_index(column, kind, metric="cosine", replace=True, num_partitions=lists)
+        table = opened(uri)
+        sync_version(table)
+        return table
+
+    return changed(uri, change)
+
+
+def write_fragments(
+    table: LanceDataset, rows: pa.Table | pa.RecordBatchReader
+) -> list[FragmentMetadata]:
+    """Rows as data files that are on the disk, and that no version names yet."""
+    fragments: list[FragmentMetadata] = lance().fragment.write_fragments(
+        rows, table.uri, schema=table.schema, mode="append"
+    )
+    sync(table.uri, fragments)
+    return fragments
+
+
+def described(fragments: Iterable[FragmentMetadata]) -> tuple[str, ...]:
+    """Fragments in JSON, for `substitution` in another process."""
+    return tuple(json.dumps(fragment.to_json()) for fragment in fragments)
+
+
+def substitution(table: LanceDataset, ids: pa.Table | None, written: Iterable[str]) -> Any:
+    """The operation that removes the rows of ids, if any, and adds fragments `described`."""
+    made = [lance().FragmentMetadata.from_json(text) for text in written]
+    if ids is None:
+        return lance().LanceOperation.Update(new_fragments=made)
+    removal: Any = table.merge_insert("frame").when_matched_delete().execute_uncommitted(ids)[0]
+    return dataclasses.replace(removal.operation, new_fragments=made)
+
+
+def commit(uri: str, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
+    """One change of rows. No two are made of one version, so that no id is added twice.
 
     Args:
         uri: of the table.
-        plan: makes the operation; where it raises, nothing has changed.
-        message: what `versions` tells of it.
-
-    Returns:
-        The table after it.
+        plan: makes the operation for one version of the table, ``None`` if there is nothing to do.
+        message: what `message_of` tells of it.
     """
-    for attempt in range(_ATTEMPTS):
-        with writing(uri):
-            before = opened(uri)
-            operation = plan(before)
+
+    def change(before: LanceDataset) -> LanceDataset:
+        operation = plan(before)
         if operation is None:
             return before
-        with writing(uri):
-            _sync_data(uri, operation)
-            transaction = lance().Transaction(
-                before.version,
-                _exclusive(before, operation),
-                uuid=str(uuid.uuid4()),
-                transaction_properties={_MESSAGE: message},
-            )
-            try:
-                after: LanceDataset = lance().LanceDataset.commit(uri, transaction, max_retries=0)
-            except lance().commit.CommitConflictError:
-                _wait(attempt)
-                continue
-            sync_version(after, transaction)
+        sync(uri, operation.updated_fragments)
+        transaction = lance().Transaction(
+            before.version,
+            _exclusive(before, operation),
+            uuid=str(uuid.uuid4()),
+            transaction_properties={_MESSAGE: message},
+        )
+        after: LanceDataset = lance().LanceDataset.commit(uri, transaction, max_retries=0)
+        sync_version(after, transaction)
         return after
-    raise OSError(f"{uri} cannot be written: {_ATTEMPTS} times others were first")
+
+    return changed(uri, change)
+
+
+def message_of(table: LanceDataset, version: int) -> str:
+    """What was done to make a version."""
+    transaction = table.read_transaction(version)
+    if transaction is None:
+        return ""
+    said = (transaction.transaction_properties or {}).get(_MESSAGE)
+    return said or type(transaction.operation).__name__.lower()
 
 
 def _exclusive(table: LanceDataset, operation: Any) -> Any:
@@ -286,28 +266,20 @@ def file_names(fragment: FragmentMetadata) -> list[str]:
     return names
 
 
-def _sync_data(uri: str, operation: Any) -> None:
-    """Puts on the disk what an operation is about to name."""
-    fragments = [
-        *getattr(operation, "new_fragments", ()), *getattr(operation, "updated_fragments", ())
-    ]  # fmt: skip
-    sync(uri, [name for fragment in fragments for name in file_names(fragment)])
-
-
 def sync_version(table: LanceDataset, transaction: Any = None) -> None:
     """Puts on the disk what makes the version of a table count."""
     names = [f"_versions/{_COUNT - table.version}.manifest"]
     if transaction is not None:
         folder = Path(table.uri, "_transactions")  # its file is named by the version it came after
         names += [f"_transactions/{file.name}" for file in folder.glob(f"*-{transaction.uuid}.txn")]
-    sync(table.uri, names)
+    sync(table.uri, [], names)
 
 
-def sync(uri: str, names: list[str]) -> None:
+def sync(uri: str, fragments: Iterable[FragmentMetadata], names: Iterable[str] = ()) -> None:
     """Flushes files of a table and the folders that they are in; an object store needs it not."""
     if not is_local(uri):
         return
-    files = [Path(uri, name) for name in names]
+    files = [Path(uri, n) for n in (*(n for f in fragments for n in file_names(f)), *names)]
     for file in files:
         flush(file)
     for folder in {parent for file in files for parent in (file.parent, Path(uri))}:

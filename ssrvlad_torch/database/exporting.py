@@ -42,28 +42,24 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         ImportError: the extra ``hloc`` is not installed.
         OSError: the files cannot be written.
     """
-    frames, about = database.load(), _about(database)
+    frames, info = database.load(), database.info()
+    about = {name: info[name] for name in ("fingerprint", "config", "label_spaces")}
     if form == "hloc":
         _write_hloc(frames, about, file)
         return [file]
-    beside = {
+    texts = {
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
-        ".fingerprint.txt": f"{database.fingerprint}\n" if database.fingerprint else "",
         ".json": json.dumps(about, indent=1) + "\n",
     }
+    if database.fingerprint:
+        texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
     with _written(file) as temporary, temporary.open("wb") as stream:
         np.save(stream, frames.descriptors.numpy())
-    written = [file]
-    for suffix, text in beside.items():
-        if text:
-            written.append(file.with_name(file.name + suffix))
-            with _written(written[-1]) as temporary:
-                temporary.write_text(text, encoding="utf-8")
-    return written
-
-
-def _about(database: Database) -> dict[str, object]:
-    return {name: database.info()[name] for name in ("fingerprint", "config", "label_spaces")}
+    beside = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
+    for each, text in beside.items():
+        with _written(each) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    return [file, *beside]
 
 
 @contextmanager

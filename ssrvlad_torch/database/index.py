@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 
-from ..recognition.matching import Matches, Rows, match
+from ..recognition.matching import Rows, match
 from ..recognition.motion import moments
 from ..recognition.standardise import less, standardise
 from ..recognition.sweep import score
@@ -355,14 +355,13 @@ def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Ten
     """Some rows, and the rows of their 10 best matches but themselves, read batch by batch."""
     table = database.table()
     queries = torch.from_numpy(matrix(table.take(rows.tolist(), columns=[_COLUMN])[_COLUMN]).copy())
-    best = Matches(torch.full((len(rows), 10), -torch.inf), torch.full((len(rows), 10), -1))
-    first = 0
+    scores = torch.full((len(rows), 10), -torch.inf)
+    indices, first = torch.full((len(rows), 10), -1), 0
     for batch in read_rows(table):
-        here = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
-        scores, places = match(queries, matrix(batch[_COLUMN]).copy(), 10, exclude=here)
-        scores = torch.cat([best.scores, scores], 1)
-        indices = torch.cat([best.indices, torch.where(places < 0, -1, places + first)], 1)
-        order = scores.argsort(dim=1, descending=True, stable=True)[:, :10]
-        best = Matches(scores.gather(1, order), indices.gather(1, order))
+        own = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
+        found = match(queries, matrix(batch[_COLUMN]).copy(), 10, exclude=own)
+        places = torch.where(found.indices < 0, -1, found.indices + first)
+        scores, order = torch.cat([scores, found.scores], 1).topk(10)
+        indices = torch.cat([indices, places], 1).gather(1, order)
         first += len(batch)
-    return queries, best.indices
+    return queries, indices

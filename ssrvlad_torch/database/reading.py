@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from lance import LanceDataset
     from lance.fragment import LanceFragment
 
-_BATCH = 4096
-_BLOCK = 256
+_BATCH, _BLOCK = 4096, 256
+_ERRORS = (OSError, ValueError, RuntimeError, pa.ArrowException)
 
 
 class Damage(NamedTuple):
@@ -41,64 +41,54 @@ def read_rows(table: LanceDataset, damage: list[Damage] | None = None) -> Iterat
         damage: where given, what is damaged is left out and told here.
 
     Raises:
-        ValueError: a file is missing or a row is not as it was written.
+        ValueError: a file is missing or a row is not as it was written; at the end of the file.
     """
     for fragment in table.get_fragments():
-        if damage is None:
-            yield from _whole(table, fragment)
-        else:
-            batches, lost = read_intact(fragment)
+        lost: list[Damage] = []
+        yield from read_intact(fragment, lost)
+        if lost and damage is None:
+            raise ValueError(f"{table.uri} is damaged: {lost[0].file}: {lost[0].reason}")
+        if damage is not None:
             damage += lost
-            yield from batches
 
 
-def read_intact(fragment: LanceFragment) -> tuple[list[pa.RecordBatch], list[Damage]]:
-    """The rows of a fragment that are as they were written, and what is not."""
-    name = file_names(fragment.metadata)[0]
-    try:
-        batches = list(fragment.to_batches(batch_size=_BATCH))
-    except (OSError, ValueError, RuntimeError, pa.ArrowException) as error:
-        return _block_by_block(fragment, name, one_line(error))
-    return _sift(batches, name)
+def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.RecordBatch]:
+    """The rows of a fragment that are as they were written; what is not is told in damage."""
+    kept, reason = 0, ""
+    for batch in _batches(fragment):
+        if isinstance(batch, str):
+            reason = reason or batch
+            continue
+        fits = intact(batch)
+        if not fits.all():
+            first = batch["frame"][int(np.argmin(fits))].as_py()
+            reason = reason or f"the checksum of frame {first!r} differs"
+        kept += int(fits.sum())
+        yield batch if fits.all() else batch.filter(pa.array(fits))
+    if reason:
+        try:
+            rows = fragment.count_rows()
+        except _ERRORS:
+            rows = fragment.physical_rows
+        damage.append(Damage(file_names(fragment.metadata)[0], rows - kept, reason))
 
 
-def _whole(table: LanceDataset, fragment: LanceFragment) -> Iterator[pa.RecordBatch]:
-    name = file_names(fragment.metadata)[0]
+def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
+    """The rows of a fragment, and why some cannot be read; of these, the blocks that can be."""
+    done = 0
     try:
         for batch in fragment.to_batches(batch_size=_BATCH):
-            fits = intact(batch)
-            if not fits.all():
-                first = batch["frame"][int(np.argmin(fits))].as_py()
-                raise ValueError(
-                    f"frame {first!r} of {name} is not as it was written: its checksum differs"
-                )
             yield batch
-    except (OSError, ValueError, RuntimeError, pa.ArrowException) as error:
-        raise ValueError(f"{table.uri} is damaged: {one_line(error)}") from error
-
-
-def _sift(batches: list[pa.RecordBatch], name: str) -> tuple[list[pa.RecordBatch], list[Damage]]:
-    kept, lost = [], 0
-    for batch in batches:
-        fits = intact(batch)
-        lost += int((~fits).sum())
-        kept.append(batch if fits.all() else batch.filter(pa.array(fits)))
-    return kept, [Damage(name, lost, "checksums of rows differ")] if lost else []
-
-
-def _block_by_block(
-    fragment: LanceFragment, name: str, reason: str
-) -> tuple[list[pa.RecordBatch], list[Damage]]:
-    """What can be read of a file that cannot be read through."""
+            done += len(batch)
+        return
+    except _ERRORS as error:
+        yield one_line(error)
     try:
         rows = fragment.count_rows()
-    except (OSError, ValueError, RuntimeError) as error:
-        return [], [Damage(name, fragment.physical_rows, one_line(error))]
-    kept: list[pa.RecordBatch] = []
-    for first in range(0, rows, _BLOCK):
+    except _ERRORS:
+        return
+    for first in range(done, rows, _BLOCK):
         try:
-            block = fragment.take(list(range(first, min(first + _BLOCK, rows))))
-            kept += _sift(block.to_batches(), name)[0]
-        except (OSError, ValueError, RuntimeError, pa.ArrowException):
+            yield from fragment.take(list(range(first, min(first + _BLOCK, rows)))).to_batches()
+        except _ERRORS:
             continue
-    return kept, [Damage(name, rows - sum(map(len, kept)), reason)]

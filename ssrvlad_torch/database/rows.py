@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -19,7 +19,6 @@ OF_A_RECORD += ["origin"]
 Words = npt.NDArray[np.uint64]
 
 _MULTIPLIER = 0x9E3779B97F4A7C15
-_ROWS_AT_ONCE = 4096
 
 
 def schema(width: int) -> pa.Schema:
@@ -46,9 +45,34 @@ def to_table(records: Sequence[FrameRecord], descriptors: npt.NDArray[np.float32
     return table.set_column(place, table.schema.field(place), pa.array(checksums(table)))
 
 
-def to_record(frame: str, sequence: str, *others: Any) -> FrameRecord:
-    """The record of a row, from its columns `OF_A_RECORD`."""
-    return FrameRecord(sequence, frame[len(sequence) + 1 :] if sequence else frame, *others)
+class KnownFrames(Mapping[str, FrameRecord]):
+    """The records of a database by the frame's id, in the order in which they are stored.
+
+    A record is made when it is asked for: of a million frames only the ids are Python's.
+
+    Args:
+        table: with the columns `OF_A_RECORD`.
+    """
+
+    def __init__(self, table: pa.Table) -> None:
+        self._columns = [column.combine_chunks() for column in table.columns]
+        self._rows = {frame: row for row, frame in enumerate(table["frame"].to_pylist())}
+
+    def __getitem__(self, frame: str) -> FrameRecord:
+        row = self._rows[frame]
+        _, sequence, *others = (column[row].as_py() for column in self._columns)
+        return FrameRecord(sequence, frame[len(sequence) + 1 :] if sequence else frame, *others)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._rows)
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def column(self, name: str) -> list[Any]:
+        """One attribute of all records, in their order."""
+        values: list[Any] = self._columns[OF_A_RECORD.index(name)].to_pylist()
+        return values
 
 
 def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[np.float32]:
@@ -105,22 +129,16 @@ def _hashed_rows(values: npt.NDArray[Any]) -> Words:
 
 def _hashed_text(column: pa.StringArray) -> Words:
     """Of each text: its bytes as a row of a matrix, and its length."""
-    _, offsets_of, content = column.buffers()
-    if content is None:
-        return np.zeros(len(column), np.uint64)
-    hashed = np.empty(len(column), np.uint64)
-    for first in range(0, len(column), _ROWS_AT_ONCE):
-        count = min(_ROWS_AT_ONCE, len(column) - first)
-        offsets = np.frombuffer(offsets_of, np.int32)[column.offset + first :][: count + 1]
-        lengths = np.diff(offsets)
-        longest = int(lengths.max())
-        rows = np.frombuffer(content, np.uint8)[offsets[0] : offsets[-1]]
-        if len(rows) < count * longest:
-            text, rows = rows, np.zeros(count * longest, np.uint8)
-            places = np.arange(longest, dtype=np.int32) < lengths[:, None]
-            rows[places.ravel()] = text
-        rows = rows.reshape(count, longest)
-        hashed[first : first + count] = _hashed_rows(rows) + lengths.astype(np.uint64)
+    _, offsets, content = column.buffers()
+    ends = np.frombuffer(offsets, np.int32)[column.offset :][: len(column) + 1]
+    lengths = np.diff(ends)
+    text = np.frombuffer(content or b"", np.uint8)[ends[0] : ends[-1]]
+    rows = np.zeros((len(column), lengths.max(initial=0)), np.uint8)
+    if text.size == rows.size:
+        rows.ravel()[:] = text
+    else:
+        rows[np.arange(rows.shape[1], dtype=np.int32) < lengths[:, None]] = text
+    hashed: Words = _hashed_rows(rows) + lengths.astype(np.uint64)
     return hashed
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..database.database import Database, KnownFrames
+from ..database.database import Database
 from ..database.frames import FrameRecord
-from ..database.origin import Origin
+from ..database.metadata import Origin
+from ..database.rows import KnownFrames
 from ..datasets.frame_file import FrameFile, folder_of
 
 NEW = "new"

@@ -56,7 +56,8 @@ def query(
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
-    from ...database.database import Damage, Database
+    from ...database.database import Database
+    from ...database.reading import Damage
     from ...database.selection import neighbours, select
     from ...recognition.sweep import COLUMNS
     from ..measure import steps_in_words

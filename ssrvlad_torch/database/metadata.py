@@ -1,0 +1,115 @@
+"""What a database says of its rows: the settings, and what made the label maps."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from ..config import SSRVLADConfig
+from ..taxonomy import LabelSpace
+
+FORMAT = "ssrvlad-database-4"
+
+_META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
+
+
+class Origin(NamedTuple):
+    """What made label maps.
+
+    Attributes:
+        label_space: what their ids mean, as it was defined; ``None`` where unknown.
+        segmenter: identity of the network that made them, empty where they were there.
+        network: name of that network, to be opened by; empty where unknown. No part of the key.
+    """
+
+    label_space: LabelSpace | None = None
+    segmenter: str = ""
+    network: str = ""
+
+    @property
+    def key(self) -> str:
+        """16 hex digits, equal where the segmenter and the `LabelSpace.digest` are."""
+        return _digest(json.dumps([self.label_space and self.label_space.digest, self.segmenter]))
+
+    def __str__(self) -> str:
+        name = self.label_space.name if self.label_space else "unknown"
+        return f"{name} by {self.network or self.segmenter}" if self.segmenter else name
+
+    def to_entry(self) -> dict[str, str]:
+        """All of its content, as an entry of a table's metadata."""
+        space = self.label_space and self.label_space.to_dict()
+        return {_ORIGIN + self.key: json.dumps({**self._asdict(), "label_space": space})}
+
+    @classmethod
+    def from_json(cls, text: str) -> Origin:
+        """The value of an entry."""
+        content = json.loads(text)
+        space = content.pop("label_space")
+        return cls(space and LabelSpace.from_dict(space), **content)
+
+
+class Meta(NamedTuple):
+    """A table's metadata: the settings, if any, and the origins by their keys."""
+
+    config: SSRVLADConfig | None
+    origins: dict[str, Origin]
+
+    @staticmethod
+    def to_dict(config: SSRVLADConfig | None) -> dict[str, str]:
+        """Of a table without origins."""
+        text = json.dumps(
+            {
+                "format": FORMAT,
+                "fingerprint": config.fingerprint if config else "",
+                "config": config and config.to_dict(),
+            }
+        )
+        return {_META: text, _DIGEST: _digest(text)}
+
+    @classmethod
+    def of(cls, entries: Mapping[bytes, bytes], path: str) -> Meta:
+        """What the entries of the table at a path say.
+
+        Raises:
+            ValueError: it is no database of this format, is damaged, or was made by another version
+                of the method.
+        """
+        texts = {key.decode(): value.decode() for key, value in entries.items()}
+        text = texts.get(_META, "")
+        form = json.loads(text).get("format", "") if text else ""
+        if form.startswith("ssrvlad-") and form != FORMAT:
+            raise ValueError(f"{path} was made by an earlier format of database: encode it again")
+        if form != FORMAT:
+            raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
+        if texts.get(_DIGEST) != _digest(text):
+            raise ValueError(f"{path} is damaged: the checksum of its settings does not fit")
+        origins = {
+            name.removeprefix(_ORIGIN): Origin.from_json(entry)
+            for name, entry in texts.items()
+            if name.startswith(_ORIGIN)
+        }
+        for key, origin in origins.items():
+            if origin.key != key:
+                raise ValueError(f"{path} is damaged: origin {key} does not fit its content")
+        return cls(_config(json.loads(text), path), origins)
+
+
+def _config(content: dict[str, Any], path: str) -> SSRVLADConfig | None:
+    if content["config"] is None:
+        return None
+    try:
+        config = SSRVLADConfig.from_dict(content["config"])
+    except ValueError as error:
+        raise ValueError(f"{path} has settings of another version: {error}") from error
+    if config.fingerprint != content["fingerprint"]:
+        raise ValueError(
+            f"{path} has fingerprint {content['fingerprint']}, made by another version of the "
+            f"method; the same settings have {config.fingerprint} here: encode it again"
+        )
+    return config
+
+
+def _digest(text: str) -> str:
+    return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
