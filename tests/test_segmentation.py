@@ -10,6 +10,8 @@ import pytest
 import torch
 from drawings import SIGN, SKY, SPACE
 from helpers import flip_byte, street
+from kornia.enhance import Denormalize, Normalize
+from kornia.geometry import Resize
 from networks import (
     CLASSES,
     PLAIN,
@@ -643,6 +645,29 @@ def test_a_cache_that_cannot_be_written_is_an_error(photos, tmp_path):
 
 
 # ---- images into descriptors
+
+
+def test_kornia_a_network_and_the_head_are_one_module():
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    whole = nn.Sequential(Resize((24, 32)), Normalize(0.5, 0.5), Denormalize(0.5, 0.5),
+                          colour_network(), head)  # fmt: skip
+    images = torch.from_numpy(np.stack(PHOTOS)).permute(0, 3, 1, 2) / 255
+    assert torch.equal(whole(images), head(torch.from_numpy(np.stack(LABELS))))
+
+
+def test_progress_moves_while_the_network_works(tmp_path):
+    """A frame is told before the network sees the one that is some fifty further."""
+    files = find_image_files([str(write_photos(tmp_path / "a", range(80)))])
+    network, behind, done = colour_network(), [], [0]
+    network.register_forward_pre_hook(
+        lambda module, given: behind.append(len(behind) - sum(done)) or None
+    )
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
+        encode_to_memory(head, files, 1, done.append, Segmenter(network, SPACE, PLAIN))
+    assert len(behind) == sum(done) == 80
+    assert max(behind) <= 50
 
 
 def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
