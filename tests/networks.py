@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -118,16 +120,80 @@ def write_graph(
     return path
 
 
+NAMES = ["road", "sidewalk", "building", "pole", "vegetation", "sky", "car", "thing"]
+"""Class names of the tiny published models."""
+
+
 def write_segformer(folder: Path) -> Path:
     """A tiny SegFormer with random weights, as transformers saves it."""
-    transformers = pytest.importorskip("transformers")
-    names = ["road", "sidewalk", "building", "pole", "vegetation", "sky", "car", "thing"]
+    return write_published(folder, "Segformer")
+
+
+def write_published(folder: Path, family: str) -> Path:
+    """A tiny model of a family with random weights, as transformers saves it.
+
+    Args:
+        folder: where it is written.
+        family: the beginning of the names of its classes in transformers.
+    """
+    library = pytest.importorskip("transformers")
     torch.manual_seed(0)
-    config = transformers.SegformerConfig(
-        depths=[1] * 4, hidden_sizes=[8, 16, 24, 32], decoder_hidden_size=16,
-        id2label=dict(enumerate(names)), label2id={name: n for n, name in enumerate(names)},
-    )  # fmt: skip
-    transformers.SegformerForSemanticSegmentation(config).save_pretrained(folder)
-    size = {"height": 64, "width": 96}
-    transformers.SegformerImageProcessorPil(size=size).save_pretrained(folder)
+    ids = {"id2label": dict(enumerate(NAMES)), "label2id": {n: i for i, n in enumerate(NAMES)}}
+    settings, task, processor = _published(library, family)
+    config = getattr(library, f"{family}Config")(**settings, **ids)
+    getattr(library, f"{family}For{task}Segmentation")(config).save_pretrained(folder)
+    kind = "Segformer" if family == "UperNet" else family
+    if family == "OneFormer":
+        _one_former_processor(library, folder).save_pretrained(folder)
+    else:
+        getattr(library, f"{kind}ImageProcessorPil")(**processor).save_pretrained(folder)
     return folder
+
+
+def _published(library: Any, family: str) -> tuple[dict[str, Any], str, dict[str, Any]]:
+    """Settings of a tiny model, what it is for, and the settings of its image processor."""
+    square = {"size": {"height": 64, "width": 64}}
+    vit = {"hidden_size": 32, "num_hidden_layers": 4, "num_attention_heads": 2,
+           "intermediate_size": 32, "image_size": 64, "patch_size": 16}  # fmt: skip
+    swin = library.SwinConfig(
+        image_size=64, embed_dim=16, depths=[1] * 4, num_heads=[1] * 4, window_size=4,
+        out_features=["stage1", "stage2", "stage3", "stage4"],
+    )  # fmt: skip
+    masks = {"backbone_config": swin, "hidden_dim": 32, "dim_feedforward": 32, "num_queries": 10,
+             "encoder_feedforward_dim": 32, "encoder_layers": 1, "decoder_layers": 3,
+             "num_attention_heads": 2}  # fmt: skip
+    if family == "Segformer":
+        sizes = {"depths": [1] * 4, "hidden_sizes": [8, 16, 24, 32], "decoder_hidden_size": 16}
+        return sizes, "Semantic", {"size": {"height": 64, "width": 96}}
+    if family == "Beit":
+        return {**vit, "out_indices": [0, 1, 2, 3]}, "Semantic", {**square, "do_center_crop": False}
+    if family == "DPT":
+        neck = {"neck_hidden_sizes": [8] * 4, "fusion_hidden_size": 8}
+        return {**vit, **neck, "backbone_out_indices": [0, 1, 2, 3]}, "Semantic", square
+    if family == "UperNet":
+        return {
+            "backbone_config": swin, "hidden_size": 16, "auxiliary_in_channels": 64,
+        }, "Semantic", square  # fmt: skip
+    if family == "Mask2Former":
+        sizes = {"feature_size": 32, "mask_feature_size": 32}
+        sides = {"size": {"shortest_edge": 64, "longest_edge": 128}, "size_divisor": 32}
+        return {**masks, **sizes}, "Universal", sides
+    assert family == "OneFormer"
+    text = {"text_encoder_width": 32, "text_encoder_num_layers": 1, "query_dec_layers": 1}
+    return {**masks, **text, "mask_dim": 32, "conv_dim": 32}, "Universal", {}
+
+
+def _one_former_processor(library: Any, folder: Path) -> Any:
+    """It has a tokenizer for the task and a file of class names, which a real one downloads."""
+    classes = {str(n): {"name": name, "isthing": 0} for n, name in enumerate(NAMES)}
+    (folder / "classes.json").write_text(json.dumps(classes))
+    letters = [chr(code) for code in range(97, 123)]
+    words = [*letters, *(f"{letter}</w>" for letter in letters), "<|startoftext|>", "<|endoftext|>"]
+    tokens = library.CLIPTokenizer(
+        vocab={word: n for n, word in enumerate(words)}, merges=[], model_max_length=77
+    )
+    images = library.OneFormerImageProcessorPil(
+        size={"shortest_edge": 64, "longest_edge": 128}, repo_path=str(folder),
+        class_info_file="classes.json", num_text=6,
+    )  # fmt: skip
+    return library.OneFormerProcessor(image_processor=images, tokenizer=tokens)

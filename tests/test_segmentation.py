@@ -20,6 +20,7 @@ from networks import (
     colour_network,
     photo,
     write_graph,
+    write_published,
     write_segformer,
 )
 from PIL import Image
@@ -484,6 +485,24 @@ def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folde
     ours = segmenter.labels.preparation(torch.from_numpy(PHOTOS[0])[None])
     assert (ours - theirs).abs().max() < 1.01 / 255 / 0.224, "they round to bytes"
     assert segmenter([NOISE])[0].shape == (17, 23)
+
+
+@pytest.mark.parametrize(
+    "family",
+    [
+        "Mask2Former",
+        "OneFormer",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("Beit", "DPT", "UperNet")),
+    ],
+)
+def test_published_families(family, tmp_path):
+    segmenter = Segmenter.load(write_published(tmp_path / "tiny", family))
+    labels = segmenter([PHOTOS[0], NOISE])
+    assert [each.shape for each in labels] == [(24, 32), (17, 23)]
+    assert len(segmenter.label_space.classes) == 8
+    assert segmenter.config.network_size(90, 160) == {
+        "Mask2Former": (64, 128), "OneFormer": (64, 113),
+    }.get(family, (64, 64))  # fmt: skip
 
 
 def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch, capfd):
