@@ -8,6 +8,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -36,19 +37,35 @@ def core():
     return native.core()
 
 
-@pytest.fixture
-def ssrvlad(monkeypatch, capsys):
-    """Runs a command line; returns exit code, stdout and the lines of stderr."""
-    from ssrvlad_torch.cli import main as cli
+@pytest.fixture(scope="module")
+def patch():
+    """Patches that last as long as the tests of a file."""
+    with pytest.MonkeyPatch.context() as patch:
+        yield patch
 
-    def run(*arguments: object) -> tuple[int, str, list[str]]:
-        monkeypatch.setattr("sys.argv", ["ssrvlad", *map(str, arguments)])
-        with pytest.raises(SystemExit) as end:
-            cli.main()
+
+@pytest.fixture
+def main_of(monkeypatch, capsys):
+    """Runs a program in this process; returns exit code, stdout and the lines of stderr."""
+
+    def run(main, name: str, *arguments: object) -> tuple[int, str, list[str]]:
+        monkeypatch.setattr("sys.argv", [name, *map(str, arguments)])
+        try:
+            code = main()
+        except SystemExit as end:
+            code = end.code
         out, err = capsys.readouterr()
-        return end.value.code or 0, out, err.splitlines()
+        return code or 0, out, err.splitlines()
 
     return run
+
+
+@pytest.fixture
+def ssrvlad(main_of):
+    """Runs a command line as `main_of` does."""
+    from ssrvlad_torch.cli.main import main
+
+    return partial(main_of, main, "ssrvlad")
 
 
 @pytest.fixture

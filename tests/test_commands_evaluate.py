@@ -152,7 +152,7 @@ class Code:
         ("a.npy", vpr_bench([Code()] * 6), "it asks for builtins.print"),
         ("a.npy", np.eye(6, 5), "is a matrix of shape (6, 5), expected (6, 6)"),
         ("a.json", {"tuesday/000": ["monday/6"]}, "names reference 'monday/6', which is not in"),
-        ("a.txt", "", "expected a ground truth in .json, .csv, .npy, .npz"),
+        ("a.txt", "", "a.txt: expected a file in .json, .csv, .npy, .npz"),
     ],
 )
 def test_bad_ground_truth_is_one_line(evaluate, tmp_path, name, content, message):

@@ -170,16 +170,13 @@ def test_in_an_interpreter_without_arguments_and_without_torch(place, tmp_path):
 
 
 @pytest.fixture
-def hloc(monkeypatch, capsys):
-    """The script that writes pairs; returns exit code, stdout and the lines of stderr."""
+def hloc(monkeypatch, main_of):
+    """The script that writes pairs; its first argument is stdin."""
     module = load("hloc_pairs", monkeypatch)
 
     def run(stdin, *arguments):
-        monkeypatch.setattr("sys.argv", ["hloc_pairs.py", *map(str, arguments)])
         monkeypatch.setattr("sys.stdin", io.StringIO(stdin))
-        code = module.main()
-        out, err = capsys.readouterr()
-        return code, out, err.splitlines()
+        return main_of(module.main, "hloc_pairs.py", *arguments)
 
     return run
 

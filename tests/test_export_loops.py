@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,19 +55,8 @@ script = load_script()
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """The script in this process; returns exit code, stdout and the lines of stderr."""
-
-    def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["loops_onnx.py", *map(str, arguments)])
-        try:
-            code = script.main()
-        except SystemExit as end:
-            code = end.code
-        out, err = capsys.readouterr()
-        return code, out, err.splitlines()
-
-    return call
+def run(main_of):
+    return partial(main_of, script.main, "loops_onnx.py")
 
 
 @pytest.fixture(scope="module")

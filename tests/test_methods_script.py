@@ -14,13 +14,6 @@ from ssrvlad_torch.baselines import Frame
 
 
 @pytest.fixture(scope="module")
-def patch():
-    """Patches that last as long as the tests of this file."""
-    with pytest.MonkeyPatch.context() as patch:
-        yield patch
-
-
-@pytest.fixture(scope="module")
 def page(patch, tmp_path_factory):
     """The page of a small CamVid, a small corridor and small cities."""
     home = tmp_path_factory.mktemp("home")

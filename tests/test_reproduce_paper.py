@@ -15,13 +15,6 @@ PAPER = Path(__file__).parents[2] / "shared" / "paper" / "ssr_vlad.tex"
 
 
 @pytest.fixture(scope="module")
-def patch():
-    """Patches that last as long as the tests of this file."""
-    with pytest.MonkeyPatch.context() as patch:
-        yield patch
-
-
-@pytest.fixture(scope="module")
 def run(patch):
     """Runs the script with few frames, small images and no deep networks, in a folder."""
     script = load("reproduce_paper", patch)

@@ -6,6 +6,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -61,19 +62,8 @@ def head(tmp_path_factory):
 
 
 @pytest.fixture
-def run(monkeypatch, capsys):
-    """The script in this process; returns exit code, stdout and the lines of stderr."""
-
-    def call(*arguments):
-        monkeypatch.setattr("sys.argv", ["run_onnx.py", *map(str, arguments)])
-        try:
-            code = script.main()
-        except SystemExit as end:
-            code = end.code
-        out, err = capsys.readouterr()
-        return code, out, err.splitlines()
-
-    return call
+def run(main_of):
+    return partial(main_of, script.main, "run_onnx.py")
 
 
 @pytest.fixture

@@ -37,13 +37,6 @@ def write_drives(root: Path, count: int) -> Path:
 
 
 @pytest.fixture(scope="module")
-def patch():
-    """Patches that last as long as the tests of this file."""
-    with pytest.MonkeyPatch.context() as patch:
-        yield patch
-
-
-@pytest.fixture(scope="module")
 def camvid(tmp_path_factory):
     return write_drives(tmp_path_factory.mktemp("camvid"), 12)
 

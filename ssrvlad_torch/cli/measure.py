@@ -13,7 +13,7 @@ from torch import Tensor
 
 from ..encoding.results import Skipped
 from ..evaluation.ground_truth_files import Known, of_known
-from ..evaluation.metrics import Convention, evaluate, precision_recall_curve
+from ..evaluation.metrics import FIGURES, Convention, evaluate, precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
 from ..recognition.matching import Matches
@@ -25,14 +25,6 @@ TOP = 10
 """Candidates of each query that the figures need."""
 
 RESAMPLES = 1000
-
-FIGURES = {
-    "auc_pr": "AUC-PR",
-    "average_precision": "average precision",
-    "recall_at_100_precision": "Recall@100%Precision",
-    "extended_precision": "extended precision",
-    "roc_auc": "ROC-AUC",
-}
 
 
 @dataclass(frozen=True)

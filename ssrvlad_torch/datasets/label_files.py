@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
-from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -28,17 +28,8 @@ LabelFile = FrameFile
 LabelMap = npt.NDArray[np.integer[Any]]
 
 
-def find_label_files(
-    sources: Sequence[str],
-    sequence: str | None = None,
-    every: int = 1,
-    start: int = 0,
-    known: Mapping[str, str] | None = None,
-    poses: str | None = None,
-) -> list[LabelFile]:
-    """The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
-    kind = FileKind("label maps", SUFFIXES, stack_rank=3)
-    return find_frames(kind, sources, sequence, every, start, known, poses)
+find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_rank=3))
+"""The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
 
 
 def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:

@@ -34,6 +34,15 @@ from .tutorial import count_pairs
 Convention = Literal["exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"]
 CONVENTIONS: tuple[Convention, ...] = get_args(Convention)
 
+FIGURES = {
+    "auc_pr": "AUC-PR",
+    "average_precision": "average precision",
+    "recall_at_100_precision": "Recall@100%Precision",
+    "extended_precision": "extended precision",
+    "roc_auc": "ROC-AUC",
+}
+"""Figures beside RecallRate@N, and what readers call them."""
+
 Similarity = npt.NDArray[np.floating[Any]]
 Curves = Callable[[Floats], PrecisionRecall]
 """From ``(..., Q)`` float64, how often each query counts, to the curve."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from ...files import replacing
 from ..curves import PrecisionRecall
-from ..metrics import precision_recall_curve
+from ..metrics import FIGURES, precision_recall_curve
 from .charts import (
     precision_recall_chart,
     precisions,
@@ -42,13 +42,6 @@ NOTHING = "\N{EN DASH}"
 TRUTH, RIGHT, WRONG = (38, 194, 129), (77, 163, 255), (255, 107, 53)
 """Colours of what is laid over the similarity matrix."""
 
-FIGURES = {
-    "auc_pr": "AUC-PR",
-    "average_precision": "average precision",
-    "recall_at_100_precision": "Recall@100%Precision",
-    "extended_precision": "extended precision",
-    "roc_auc": "ROC-AUC",
-}
 CONVENTIONS = {
     "exact": "A query's best candidate is accepted if its score is at least a threshold, and every "
     "distinct score is one. Recall is a fraction of the queries that have a true match; a query "
