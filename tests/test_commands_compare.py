@@ -177,6 +177,7 @@ def test_odd_against_even_frames(ssrvlad, compare, maps, tmp_path):
     db = tmp_path / "even.ssrdb"
     ssrvlad("encode", maps, "-o", db, *CAMVID, "--every", 2)
     odd = ("--every", 2, "--start", 1, "--tolerance-frames", 1, "--json")
+    odd += ("--no-standardise", "--no-sweep", "--follow", "no")
     metrics = json.loads(ssrvlad("evaluate", db, maps, *odd)[1])
     for key in ("recall_at", "auc_pr", "queries", "references", "queries_with_match"):
         assert rows["ssr-vlad"][key] == metrics[key]

@@ -25,6 +25,24 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
     assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]
+    code, _, err = ssrvlad("query", database, maps, "--temporal", "3m")
+    assert (code, len(err)) == (2, 1) and "'monday' has no poses" in err[0]
+    code, _, err = ssrvlad("query", database, maps, "--temporal", "3x")
+    assert (code, err) == (
+        2,
+        ["ssrvlad: --temporal wants frames, as 3, or metres, as 10m, got '3x'"],
+    )
+
+
+def test_a_sum_in_metres_tells_its_t(ssrvlad, database, maps):
+    (maps / "poses.csv").write_text(
+        "frame,x,y\n" + "".join(f"{n:03d},{n * 2},0\n" for n in range(6))
+    )
+    ssrvlad("encode", maps, "-o", database)
+    found = json.loads(
+        ssrvlad("query", database, maps, "--temporal", "4.2m", "--json")[1].splitlines()[0]
+    )
+    assert found["temporal"] == {"monday": 2}
 
 
 def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.recognition import matching
-from ssrvlad_torch.recognition.matching import Rows, match, temporal_sum
+from ssrvlad_torch.recognition.matching import Rows, frames_within, match, temporal_sum
 
 
 def coarse_vectors(seed, count):
@@ -187,3 +187,16 @@ def test_temporal_sum_refuses_wrong_arguments():
         temporal_sum(torch.eye(3), ["a", "a"], 1)
     with pytest.raises(ValueError, match="0 or more frames, got -1"):
         temporal_sum(torch.eye(3), ["a"] * 3, -1)
+
+
+def test_a_reach_in_metres_is_another_t_for_each_sequence():
+    dense, sparse = np.arange(9) * 0.5, np.arange(5) * 2.0
+    x = np.concatenate((dense[:4], [1.5] * 6, dense[4:], sparse))
+    poses = np.stack((x, np.zeros(len(x)), np.full(len(x), np.nan)), 1)
+    sequences = ["a"] * 15 + ["b"] * 5
+    assert frames_within(poses, sequences, 4.0) == {"a": 8, "b": 2}
+    poses[17] = np.nan
+    assert frames_within(poses, sequences, 4.0)["b"] == 2
+    poses[15:] = np.nan
+    with pytest.raises(ValueError, match="sequence 'b' has no poses"):
+        frames_within(poses, sequences, 4.0)

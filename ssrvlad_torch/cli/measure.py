@@ -90,7 +90,8 @@ def counts(metrics: Mapping[str, Any]) -> str:
     """How many frames the figures are of, and what found them."""
     if "method" in metrics:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
-        done = steps_in_words(metrics["steps"]) if metrics["steps"] else "single frames"
+        t = metrics["temporal"]
+        done = steps_in_words(metrics["steps"], t) if metrics["steps"] else "single frames"
         whose = f"method {metrics['method']}: {done}; encode {encode:.1f} ms, "
         whose += f"match {match:.1f} ms a single frame"
     else:
@@ -114,7 +115,7 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
     return told if low >= SURE_PRECISION else f"{told}; {want}"
 
 
-def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:
+def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
     """What was done between descriptors and decision, in a line; ``None`` says nothing of Eq. 3."""
     widths, followed = used["sweep"].values(), used["follow"].values()
     told = [
@@ -127,7 +128,9 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | None = None) -> str:
     if used["delay"]:
         told.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:
-        told.append(f"temporal sum t = {temporal}" if temporal else "no temporal sum")
+        ts = temporal.values() if isinstance(temporal, Mapping) else [temporal]
+        t = "/".join(map(str, dict.fromkeys(ts)))
+        told.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
     return ", ".join(told)
 
 

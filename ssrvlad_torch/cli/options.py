@@ -14,6 +14,7 @@ a parameter to its function. Nothing here may import torch: ``ssrvlad --help`` i
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import wraps
@@ -138,6 +139,32 @@ class SourceOptions:
 
 
 @dataclass(frozen=True)
+class Reach:
+    """How far the temporal sum of Eq. 3 reaches on each side: in frames, or, where they are given,
+    in metres."""
+
+    frames: int = 0
+    metres: float | None = None
+
+    @classmethod
+    def of(cls, text: str) -> Reach:
+        """From ``3`` (frames) or ``10m`` (metres)."""
+        try:
+            reach = cls(0, float(text[:-1])) if text.endswith("m") else cls(int(text))
+        except ValueError:
+            reach = cls(-1)
+        if reach.frames < 0 or not 0 <= (reach.metres or 0) < math.inf:
+            raise ValueError(f"--temporal wants frames, as 3, or metres, as 10m, got {text!r}")
+        return reach
+
+    def __bool__(self) -> bool:
+        return bool(self.frames or self.metres)
+
+    def __str__(self) -> str:
+        return str(self.frames) if self.metres is None else f"{self.metres:g}m"
+
+
+@dataclass(frozen=True)
 class StepOptions:
     """What is done between descriptors and a decision."""
 
@@ -172,11 +199,11 @@ class RecognitionOptions(StepOptions):
     """What is done with descriptors before a place is decided."""
 
     temporal: Annotated[
-        int | None,
+        str | None,
         typer.Option(
-            min=0,
-            help="Sum each reference descriptor over t frames on each side (Eq. 3). Without it, no "
-            "sum.",
+            metavar="T",
+            help="Sum each reference descriptor over T frames on each side (Eq. 3), or, as 10m, "
+            "over as many frames as the sequence takes for so many metres. Without it, no sum.",
         ),
     ] = None
     as_paper: Annotated[
@@ -197,11 +224,15 @@ class RecognitionOptions(StepOptions):
     ] = 0.0
 
     @property
-    def t(self) -> int:
-        """The frames on each side that are summed; 0 is no sum."""
+    def reach(self) -> Reach:
+        """What is summed on each side.
+
+        Raises:
+            ValueError: it is neither frames nor metres.
+        """
         if self.temporal is not None:
-            return self.temporal
-        return 3 if self.as_paper else 0
+            return Reach.of(self.temporal)
+        return Reach(3 if self.as_paper else 0)
 
 
 @dataclass(frozen=True)

@@ -90,7 +90,7 @@ def by_database(
         ValueError: the database is empty or damaged, or there are no queries.
     """
     steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
-    references = load_references(database, options.t)
+    references, t = load_references(database, options.reach)
     queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else ())
     found = judged(queries, references, steps, CANDIDATES if page else TOP)
     queries = with_single_descriptors(queries)
@@ -111,7 +111,7 @@ def by_database(
         told={
             "preset": config.preset,
             "fingerprint": config.fingerprint,
-            "temporal": options.t,
+            "temporal": t,
             "steps": found.used,
             "mean_confidence": float(found.confidence.mean()),
         },
@@ -295,7 +295,12 @@ def recognise(
         queries=Places.of(queries),
         found=found,
         similarity=_unranked(found, len(references)) if all_pairs else None,
-        told={"method": method.name, "steps": None, **_costs(retrieval)},
+        told={
+            "method": method.name,
+            "temporal": getattr(method, "temporal", None),
+            "steps": None,
+            **_costs(retrieval),
+        },
     )
     stepped = retrieval.stepped
     if stepped is None:

@@ -22,11 +22,12 @@ from ..datasets.layouts import open_dataset
 from ..descriptor import query_head
 from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
-from ..recognition.matching import temporal_sum
+from ..recognition.follow import runs
+from ..recognition.matching import frames_within, temporal_sum
 from ..segmentation.networks import AUTO, NamedNetwork, channels, open_network
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
-from .options import SourceOptions
+from .options import Reach, SourceOptions
 from .output import note, progress_bar
 
 LabelsAs = str | os.PathLike[str] | LabelSpace
@@ -133,19 +134,29 @@ class Source:
 
 
 def load_references(
-    database: Database, temporal: int, damage: list[Damage] | None = None
-) -> FrameSet:
-    """The frames of a database, summed over time if ``temporal`` is not 0; see `Database.load`.
+    database: Database, reach: Reach, damage: list[Damage] | None = None
+) -> tuple[FrameSet, int | dict[str, int]]:
+    """The frames of a database, summed over time if so; see `Database.load`.
+
+    Returns:
+        the frames, and t of Eq. 3: a reach in metres is another t for each sequence.
 
     Raises:
-        ValueError: it is empty or damaged.
+        ValueError: it is empty or damaged, or has no poses and the reach is in metres.
     """
     frames = database.load(damage)
     if not frames.frames:
         raise ValueError(f"{database.path} holds no frames yet")
-    if temporal:
-        temporal_sum(frames.descriptors, frames.sequences, temporal, out=frames.descriptors)
-    return frames
+    if not reach:
+        return frames, 0
+    ts = dict.fromkeys(frames.sequences, reach.frames)
+    if reach.metres is not None:
+        ts = frames_within(frames.poses, frames.sequences, reach.metres)
+    for run in runs(frames.sequences):
+        rows = frames.descriptors[run.start : run.stop]
+        names = frames.sequences[run.start : run.stop]
+        temporal_sum(rows, names, ts[names[0]], out=rows)
+    return frames, reach.frames if reach.metres is None else ts
 
 
 def encode_queries(

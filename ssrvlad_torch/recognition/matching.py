@@ -212,6 +212,37 @@ def temporal_sum(
     return out
 
 
+def frames_within(
+    poses: npt.NDArray[np.float64], sequences: Sequence[str], metres: float
+) -> dict[str, int]:
+    """For each sequence the t of Eq. 3 that reaches so far: metres over the median distance of
+    frames that follow one another, those that stand still left out.
+
+    Args:
+        poses: ``(R, 3)``, x and y in metres, NaN where unknown.
+        sequences: the sequence of each frame; the frames of one stand together and in order.
+        metres: at least 0.
+
+    Raises:
+        ValueError: a sequence has no two frames with poses that differ.
+    """
+    names = np.array(sequences)
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    steps[(names[1:] != names[:-1]) | ~(steps > _STANDING)] = np.nan
+    reaches = {}
+    for name in dict.fromkeys(sequences):
+        own = steps[names[1:] == name]
+        own = own[~np.isnan(own)]
+        if not len(own):
+            raise ValueError(f"sequence {name!r} has no poses: expected the temporal sum in frames")
+        reaches[name] = round(metres / float(np.median(own)))
+    return reaches
+
+
+_STANDING = 0.01
+"""Metres: nearer frames than this stand still."""
+
+
 def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
     """Eq. 3 for frames whose neighbours are all among them."""
     total = torch.zeros_like(single)

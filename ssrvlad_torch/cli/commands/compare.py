@@ -221,7 +221,7 @@ def _print(rows: Sequence[Row]) -> None:
     )
     for row in done:
         if row["steps"]:
-            say(f"{row['method']} with steps: {steps_in_words(row['steps'])}")
+            say(f"{row['method']} with steps: {steps_in_words(row['steps'], row['temporal'])}")
 
 
 def _figures(row: Row) -> list[str]:

@@ -93,10 +93,10 @@ def _check(method: MethodOptions, recognition: RecognitionOptions, source: Sourc
         return
     if recognition.min_confidence:
         raise ValueError("--min-confidence is of a database: confidence is fitted to its scores")
-    if recognition.t:
+    if recognition.reach:
         raise ValueError(
             "--temporal and --as-paper are of a database; with --method ssr-vlad use "
-            f"--set temporal={recognition.t}"
+            f"--set temporal={recognition.reach.frames or 't'}"
         )
     if source.segmenter is not None:
         raise ValueError(

@@ -38,7 +38,7 @@ def locate(
     if source.segmenter is None:
         opened = _by_its_network(town, opened)
     steps = steps_of(recognition)
-    references = load_references(town, recognition.t)
+    references, t = load_references(town, recognition.reach)
     queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep else ())
     found = judged(queries, references, steps, top=1)
     scores, rows = sure_enough(found, recognition.min_confidence)
@@ -58,7 +58,7 @@ def locate(
         else:
             print(f"{picture}: {place}, score {score:.4f}, confidence {sure:.2f}, {_where(*pose)}")
     if not as_json:
-        note(steps_in_words(found.used, recognition.t))
+        note(steps_in_words(found.used, t))
     finish(skipped)
 
 

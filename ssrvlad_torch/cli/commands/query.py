@@ -66,15 +66,16 @@ def query(
 
     opened = Source.open(source)
     first, last = _window(window)
-    if index and (recognition.t or window or skip_damaged):
+    if index and (recognition.reach or window or skip_damaged):
         raise ValueError("--index does not go with a temporal sum, --window or --skip-damaged")
     town, damage = Database.open(database, as_of), list[Damage]()
     steps = steps_of(recognition)
     queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep and not index else ())
     if index:
         all_found, references = by_index(town, queries, steps, top, from_sequence, exclude)
+        t: int | dict[str, int] = 0
     else:
-        references = load_references(town, recognition.t, damage if skip_damaged else None)
+        references, t = load_references(town, recognition.reach, damage if skip_damaged else None)
         for entry in damage:
             note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
         limited = from_sequence or window
@@ -96,14 +97,14 @@ def query(
     for frame, ranked, confidence in zip(queries.frames, found, sure, strict=True):
         candidates = [{"frame": name, "score": score} for name, score in ranked]
         if as_json:
-            told = {"confidence": confidence, "temporal": recognition.t, "steps": used}
+            told = {"confidence": confidence, "temporal": t, "steps": used}
             print_json({"query": frame, "candidates": candidates, **told})
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
             say(f"{frame}: {listed or 'no candidate'} (confidence {confidence:.2f})")
     if not as_json:
         way = "candidates of the index, " if index else ""
-        note(way + steps_in_words(used, recognition.t))
+        note(way + steps_in_words(used, t))
     finish(skipped)
 
 
