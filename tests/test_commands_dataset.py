@@ -9,15 +9,18 @@ import numpy as np
 import pytest
 from drives import vpr_bench, write_maps, write_photos, write_truth
 
+from ssrvlad_torch.datasets.synthetic_city import write_city
+
 CAMVID = ("--labels-as", "camvid-11")
 ROLES = [("--role", "reference"), ("--role", "query")]
 
 
-@pytest.fixture
-def city(ssrvlad, tmp_path):
-    """Eight frames of both drives through the city."""
-    assert ssrvlad("city", tmp_path / "city", "--frames", 8, "--seed", 1)[0] == 0
-    return tmp_path / "city"
+@pytest.fixture(scope="module")
+def city(tmp_path_factory):
+    """Eight frames of both drives through the city; not to be changed."""
+    folder = tmp_path_factory.mktemp("made") / "city"
+    write_city(folder, frames=8, seed=1, size=(60, 80))
+    return folder
 
 
 @pytest.fixture
