@@ -14,11 +14,14 @@ import numpy as np
 import pytest
 import torch
 from browser import CHROMIUM, browser, served
+from drawings import SPACE
 from drives import write_maps
-from helpers import COLOUR, GRAY, write_png
+from helpers import COLOUR, GRAY, street, write_png
+from networks import PLAIN, colour_network, photo
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
+from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
+from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.stages.harmonics import basis_table
 
 ROOT = Path(__file__).parents[1]
@@ -161,6 +164,27 @@ def smooth_parts(targets, view, number):
 
 def residuals(targets, view, number):
     np.testing.assert_allclose(targets.ravel(), view.descriptor[number].numpy(), atol=1e-6, rtol=0)
+
+
+def test_a_photograph_goes_into_a_fused_file(page, site):
+    """The colours of the labels are as far apart as a PNG keeps them: no pixel may differ."""
+    config = CONFIGS["default"]
+    fuse(Segmenter(colour_network(), SPACE, PLAIN), config, site / "place.onnx")
+    labels = np.stack([street(seed, 60, 90) for seed in range(3)])
+    np.save(site / "photos.npy", SSRVLAD(config)(labels).numpy())
+    (site / "photos.npy.frames.txt").write_text("".join(f"photos/{n}\n" for n in range(3)))
+    (site / "photos.npy.fingerprint.txt").write_text(config.fingerprint)
+    Image.fromarray(photo(labels[1])).save(site / "photo.png")
+    open_page(
+        page, "?model=place.onnx&database=photos.npy&labels=photo.png", f"{SHOWN} || {FAILED}"
+    )
+    assert page.run(FAILED) is None
+    best = page.run("document.querySelector('#matches tbody tr').innerText").split()
+    assert best[0] == "photos/1"
+    assert float(best[1]) == pytest.approx(1, abs=1e-4)
+    page.run("document.getElementById('check').click()")
+    page.wait_for("document.getElementById('golden').value")
+    assert page.run("document.getElementById('golden').value").startswith("equal, largest")
 
 
 def test_files_are_chosen_and_what_is_wrong_is_said(page, site):
