@@ -120,8 +120,13 @@ def pictures_of_references(
     @cache
     def found() -> tuple[Files, Files, Files]:
         sequences = {frame.rpartition("/")[0] for frame in stored()}
-        labels = [*_labels_around(source, given, sequences)]
-        images = [*_images_around(source, given, sequences)] if source.given.segmenter else []
+        labels = [*_around(source, given, sequences, find_label_files)]
+        images = [*_around(source, given, sequences, find_image_files)]
+        if whole := source.whole:
+            images += _attempt(whole.image_files)
+            labels += _attempt(whole.label_files)
+            labels += _attempt(lambda: open_dataset(whole.root, whole.layout).label_files())
+        images = images if source.given.segmenter else []
         return _by(labels, _name), _by(images, _name), _by(_photos(source.whole), _id)
 
     segmenter = cache(lambda: source.segmenter(labels_as))
@@ -150,28 +155,17 @@ def require_files(given: Sequence[str]) -> None:
             find_image_files([place])
 
 
-def _labels_around(
-    source: Source, given: Sequence[str], sequences: Iterable[str]
+def _around(
+    source: Source,
+    given: Sequence[str],
+    sequences: Iterable[str],
+    find: Callable[[list[str]], list[FrameFile]],
 ) -> Iterator[FrameFile]:
+    """What is found in the places that were given, and beside the queries."""
     if given:
-        yield from _attempt(find_label_files, [*given])
-    if source.whole:
-        yield from _attempt(source.whole.label_files)
-        with suppress(ValueError):
-            yield from open_dataset(source.whole.root, source.whole.layout).label_files()
+        yield from _attempt(find, [*given])
     for folder in _beside(source, sequences):
-        yield from _attempt(find_label_files, [str(folder)])
-
-
-def _images_around(
-    source: Source, given: Sequence[str], sequences: Iterable[str]
-) -> Iterator[FrameFile]:
-    if given:
-        yield from _attempt(find_image_files, [*given])
-    if source.whole:
-        yield from _attempt(source.whole.image_files)
-    for folder in _beside(source, sequences):
-        yield from _attempt(find_image_files, [str(folder)])
+        yield from _attempt(find, [str(folder)])
 
 
 def _beside(source: Source, sequences: Iterable[str]) -> Iterator[Path]:

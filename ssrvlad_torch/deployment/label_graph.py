@@ -13,10 +13,10 @@ from torch import Tensor, nn
 
 from ..files import one_line
 from ..onnx_files import load_model, rename
+from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import channel_counts, class_axis, classes_of, enlarged
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import Form, Preparation, SegmenterConfig
-from ..segmentation.segmenter import LabelNetwork
 from .graph import OPSET
 
 if TYPE_CHECKING:

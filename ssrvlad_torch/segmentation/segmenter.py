@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import inspect
-import io
 import json
 import os
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import chain, islice
+from itertools import islice
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -26,17 +24,12 @@ from ..datasets.names import absolute
 from ..files import one_line
 from ..taxonomy import LabelSpace, label_space
 from .cache import LARGEST, LabelMapCache
-from .network_outputs import (
-    UnrecognisedError,
-    channel_counts,
-    choose_output,
-    classes_of,
-    enlarged,
-    take_output,
-)
+from .identity import digest_of
+from .label_network import LabelNetwork
+from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
 from .networks import AUTO, NamedNetwork, open_network
 from .onnx_network import OnnxNetwork
-from .preparation import Preparation, SegmenterConfig
+from .preparation import SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
 """Pixels of a batch that the network is given, of one image at least."""
@@ -45,65 +38,6 @@ REVISION = 2
 """Raised whenever the same network and settings would give other label maps; part of every key."""
 
 _AHEAD = 16
-_BYTES = {"white": 255, "mean": (0, 0, 0), "std": (1, 1, 1)}
-
-
-class LabelNetwork(nn.Module):
-    """Pictures -> label maps: preparation, network, and the class of every pixel.
-
-    This is what `Segmenter` runs and what `fuse` writes as a graph.
-
-    Args:
-        network: any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`.
-        space: label space of its classes.
-        config: how its pictures are prepared.
-
-    Shape:
-        - input: ``(B, H, W, 3)`` uint8 in RGB.
-        - output: ``(B, H, W)`` integers.
-
-    Raises:
-        ValueError: the settings or the label space do not fit an ONNX graph.
-    """
-
-    def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
-        super().__init__()
-        self.network, self.space = network, space
-        self.config, form = config, None
-        if isinstance(network, OnnxNetwork):
-            try:
-                self.config, form = _fitted(config, network, space), network.form
-            except ValueError as error:
-                raise ValueError(f"{network.path}: {error}") from error
-        self.preparation = Preparation(self.config, form)
-        self.eval()
-
-    def forward(self, images: Tensor) -> Tensor:
-        """The label maps of pictures of one size."""
-        return enlarged(classes_of(self.outputs(images)), *images.shape[1:3])
-
-    def outputs(self, images: Tensor) -> Tensor:
-        """``(B, C, h, w)`` class scores or ``(B, h, w)`` ids, as the network gives them.
-
-        Raises:
-            ValueError: the output is not recognised.
-        """
-        numbers = self.preparation(images)
-        if isinstance(self.network, OnnxNetwork):
-            result: object = self.network(numbers, names=[self.config.output])
-            last = self.network.form.channels_last
-        else:
-            like = self._like()
-            result, last = self.network(numbers.to(like.device, like.dtype)), False
-        return take_output(result, self.space, self.config.output, self.config.classes, last)
-
-    def place(self, images: Tensor) -> Tensor:
-        """Pictures where the network's weights lie."""
-        return images.to(self._like().device)
-
-    def _like(self) -> Tensor:
-        weights = chain(self.network.parameters(), self.network.buffers())
-        return next((tensor for tensor in weights if tensor.is_floating_point()), torch.empty(0))
 
 
 class _Picture(NamedTuple):
@@ -264,17 +198,12 @@ class Segmenter:
         return hashlib.blake2b(json.dumps(key).encode(), digest_size=16).hexdigest()
 
     def _digest(self) -> str:
-        if isinstance(self.network, OnnxNetwork):
-            return self.network.digest()
-        content = hashlib.blake2b(digest_size=16)
-        for part in _parts(self.network):
-            content.update(len(part).to_bytes(8, "little") + part)
         probe = np.random.default_rng(0).integers(0, 256, (224, 448, 3), np.uint8)
         try:
-            content.update(self([probe])[0].tobytes())
+            made = b"" if isinstance(self.network, OnnxNetwork) else self([probe])[0].tobytes()
         except ValueError:  # it takes no picture of this size
-            content.update(b"none")
-        return content.hexdigest()
+            made = b"none"
+        return digest_of(self.network, made)
 
     def _complete(
         self, chunk: Sequence[LabelMap | _Picture | ValueError], cache: LabelMapCache | None
@@ -355,61 +284,3 @@ def _lasting(name: str) -> str:
     """The name of a network as it is understood in any folder."""
     path = Path(name.removeprefix("hf:"))
     return absolute(path) if path.exists() else name
-
-
-def _fitted(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:
-    """The settings completed by what a graph declares: the size that it fixes, and the output."""
-    if network.form.dtype == torch.uint8:
-        for name, value in _BYTES.items():
-            if getattr(config, name) != value:
-                got = getattr(config, name)
-                raise ValueError(f"takes bytes: expected {name} {value}, got {got}")
-    output = choose_output(network.outputs, space, config.output, config.classes)
-    return dataclasses.replace(config, size=_fitted_size(config.size, network.size), output=output)
-
-
-def _fitted_size(
-    size: tuple[int, int] | int | None, fixed: tuple[int | None, int | None]
-) -> tuple[int, int] | int | None:
-    if fixed == (None, None):
-        return size
-    if size is None and None not in fixed:
-        return cast(tuple[int, int], fixed)
-    if not isinstance(size, tuple):
-        raise ValueError(f"takes images of {_by(fixed)}; expected a size among the settings")
-    if any(expected not in (None, given) for given, expected in zip(size, fixed, strict=True)):
-        raise ValueError(f"takes images of {_by(fixed)}, the settings say {_by(size)}")
-    return size
-
-
-def _by(size: Sequence[int | None]) -> str:
-    return "x".join("any" if length is None else str(length) for length in size)
-
-
-def _parts(network: nn.Module) -> Iterator[bytes]:
-    """What makes a module compute what it does: programs, code, attributes, weights, buffers."""
-    for name, module in network.named_modules():
-        if isinstance(module, torch.jit.ScriptModule):
-            program = io.BytesIO()
-            torch.jit.save(module, program)
-            yield program.getvalue()
-            return
-        plain = {k: v for k, v in vars(module).items() if _is_plain(v) and k != "training"}
-        yield f"{name} {_source(type(module))} {module.extra_repr()} {plain}".encode()
-    for name, tensor in chain(network.named_parameters(), network.named_buffers()):
-        yield f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode()
-        flat = tensor.detach().cpu().contiguous().reshape(-1)
-        yield flat.view(torch.uint8).numpy().tobytes()
-
-
-def _is_plain(value: Any) -> bool:
-    if isinstance(value, tuple | list):
-        return all(map(_is_plain, value))
-    return isinstance(value, str | int | float | bool | torch.dtype | None)
-
-
-def _source(kind: type) -> str:
-    try:
-        return inspect.getsource(kind)
-    except (OSError, TypeError):  # it was typed at a prompt
-        return str(kind)

@@ -1,0 +1,63 @@
+"""What tells one network from another: all that makes it compute what it does."""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import io
+from collections.abc import Iterator
+from itertools import chain
+from typing import Any
+
+import torch
+from torch import nn
+
+from .onnx_network import OnnxNetwork
+
+
+def digest_of(network: nn.Module, probe: bytes) -> str:
+    """A text that another network does not share.
+
+    Args:
+        network: of an ONNX graph the files are read, of a frozen module its program, of others the
+            code of the classes, their plain attributes, weights and buffers.
+        probe: what it makes of some picture, for what cannot be read, as functions in attributes.
+    """
+    if isinstance(network, OnnxNetwork):
+        return network.digest()
+    content = hashlib.blake2b(digest_size=16)
+    for part in (*_parts(network), probe):
+        content.update(len(part).to_bytes(8, "little") + part)
+    return content.hexdigest()
+
+
+def _parts(network: nn.Module) -> Iterator[bytes]:
+    for name, module in network.named_modules():
+        if isinstance(module, torch.jit.ScriptModule):
+            yield _program(module)
+            continue
+        plain = {k: v for k, v in vars(module).items() if _is_plain(v) and k != "training"}
+        yield f"{name} {_source(type(module))} {module.extra_repr()} {plain}".encode()
+    for name, tensor in chain(network.named_parameters(), network.named_buffers()):
+        yield f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode()
+        flat = tensor.detach().cpu().contiguous().reshape(-1)
+        yield flat.view(torch.uint8).numpy().tobytes()
+
+
+def _program(module: torch.jit.ScriptModule) -> bytes:
+    file = io.BytesIO()
+    torch.jit.save(module, file)
+    return file.getvalue()
+
+
+def _is_plain(value: Any) -> bool:
+    if isinstance(value, tuple | list):
+        return all(map(_is_plain, value))
+    return isinstance(value, str | int | float | bool | torch.dtype | None)
+
+
+def _source(kind: type) -> str:
+    try:
+        return inspect.getsource(kind)
+    except (OSError, TypeError):  # it was typed at a prompt
+        return str(kind)

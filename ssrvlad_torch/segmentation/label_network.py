@@ -1,0 +1,105 @@
+"""Pictures -> label maps as one module: preparation, network, decision."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from itertools import chain
+from typing import cast
+
+import torch
+from torch import Tensor, nn
+
+from ..taxonomy import LabelSpace
+from .network_outputs import choose_output, classes_of, enlarged, take_output
+from .onnx_network import OnnxNetwork
+from .preparation import Preparation, SegmenterConfig
+
+_BYTES = {"white": 255, "mean": (0, 0, 0), "std": (1, 1, 1)}
+
+
+class LabelNetwork(nn.Module):
+    """Pictures -> label maps: preparation, network, and the class of every pixel.
+
+    This is what `Segmenter` runs and what `fuse` writes as a graph.
+
+    Args:
+        network: any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`.
+        space: label space of its classes.
+        config: how its pictures are prepared.
+
+    Shape:
+        - input: ``(B, H, W, 3)`` uint8 in RGB.
+        - output: ``(B, H, W)`` integers.
+
+    Raises:
+        ValueError: the settings or the label space do not fit an ONNX graph.
+    """
+
+    def __init__(self, network: nn.Module, space: LabelSpace, config: SegmenterConfig) -> None:
+        super().__init__()
+        self.network, self.space = network, space
+        self.config, form = config, None
+        if isinstance(network, OnnxNetwork):
+            try:
+                self.config, form = _fitted(config, network, space), network.form
+            except ValueError as error:
+                raise ValueError(f"{network.path}: {error}") from error
+        self.preparation = Preparation(self.config, form)
+        self.eval()
+
+    def forward(self, images: Tensor) -> Tensor:
+        """The label maps of pictures of one size."""
+        return enlarged(classes_of(self.outputs(images)), *images.shape[1:3])
+
+    def outputs(self, images: Tensor) -> Tensor:
+        """``(B, C, h, w)`` class scores or ``(B, h, w)`` ids, as the network gives them.
+
+        Raises:
+            ValueError: the output is not recognised.
+        """
+        numbers = self.preparation(images)
+        if isinstance(self.network, OnnxNetwork):
+            result: object = self.network(numbers, names=[self.config.output])
+            last = self.network.form.channels_last
+        else:
+            like = self._like()
+            result, last = self.network(numbers.to(like.device, like.dtype)), False
+        return take_output(result, self.space, self.config.output, self.config.classes, last)
+
+    def place(self, images: Tensor) -> Tensor:
+        """Pictures where the network's weights lie."""
+        return images.to(self._like().device)
+
+    def _like(self) -> Tensor:
+        weights = chain(self.network.parameters(), self.network.buffers())
+        return next((tensor for tensor in weights if tensor.is_floating_point()), torch.empty(0))
+
+
+def _fitted(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:
+    """The settings completed by what a graph declares: the size that it fixes, and the output."""
+    if network.form.dtype == torch.uint8:
+        for name, value in _BYTES.items():
+            if getattr(config, name) != value:
+                got = getattr(config, name)
+                raise ValueError(f"takes bytes: expected {name} {value}, got {got}")
+    output = choose_output(network.outputs, space, config.output, config.classes)
+    return dataclasses.replace(config, size=_fitted_size(config.size, network.size), output=output)
+
+
+def _fitted_size(
+    size: tuple[int, int] | int | None, fixed: tuple[int | None, int | None]
+) -> tuple[int, int] | int | None:
+    if fixed == (None, None):
+        return size
+    if size is None and None not in fixed:
+        return cast(tuple[int, int], fixed)
+    if not isinstance(size, tuple):
+        raise ValueError(f"takes images of {_by(fixed)}; expected a size among the settings")
+    if any(expected not in (None, given) for given, expected in zip(size, fixed, strict=True)):
+        raise ValueError(f"takes images of {_by(fixed)}, the settings say {_by(size)}")
+    return size
+
+
+def _by(size: Sequence[int | None]) -> str:
+    return "x".join("any" if length is None else str(length) for length in size)
