@@ -94,6 +94,7 @@ def _decode_npy(content: bytes) -> Pixels:
     array = parse_npy(content)
     if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
         raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
+    check_pixels(*array.shape[:2])
     return array
 
 
