@@ -33,7 +33,13 @@ PRESETS: dict[str, dict[str, Any]] = {
     "default": {},
 }
 
-_ONLY_HARMONICS = ("anchor", "skeleton_weight", "harmonics", "spectral_weight", "power")
+AREA_LAYERS = 6
+"""Layers of the aggregation harmonics: guard rail counts as building, parking as ground."""
+
+BOUNDARY_DIRECTIONS = 4
+
+_ONLY_RESIDUALS = ("opening", "closing", "hole_area", "region_area", "thinning", "context")
+_ONLY_HARMONICS = ("anchor", "harmonics", "boundary_harmonics", "spectral_weight", "power")
 
 _AREA_UNIT = 10**6
 _RING_UNIT = 10**9
@@ -53,7 +59,7 @@ class SSRVLADConfig:
             happens. A larger label map is reduced to it by majority vote, a smaller one is used
             as it is. ``None`` is the native size (the paper).
         opening: radius of the square that opens each layer, a fraction of the shorter side, 0 to
-            0.5. Silent in the paper.
+            0.5. Silent in the paper. This and the next four are for residuals only.
         closing: radius of the square that then closes each layer, likewise. Silent in the paper.
         hole_area: enclosed holes of fewer pixels than this fraction of the image are filled, 0 to
             1. Silent in the paper.
@@ -70,13 +76,14 @@ class SSRVLADConfig:
         context: the points that the histograms of Eq. 2 count: ``"skeleton"`` pixels or
             ``"keypoints"``. The paper can be read either way. For residuals only.
         aggregation: ``"residuals"`` of the keypoints' histograms to the centre's (Eq. 2), or
-            ``"harmonics"`` of one soft histogram of area and skeleton. The fields that follow are
-            for harmonics only and not in the paper.
+            ``"harmonics"`` of soft histograms of area and of boundary directions. The fields that
+            follow are for harmonics only and not in the paper.
         anchor: where that histogram stands: in the ``"vanishing-column"``, towards which the
             street narrows, or in the ``"middle"`` of the image.
-        skeleton_weight: weight of the skeleton's length beside the layer's area, 0 to 100.
-        harmonics: numbers of each layer: the coefficients of the smoothest basis functions over
-            the bins. At most ``rings * (sectors - 1)``, or ``rings * sectors`` if sectors is odd.
+        harmonics: numbers of the area of each of six layers: the coefficients of the smoothest
+            basis functions over the bins. At most ``rings * (sectors - 1)``, or
+            ``rings * sectors`` if sectors is odd.
+        boundary_harmonics: numbers of each of four boundary directions, likewise.
         spectral_weight: exponent, 0 to 4; the larger, the more the finer basis functions weigh.
         power: exponent of the power normalisation, 0.5 to 1: every number's size is raised to it,
             its sign kept. A lower exponent would enlarge rounding errors of zeros.
@@ -104,8 +111,8 @@ class SSRVLADConfig:
     context: str = "skeleton"
     aggregation: str = "harmonics"
     anchor: str = "vanishing-column"
-    skeleton_weight: float = 0.1
-    harmonics: int = 60
+    harmonics: int = 64
+    boundary_harmonics: int = 24
     spectral_weight: float = 1.0
     power: float = 0.75
 
@@ -129,16 +136,17 @@ class SSRVLADConfig:
         _check_choice("context", self.context, CONTEXTS)
         _check_choice("aggregation", self.aggregation, AGGREGATIONS)
         _check_choice("anchor", self.anchor, ANCHORS)
-        _check_fraction("skeleton_weight", self.skeleton_weight, 100.0)
         _check_fraction("spectral_weight", self.spectral_weight, 4.0)
         _check_fraction("power", self.power, 1.0, lowest=0.5)
-        _check_integer("harmonics", self.harmonics, 1, 1 << 12)
         most = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
-        if self.aggregation == "harmonics" and self.harmonics > most:
-            raise ValueError(
-                f"harmonics must be at most {most} with {self.rings} rings and {self.sectors} "
-                f"sectors, got {self.harmonics}"
-            )
+        for name in ("harmonics", "boundary_harmonics"):
+            number = getattr(self, name)
+            _check_integer(name, number, 1, 1 << 12)
+            if self.aggregation == "harmonics" and number > most:
+                raise ValueError(
+                    f"{name} must be at most {most} with {self.rings} rings and {self.sectors} "
+                    f"sectors, got {number}"
+                )
 
     @classmethod
     def from_preset(cls, preset: str, **settings: Any) -> SSRVLADConfig:
@@ -197,7 +205,7 @@ class SSRVLADConfig:
         settings that it stands for, so a database outlives a change of what a preset means.
         A setting that the aggregation does not use does not enter.
         """
-        unused = _ONLY_HARMONICS if self.aggregation == "residuals" else ("context",)
+        unused = _ONLY_HARMONICS if self.aggregation == "residuals" else _ONLY_RESIDUALS
         settings = self.to_dict()
         for name in ("labels_as", *unused):
             del settings[name]
@@ -208,10 +216,10 @@ class SSRVLADConfig:
 
     @property
     def length(self) -> int:
-        """Numbers in a descriptor: K x N x M, or K x harmonics."""
+        """Numbers in a descriptor: K x N x M, or those of six areas and four directions."""
         if self.aggregation == "residuals":
             return CATEGORY_COUNT * self.rings * self.sectors
-        return CATEGORY_COUNT * self.harmonics
+        return AREA_LAYERS * self.harmonics + BOUNDARY_DIRECTIONS * self.boundary_harmonics
 
     def grid(self, height: int, width: int) -> tuple[int, int]:
         """Rows and columns of the working grid of an image: its aspect kept, never enlarged."""

@@ -1,4 +1,4 @@
-"""The method: label map -> layers -> skeletons -> keypoints -> histograms -> 480 numbers."""
+"""The method: label map -> layers -> histograms -> 480 numbers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from .bitplanes import Masks, unpack
+from .bitplanes import unpack
 from .config import SSRVLADConfig
 from .explanation import Explanation
 from .front_end import FrontEnd, label_map
@@ -21,14 +21,14 @@ from .stages.centroid import centre_table, centroids
 from .stages.harmonics import Harmonics
 from .stages.keypoints import end_points, intersections
 from .stages.layers import categorise, refuse_unknown
-from .stages.residuals import Residuals
+from .stages.residuals import Residuals, masks_of
 from .taxonomy import LabelSpace
 
 
 class Aggregation(Protocol):
-    """How masks become a descriptor: `Residuals` or `Harmonics`."""
+    """How layers become a descriptor: `Residuals` or `Harmonics`."""
 
-    def histograms(self, masks: Masks) -> Any:
+    def histograms(self, layers: Tensor) -> Any:
         """What is counted, as a tuple of tensors."""
 
     def descriptor(self, histograms: Any) -> Tensor:
@@ -109,10 +109,10 @@ class SSRVLAD(nn.Module):
     @torch._disable_dynamo  # type: ignore[attr-defined]
     def _describe_by_stages(self, labels: Tensor) -> Tensor:
         with torch.autocast(labels.device.type, enabled=False):
-            masks = self._front_end(labels)  # Table II, clean layers, skeletons
-            histograms = self._aggregation.histograms(masks)  # Eq. 1, d_i and d_c of Eq. 2
+            layers = self._front_end(labels)  # Table II
+            histograms = self._aggregation.histograms(layers)  # Eq. 1, d_i and d_c of Eq. 2
             descriptor = self._aggregation.descriptor(histograms)  # Eq. 2
-            return self._with_gradient(descriptor, labels, masks)
+            return self._with_gradient(descriptor, labels, layers)
 
     def _describe_by_core(self, labels: Tensor) -> Tensor:
         """The same numbers by the native core."""
@@ -127,11 +127,16 @@ class SSRVLAD(nn.Module):
             raise
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
-        """Every step from the label map to the descriptor; input and errors as for a call."""
+        """Every step from the label map to the descriptor; input and errors as for a call.
+
+        Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
+        ``default`` do not look at them.
+        """
         labels = _tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
-            masks = self._front_end(labels)
-            histograms = self._aggregation.histograms(masks)
+            layers = self._front_end(labels)
+            masks = masks_of(layers, self.config)
+            histograms = self._aggregation.histograms(layers)
             return Explanation(
                 layers=unpack(masks.layers),
                 clean_layers=unpack(masks.clean),
@@ -162,11 +167,11 @@ class SSRVLAD(nn.Module):
             )
         labels = _tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
-            masks = self._front_end(labels)
-            seen = (self._aggregation.histograms(masks, column) for column in columns)
+            layers = self._front_end(labels)
+            seen = (self._aggregation.histograms(layers, column) for column in columns)
             return torch.stack([self._aggregation.descriptor(each) for each in seen], dim=1)
 
-    def _with_gradient(self, descriptor: Tensor, scores: Tensor, masks: Masks) -> Tensor:
+    def _with_gradient(self, descriptor: Tensor, scores: Tensor, layers: Tensor) -> Tensor:
         """The same numbers with the gradient of the surrogate, where one is asked for."""
         if not self._takes_gradient(scores):
             return descriptor
@@ -175,7 +180,7 @@ class SSRVLAD(nn.Module):
                 warnings.warn(_NO_GRADIENT, stacklevel=2)
             self._warned = True
             return descriptor
-        soft: Tensor = self._surrogate(scores, masks)
+        soft: Tensor = self._surrogate(scores, layers)
         return descriptor + (soft - soft.detach()).float()
 
     @staticmethod

@@ -1,17 +1,13 @@
-"""The front end of the method: label map -> layers -> clean layers -> skeletons."""
+"""The front end of the method: label map -> layers on the working grid (Table II)."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor, nn
 
-from .bitplanes import Masks
 from .config import SSRVLADConfig
-from .stages.components import drop_regions, fill_holes
 from .stages.layers import best_class, categorise, category_table, refuse_unknown, split
-from .stages.morphology import open_and_close
 from .stages.reduction import reduce_by_majority
-from .stages.skeleton import RULES, thin
 from .taxonomy import LabelSpace, label_space
 
 PIXELS_AT_ONCE = 1 << 20
@@ -19,14 +15,14 @@ PIXELS_AT_ONCE = 1 << 20
 
 
 class FrontEnd(nn.Module):
-    """Label maps or class scores -> the masks of the eight layers, on the working grid.
+    """Label maps or class scores -> the eight layers, on the working grid.
 
     Args:
         config: the settings.
 
     Shape:
         - input: ``(B, H, W)`` label ids or ``(B, C, H, W)`` class scores, as for `SSRVLAD`.
-        - output: `Masks` of ``(B, h, w)`` uint8 bit-planes.
+        - output: ``(B, h, w)`` uint8 bit-planes.
 
     Raises:
         ValueError: input that `SSRVLAD` refuses.
@@ -40,29 +36,17 @@ class FrontEnd(nn.Module):
         table, self.origin = category_table(self.label_space)
         self.register_buffer("table", table, persistent=False)
 
-    def forward(self, labels: Tensor) -> Masks:
-        """The masks of a batch."""
+    def forward(self, labels: Tensor) -> Tensor:
+        """The layers of a batch, a few images at a time so that memory stays bounded."""
         labels = label_map(labels, self.label_space)
-        config, grid = self.config, self.config.grid(*labels.shape[1:])
-        opening = config.radius_pixels(config.opening, *grid)
-        closing = config.radius_pixels(config.closing, *grid)
-
-        layers = split(self._categories(labels, grid))  # Table II
-        closed = open_and_close(layers, opening, closing)
-        filled = fill_holes(closed, config.area_pixels(config.hole_area, *grid))
-        clean = drop_regions(filled, config.area_pixels(config.region_area, *grid))
-        return Masks(layers, closed, clean, thin(clean, RULES[config.thinning]))
-
-    def _categories(self, labels: Tensor, grid: tuple[int, int]) -> Tensor:
-        """Categories on the working grid, a few images at a time so that memory stays bounded."""
-        table = self.table.to(labels.device)
+        table, grid = self.table.to(labels.device), self.config.grid(*labels.shape[1:])
         images_at_once = max(1, PIXELS_AT_ONCE // labels[0].numel())
         reduced = []
         for part in labels.split(images_at_once):
             categories = categorise(part, table, self.origin)
             refuse_unknown(labels, categories, self.label_space)
             reduced.append(reduce_by_majority(categories, grid))
-        return torch.cat(reduced)
+        return split(torch.cat(reduced))  # Table II
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:

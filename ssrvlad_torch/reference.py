@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .config import CATEGORY_COUNT, SSRVLADConfig
+from .config import AREA_LAYERS, CATEGORY_COUNT, SSRVLADConfig
 from .taxonomy import NO_LAYER, LabelSpace, label_space
 
 try:
@@ -32,12 +32,7 @@ CELLS = (24, 32)
 
 @dataclass(frozen=True)
 class LayerTrace:
-    """One layer of one image, step by step; points are ``(n, 2)`` rows and columns.
-
-    ``centre`` is ``None`` for a layer without pixels. ``histograms`` are ``(N, M)`` each: for
-    residuals ``points``, the sum of all d_i of Eq. 2, and ``centre``, d_c; for harmonics ``bins``,
-    what stands in the soft bins.
-    """
+    """One layer of one image, step by step; ``centre`` is ``None`` for a layer without pixels."""
 
     layer: Mask
     clean: Mask
@@ -45,8 +40,18 @@ class LayerTrace:
     end_points: Mask
     intersections: Mask
     centre: tuple[int, int] | None
+
+
+@dataclass(frozen=True)
+class Description:
+    """The descriptor of one image and what it was made of.
+
+    ``histograms`` are ``(blocks, N, M)`` each: for residuals ``points``, the sum of all d_i of
+    Eq. 2, and ``centre``, d_c; for harmonics ``bins``, what stands in the soft bins.
+    """
+
     histograms: dict[str, npt.NDArray[Any]]
-    vector: Floats
+    descriptor: npt.NDArray[np.float32]
 
 
 def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[np.float32]:
@@ -57,63 +62,95 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
         config: the settings.
 
     Returns:
-        ``(480,)`` float32 of length 1, or zeros for an image in which no layer has a keypoint.
+        ``(480,)`` float32 of length 1, or zeros for an empty image: for residuals one in which no
+        layer has a keypoint, for harmonics one without layers.
 
     Raises:
         ValueError: an id outside the label space.
     """
-    return concatenate(trace_layers(label_map, config))
+    layers = layers_of(label_map, config)
+    if config.aggregation == "harmonics":
+        return harmonics(layers, config).descriptor
+    return residuals([trace(layer, config) for layer in layers], config).descriptor
 
 
-def trace_layers(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[LayerTrace]:
-    """The eight layers of one image, step by step; arguments and errors as for `describe`."""
+def layers_of(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[Mask]:
+    """The eight layers of one image on its working grid; arguments and errors as for `describe`."""
     categories = categorise(label_map, label_space(config.labels_as))
     categories = reduce_by_majority(categories, config.grid(*categories.shape))
-    layers = [categories == k for k in range(CATEGORY_COUNT)]
-    clean = [clean_layer(layer, config) for layer in layers]
-    if config.aggregation == "residuals":
-        return [trace_residuals(*pair, config) for pair in zip(layers, clean, strict=True)]
-    shift = vanishing_column(clean) if config.anchor == "vanishing-column" else 0
-    return [trace_harmonics(*pair, shift, config) for pair in zip(layers, clean, strict=True)]
+    return [categories == k for k in range(CATEGORY_COUNT)]
 
 
-def trace_residuals(layer: Mask, clean: Mask, config: SSRVLADConfig) -> LayerTrace:
-    """One layer of the paper, from its pixels to its vector V(k)."""
+def trace(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
+    """One layer of the paper, from its pixels to its keypoints."""
+    clean = clean_layer(layer, config)
     skeleton = thin(clean, config.thinning)
     ends, crossings = end_points(skeleton), intersections(skeleton)
-    points = np.argwhere(ends | crossings)
-    context = np.argwhere(skeleton) if config.context == "skeleton" else points
-    centre = centroid(clean)
+    return LayerTrace(layer, clean, skeleton, ends, crossings, centroid(clean))
 
-    limits = config.ring_limits(*layer.shape)
-    around_centre = np.zeros((config.rings, config.sectors), np.int64)
+
+def residuals(traces: list[LayerTrace], config: SSRVLADConfig) -> Description:
+    """The paper's aggregation: the layers' vectors V(k) one after another, normalised."""
+    limits = config.ring_limits(*traces[0].layer.shape)
+    around_centre = np.zeros((len(traces), config.rings, config.sectors), np.int64)
     around_points = np.zeros_like(around_centre)
-    if centre is not None:
-        around_centre = shape_context(centre, context, limits, config.sectors)
-    for point in points:
-        around_points += shape_context(point, context, limits, config.sectors)
-    residual = around_points - len(points) * around_centre  # Eq. 2
-    vector = normalise(residual.ravel().astype(np.float64))
-    histograms = {"points": around_points, "centre": around_centre}
-    return LayerTrace(layer, clean, skeleton, ends, crossings, centre, histograms, vector)
+    vectors = []
+    for k, layer in enumerate(traces):
+        points = np.argwhere(layer.end_points | layer.intersections)
+        context = np.argwhere(layer.skeleton) if config.context == "skeleton" else points
+        if layer.centre is not None:
+            around_centre[k] = shape_context(layer.centre, context, limits, config.sectors)
+        for point in points:
+            around_points[k] += shape_context(point, context, limits, config.sectors)
+        residual = around_points[k] - len(points) * around_centre[k]  # Eq. 2
+        vectors.append(normalise(residual.ravel().astype(np.float64)))
+    descriptor = normalise(np.concatenate(vectors)).astype(np.float32)
+    return Description({"points": around_points, "centre": around_centre}, descriptor)
 
 
-def trace_harmonics(layer: Mask, clean: Mask, shift: int, config: SSRVLADConfig) -> LayerTrace:
-    """One layer around the vanishing column, from its pixels to its coefficients."""
-    skeleton = thin(clean, config.thinning)
-    area = np.sqrt(soft_histogram(pool(layer, shift), config))
-    lengths = pool(skeleton, shift) * (min(layer.shape) / CELLS[0])
-    histogram = area + config.skeleton_weight * np.sqrt(soft_histogram(lengths, config))
-    found = np.array([(function * histogram).sum() for function in basis(config)])
+def harmonics(layers: list[Mask], config: SSRVLADConfig) -> Description:
+    """Area and boundary directions around the vanishing column, as coefficients of waves."""
+    six = merge(layers)
+    shift = vanishing_column(six) if config.anchor == "vanishing-column" else 0
+    side = min(six[0].shape) / CELLS[0]
+    cells = [pool(layer, shift) for layer in six]
+    cells += [pool(mask, shift) * side / 2 for mask in boundaries(six)]  # two pixels across
+    histograms = [np.sqrt(soft_histogram(each, config)) for each in cells]
+    found = []
+    for k, histogram in enumerate(histograms):
+        count = config.harmonics if k < AREA_LAYERS else config.boundary_harmonics
+        found += [(function * histogram).sum() for function in basis(config, count)]
     vector = np.sign(found) * np.abs(found) ** config.power
-    ends, crossings = end_points(skeleton), intersections(skeleton)
-    masks = (layer, clean, skeleton, ends, crossings)
-    return LayerTrace(*masks, centroid(clean), {"bins": histogram}, vector)
+    return Description({"bins": np.stack(histograms)}, normalise(vector).astype(np.float32))
 
 
-def concatenate(traces: list[LayerTrace]) -> npt.NDArray[np.float32]:
-    """The layers' vectors one after another, normalised."""
-    return normalise(np.concatenate([trace.vector for trace in traces])).astype(np.float32)
+def merge(layers: list[Mask]) -> list[Mask]:
+    """Six layers of eight: guard rail (6) counts as building (2), parking (7) as ground (0)."""
+    ground, sidewalk, building, pole, vegetation, sky, rail, parking = layers
+    return [ground | parking, sidewalk, building | rail, pole, vegetation, sky]
+
+
+def boundaries(layers: list[Mask]) -> list[Mask]:
+    """Where a boundary of any layer runs upright, level, rising to the right and falling.
+
+    A pixel sees its four diagonal neighbours. Two beside each other in the layer are a straight
+    boundary; one or three are a slanting one, at the odd neighbour. Pixels at the edge see none.
+    """
+    height, width = layers[0].shape
+    found = [np.zeros((height, width), bool) for _ in range(4)]
+    if min(height, width) < 3:
+        return found
+    upright, level, rising, falling = (mask[1:-1, 1:-1] for mask in found)
+    for layer in layers:
+        nw, ne, sw, se = layer[:-2, :-2], layer[:-2, 2:], layer[2:, :-2], layer[2:, 2:]
+        count = np.sum([nw, ne, sw, se], axis=0)
+        upright |= (count == 2) & (nw == sw)
+        level |= (count == 2) & (nw == ne)
+        for odd in (count == 1, count == 3):
+            on = count == 1
+            rising |= odd & ((nw == on) | (se == on))
+            falling |= odd & ((ne == on) | (sw == on))
+    return found
 
 
 def categorise(label_map: npt.NDArray[Any], space: LabelSpace) -> Integers:
@@ -273,14 +310,14 @@ def shape_context(
     return histogram
 
 
-def vanishing_column(clean: list[Mask]) -> int:
+def vanishing_column(layers: list[Mask]) -> int:
     """Columns from the middle to where ground, sidewalk and sky are tallest.
 
     A column weighs by the eighth power of its openness in 64ths, one that is wholly open 2 ** 20;
     the middle weighs as much as a twentieth of all columns, open. Halves are rounded up.
     """
-    height, width = clean[0].shape
-    openness = (clean[0] | clean[1] | clean[5]).sum(0)
+    height, width = layers[0].shape
+    openness = (layers[0] | layers[1] | layers[5]).sum(0)
     weights = [(int(pixels) * 64 // height) ** 8 // 2**28 for pixels in openness]
     moment = sum(weight * (2 * x - (width - 1)) for x, weight in enumerate(weights))
     total = sum(weights) + width * 2**20 // 20
@@ -345,14 +382,14 @@ def between(position: float) -> list[tuple[int, float]]:
 
 
 @lru_cache(maxsize=8)
-def basis(config: SSRVLADConfig) -> list[Floats]:
+def basis(config: SSRVLADConfig, count: int) -> list[Floats]:
     """The smoothest functions over the bins, ``(N, M)`` each, finer ones with more weight."""
     waves = []
     for u in range(config.rings):
         for v in range((config.sectors + 1) // 2):
             waves += [(u * u + v * v, u, v, sine) for sine in ((False, True) if v else (False,))]
     found = []
-    for squared, u, v, sine in sorted(waves)[: config.harmonics]:
+    for squared, u, v, sine in sorted(waves)[:count]:
         rings = np.cos(np.pi * u * (np.arange(config.rings) + 0.5) / config.rings)
         turns = 2 * np.pi * v * np.arange(config.sectors) / config.sectors
         function = np.outer(rings, np.sin(turns) if sine else np.cos(turns))

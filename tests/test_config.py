@@ -37,16 +37,17 @@ OTHER = {
     "context": "keypoints",
     "aggregation": "residuals",
     "anchor": "middle",
-    "skeleton_weight": 0.3,
     "harmonics": 30,
+    "boundary_harmonics": 30,
     "spectral_weight": 0.5,
     "power": 0.5,
 }
-ONLY_HARMONICS = {"anchor", "skeleton_weight", "harmonics", "spectral_weight", "power"}
+ONLY_RESIDUALS = {"opening", "closing", "hole_area", "region_area", "thinning", "context"}
+ONLY_HARMONICS = {"anchor", "harmonics", "boundary_harmonics", "spectral_weight", "power"}
 
 
 @pytest.mark.parametrize(
-    ("aggregation", "unused"), [("harmonics", {"context"}), ("residuals", ONLY_HARMONICS)]
+    ("aggregation", "unused"), [("harmonics", ONLY_RESIDUALS), ("residuals", ONLY_HARMONICS)]
 )
 def test_every_setting_that_matters_is_in_the_fingerprint(aggregation, unused):
     base = SSRVLADConfig(labels_as="camvid-11", sectors=22, aggregation=aggregation)
@@ -64,7 +65,7 @@ def test_every_setting_that_matters_is_in_the_fingerprint(aggregation, unused):
 def test_fingerprints_do_not_drift():
     """Databases carry these. Change them only together with METHOD_REVISION or a setting."""
     assert SSRVLADConfig.from_preset("paper").fingerprint == "fae2c61db07afbf9"
-    assert SSRVLADConfig.from_preset("default").fingerprint == "abb6aa3806dc84bb"
+    assert SSRVLADConfig.from_preset("default").fingerprint == "03b28f5730748819"
 
 
 def test_dict_round_trip():
@@ -81,6 +82,7 @@ def test_dict_round_trip():
         ({"closing": -0.1}, r"closing must be a fraction from 0 to 0\.5, got -0\.1"),
         ({"hole_area": float("nan")}, "hole_area must be a fraction"),
         ({"radius": 0}, "radius must be a fraction above 0"),
+        ({"boundary_harmonics": 115}, "boundary_harmonics must be at most 114 with 6 rings and 20"),
         ({"thinning": "lee"}, "thinning must be one of zhang-suen, guo-hall, got 'lee'"),
         ({"context": "area"}, "context must be one of skeleton, keypoints, got 'area'"),
         ({"labels_as": 3}, "labels_as must be a name, a path or a LabelSpace, got 3"),
@@ -131,4 +133,5 @@ def test_rings_double_and_end_at_the_radius():
     limits = SSRVLADConfig.from_preset("paper", radius=0.5).ring_limits(300, 400)
     assert limits[-1] == 250**2
     assert [round((outer / inner) ** 0.5, 2) for inner, outer in pairwise(limits)] == [2] * 4
-    assert SSRVLADConfig(rings=1, harmonics=1).ring_limits(300, 400) == (250**2,)
+    one = SSRVLADConfig(rings=1, harmonics=1, boundary_harmonics=1)
+    assert one.ring_limits(300, 400) == (250**2,)

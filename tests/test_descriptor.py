@@ -41,10 +41,18 @@ def test_equals_the_reference_on_degenerate_and_drawn_maps(name, config):
     assert_equals_reference({**degenerate(), **hand_drawn()}[name], config)
 
 
-def with_few_harmonics(harmonics: int, rings: int, sectors: int, **settings) -> SSRVLADConfig:
+def with_few_harmonics(
+    harmonics: int, boundary_harmonics: int, rings: int, sectors: int, **settings
+) -> SSRVLADConfig:
     """A config with no more harmonics than there are basis functions."""
     most = len(waves(rings, sectors))
-    return SSRVLADConfig(harmonics=min(harmonics, most), rings=rings, sectors=sectors, **settings)
+    return SSRVLADConfig(
+        harmonics=min(harmonics, most),
+        boundary_harmonics=min(boundary_harmonics, most),
+        rings=rings,
+        sectors=sectors,
+        **settings,
+    )
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow])
@@ -69,8 +77,8 @@ def with_few_harmonics(harmonics: int, rings: int, sectors: int, **settings) -> 
         context=st.sampled_from(CONTEXTS),
         aggregation=st.sampled_from(AGGREGATIONS),
         anchor=st.sampled_from(ANCHORS),
-        skeleton_weight=st.sampled_from([0.0, 0.1, 2.0]),
         harmonics=st.integers(1, 60),
+        boundary_harmonics=st.integers(1, 60),
         spectral_weight=st.floats(0, 2),
         power=st.floats(0.5, 1.0),
     ),
@@ -164,7 +172,7 @@ def test_explain_shows_every_step():
         assert masks.dtype == torch.bool
     assert view.centres.shape == (2, 8, 2)
     assert view.histograms.column.shape == (2,)
-    assert view.histograms.bins.shape == (2, 8, 6, 20)
+    assert view.histograms.bins.shape == (2, 10, 6, 20)
     assert residuals.histograms.points.shape == residuals.histograms.centre.shape == (2, 8, 5, 12)
     assert torch.equal(residuals.histograms.counts, residuals.keypoints.sum((2, 3)))
     assert torch.equal(view.descriptor, head(batch))

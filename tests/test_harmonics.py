@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -9,54 +8,57 @@ import torch
 from graphs import run
 
 from ssrvlad_torch import SSRVLADConfig, reference
+from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
 from ssrvlad_torch.deployment.stages.harmonics import (
     coefficients_in_graph,
     soft_histograms_in_graph,
 )
-from ssrvlad_torch.stages.grid_pooling import CELLS, COLUMNS, ROWS
+from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS
 from ssrvlad_torch.stages.harmonics import (
+    Harmonics,
     basis_table,
-    bin_table,
     coefficients,
+    harmonic_tables,
     soft_histograms,
     waves,
 )
 
 CONFIGS = [
     SSRVLADConfig(),
-    SSRVLADConfig(rings=1, sectors=1, harmonics=1),
-    SSRVLADConfig(rings=3, sectors=2, harmonics=3, radius=0.3),
+    SSRVLADConfig(rings=1, sectors=1, harmonics=1, boundary_harmonics=1),
+    SSRVLADConfig(rings=3, sectors=2, harmonics=2, boundary_harmonics=3, radius=0.3),
     SSRVLADConfig(rings=5, sectors=12, harmonics=55, inner_radius=1.0, spectral_weight=0.0),
     SSRVLADConfig(rings=4, sectors=7, harmonics=20, radius=1.0, inner_radius=0.05),
 ]
 each_config = pytest.mark.parametrize("config", CONFIGS, ids=range(len(CONFIGS)))
 
 
-def tables(config: SSRVLADConfig) -> tuple[torch.Tensor, torch.Tensor]:
-    return (
-        bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
-        basis_table(config.rings, config.sectors, config.harmonics, config.spectral_weight),
-    )
+BLOCKS = AREA_LAYERS + BOUNDARY_DIRECTIONS
+
+
+def numbers(config: SSRVLADConfig) -> tuple[int, int]:
+    return config.harmonics, config.boundary_harmonics
 
 
 @each_config
 def test_tables_equal_the_reference(config):
-    bins, basis = tables(config)
+    bins, basis = harmonic_tables(config)
     cells = np.random.default_rng(0).random((ROWS, COLUMNS))
     expected = reference.soft_histogram(cells, config).ravel()
     np.testing.assert_allclose(bins @ torch.from_numpy(cells).flatten(), expected, rtol=1e-12)
-    expected = np.array(reference.basis(config)).reshape(config.harmonics, -1)
+    most = max(numbers(config))
+    expected = np.array(reference.basis(config, most)).reshape(most, -1)
     np.testing.assert_allclose(basis, expected, atol=1e-13)
 
 
 @each_config
 def test_bins_are_means(config):
-    sums = tables(config)[0].sum(1)
+    sums = harmonic_tables(config).bins.sum(1)
     assert (torch.isclose(sums, torch.ones(1).double()) | (sums == 0)).all()
 
 
 def test_what_is_right_of_the_middle_is_in_the_first_sector():
-    bins, _ = tables(SSRVLADConfig())
+    bins = harmonic_tables(SSRVLADConfig()).bins
     cells = torch.zeros(ROWS, COLUMNS, dtype=torch.float64)
     cells[ROWS // 2 - 1 : ROWS // 2 + 1, -1] = 1
     outermost = (bins @ cells.flatten()).view(6, 20)[-1]
@@ -75,32 +77,46 @@ def test_waves_rise_in_frequency_and_are_orthogonal():
 
 def test_a_mirrored_street_flips_the_sign_of_the_sines():
     """Left and right change places: angle a becomes pi - a."""
-    config = SSRVLADConfig(sectors=12, power=1.0)
-    bins, basis = tables(config)
-    cells = torch.rand(1, 8, ROWS, COLUMNS, dtype=torch.float64)
+    bins, basis = harmonic_tables(SSRVLADConfig(sectors=12, harmonics=50, boundary_harmonics=50))
+    cells = torch.rand(1, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
     here, mirrored = (
-        coefficients(soft_histograms(c, c, 0.1, bins), basis, 1.0).view(8, -1)
+        coefficients(soft_histograms(c, bins), basis, (50, 50), 1.0).view(BLOCKS, -1)
         for c in (cells, cells.flip(3))
     )
-    sign = [(-1) ** v * (-1 if phase else 1) for _, v, phase in waves(6, 12)[: config.harmonics]]
+    sign = [(-1) ** v * (-1 if phase else 1) for _, v, phase in waves(6, 12)[:50]]
     torch.testing.assert_close(mirrored, here * torch.tensor(sign), rtol=0, atol=1e-6)
 
 
-def test_root_and_weight_of_the_skeleton_by_hand():
+def test_areas_and_boundaries_have_their_own_numbers():
+    """A square root of fractions and of lengths in sides of a cell, the former first."""
     bins = torch.full((1, ROWS * COLUMNS), 1 / (ROWS * COLUMNS), dtype=torch.float64)
-    area, length = torch.zeros(2, 1, 8, ROWS, COLUMNS, dtype=torch.float64)
-    area[0, 2], length[0, 2] = 0.25, 0.09
-    found = soft_histograms(area, length, 0.5, bins)
-    assert found[0, 2].item() == pytest.approx(0.5 + 0.5 * 0.3)
-    assert found.count_nonzero() == 1
+    cells = torch.zeros(1, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
+    cells[0, 2], cells[0, 7] = 0.25, 0.09
+    held = soft_histograms(cells, bins)
+    assert held[0, :, 0].tolist() == pytest.approx([0, 0, 0.5, 0, 0, 0, 0, 0.3, 0, 0])
+    basis = torch.tensor([[3.0], [4.0]], dtype=torch.float64)
+    found = coefficients(held, basis, (2, 1), 1.0)[0]
+    expected = torch.zeros(6 * 2 + 4)
+    expected[4:6], expected[13] = torch.tensor([1.5, 2.0]), 0.9
+    torch.testing.assert_close(found, expected / expected.norm())
+
+
+def test_layers_that_few_networks_tell_apart_are_merged():
+    """Guard rail is described as building, parking as ground."""
+    module = Harmonics(SSRVLADConfig())
+    own, other = torch.randint(0, 6, (2, 1, 40, 50), dtype=torch.uint8)
+    layers = torch.ones_like(own) << own
+    rare = own.masked_fill((own == 0) & (other < 3), 7).masked_fill((own == 2) & (other < 3), 6)
+    merged = torch.ones_like(own) << rare
+    assert not torch.equal(merged, layers)
+    assert torch.equal(module.histograms(merged).bins, module.histograms(layers).bins)
 
 
 def test_empty_images_and_layers_are_exact_zeros():
-    config = dataclasses.replace(SSRVLADConfig(), spectral_weight=2.0)
-    bins, basis = tables(config)
-    area = torch.rand(2, 8, ROWS, COLUMNS, dtype=torch.float64)
-    area[0], area[1, 4] = 0, 0
-    found = coefficients(soft_histograms(area, area, 0.1, bins), basis, 0.75).view(2, 8, -1)
+    bins, basis = harmonic_tables(SSRVLADConfig(spectral_weight=2.0))
+    cells = torch.rand(2, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
+    cells[0], cells[1, 4] = 0, 0
+    found = coefficients(soft_histograms(cells, bins), basis, (9, 9), 0.75).view(2, BLOCKS, -1)
     assert not found[0].any()
     assert not found[1, 4].any()
     assert found[1].norm().item() == pytest.approx(1)
@@ -110,24 +126,24 @@ def test_empty_images_and_layers_are_exact_zeros():
 def test_power_keeps_signs_and_order():
     basis = torch.eye(4, dtype=torch.float64)
     held = torch.tensor([[[-4.0, -1.0, 0.0, 9.0]]], dtype=torch.float64)
-    found = coefficients(held, basis, 0.5)
+    found = coefficients(held, basis, (4, 4), 0.5)
     expected = torch.tensor([-2.0, -1.0, 0.0, 3.0]) / math.sqrt(14)
     torch.testing.assert_close(found[0], expected)
 
 
 @each_config
 def test_the_same_in_a_graph(config):
-    bins, basis = tables(config)
+    bins, basis = harmonic_tables(config)
 
-    def in_graph(graph, area, lengths):
-        found = soft_histograms_in_graph(graph, area, lengths, config.skeleton_weight, bins)
-        return [found, coefficients_in_graph(graph, found, basis, config.power)]
+    def in_graph(graph, cells):
+        found = soft_histograms_in_graph(graph, cells, bins)
+        return [found, coefficients_in_graph(graph, found, basis, numbers(config), config.power)]
 
-    area, lengths = torch.rand(2, 3, 8, ROWS, COLUMNS, dtype=torch.float64)
-    area[1], lengths[1], area[0, 3] = 0, 0, 0
-    histograms, descriptor = run(in_graph, area, lengths)
-    expected = soft_histograms(area, lengths, config.skeleton_weight, bins)
+    cells = torch.rand(3, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
+    cells[1], cells[0, 3] = 0, 0
+    histograms, descriptor = run(in_graph, cells)
+    expected = soft_histograms(cells, bins)
     torch.testing.assert_close(histograms, expected, rtol=1e-12, atol=1e-15)
-    expected = coefficients(expected, basis, config.power)
+    expected = coefficients(expected, basis, numbers(config), config.power)
     torch.testing.assert_close(descriptor, expected, rtol=0, atol=1e-7)
     assert not descriptor[1].any()

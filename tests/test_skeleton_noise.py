@@ -32,10 +32,9 @@ def by_layer(points, images):
     return [[yx[group == k * images + b] for k in range(8)] for b in range(images)]
 
 
-@pytest.mark.parametrize("preset", ["paper", "default"])
 @pytest.mark.parametrize("settings", [{}, {"working_size": 40}, {"context": "keypoints"}])
-def test_points_that_were_not_shifted_are_described_as_the_head_does(preset, settings):
-    module, labels = head(preset, **settings), streets(3)
+def test_points_that_were_not_shifted_are_described_as_the_head_does(settings):
+    module, labels = head("paper", **settings), streets(3)
     points = SkeletonPoints.of(module, labels)
     wanted = module(labels)
     torch.testing.assert_close(points.descriptors(), wanted, rtol=0, atol=1e-6)
@@ -44,10 +43,9 @@ def test_points_that_were_not_shifted_are_described_as_the_head_does(preset, set
         torch.testing.assert_close(still.descriptors(), wanted, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("preset", ["paper", "default"])
 @pytest.mark.parametrize("name", degenerate())
-def test_images_at_the_edge_of_what_there_is(preset, name):
-    module, labels = head(preset), torch.from_numpy(degenerate()[name])[None]
+def test_images_at_the_edge_of_what_there_is(name):
+    module, labels = head("paper"), torch.from_numpy(degenerate()[name])[None]
     points = SkeletonPoints.of(module, labels)
     torch.testing.assert_close(points.descriptors(), module(labels), rtol=0, atol=1e-6)
     assert points.shifted(7, generator()).descriptors().isfinite().all()
@@ -116,39 +114,6 @@ def test_the_paper_counts_as_the_reference_does(nodes_only, context):
             vectors.append(reference.normalise(residual.ravel()))
         wanted = reference.normalise(np.concatenate(vectors))
         np.testing.assert_allclose(got.numpy(), wanted, atol=1e-6)
-
-
-def test_the_harmonics_are_those_of_the_reference():
-    module, labels = head("default"), streets(1)
-    config = module.config
-    moved = SkeletonPoints.of(module, labels).shifted(10, generator())
-    view = module.explain(labels)
-    vectors = []
-    for layer, points in zip(view.layers[0].numpy(), by_layer(moved.skeleton, 1)[0], strict=True):
-        drawn = np.zeros(SIZE, bool)
-        for y, x in points:
-            if 0 <= y < SIZE[0] and 0 <= x < SIZE[1]:
-                drawn[y, x] = True
-        lengths = reference.pool(drawn, int(view.histograms.column[0])) * (SIZE[0] / 24)
-        area = np.sqrt(
-            reference.soft_histogram(reference.pool(layer, int(view.histograms.column[0])), config)
-        )
-        histogram = area + config.skeleton_weight * np.sqrt(
-            reference.soft_histogram(lengths, config)
-        )
-        held = np.array([(function * histogram).sum() for function in reference.basis(config)])
-        vectors.append(np.sign(held) * np.abs(held) ** config.power)
-    wanted = reference.normalise(np.concatenate(vectors))
-    np.testing.assert_allclose(moved.descriptors()[0].numpy(), wanted, atol=1e-6)
-
-
-def test_harmonics_see_no_skeleton_outside_the_image():
-    module, labels = head("default"), streets(1)
-    points = SkeletonPoints.of(module, labels)
-    gone = points.shifted(0, generator())
-    gone.skeleton.y.add_(1000)
-    without = head("default", skeleton_weight=0.0)
-    torch.testing.assert_close(gone.descriptors(), without(labels), rtol=0, atol=1e-6)
 
 
 def test_a_negative_shift_is_refused():

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.bitplanes import count_points, pack, points, unpack
+from ssrvlad_torch.soft.stages.boundaries import soft_boundaries
 from ssrvlad_torch.soft.stages.centroid import soft_centroids, soft_points
 from ssrvlad_torch.soft.stages.grid_pooling import soft_pool
 from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_coefficients
@@ -20,7 +21,7 @@ from ssrvlad_torch.soft.stages.keypoints import (
     soft_intersections,
     soft_keypoints,
 )
-from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft_layers
+from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft_layers, soft_merge
 from ssrvlad_torch.soft.stages.morphology import soft_dilate, soft_erode, soft_open_and_close
 from ssrvlad_torch.soft.stages.reduction import soft_majority
 from ssrvlad_torch.soft.stages.regions import soft_regions
@@ -28,12 +29,13 @@ from ssrvlad_torch.soft.stages.residuals import soft_aggregate
 from ssrvlad_torch.soft.stages.shape_context import bin_masks, soft_shape_contexts
 from ssrvlad_torch.soft.stages.skeleton import COARSE, eroded_skeleton, soft_skeleton
 from ssrvlad_torch.soft.stages.vanishing_column import soft_vanishing_columns
+from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
 from ssrvlad_torch.stages.grid_pooling import pool
 from ssrvlad_torch.stages.harmonics import basis_table, bin_table, coefficients, soft_histograms
 from ssrvlad_torch.stages.keypoints import end_points, intersections
-from ssrvlad_torch.stages.layers import categorise, category_table, split
+from ssrvlad_torch.stages.layers import categorise, category_table, merge, split
 from ssrvlad_torch.stages.morphology import open_and_close
 from ssrvlad_torch.stages.reduction import reduce_by_majority
 from ssrvlad_torch.stages.residuals import aggregate
@@ -77,13 +79,14 @@ STAGES = {
     "vanishing column": lambda x: soft_vanishing_columns(x / 3),
     "grid pooling": lambda x: soft_pool(x, x.sum((1, 2, 3)) / 99, CELLS),
     "harmonics": lambda x: soft_coefficients(
-        soft_pool(x, x.new_zeros(1), CELLS),
-        soft_pool(x.flip(-1), x.new_zeros(1), CELLS),
-        0.1,
+        soft_pool(x[:, :6], x.new_zeros(1), CELLS),
+        soft_pool(x[:, 4:].flip(-1), x.new_zeros(1), CELLS),
         BINS,
         BASIS,
+        (3, 2),
         0.75,
     ),
+    "boundaries": soft_boundaries,
 }
 
 
@@ -145,7 +148,8 @@ def test_one_hot_labels_give_the_layers(channels):
 
 
 def test_logits_and_their_probabilities_give_the_same():
-    logits = torch.randn(2, 12, 5, 4).double() * 3
+    generator = torch.Generator().manual_seed(0)
+    logits = torch.randn(2, 12, 5, 4, generator=generator).double() * 3
     assert not are_probabilities(logits)
     for dtype in (torch.float64, torch.half, torch.bfloat16):
         assert are_probabilities(logits.softmax(1).to(dtype).float())
@@ -364,13 +368,26 @@ def test_pooling_by_any_shift(planes):
     torch.testing.assert_close(between, 0.75 * one + 0.25 * two)
 
 
+@pytest.mark.parametrize("size", [(2, 9), (3, 3), (17, 23)])
+def test_boundaries_of_layers(size):
+    planes = merge(torch.cat([layers_of(blobs(seed, *size, 5)) for seed in range(3)]))
+    hard = unpack(boundaries(planes))[:, :4].double()
+    assert torch.equal(soft_boundaries(unpack(planes)[:, :6].double()), hard)
+
+
+def test_rare_layers_are_merged():
+    planes = split(torch.randint(0, 9, (2, 7, 5), dtype=torch.uint8))
+    merged = soft_merge(unpack(planes).double())
+    assert torch.equal(merged, unpack(merge(planes))[:, :6].double())
+
+
 def test_coefficients_of_layers():
     planes = torch.cat([layers_of(blobs(seed, 48, 64, 12)) for seed in range(3)])
     still = torch.zeros(3, dtype=torch.int64)
-    area, lengths = pool(planes, still), pool(thin(planes, zhang_suen), still)
+    area, lengths = pool(planes, still)[:, :6], pool(boundaries(planes), still)[:, :4]
     bins, basis = bin_table((24, 32), 6, 20, 0.5, 1 / 6), basis_table(6, 20, 60, 1.0)
-    hard = coefficients(soft_histograms(area, lengths, 0.1, bins), basis, 0.75)
-    soft = soft_coefficients(area, lengths, 0.1, bins, basis, 0.75).float()
+    hard = coefficients(soft_histograms(torch.cat((area, lengths), 1), bins), basis, (60, 20), 0.75)
+    soft = soft_coefficients(area, lengths, bins, basis, (60, 20), 0.75).float()
     assert ((hard * soft).sum(1) > 0.99).all()
 
 

@@ -1,14 +1,18 @@
 // What the numbers of a layer say, as the target that they are: rings by distance, sectors by
 // direction.
 
+/** The layers as harmonics count them: guard rail as building, parking as ground. */
+const COUNTED_AS = [0, 1, 2, 3, 4, 5, 2, 0];
+
 /** ``{rings, sectors, values, turned}`` of layer k; ring after ring. A soft sector lies around its
  * angle, so the target is turned back by half a sector. */
 export function targetOf(config, descriptor, k) {
-  const { rings, sectors } = config;
-  const length = descriptor.length / 8;
-  const numbers = descriptor.subarray(k * length, (k + 1) * length);
-  if (config.aggregation === "residuals") return { rings, sectors, values: numbers, turned: 0 };
-  return { rings, sectors, values: histogramOf(config, numbers), turned: 0.5 };
+  const { rings, sectors, aggregation, harmonics } = config;
+  const numbersOf = (block, length) => descriptor.subarray(block * length, (block + 1) * length);
+  if (aggregation === "residuals")
+    return { rings, sectors, values: numbersOf(k, rings * sectors), turned: 0 };
+  const values = histogramOf(config, numbersOf(COUNTED_AS[k], harmonics));
+  return { rings, sectors, values, turned: 0.5 };
 }
 
 /** The smooth part of the histogram whose amounts of patterns the numbers are, of any scale. */

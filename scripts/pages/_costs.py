@@ -14,15 +14,16 @@ from torch import Tensor
 from ssrvlad_torch import baselines
 from ssrvlad_torch.baselines import Frame, region_vlad
 from ssrvlad_torch.cli.bench import threads
+from ssrvlad_torch.stages import residuals
 from ssrvlad_torch.stages.harmonics import Harmonics
-from ssrvlad_torch.stages.residuals import Residuals
 
 ENCODED = 10
 """References that are really encoded: as many as LoST-X ranks again."""
 
 AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
-    "ssr-vlad": tuple(
-        (owner, name) for owner in (Residuals, Harmonics) for name in ("histograms", "descriptor")
+    "ssr-vlad": (
+        *((residuals, name) for name in ("log_polar_bins", "shape_contexts", "aggregate")),
+        *((Harmonics, name) for name in ("histograms", "descriptor")),
     ),
     "region-vlad": ((region_vlad, "vlad"),),
 }

@@ -31,15 +31,13 @@ class Variant:
 
     name: str
     nodes_only: bool
-    preset: str
     context: str = "skeleton"
 
 
 VARIANTS = (
-    Variant("paper, every skeleton pixel", False, "paper"),
-    Variant("paper, keypoints", True, "paper"),
-    Variant("paper with `context` keypoints, keypoints", True, "paper", "keypoints"),
-    Variant("default, every skeleton pixel", False, "default"),
+    Variant("paper, every skeleton pixel", False),
+    Variant("paper, keypoints", True),
+    Variant("paper with `context` keypoints, keypoints", True, "keypoints"),
 )
 
 INTRODUCTION = f"""Each point of the extracted skeleton is shifted at random by up to so many
@@ -47,9 +45,7 @@ pixels in both coordinates, and the centres stay; Recall@1 is how often the shif
 original among all originals. Mean of {_paper.REPEATS} repeats, in brackets the least and the most.
 The paper shifts "skeleton nodes". It does not say whether these are all pixels of the skeleton or
 its keypoints, nor how many images it takes, of which size: here are the readings, on images of
-{SHORTER_SIDE} pixels on the shorter side. The preset `default` works on a grid of 120 pixels, on
-which a shift is a ninth, describes the area of a layer beside its skeleton, and has no use for
-keypoints."""
+{SHORTER_SIDE} pixels on the shorter side. The preset `default` does not look at the skeleton."""
 
 
 def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
@@ -99,7 +95,7 @@ def _points(drive: Drive, variant: Variant) -> Iterator[SkeletonPoints]:
 
 @cache
 def _head(variant: Variant, labels_as: str) -> SSRVLAD:
-    return SSRVLAD.from_preset(variant.preset, labels_as=labels_as, context=variant.context)
+    return SSRVLAD.from_preset("paper", labels_as=labels_as, context=variant.context)
 
 
 def _city() -> CityDrive:

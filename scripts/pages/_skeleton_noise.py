@@ -4,7 +4,7 @@ Where a network draws the boundary of a region a little differently, the skeleto
 The paper imitates this by shifting "the extracted skeleton nodes" at random, each in both
 coordinates, and asks how often the original image is still the best match. It does not say whether
 the nodes are all pixels of the skeleton or its end points and intersections: here either can be
-shifted.
+shifted. The harmonics of ``default`` do not look at a skeleton.
 """
 
 from __future__ import annotations
@@ -16,12 +16,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ssrvlad_torch.bitplanes import LAYERS, Points, by_image, count_points, pack, points
+from ssrvlad_torch.bitplanes import Points, count_points, pack, points
 from ssrvlad_torch.config import SSRVLADConfig
 from ssrvlad_torch.descriptor import SSRVLAD
 from ssrvlad_torch.stages.centroid import centroids
-from ssrvlad_torch.stages.grid_pooling import ROWS, pool
-from ssrvlad_torch.stages.harmonics import coefficients, harmonic_tables, soft_histograms
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 
@@ -30,9 +28,8 @@ from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 class SkeletonPoints:
     """The skeletons of some images as points that can be shifted, and what else is described.
 
-    What is not skeleton stays: the centre of each layer (Eq. 1), and for harmonics its area and
-    the vanishing column. Points may leave the image or fall onto one another: the shape context
-    counts each wherever it is, the grid pooling of the harmonics what is drawn inside the image.
+    The centre of each layer (Eq. 1) stays. Points may leave the image or fall onto one another: the
+    shape context counts each wherever it is.
 
     Attributes:
         config: the settings.
@@ -42,8 +39,6 @@ class SkeletonPoints:
         nodes: the keypoints among them.
         node_rows: ``(n,)`` int64, which skeleton pixel each keypoint is.
         centres: of the layers.
-        area: ``(B, 8, ROWS, COLUMNS)`` float64 fractions of the cells; ``None`` for residuals.
-        column: ``(B,)`` int64, the vanishing column; ``None`` for residuals.
         margin: pixels of the grid by which points may lie outside it.
 
     Example:
@@ -62,8 +57,6 @@ class SkeletonPoints:
     nodes: Points
     node_rows: Tensor
     centres: Points
-    area: Tensor | None = None
-    column: Tensor | None = None
     margin: int = 0
 
     @classmethod
@@ -71,7 +64,6 @@ class SkeletonPoints:
         """The points of a batch; input and errors as for a call of the head."""
         view = head.explain(labels)
         skeleton = points(pack(view.skeleton))
-        column = getattr(view.histograms, "column", None)
         is_node = view.keypoints.transpose(0, 1).flatten(0, 1)[skeleton]
         node_rows = is_node.nonzero()[:, 0]
         return cls(
@@ -82,8 +74,6 @@ class SkeletonPoints:
             nodes=Points(*(part[node_rows] for part in skeleton)),
             node_rows=node_rows,
             centres=centroids(pack(view.clean_layers)),
-            area=None if column is None else pool(pack(view.layers), column),
-            column=column,
         )
 
     @property
@@ -124,11 +114,6 @@ class SkeletonPoints:
 
     def descriptors(self) -> Tensor:
         """``(B, 480)`` float32; of points that were not shifted, those of the head."""
-        if self.area is None or self.column is None:
-            return self._residuals()
-        return self._harmonics(self.area, self.column)
-
-    def _residuals(self) -> Tensor:
         config, (height, width) = self.config, self.grid
         limits, reach = config.ring_limits(height, width), 2 * self.margin
         device = self.skeleton.group.device
@@ -137,17 +122,6 @@ class SkeletonPoints:
         around_nodes = shape_contexts(self.nodes, context, bins, self.images)
         around_centres = shape_contexts(self.centres, context, bins, self.images)
         return aggregate(around_nodes, around_centres, count_points(self.nodes, self.images))
-
-    def _harmonics(self, area: Tensor, column: Tensor) -> Tensor:
-        config, (height, width) = self.config, self.grid
-        group, y, x = self.skeleton
-        inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
-        drawn = torch.zeros(LAYERS * self.images, height, width, dtype=torch.bool)
-        drawn[group[inside], y[inside], x[inside]] = True
-        lengths = pool(pack(by_image(drawn, self.images)), column) * (min(self.grid) / ROWS)
-        bins, basis = harmonic_tables(config)
-        histogram = soft_histograms(area, lengths, config.skeleton_weight, bins)
-        return coefficients(histogram, basis, config.power)
 
 
 def _moved(listed: Points, shift: Tensor) -> Points:

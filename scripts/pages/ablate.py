@@ -31,22 +31,17 @@ from ssrvlad_torch.files import replacing
 DEFAULT = SSRVLADConfig()
 SETTINGS: dict[str, list[Any]] = {
     "working_size": [None, 240, 180, 90, 60],
-    "closing": [0.0, 0.02],
-    "opening": [0.01],
-    "hole_area": [0.0],
-    "region_area": [0.0, 0.002],
-    "thinning": ["guo-hall"],
     "anchor": ["middle"],
-    "skeleton_weight": [0.0, 0.05, 0.2, 0.4],
     "rings": [5, 8],
     "sectors": [12, 16, 24],
     "inner_radius": [1 / 4, 1 / 8, 1 / 12],
-    "harmonics": [15, 30, 45, 90, 114],
+    "harmonics": [16, 32, 48, 80, 114],
+    "boundary_harmonics": [1, 12, 36, 48],
     "spectral_weight": [0.0, 0.5, 1.5],
     "power": [0.5, 1.0],
 }
 BEHIND_THE_MASKS = tuple(SETTINGS)[list(SETTINGS).index("anchor") :]
-"""These leave layers and skeletons as they are, which are then made once for all."""
+"""These leave the layers as they are, which are then made once for all."""
 
 BASELINES = ("paper", "label grid")
 Measured = dict[str, dict[str, dict[str, list[float]]]]
@@ -74,9 +69,8 @@ BOUNDS = """## What bounds it
   in another lane the vanishing column wins by far more than that.
 - **Size.** With more `harmonics` the city gets better, and CamVid does not: 480 numbers are where
   the curve flattens.
-- **The skeleton carries little beside the area**: `skeleton_weight = 0` is as good within the
-  intervals. It stays for what it adds to Recall@100%Precision and where areas are noisy, and it is
-  the method's own idea.
+- **The skeleton carries nothing beside area and boundaries**: `skeleton lengths too` and `skeleton
+  in place of boundaries` are no better than without, see [shape.md](shape.md).
 - **Real networks' mistakes** (`espnetv2 -> labels`) cost most. PCA whitening learnt on the
   references gained a little there and lost under the city's noise; it is not in the package.
 - **Recall@100%Precision** hangs on the single highest-scoring mistake, and its intervals are wide.

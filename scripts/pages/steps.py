@@ -12,48 +12,100 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.bitplanes import count_points, points
+from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
+from ssrvlad_torch.stages.boundaries import WIDTH, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.grid_pooling import CELLS, ROWS, pool
 from ssrvlad_torch.stages.harmonics import (
+    Harmonics,
+    basis_table,
     bin_table,
     coefficients,
     harmonic_tables,
     soft_histograms,
 )
 from ssrvlad_torch.stages.keypoints import end_points, intersections
+from ssrvlad_torch.stages.layers import merge
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 
 DEFAULT = SSRVLADConfig()
+NUMBERS = DEFAULT.harmonics, DEFAULT.boundary_harmonics
 PAPER = SSRVLADConfig.from_preset("paper")
 IMAGES_AT_ONCE = 16
 
 
 def harmonics(config: SSRVLADConfig) -> Describe:
-    """The preset `default` with other settings behind its masks."""
-    bins, basis = harmonic_tables(config)
+    """The preset `default` with other settings behind its layers."""
+    made = Harmonics(config)
+    return described_from_masks(lambda masks: made.descriptor(made.histograms(masks.layers)))
 
-    def step(masks: Masks) -> Tensor:
-        anchor = (
-            vanishing_columns(masks.clean)
-            if config.anchor == "vanishing-column"
-            else _middle(masks)
-        )
-        area, lengths = _cells(masks, anchor)
-        histogram = soft_histograms(area, lengths, config.skeleton_weight, bins)
-        return coefficients(histogram, basis, config.power)
 
-    return described_from_masks(step)
+def area_alone(masks: Masks) -> Tensor:
+    """All 480 numbers for the areas of the six layers."""
+    return described(cells(masks), (80, 0))
+
+
+def between_labelled_pixels(masks: Masks) -> Tensor:
+    """Boundaries are seen only where all four diagonal neighbours are in some layer."""
+    layers = merge(masks.layers)
+    known = F.pad((layers != 0).to(torch.uint8), (1, 1, 1, 1))
+    height, width = layers.shape[1:]
+    whole = torch.ones_like(layers)
+    for y, x in ((0, 0), (0, 2), (2, 0), (2, 2)):
+        whole &= known[:, y : y + height, x : x + width]
+    return described(with_lengths(masks, boundaries(layers) * whole))
+
+
+def with_boundaries_of_each_layer(masks: Masks, of_area: int, of_boundaries: int) -> Tensor:
+    """The directions of the boundaries of buildings, poles, vegetation and sky, each by itself."""
+    layers, found = merge(masks.layers), cells(masks)
+    parts = [described_part(found[:, :AREA_LAYERS], of_area)]
+    for bit in (2, 3, 4, 5):
+        own = with_lengths(masks, boundaries(layers & 1 << bit))
+        parts.append(described_part(own[:, AREA_LAYERS:], of_boundaries))
+    return F.normalize(torch.cat(parts, 1)).float()
+
+
+def described_part(found: Tensor, number: int) -> Tensor:
+    """``(B, blocks * number)`` damped coefficients, not yet normalised."""
+    bins = harmonic_tables(DEFAULT).bins
+    basis = harmonic_tables(DEFAULT).basis[:number]
+    held = (soft_histograms(found, bins) @ basis.T).flatten(1)
+    return held.sign() * held.abs() ** DEFAULT.power
+
+
+def skeleton_in_place_of_boundaries(masks: Masks) -> Tensor:
+    """The lengths of the six skeletons, 16 numbers each, in place of the boundaries."""
+    return _with_skeleton(masks, 16, 0)
+
+
+def skeleton_lengths_too(masks: Masks) -> Tensor:
+    """The lengths of the six skeletons beside the preset, with 8 numbers each."""
+    return _with_skeleton(masks, 8, DEFAULT.boundary_harmonics)
+
+
+def _with_skeleton(masks: Masks, of_skeleton: int, of_boundaries: int) -> Tensor:
+    shift = vanishing_columns(merge(masks.layers))
+    found = cells(masks)
+    lengths = pool(masks.skeleton, shift)[:, :AREA_LAYERS] * _side(masks)
+    parts = (
+        described_part(found[:, :AREA_LAYERS], DEFAULT.harmonics),
+        described_part(found[:, AREA_LAYERS:], of_boundaries),
+        described_part(lengths, of_skeleton),
+    )
+    return F.normalize(torch.cat(parts, 1)).float()
 
 
 def layers_of_one_length(masks: Masks) -> Tensor:
     """Every layer weighs the same, as in the paper: a pole as much as the sky."""
     bins, basis = harmonic_tables(DEFAULT)
-    area, lengths = _cells(masks, vanishing_columns(masks.clean))
-    histogram = soft_histograms(area, lengths, DEFAULT.skeleton_weight, bins)
-    blocks = coefficients(histogram, basis, DEFAULT.power).unflatten(1, (8, -1))
-    return F.normalize(F.normalize(blocks, dim=2).flatten(1))
+    held = soft_histograms(cells(masks), bins) @ basis.T
+    damped = held.sign() * held.abs() ** DEFAULT.power
+    area = F.normalize(damped[:, :AREA_LAYERS], dim=2) / AREA_LAYERS**0.5
+    length = damped[:, AREA_LAYERS:, : DEFAULT.boundary_harmonics].flatten(1)
+    return F.normalize(torch.cat((area.flatten(1), F.normalize(length) / 2), 1)).float()
 
 
 def residuals(masks: Masks) -> Tensor:
@@ -72,63 +124,84 @@ def residuals_with_root_and_area(masks: Masks) -> Tensor:
 
 def anchored_at_each_layers_centre(masks: Masks) -> Tensor:
     """The soft histogram of each layer around its own centroid's column, as Eq. 1 has it."""
-    bins, basis = harmonic_tables(DEFAULT)
-    columns = centre_table(centroids(masks.clean), len(masks.clean))[..., 1]
-    shifts = torch.where(columns < 0, 0, columns - (masks.clean.shape[2] - 1) // 2)
-    found = []
-    for k in range(8):
-        area, lengths = (cells[:, k : k + 1] for cells in _cells(masks, shifts[:, k]))
-        found.append(soft_histograms(area, lengths, DEFAULT.skeleton_weight, bins))
-    return coefficients(torch.cat(found, 1), basis, DEFAULT.power)
+    layers = merge(masks.layers)
+    columns = centre_table(centroids(layers), len(layers))[..., 1]
+    shifts = torch.where(columns < 0, 0, columns - (layers.shape[2] - 1) // 2)
+    found = cells(masks)
+    for k in range(AREA_LAYERS):
+        found[:, k] = pool(layers, shifts[:, k])[:, k]
+    return described(found)
 
 
 def dynamic_objects_filled(masks: Masks) -> Tensor:
     """What cars and people hide is filled with what stands around it."""
-    bins, basis = harmonic_tables(DEFAULT)
-    area, lengths = _cells(masks, vanishing_columns(masks.clean))
+    found = cells(masks)
+    area = found[:, :AREA_LAYERS]
     blurred = F.avg_pool2d(area, 5, 1, 2)
     missing = (1 - area.sum(1, keepdim=True)).clamp(min=0)
     filled = area + missing * blurred / blurred.sum(1, keepdim=True).clamp(min=0.02)
-    histogram = soft_histograms(filled, lengths, DEFAULT.skeleton_weight, bins)
-    return coefficients(histogram, basis, DEFAULT.power)
+    return described(torch.cat((filled, found[:, AREA_LAYERS:]), 1))
 
 
 def waves_over_the_picture(masks: Masks) -> Tensor:
     """Cosines over rows and columns (a DCT) in place of harmonics over rings and sectors."""
-    area, _ = _cells(masks, vanishing_columns(masks.clean))
-    rows, columns = (_cosines(n) for n in area.shape[-2:])
-    every = (rows @ area.sqrt() @ columns.T).flatten(2)
-    down, across = torch.meshgrid(*(torch.arange(n) for n in area.shape[-2:]), indexing="ij")
+    found = cells(masks)
+    rows, columns = (_cosines(n) for n in found.shape[-2:])
+    every = (rows @ found.sqrt() @ columns.T).flatten(2)
+    down, across = torch.meshgrid(*(torch.arange(n) for n in found.shape[-2:]), indexing="ij")
     squared = (down**2 + across**2).flatten()
     lowest = squared.argsort(stable=True)[: DEFAULT.harmonics]
     held = every[..., lowest] * (1 + squared[lowest]).double().sqrt()
-    return F.normalize((held.sign() * held.abs() ** DEFAULT.power).flatten(1)).float()
+    area, length = held[:, :AREA_LAYERS], held[:, AREA_LAYERS:, : DEFAULT.boundary_harmonics]
+    kept = torch.cat((area.flatten(1), length.flatten(1)), 1)
+    return F.normalize(kept.sign() * kept.abs() ** DEFAULT.power).float()
 
 
 def plain_bins(masks: Masks) -> Tensor:
-    """Square-rooted soft bins themselves, 5 x 12 of them, without harmonics."""
-    bins = bin_table(CELLS, 5, 12, DEFAULT.radius, DEFAULT.inner_radius)
-    area, _ = _cells(masks, vanishing_columns(masks.clean))
-    return F.normalize((area.flatten(2) @ bins.T).sqrt().flatten(1)).float()
+    """Square-rooted soft bins themselves, 4 x 12 of each area and direction, without harmonics."""
+    bins = bin_table(CELLS, 4, 12, DEFAULT.radius, DEFAULT.inner_radius)
+    return F.normalize(soft_histograms(cells(masks), bins).flatten(1)).float()
 
 
 REJECTED: dict[str, Describe] = {
     name: described_from_masks(step)
     for name, step in {
+        "area alone": area_alone,
+        "skeleton in place of boundaries": skeleton_in_place_of_boundaries,
+        "skeleton lengths too": skeleton_lengths_too,
         "residuals (Eq. 2)": residuals,
         "residuals, root, area": residuals_with_root_and_area,
         "layers of one length": layers_of_one_length,
         "anchored at each layer's centre": anchored_at_each_layers_centre,
         "dynamic objects filled": dynamic_objects_filled,
         "DCT in place of harmonics": waves_over_the_picture,
-        "5 x 12 soft bins, no harmonics": plain_bins,
+        "4 x 12 soft bins, no harmonics": plain_bins,
     }.items()
 }
 
 
-def _cells(masks: Masks, shift: Tensor) -> tuple[Tensor, Tensor]:
-    lengths = pool(masks.skeleton, shift) * (min(masks.skeleton.shape[1:]) / ROWS)
-    return pool(masks.layers, shift), lengths
+def cells(masks: Masks) -> Tensor:
+    """``(B, 10, rows, columns)``, areas and lengths of boundaries."""
+    return with_lengths(masks, boundaries(merge(masks.layers)))
+
+
+def with_lengths(masks: Masks, seen: Tensor) -> Tensor:
+    """Likewise, of these bit-planes of directions."""
+    layers = merge(masks.layers)
+    shift = vanishing_columns(layers)
+    lengths = pool(seen, shift)[:, :BOUNDARY_DIRECTIONS] * (_side(masks) / WIDTH)
+    return torch.cat((pool(layers, shift)[:, :AREA_LAYERS], lengths), 1)
+
+
+def _side(masks: Masks) -> float:
+    return min(masks.layers.shape[1:]) / ROWS
+
+
+def described(found: Tensor, numbers: tuple[int, int] = NUMBERS) -> Tensor:
+    """The descriptors of ``(B, 10, rows, columns)`` areas and lengths."""
+    bins = harmonic_tables(DEFAULT).bins
+    basis = basis_table(DEFAULT.rings, DEFAULT.sectors, max(numbers), DEFAULT.spectral_weight)
+    return coefficients(soft_histograms(found, bins), basis, numbers, DEFAULT.power)
 
 
 def _middle(masks: Masks) -> Tensor:

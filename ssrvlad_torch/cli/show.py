@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from ..config import AREA_LAYERS
 from ..datasets.label_files import LabelMap
 from ..descriptor import SSRVLAD
 from ..explanation import Explanation
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _COLUMNS = 4
+_COUNTED_AS = {AREA_LAYERS: 2, AREA_LAYERS + 1: 0}
 _ARC_STEPS = 10
 _LAYER_COLOURS = (
     "#b58bb5",
@@ -38,9 +40,10 @@ def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
 
     On the left stands the label map. For each category follow its clean layer with skeleton, end
     points, intersections and centre, and the vanishing column where there is one. Under it stands
-    the layer's histogram as a target: rings by distance, sectors by direction. Red is what stands
-    in the bin; for residuals red is where the keypoints see more skeleton than the centre does,
-    and blue where they see less.
+    the layer's histogram as a target: rings by distance, sectors by direction. For residuals red
+    is where the keypoints see more skeleton than the centre does, and blue where they see less.
+    For harmonics red is the area of the layer, for guard rail and parking that of the layer which
+    they are counted as.
 
     Args:
         labels: ``(H, W)`` integer ids of the head's label space.
@@ -90,7 +93,7 @@ def _draw_key(axes: Axes, view: Explanation) -> None:
     else:
         targets = [
             Line2D([], [], color="tab:red", ls="--", label="vanishing column"),
-            _marker("o", "#b2182b", "target: area and skeleton around the vanishing column", 10),
+            _marker("o", "#b2182b", "target: area around the vanishing column", 10),
         ]
 
     entries = [
@@ -158,5 +161,5 @@ def _target(view: Explanation, k: int) -> npt.NDArray[Any]:
     """``(N, M)``, what the layer's target shows."""
     found = view.histograms
     if isinstance(found, HarmonicHistograms):
-        return np.asarray(found.bins[0, k])
+        return np.asarray(found.bins[0, _COUNTED_AS.get(k, k)])
     return np.asarray(found.points[0, k] - found.counts[0, k] * found.centre[0, k])

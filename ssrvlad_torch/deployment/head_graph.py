@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ..config import SSRVLADConfig
+from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig
+from ..stages.boundaries import WIDTH
 from ..stages.grid_pooling import ROWS
 from ..stages.harmonics import harmonic_tables
 from ..stages.layers import category_table
@@ -13,6 +14,7 @@ from ..stages.skeleton import RULES
 from ..taxonomy import label_space
 from .geometry import area_pixels, radius_pixels, ring_limits, working_grid
 from .graph import Graph, Symbol
+from .stages.boundaries import boundaries_in_graph
 from .stages.centroid import centroids_in_graph
 from .stages.components import drop_regions_in_graph, fill_holes_in_graph
 from .stages.grid_pooling import pool_in_graph
@@ -24,6 +26,7 @@ from .stages.keypoints import end_points_in_graph, intersections_in_graph
 from .stages.layers import (
     categorise_in_graph,
     entries_in_graph,
+    merge_in_graph,
     split_in_graph,
 )
 from .stages.morphology import open_and_close_in_graph
@@ -70,7 +73,7 @@ def describe_in_graph(
     if config.aggregation == "residuals":
         descriptor = _residuals(graph, config, clean, skeleton, keypoints, counts)
     else:
-        descriptor = _harmonics(graph, config, layers, clean, skeleton, columns)
+        descriptor = _harmonics(graph, config, merge_in_graph(layers), columns)
     return Described(descriptor, counts, unknown)
 
 
@@ -114,40 +117,37 @@ def _residuals(
 
 
 def _harmonics(
-    graph: Graph,
-    config: SSRVLADConfig,
-    layers: Words,
-    clean: Words,
-    skeleton: Words,
-    columns: Sequence[int],
+    graph: Graph, config: SSRVLADConfig, layers: Words, columns: Sequence[int]
 ) -> Symbol:
     """The coefficients of the soft histograms around the anchor, or around those of a sweep."""
     grid = layers.grid
+    with graph.stage("boundaries"):
+        edges = boundaries_in_graph(graph, layers)
     with graph.stage("vanishing_column"):
         column = graph.full([grid.images], 0, "int64")
         if config.anchor == "vanishing-column":
-            column = vanishing_columns_in_graph(graph, clean)
+            column = vanishing_columns_in_graph(graph, layers)
     if not columns:
-        return _around(graph, config, layers, skeleton, column)
-    seen = [_around(graph, config, layers, skeleton, column + shift) for shift in columns]
+        return _around(graph, config, layers, edges, column)
+    seen = [_around(graph, config, layers, edges, column + shift) for shift in columns]
     return graph.Concat(*(graph.Unsqueeze(each, [1]) for each in seen), axis=1)
 
 
 def _around(
-    graph: Graph, config: SSRVLADConfig, layers: Words, skeleton: Words, column: Symbol
+    graph: Graph, config: SSRVLADConfig, layers: Words, edges: Words, column: Symbol
 ) -> Symbol:
     """The coefficients of the soft histograms around one anchor."""
     grid = layers.grid
     with graph.stage("grid_pooling"):
-        side = graph.Min(grid.height, grid.width).to("float64") / ROWS
-        area = pool_in_graph(graph, layers, column)
-        lengths = pool_in_graph(graph, skeleton, column) * side
+        unit = graph.Min(grid.height, grid.width).to("float64") / (ROWS * WIDTH)
+        area = graph.Slice(pool_in_graph(graph, layers, column), [0], [AREA_LAYERS], [1])
+        pooled = pool_in_graph(graph, edges, column)
+        lengths = graph.Slice(pooled, [0], [BOUNDARY_DIRECTIONS], [1]) * unit
+        cells = graph.Concat(area, lengths, axis=1)
     with graph.stage("harmonics"):
-        tables = harmonic_tables(config)
-        histogram = soft_histograms_in_graph(
-            graph, area, lengths, config.skeleton_weight, tables.bins
-        )
-        return coefficients_in_graph(graph, histogram, tables.basis, config.power)
+        tables, numbers = harmonic_tables(config), (config.harmonics, config.boundary_harmonics)
+        histogram = soft_histograms_in_graph(graph, cells, tables.bins)
+        return coefficients_in_graph(graph, histogram, tables.basis, numbers, config.power)
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:

@@ -23,13 +23,13 @@ class Settings(ctypes.Structure):
             (name, ctypes.c_double)
             for name in (
                 *("opening", "closing", "hole_area", "region_area", "radius", "inner_radius"),
-                *("skeleton_weight", "spectral_weight", "power"),
+                *("spectral_weight", "power"),
             )
         ),
         *(
             (name, ctypes.c_int32)
             for name in (
-                *("working_size", "rings", "sectors", "harmonics"),
+                *("working_size", "rings", "sectors", "harmonics", "boundary_harmonics"),
                 *("thinning", "context", "aggregation", "anchor"),
             )
         ),

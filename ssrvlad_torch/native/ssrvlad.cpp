@@ -48,6 +48,8 @@ constexpr Word LEFT = 0x0101010101010101, RIGHT = LEFT << 7, TOP = 0xff, BOTTOM 
 constexpr Size MOST_PIXELS = Size{1} << 31;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
+constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
+constexpr double BOUNDARY_WIDTH = 2;  // pixels across a straight boundary, each of which sees it
 
 inline int lowest_bit(Word word) {
 #if defined(__GNUC__)
@@ -975,6 +977,36 @@ SSRVLAD_CLONES bool pool(const Word *plane, const Grid &grid, Size shift, Cells 
   return seen;
 }
 
+// Six layers of eight: guard rail counts as building, parking as ground.
+void merge(Word *planes, const Grid &grid) {
+  for (Size i = 0; i < grid.words(); ++i) {
+    planes[i] |= planes[7 * grid.words() + i];
+    planes[2 * grid.words() + i] |= planes[6 * grid.words() + i];
+  }
+}
+
+// Adds, in four planes, where a boundary of a layer runs past a pixel: upright, level, rising to the
+// right, falling. A pixel sees its four diagonal neighbours; one at the edge of the image sees none.
+void add_boundaries(const Word *plane, const Grid &grid, Word *found) {
+  for (Size y = 1; y + 1 < grid.height; ++y)
+    for (Size i = 0; i < grid.pitch; ++i) {
+      const auto west = [&](const Word *row) { return row[i] << 1 | (i ? row[i - 1] >> 63 : 0); };
+      const auto east = [&](const Word *row) {
+        return row[i] >> 1 | (i + 1 < grid.pitch ? row[i + 1] << 63 : 0);
+      };
+      const Word *above = plane + (y - 1) * grid.pitch, *below = plane + (y + 1) * grid.pitch;
+      const Word nw = west(above), ne = east(above), sw = west(below), se = east(below);
+      const Word n = nw ^ ne, s = sw ^ se, w = nw ^ sw, e = ne ^ se;
+      const Word seen = grid.inside(i) & (i ? ALL : ~Word{1}) &
+                        ~(i == (grid.width - 1) / 64 ? Word{1} << (grid.width - 1) % 64 : 0);
+      Word *here = found + y * grid.pitch + i;
+      here[0] |= n & s & ~(w | e) & seen;
+      here[grid.words()] |= w & e & ~(n | s) & seen;
+      here[2 * grid.words()] |= ((n & w & ~(s | e)) | (s & e & ~(n | w))) & seen;
+      here[3 * grid.words()] |= ((n & e & ~(s | w)) | (s & w & ~(n | e))) & seen;
+    }
+}
+
 // The mean over each soft bin, as the bins that a cell counts in and how much. Ring n is centred on
 // radius * inner_radius ** (1 - n / (N - 1)) of the diagonal, sector m on the angle 2 pi m / M; each of
 // 4 x 4 samples of a cell counts in the two nearest rings and the two nearest sectors, linearly.
@@ -1038,7 +1070,7 @@ std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
     for (int v = 0; v < (s.sectors + 1) / 2; ++v)
       for (int sine = 0; sine <= (v ? 1 : 0); ++sine) waves.push_back({u * u + v * v, u, v, sine});
   std::sort(waves.begin(), waves.end());
-  waves.resize(static_cast<std::size_t>(s.harmonics));
+  waves.resize(static_cast<std::size_t>(std::max(s.harmonics, s.boundary_harmonics)));
   const auto total = static_cast<std::size_t>(s.rings * s.sectors);
   std::vector<double> basis(total * waves.size()), wave;
   for (std::size_t i = 0; i < waves.size(); ++i) {
@@ -1074,14 +1106,14 @@ Size area_pixels(double fraction, const Grid &grid) {
 // What one thread works in.
 struct Scratch {
   std::vector<std::uint8_t> categories;
-  Words layers, clean, skeleton, buffer;
+  Words layers, clean, boundaries, buffer;
   Regions regions;
   Tiles tiles, ends, crossings, more;
   Thinning thinning;
   std::vector<Point> references, context;
   RunningCounts running;
   std::vector<Size> around_points, around_centre, columns;
-  std::vector<double> values, histogram, length_histogram;
+  std::vector<double> values, histogram;
 };
 
 bool in_range(double value, double lowest, double highest) {
@@ -1092,15 +1124,17 @@ bool valid(const ssrvlad_settings &s) {
   const bool fractions =
       in_range(s.opening, 0, 0.5) && in_range(s.closing, 0, 0.5) && in_range(s.hole_area, 0, 1) &&
       in_range(s.region_area, 0, 1) && in_range(s.radius, 1e-300, 1) &&
-      in_range(s.inner_radius, 1e-300, 1) && in_range(s.skeleton_weight, 0, 100) &&
-      in_range(s.spectral_weight, 0, 4) && in_range(s.power, 0.5, 1);
+      in_range(s.inner_radius, 1e-300, 1) && in_range(s.spectral_weight, 0, 4) &&
+      in_range(s.power, 0.5, 1);
   const bool counts = in_range(s.working_size, 0, 1 << 14) && in_range(s.rings, 1, 64) &&
-                      in_range(s.sectors, 1, 360) && in_range(s.harmonics, 1, 1 << 12);
+                      in_range(s.sectors, 1, 360) && in_range(s.harmonics, 1, 1 << 12) &&
+                      in_range(s.boundary_harmonics, 1, 1 << 12);
   const bool choices = in_range(s.thinning, 0, 1) && in_range(s.context, 0, 1) &&
                        in_range(s.aggregation, 0, 1) && in_range(s.anchor, 0, 1);
   const int most = s.rings * (2 * ((s.sectors + 1) / 2) - 1);
   return fractions && counts && choices &&
-         (s.aggregation == SSRVLAD_RESIDUALS || s.harmonics <= most);
+         (s.aggregation == SSRVLAD_RESIDUALS ||
+          std::max(s.harmonics, s.boundary_harmonics) <= most);
 }
 
 bool valid(const ssrvlad_labels &labels) {
@@ -1167,8 +1201,9 @@ struct ssrvlad_head {
   }
 
   Size length() const {
-    const bool residuals = settings.aggregation == SSRVLAD_RESIDUALS;
-    return LAYERS * Size{residuals ? settings.rings * settings.sectors : settings.harmonics};
+    if (settings.aggregation == SSRVLAD_RESIDUALS)
+      return LAYERS * Size{settings.rings * settings.sectors};
+    return AREA_LAYERS * Size{settings.harmonics} + DIRECTIONS * Size{settings.boundary_harmonics};
   }
 
   Grid grid(Size height, Size width) const {
@@ -1179,7 +1214,6 @@ struct ssrvlad_head {
 
   // One image, from its layers to its descriptor.
   void describe(Scratch &s, const Grid &grid, float *descriptor) {
-    clean(s, grid);
     s.values.assign(static_cast<std::size_t>(length()), 0);
     if (settings.aggregation == SSRVLAD_RESIDUALS) residuals(s, grid);
     else harmonics(s, grid);
@@ -1225,6 +1259,7 @@ struct ssrvlad_head {
 
   void residuals(Scratch &s, const Grid &grid) {
     const std::shared_ptr<const Bins> bins = bins_of(grid);
+    clean(s, grid);
     for (int k = 0; k < LAYERS; ++k) {
       Point centre;
       if (!centroid(s.clean.data() + k * grid.words(), grid, centre)) continue;
@@ -1261,31 +1296,39 @@ struct ssrvlad_head {
   }
 
   void harmonics(Scratch &s, const Grid &grid) {
+    const Size words = grid.words();
+    merge(s.layers.data(), grid);
     const bool moved = settings.anchor == SSRVLAD_VANISHING_COLUMN;
-    const Size shift = moved ? vanishing_column(s.clean.data(), grid, s.columns) : 0;
-    const double side = static_cast<double>(std::min(grid.height, grid.width)) / CELL_ROWS;
-    s.skeleton.resize(static_cast<std::size_t>(grid.words()));
-    for (int k = 0; k < LAYERS; ++k) {
-      Cells area, lengths;
-      if (!pool(s.layers.data() + k * grid.words(), grid, shift, area) &&
-          !any(s.clean.data() + k * grid.words(), grid.words()))
-        continue;
-      thin(s, grid, k);
-      from_tiles(s.tiles, grid, s.skeleton.data());
-      pool(s.skeleton.data(), grid, shift, lengths);
-      for (double &length : lengths) length *= side;
-      soft_bins->means(area, s.histogram);
-      soft_bins->means(lengths, s.length_histogram);
-      double *held = s.values.data() + Size{k} * settings.harmonics;
-      for (std::size_t bin = 0; bin < soft_bins->total; ++bin) {
-        const double there = std::sqrt(s.histogram[bin]) +
-                             settings.skeleton_weight * std::sqrt(s.length_histogram[bin]);
-        const double *wave = basis.data() + bin * static_cast<std::size_t>(settings.harmonics);
-        for (int i = 0; i < settings.harmonics; ++i) held[i] += there * wave[i];
-      }
-      for (int i = 0; i < settings.harmonics; ++i)
-        held[i] = std::copysign(std::pow(std::abs(held[i]), settings.power), held[i]);
+    const Size shift = moved ? vanishing_column(s.layers.data(), grid, s.columns) : 0;
+    s.boundaries.assign(static_cast<std::size_t>(DIRECTIONS * words), 0);
+    double *held = s.values.data();
+    for (int k = 0; k < AREA_LAYERS; ++k, held += settings.harmonics) {
+      const Word *layer = s.layers.data() + k * words;
+      if (!any(layer, words)) continue;
+      add_boundaries(layer, grid, s.boundaries.data());
+      coefficients(s, layer, grid, shift, 1, settings.harmonics, held);
     }
+    const auto side = static_cast<double>(std::min(grid.height, grid.width)) / CELL_ROWS;
+    for (int d = 0; d < DIRECTIONS; ++d, held += settings.boundary_harmonics)
+      coefficients(s, s.boundaries.data() + d * words, grid, shift, side / BOUNDARY_WIDTH,
+                   settings.boundary_harmonics, held);
+  }
+
+  // What a plane adds to the descriptor: the coefficients of its soft histogram, damped.
+  void coefficients(Scratch &s, const Word *plane, const Grid &grid, Size shift, double unit,
+                    int count, double *held) {
+    Cells cells;
+    if (!pool(plane, grid, shift, cells)) return;
+    for (double &cell : cells) cell *= unit;
+    soft_bins->means(cells, s.histogram);
+    const std::size_t waves = basis.size() / soft_bins->total;
+    for (std::size_t bin = 0; bin < soft_bins->total; ++bin) {
+      const double there = std::sqrt(s.histogram[bin]);
+      const double *wave = basis.data() + bin * waves;
+      for (int i = 0; i < count; ++i) held[i] += there * wave[i];
+    }
+    for (int i = 0; i < count; ++i)
+      held[i] = std::copysign(std::pow(std::abs(held[i]), settings.power), held[i]);
   }
 
   // Tables of bins are kept for the last few sizes.
@@ -1380,9 +1423,10 @@ int ssrvlad_preset(const char *name, ssrvlad_settings *settings) {
   ssrvlad_settings s{};
   s.opening = 0.0, s.closing = 0.01, s.hole_area = 0.002, s.region_area = 0.0005;
   s.radius = 0.5, s.inner_radius = paper ? 1.0 / 16 : 1.0 / 6;
-  s.skeleton_weight = 0.1, s.spectral_weight = 1.0, s.power = 0.75;
+  s.spectral_weight = 1.0, s.power = 0.75;
   s.working_size = paper ? 0 : 120;
-  s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20, s.harmonics = 60;
+  s.rings = paper ? 5 : 6, s.sectors = paper ? 12 : 20;
+  s.harmonics = 64, s.boundary_harmonics = 24;
   s.thinning = SSRVLAD_ZHANG_SUEN, s.context = SSRVLAD_SKELETON;
   s.aggregation = paper ? SSRVLAD_RESIDUALS : SSRVLAD_HARMONICS;
   s.anchor = SSRVLAD_VANISHING_COLUMN;

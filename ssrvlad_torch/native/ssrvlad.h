@@ -34,9 +34,9 @@ enum { SSRVLAD_VANISHING_COLUMN = 0, SSRVLAD_MIDDLE = 1 };
 /* The settings of the method, by the names of SSRVLADConfig. */
 typedef struct ssrvlad_settings {
   double opening, closing, hole_area, region_area, radius, inner_radius;
-  double skeleton_weight, spectral_weight, power;
+  double spectral_weight, power;
   int32_t working_size; /* 0: the native size */
-  int32_t rings, sectors, harmonics;
+  int32_t rings, sectors, harmonics, boundary_harmonics;
   int32_t thinning, context, aggregation, anchor; /* of the enumerations above */
 } ssrvlad_settings;
 

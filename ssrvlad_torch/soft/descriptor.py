@@ -7,18 +7,21 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from ..bitplanes import Masks, unpack
+from ..bitplanes import unpack
 from ..config import SSRVLADConfig
 from ..front_end import FrontEnd
+from ..stages.boundaries import WIDTH
 from ..stages.grid_pooling import CELLS, ROWS
 from ..stages.harmonics import harmonic_tables
 from ..stages.layers import best_class
+from ..stages.residuals import masks_of
 from ..taxonomy import NO_LAYER
+from .stages.boundaries import soft_boundaries
 from .stages.centroid import soft_centroids, soft_points
 from .stages.grid_pooling import soft_pool
 from .stages.harmonics import soft_coefficients
 from .stages.keypoints import soft_keypoints
-from .stages.layers import are_probabilities, membership, soft_layers
+from .stages.layers import are_probabilities, membership, soft_layers, soft_merge
 from .stages.morphology import soft_open_and_close
 from .stages.reduction import soft_majority
 from .stages.regions import soft_regions
@@ -73,50 +76,48 @@ class SoftSSRVLAD(nn.Module):
         """0 to 1: fraction of the eroded skeleton, and of a bin that also counts in the next."""
         return float(1 - HARD_FRACTION**self.temperature)
 
-    def forward(self, scores: Tensor, masks: Masks | None = None) -> Tensor:
-        """The descriptors of a batch; ``masks`` are what the hard method sees of it, if known."""
+    def forward(self, scores: Tensor, layers: Tensor | None = None) -> Tensor:
+        """The descriptors of a batch; ``layers`` are those of the hard method, if known."""
         if scores.ndim != 4:
             raise ValueError(f"expected (B, C, H, W) class scores, got {tuple(scores.shape)}")
         with torch.autocast(scores.device.type, enabled=False):
             wide = scores.float() if scores.dtype in (torch.half, torch.bfloat16) else scores
-            return self._describe(wide, masks or self._seen(wide.detach()))
+            return self._describe(wide, self._seen(wide.detach()) if layers is None else layers)
 
-    def _seen(self, scores: Tensor) -> Masks:
-        """The hard masks; of probabilities, what is missing to 1 has no layer where it is most."""
-        masks = cast(Masks, self._front_end(scores))
+    def _seen(self, scores: Tensor) -> Tensor:
+        """The hard layers; of probabilities, what is missing to 1 has none where it is most."""
+        layers = cast(Tensor, self._front_end(scores))
         classes = self._front_end.label_space.classes
         no_layer = [label.id for label in classes if label.category_index == NO_LAYER]
         if not (no_layer and are_probabilities(scores)):
-            return masks
+            return layers
         void = 1 - scores.sum(1) > scores.amax(1)
         if not bool(void.any()):
-            return masks
+            return layers
         void_or_best = best_class(scores).masked_fill(void, no_layer[0])
-        return cast(Masks, self._front_end(void_or_best))
+        return cast(Tensor, self._front_end(void_or_best))
 
-    def _describe(self, scores: Tensor, masks: Masks) -> Tensor:
-        config, grid = self.config, (masks.clean.shape[1], masks.clean.shape[2])
-        radii = [config.radius_pixels(part, *grid) for part in (config.opening, config.closing)]
-
+    def _describe(self, scores: Tensor, hard: Tensor) -> Tensor:
         members = membership(self._front_end.label_space, scores.shape[1])
         layers = soft_layers(scores, members, self.temperature)  # Table II
-        layers = soft_majority(layers, grid, self.temperature)
+        layers = soft_majority(layers, self.config.grid(*scores.shape[2:]), self.temperature)
+        if self.config.aggregation == "harmonics":
+            return self._harmonics(layers)
+        return self._residuals(layers, hard)
+
+    def _residuals(self, layers: Tensor, hard: Tensor) -> Tensor:
+        """Eq. 2 in one correlation: each keypoint counts, the centre as often less."""
+        config, grid = self.config, (layers.shape[2], layers.shape[3])
+        radii = [config.radius_pixels(part, *grid) for part in (config.opening, config.closing)]
+        masks = masks_of(hard, config)
         clean = soft_open_and_close(layers, *radii)
         clean = soft_regions(clean, unpack(masks.closed), unpack(masks.clean))
-
         skeleton = soft_skeleton(clean, unpack(masks.skeleton), self.softness)
-        if config.aggregation == "residuals":
-            return self._residuals(clean, skeleton)
-        return self._harmonics(layers, clean, skeleton)
-
-    def _residuals(self, clean: Tensor, skeleton: Tensor) -> Tensor:
-        """Eq. 2 in one correlation: each keypoint counts, the centre as often less."""
-        config, grid = self.config, (clean.shape[2], clean.shape[3])
         keypoints = soft_keypoints(skeleton)
         centres = soft_points(soft_centroids(clean), *grid)  # Eq. 1
         context = skeleton if config.context == "skeleton" else keypoints
 
-        masks = bin_masks(
+        bins = bin_masks(
             *grid,
             config.ring_limits(*grid),
             config.sectors,
@@ -125,21 +126,22 @@ class SoftSSRVLAD(nn.Module):
             clean.device,
         )
         references = keypoints - keypoints.sum((2, 3), keepdim=True) * centres
-        return soft_aggregate(soft_shape_contexts(references, context, masks))  # Eq. 2
+        return soft_aggregate(soft_shape_contexts(references, context, bins))  # Eq. 2
 
-    def _harmonics(self, layers: Tensor, clean: Tensor, skeleton: Tensor) -> Tensor:
+    def _harmonics(self, layers: Tensor) -> Tensor:
         """The coefficients of the soft histograms around the anchor."""
-        config = self.config
-        column = clean.new_zeros(len(clean))
+        config, layers = self.config, soft_merge(layers)
+        column = layers.new_zeros(len(layers))
         if config.anchor == "vanishing-column":
-            column = soft_vanishing_columns(clean)
-        bins, basis = (table.to(clean) for table in self._tables)
+            column = soft_vanishing_columns(layers)
+        bins, basis = (table.to(layers) for table in self._tables)
+        unit = min(layers.shape[2:]) / ROWS / WIDTH
         return soft_coefficients(
             soft_pool(layers, column, CELLS),
-            soft_pool(skeleton, column, CELLS) * (min(clean.shape[2:]) / ROWS),
-            config.skeleton_weight,
+            soft_pool(soft_boundaries(layers), column, CELLS) * unit,
             bins,
             basis,
+            (config.harmonics, config.boundary_harmonics),
             config.power,
         )
 

@@ -1,10 +1,10 @@
-"""Harmonics: one soft shape context of each layer, told by coefficients of smooth functions.
+"""Harmonics: soft shape contexts of area and boundaries, told by coefficients of smooth functions.
 
 The paper's N log-spaced rings and M sectors are laid around one point, with soft bins: a cell
 counts in the two nearest rings and the two nearest sectors. What moves a little then changes the
 histogram a little. Not in the paper.
 
-It is one of the two aggregations, which are made of other stages: masks -> histograms ->
+It is one of the two aggregations, which are made of other stages: layers -> histograms ->
 descriptor. `residuals` is the other.
 """
 
@@ -17,9 +17,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..bitplanes import Masks
-from ..config import SSRVLADConfig
+from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig
+from .boundaries import WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
+from .layers import merge
 from .vanishing_column import vanishing_columns
 
 _SAMPLES = 4
@@ -30,7 +31,8 @@ class HarmonicHistograms(NamedTuple):
     """What stands in the soft bins around the anchor.
 
     Attributes:
-        bins: ``(B, 8, N, M)`` float64, 0 or more.
+        bins: ``(B, 10, N, M)`` float64, 0 or more: the areas of six layers, then the lengths of
+            the boundaries in four directions.
         column: ``(B,)`` int64, columns of the working grid from the middle of the image to the
             anchor, negative to the left.
     """
@@ -62,29 +64,31 @@ class Harmonics(nn.Module):
         for name, table in harmonic_tables(config)._asdict().items():
             self.register_buffer(name, table.view(torch.int64), persistent=False)
 
-    def histograms(self, masks: Masks, shift: int = 0) -> HarmonicHistograms:
-        """The soft histogram of each layer's area and skeleton around the anchor.
+    def histograms(self, layers: Tensor, shift: int = 0) -> HarmonicHistograms:
+        """The soft histograms of areas and boundaries around the anchor.
 
         Args:
-            masks: of B images.
+            layers: ``(B, h, w)`` uint8 bit-planes.
             shift: columns by which the anchor is moved to the right.
         """
-        config, (images, *grid) = self.config, masks.clean.shape
-        column = torch.zeros(images, dtype=torch.int64, device=masks.clean.device)
+        config, (images, *grid) = self.config, layers.shape
+        layers = merge(layers)
+        column = torch.zeros(images, dtype=torch.int64, device=layers.device)
         if config.anchor == "vanishing-column":
-            column = vanishing_columns(masks.clean)
+            column = vanishing_columns(layers)
         column = column + shift
 
-        area = pool(masks.layers, column)
-        lengths = pool(masks.skeleton, column) * (min(grid) / ROWS)
-        table = self._table("bins", column.device)
-        bins = soft_histograms(area, lengths, config.skeleton_weight, table)
+        area = pool(layers, column)[:, :AREA_LAYERS]
+        lengths = pool(boundaries(layers), column)[:, :BOUNDARY_DIRECTIONS]
+        cells = torch.cat((area, lengths * (min(grid) / ROWS / WIDTH)), 1)
+        bins = soft_histograms(cells, self._table("bins", column.device))
         return HarmonicHistograms(bins.view(images, -1, config.rings, config.sectors), column)
 
     def descriptor(self, histograms: HarmonicHistograms) -> Tensor:
-        """``(B, 8 * harmonics)`` float32 descriptors."""
-        bins = histograms.bins.flatten(2)
-        return coefficients(bins, self._table("basis", bins.device), self.config.power)
+        """``(B, 6 * harmonics + 4 * boundary_harmonics)`` float32 descriptors."""
+        bins, config = histograms.bins.flatten(2), self.config
+        numbers = config.harmonics, config.boundary_harmonics
+        return coefficients(bins, self._table("basis", bins.device), numbers, config.power)
 
     def _table(self, name: str, device: torch.device) -> Tensor:
         return self.get_buffer(name).to(device).view(torch.float64)
@@ -95,45 +99,52 @@ def harmonic_tables(config: SSRVLADConfig) -> Tables:
     """The tables of a config, no inference tensors wherever they are made."""
     return Tables(
         bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
-        basis_table(config.rings, config.sectors, config.harmonics, config.spectral_weight),
+        basis_table(
+            config.rings,
+            config.sectors,
+            max(config.harmonics, config.boundary_harmonics),
+            config.spectral_weight,
+        ),
     )
 
 
-def soft_histograms(area: Tensor, skeleton: Tensor, skeleton_weight: float, bins: Tensor) -> Tensor:
-    """What stands in every bin of every layer.
+def soft_histograms(cells: Tensor, bins: Tensor) -> Tensor:
+    """What stands in every bin: the square root of the mean over its cells.
 
-    The square root of the fraction of the bin that the layer covers, plus the weighted square
-    root of the length of its skeleton there, per cell and in sides of a cell. The root is
-    Hellinger's: much of a layer must not drown little of another.
+    The root is Hellinger's: much of a layer must not drown little of another.
 
     Args:
-        area: ``(B, 8, rows, columns)`` float64, the fraction of each cell that a layer covers.
-        skeleton: likewise, lengths of their skeletons.
-        skeleton_weight: 0 or more.
+        cells: ``(B, 10, rows, columns)`` float64, the fraction of each cell that a layer covers,
+            and the length of the boundaries in it in sides of a cell.
         bins: `bin_table`.
 
     Returns:
-        ``(B, 8, N * M)`` float64.
+        ``(B, 10, N * M)`` float64.
     """
-    covered, lengths = (area.flatten(2) @ bins.T).sqrt(), (skeleton.flatten(2) @ bins.T).sqrt()
-    return covered + skeleton_weight * lengths
+    return (cells.flatten(2) @ bins.T).sqrt()
 
 
-def coefficients(histogram: Tensor, basis: Tensor, power: float) -> Tensor:
+def coefficients(
+    histogram: Tensor, basis: Tensor, numbers: tuple[int, int], power: float
+) -> Tensor:
     """The descriptor of each image: the coefficients of its histograms in the basis.
 
     Args:
-        histogram: ``(B, 8, N * M)`` float64 from `soft_histograms`.
+        histogram: ``(B, 10, N * M)`` float64 from `soft_histograms`.
         basis: `basis_table`.
+        numbers: of coefficients of each area and of each direction.
         power: exponent of the power normalisation: each number's size is raised to it, its sign
             kept.
 
     Returns:
-        ``(B, 8 * harmonics)`` float32 of length 1; exact zeros for an image without layers.
+        ``(B, 6 * numbers[0] + 4 * numbers[1])`` float32 of length 1; exact zeros for an image
+        without layers.
     """
     found = histogram @ basis.T
-    damped = (found.sign() * found.abs() ** power).flatten(1)
-    return F.normalize(damped, dim=1).float()
+    of_area, of_boundaries = numbers
+    area, length = found[:, :AREA_LAYERS, :of_area], found[:, AREA_LAYERS:, :of_boundaries]
+    kept = torch.cat((area.flatten(1), length.flatten(1)), 1)
+    return F.normalize(kept.sign() * kept.abs() ** power, dim=1).float()
 
 
 def bin_table(

@@ -1,7 +1,7 @@
 """Residuals: how each layer's histograms differ from the one around its centre (Eq. 2).
 
-It is one of the two aggregations, which are made of other stages: masks -> histograms ->
-descriptor. `harmonics` is the other.
+It is one of the two aggregations, which are made of other stages: layers -> clean layers ->
+skeletons -> keypoints -> histograms -> descriptor. `harmonics` is the other.
 """
 
 from __future__ import annotations
@@ -14,8 +14,11 @@ from torch import Tensor
 from ..bitplanes import Masks, count_points, points
 from ..config import SSRVLADConfig
 from .centroid import centroids
+from .components import drop_regions, fill_holes
 from .keypoints import end_points, intersections
+from .morphology import open_and_close
 from .shape_context import log_polar_bins, shape_contexts
+from .skeleton import RULES, thin
 
 
 class ResidualHistograms(NamedTuple):
@@ -42,14 +45,19 @@ class Residuals:
     def __init__(self, config: SSRVLADConfig) -> None:
         self.config = config
 
-    def histograms(self, masks: Masks) -> ResidualHistograms:
-        """Shape contexts around the keypoints and the centre of each layer."""
-        config, (images, *grid) = self.config, masks.clean.shape
+    def histograms(self, layers: Tensor) -> ResidualHistograms:
+        """Shape contexts around the keypoints and the centre of each layer.
+
+        Args:
+            layers: ``(B, h, w)`` uint8 bit-planes.
+        """
+        config, (images, *grid) = self.config, layers.shape
+        masks = masks_of(layers, config)
         keypoints = points(end_points(masks.skeleton) | intersections(masks.skeleton))
         centres = centroids(masks.clean)  # Eq. 1
         context = points(masks.skeleton) if config.context == "skeleton" else keypoints
 
-        limits, device = config.ring_limits(*grid), masks.clean.device
+        limits, device = config.ring_limits(*grid), layers.device
         bins = log_polar_bins(*grid, limits, config.sectors, device)
         around_points = shape_contexts(keypoints, context, bins, images)
         around_centre = shape_contexts(centres, context, bins, images)
@@ -60,6 +68,18 @@ class Residuals:
     def descriptor(self, histograms: ResidualHistograms) -> Tensor:
         """``(B, 8 * N * M)`` float32 descriptors."""
         return aggregate(*histograms)  # Eq. 2
+
+
+def masks_of(layers: Tensor, config: SSRVLADConfig) -> Masks:
+    """The masks of ``(B, h, w)`` uint8 bit-planes: opened and closed, small enclosed holes filled
+    and small regions dropped, thinned."""
+    grid = layers.shape[1], layers.shape[2]
+    opening = config.radius_pixels(config.opening, *grid)
+    closing = config.radius_pixels(config.closing, *grid)
+    closed = open_and_close(layers, opening, closing)
+    filled = fill_holes(closed, config.area_pixels(config.hole_area, *grid))
+    clean = drop_regions(filled, config.area_pixels(config.region_area, *grid))
+    return Masks(layers, closed, clean, thin(clean, RULES[config.thinning]))
 
 
 def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import torch
 from torch import Tensor
 
 FAINT = 1e-3
@@ -16,25 +17,32 @@ that of an image in which next to nothing is seen."""
 
 def soft_coefficients(
     area: Tensor,
-    skeleton: Tensor,
-    skeleton_weight: float,
+    lengths: Tensor,
     bins: Tensor,
     basis: Tensor,
+    numbers: tuple[int, int],
     power: float,
 ) -> Tensor:
     """The descriptor of each image: the coefficients of its histograms in the basis.
 
     Args:
-        area, skeleton: ``(B, 8, rows, columns)`` from `soft_pool`, the latter in sides of a cell.
-        skeleton_weight, bins, basis, power: as for `soft_histograms` and `coefficients`.
+        area: ``(B, 6, rows, columns)`` from `soft_pool`.
+        lengths: ``(B, 4, rows, columns)``, of the boundaries, in sides of a cell.
+        bins, basis, numbers, power: as for `soft_histograms` and `coefficients`.
 
     Returns:
-        ``(B, 8 * harmonics)`` of length 1 at most; zeros for an image without layers.
+        ``(B, 6 * numbers[0] + 4 * numbers[1])`` of length 1 at most; zeros for an image without
+        layers.
     """
-    covered, lengths = (safe_root(cells.flatten(2) @ bins.T) for cells in (area, skeleton))
-    found = (covered + skeleton_weight * lengths) @ basis.T
+    found = torch.cat(
+        [
+            (safe_root(cells.flatten(2) @ bins.T) @ basis[:number].T).flatten(1)
+            for cells, number in zip((area, lengths), numbers, strict=True)
+        ],
+        1,
+    )
     damping = (found.square() + FAINT * FAINT) ** ((power - 1) / 2)
-    damped: Tensor = (found * damping).flatten(1)
+    damped: Tensor = found * damping
     return damped / (damped.square().sum(1, keepdim=True) + LEAST * LEAST).sqrt()
 
 

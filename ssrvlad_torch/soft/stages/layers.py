@@ -42,6 +42,12 @@ def soft_layers(scores: Tensor, members: Tensor, temperature: float) -> Tensor:
     return torch.einsum("bchw,ck->bkhw", classes, members.to(classes))
 
 
+def soft_merge(layers: Tensor) -> Tensor:
+    """``(B, 6, h, w)`` of ``(B, 8, h, w)``, see `merge`."""
+    ground, sidewalk, building, pole, vegetation, sky, rail, parking = layers.unbind(1)
+    return torch.stack((ground + parking, sidewalk, building + rail, pole, vegetation, sky), 1)
+
+
 def are_probabilities(scores: Tensor) -> bool:
     """Whether ``(B, C, H, W)`` scores are probabilities over the classes: none is below 0, and they
     sum to 1, or to less at pixels that have no class."""

@@ -18,7 +18,7 @@ def soft_vanishing_columns(layers: Tensor) -> Tensor:
     """How many columns right of the middle the street's vanishing column is, in each image.
 
     Args:
-        layers: ``(B, 8, h, w)`` clean layers, 0 to 1.
+        layers: ``(B, K, h, w)``, 0 to 1.
 
     Returns:
         ``(B,)``, negative to the left; `vanishing_columns` rounds it.
