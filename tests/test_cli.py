@@ -221,8 +221,8 @@ TERMINAL = (
 """The command line as a terminal starts it; what runs in the background ignores SIGINT."""
 
 
-def interrupt(folder: Path, begun: str, *arguments: str) -> tuple[int, str]:
-    """Runs a command in a process of its own and sends it SIGINT once a file is there."""
+def interrupt(folder: Path, begun: str, number: int, *arguments: str) -> tuple[int, str]:
+    """Runs a command in a process of its own and sends it a signal once a file is there."""
     command = [sys.executable, "-c", TERMINAL, *arguments]
     environment = {**os.environ, "XDG_CACHE_HOME": str(folder / "cache")}
     with subprocess.Popen(
@@ -232,7 +232,7 @@ def interrupt(folder: Path, begun: str, *arguments: str) -> tuple[int, str]:
             assert process.poll() is None, process.stderr.read()
             time.sleep(0.01)
         time.sleep(0.5)
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         return process.wait(), process.stderr.read().decode()
 
 
@@ -250,8 +250,14 @@ def test_ctrl_c_during_an_import(module):
     assert (done.returncode, done.stderr) == (130, "ssrvlad: interrupted\n")
 
 
-@pytest.mark.parametrize("segmenter", [(), ("--segmenter", "net.yaml")])
-def test_ctrl_c(tmp_path, segmenter):
+@pytest.mark.parametrize(
+    ("segmenter", "number", "end"),
+    [
+        ((), signal.SIGTERM, (143, "ssrvlad: terminated\n")),
+        (("--segmenter", "net.yaml"), signal.SIGINT, (130, "ssrvlad: interrupted\n")),
+    ],
+)
+def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
     """The frames that are done land; a run afterwards goes on from there."""
     maps = write_maps(tmp_path / "maps", range(1))
     write_graph(tmp_path / "net.onnx")
@@ -263,6 +269,6 @@ def test_ctrl_c(tmp_path, segmenter):
     for number in range(2000):
         (tmp_path / "drive" / f"{number}.png").symlink_to(first)
     command = ("encode", "drive", "-o", "db", *CAMVID.split(), *segmenter)
-    code, err = interrupt(tmp_path, "cache/**/*.png" if segmenter else "db/_versions/*", *command)
-    assert (code, err) == (130, "ssrvlad: interrupted\n")
+    begun = "cache/**/*.png" if segmenter else "db/_versions/*"
+    assert interrupt(tmp_path, begun, number, *command) == end
     assert len(Database.open(tmp_path / "db")) < 2000

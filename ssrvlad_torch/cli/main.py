@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
+import warnings
 
 WRONG_USE = 2
 INTERRUPTED = 128 + signal.SIGINT
@@ -25,6 +26,7 @@ def main() -> None:
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
+    warnings.filterwarnings("ignore", "Image size .* exceeds limit")  # Pillow's; ours is an error
     try:
         code = _run(arguments, debug=len(arguments) < len(sys.argv) - 1)
         sys.stdout.flush()

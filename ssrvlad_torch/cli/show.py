@@ -13,7 +13,7 @@ from ..config import AREA_LAYERS
 from ..datasets.label_files import LabelMap
 from ..descriptor import SSRVLAD
 from ..explanation import Explanation
-from ..files import replacing
+from ..files import check_output, replacing
 from ..stages.harmonics import HarmonicHistograms
 from ..taxonomy import CATEGORIES, colourise
 
@@ -60,6 +60,7 @@ def draw(labels: LabelMap, head: SSRVLAD, path: Path, title: str) -> None:
         from matplotlib.figure import Figure
     except ImportError as error:
         raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
+    check_output(path)
     view = head.explain(torch.from_numpy(labels.astype(np.int64))[None])
     figure = Figure(figsize=(17, 9), layout="constrained")
     halves = figure.add_gridspec(1, 2, width_ratios=(1, 1.7))

@@ -11,9 +11,8 @@ from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
-from numpy.lib.format import open_memmap
-
 from ..database.frames import natural_key
+from ..untrusted import check_regular, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile
 from .gps import read_exif
@@ -231,12 +230,14 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
     """Frames in a ``.npy`` stack; ``None`` for a single one or a file that cannot be read,
     which is named and skipped when its turn comes."""
     try:
-        array = open_memmap(path, mode="r")
+        check_regular(path)
+        with path.open("rb") as file:
+            shape = npy_header(file)[0]
     except Exception:  # what damaged bytes raise has no bounds
         return None
-    if array.ndim != kind.stack_rank:
+    if len(shape) != kind.stack_rank:
         return None
-    return len(array) if array.size else 0
+    return shape[0] if math.prod(shape) else 0
 
 
 def _with_poses(files: list[FrameFile]) -> Iterator[FrameFile]:

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+import io
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 from ..files import absolute_folder, replacing
+from ..untrusted import read_text
 from .gps import Fix, eastings_northings, heading_of_course
 
 FILE_NAME = "poses.csv"
+
+Place = TypeVar("Place")
 
 
 class Pose(NamedTuple):
@@ -47,19 +52,21 @@ def read_poses(path: Path) -> dict[str, Pose]:
         ValueError: the file is no such table, a column is missing or a value is no number; the
             message names the file, and the line.
     """
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        rows = csv.DictReader(file, restval="", skipinitialspace=True)
-        try:
-            columns = set(rows.fieldnames or ())
-            if {"frame", "latitude", "longitude"} <= columns:
-                fixes = {row["frame"]: _fix(row) for row in rows}
-                return dict(zip(fixes, poses_of_fixes([*fixes.values()]), strict=True))
-            missing = {"frame", "x", "y"} - columns
-            if missing:
-                raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
-            return {row["frame"]: _pose(row) for row in rows}
-        except (csv.Error, ValueError) as error:
-            raise ValueError(f"{path} line {rows.line_num}: {error}") from error
+    rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
+    try:
+        columns = rows.fieldnames or ()
+        twice = next((column for column in columns if columns.count(column) > 1), None)
+        if twice is not None:
+            raise ValueError(f"two columns {twice!r}")
+        if {"frame", "latitude", "longitude"} <= set(columns):
+            fixes = _by_frame(rows, _fix)
+            return dict(zip(fixes, poses_of_fixes([*fixes.values()]), strict=True))
+        missing = {"frame", "x", "y"} - set(columns)
+        if missing:
+            raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
+        return _by_frame(rows, _pose)
+    except (csv.Error, ValueError) as error:
+        raise ValueError(f"{path} line {rows.line_num}: {error}") from error
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
@@ -80,10 +87,31 @@ def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
     return [Pose(*place, heading_of_course(fix.course)) for place, fix in places]
 
 
+def _by_frame(
+    rows: Iterable[dict[str, str]], place: Callable[[dict[str, str]], Place]
+) -> dict[str, Place]:
+    """The place of each frame, which may be told twice if it is the same."""
+    places: dict[str, Place] = {}
+    for row in rows:
+        found = place(row)
+        earlier = places.setdefault(row["frame"], found)
+        if repr(earlier) != repr(found):  # in which NaN is as NaN
+            raise ValueError(f"frame {row['frame']!r} is at two places")
+    return places
+
+
 def _fix(row: dict[str, str]) -> Fix:
-    course = float(row.get("course") or "nan")
-    return Fix(float(row["latitude"]), float(row["longitude"]), course)
+    return Fix(_number(row, "latitude"), _number(row, "longitude"), _number(row, "course"))
 
 
 def _pose(row: dict[str, str]) -> Pose:
-    return Pose(float(row["x"]), float(row["y"]), float(row.get("heading") or "nan"))
+    return Pose(_number(row, "x"), _number(row, "y"), _number(row, "heading"))
+
+
+def _number(row: dict[str, str], column: str) -> float:
+    """What is in a column; only a direction may be missing."""
+    text = row.get(column) or ""
+    value = float(text or "nan") if column in ("heading", "course") else float(text)
+    if math.isinf(value):
+        raise ValueError(f"{column} is {text}; expected a finite number")
+    return value

@@ -9,6 +9,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
+from ..untrusted import check_pixels
+
 _IMAGENET_MEAN = (0.485, 0.456, 0.406)
 _IMAGENET_STD = (0.229, 0.224, 0.225)
 
@@ -51,6 +53,7 @@ class SegmenterConfig:
             raise ValueError(
                 f"size must be height and width in pixels, or the shorter side, got {self.size!r}"
             )
+        check_pixels(sides[0], sides[-1])
         if self.longest is not None and not _are_numbers((self.longest,), 1, int, above=0):
             raise ValueError(f"longest must be a number of pixels, got {self.longest!r}")
         if not _are_numbers((self.multiple,), 1, int, above=0):

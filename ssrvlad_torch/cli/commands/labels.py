@@ -57,5 +57,5 @@ def _is_space(name: str) -> bool:
         return False
     from pathlib import Path
 
-    path = Path(name)
-    return not path.is_file() or "network" not in (read_yaml(path) or {})
+    document = read_yaml(name) if Path(name).is_file() else None
+    return not isinstance(document, dict) or "network" not in document

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ...files import replacing
+from ...files import check_output, replacing
 from ..curves import PrecisionRecall
 from ..metrics import FIGURES, precision_recall_curve
 from .charts import (
@@ -66,10 +66,7 @@ def require_place(path: Path) -> None:
     Raises:
         ValueError: the folder is missing, or a folder stands where the page is to be.
     """
-    if not path.parent.is_dir():
-        raise ValueError(f"cannot write the report {path}: there is no folder {path.parent}")
-    if path.is_dir():
-        raise ValueError(f"cannot write the report {path}: it is a folder")
+    check_output(path)
 
 
 def write_report(path: Path, report: Report) -> None:

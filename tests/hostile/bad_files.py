@@ -1,0 +1,119 @@
+"""Hostile and damaged files, small to write: each function writes one and returns its path."""
+
+from __future__ import annotations
+
+import io
+import os
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+from numpy.lib import format as npy
+
+ALIASES = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{name}: &{name} [{', '.join([f'*{before}'] * 9)}]\n"
+    for before, name in zip("abcdefgh", "bcdefghi", strict=True)
+)
+"""A YAML document of 0.4 kB that stands for 9 ** 9 texts."""
+
+NESTED = "[" * 100_000
+"""Deeper than any parser goes."""
+
+
+def text(path: Path, content: str) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content)
+    return path
+
+
+def pipe(path: Path) -> Path:
+    """A FIFO that nobody writes to: who opens it waits for ever."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    os.mkfifo(path)
+    return path
+
+
+def endless(path: Path) -> Path:
+    """A link to a device that never ends."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.symlink_to("/dev/zero")
+    return path
+
+
+def png(path: Path, side: int = 13_000, colours: int = 0) -> Path:
+    """A PNG of ``side ** 2`` black pixels: 170 million in 165 kB. Gray, or of 3 channels."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    row = b"\0" * (1 + side * (3 if colours else 1))
+    packer = zlib.compressobj(9)
+    data = b"".join(packer.compress(row) for _ in range(side)) + packer.flush()
+    header = struct.pack(">IIBBBBB", side, side, 8, colours, 0, 0, 0)
+    path.write_bytes(
+        b"\x89PNG\r\n\x1a\n"
+        + _chunk(b"IHDR", header)
+        + _chunk(b"IDAT", data)
+        + _chunk(b"IEND", b"")
+    )
+    return path
+
+
+def tiff(path: Path, side: int = 13_000) -> Path:
+    """A deflated TIFF of ``side ** 2`` black pixels."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    packer = zlib.compressobj(9)
+    data = b"".join(packer.compress(b"\0" * side) for _ in range(side)) + packer.flush()
+    entries = [
+        (256, 4, side),
+        (257, 4, side),
+        (258, 3, 8),
+        (259, 3, 8),
+        (262, 3, 1),
+        (273, 4, 8),
+        (277, 3, 1),
+        (278, 4, side),
+        (279, 4, len(data)),
+    ]
+    folder = struct.pack("<H", len(entries))
+    for tag, kind, value in entries:
+        folder += struct.pack("<HHII", tag, kind, 1, value)
+    path.write_bytes(b"II*\0" + struct.pack("<I", 8 + len(data)) + data + folder + b"\0\0\0\0")
+    return path
+
+
+def array(path: Path, shape: tuple[int, ...], content: bytes = b"", dtype: str = "|u1") -> Path:
+    """A ``.npy`` whose header promises a shape, whatever follows it."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    file = io.BytesIO()
+    header = {"descr": dtype, "fortran_order": False, "shape": shape}
+    npy.write_array_header_1_0(file, header)
+    path.write_bytes(file.getvalue() + content)
+    return path
+
+
+def archive(path: Path, size: int = 6_000_000_000) -> Path:
+    """A ``.npz`` of 6 GB of zeros in 6 MB."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    head = io.BytesIO()
+    npy.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": (1, size)})
+    zeros = b"\0" * (1 << 24)
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as target,
+        target.open("x.npy", "w", force_zip64=True) as file,
+    ):
+        file.write(head.getvalue())
+        for _ in range(size // len(zeros)):
+            file.write(zeros)
+        file.write(zeros[: size % len(zeros)])
+    return path
+
+
+def ones(path: Path, shape: tuple[int, ...], dtype: str = "uint8") -> Path:
+    """An honest array."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.save(path, np.ones(shape, dtype))
+    return path
+
+
+def _chunk(kind: bytes, data: bytes) -> bytes:
+    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))

@@ -1,0 +1,268 @@
+"""One table for each door: what comes in, the line that says so, the exit code.
+
+A line of a table: how the file is made, the command, what its one line says. ``maps`` is a folder
+of label maps, ``town.ssrdb`` a database of them, ``bad`` what the line makes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import bad_files as bad
+import pytest
+from drives import write_maps, write_photos
+
+SPACE = "name: own\nsource: here\nclasses:\n  - {id: 0, name: sky, category: sky"
+Make = Callable[[Path], object]
+
+SKIPPED = 3
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """What a command needs beside the bad file; made once."""
+    from ssrvlad_torch.encoding.encoder import encode_to_database  # noqa: F401 - in the way of a fork
+
+    return tmp_path_factory.mktemp("hostile")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch, ssrvlad, kept):
+    monkeypatch.chdir(tmp_path)
+    if not (kept / "town.ssrdb").exists():
+        write_maps(kept / "maps", range(3))
+        write_photos(kept / "photos", range(2))
+        database = ("encode", kept / "maps", "-o", kept / "town.ssrdb", "--labels-as", "camvid-11")
+        assert ssrvlad(*database)[0] == 0
+        assert ssrvlad("export", "-o", kept / "head.onnx", "--labels-as", "camvid-11")[0] == 0
+    for name in ("maps", "photos", "town.ssrdb"):
+        shutil.copytree(kept / name, tmp_path / name)
+    shutil.copy(kept / "head.onnx", tmp_path)
+    return tmp_path
+
+
+def one_line(ssrvlad, command: str, message: str, expected: int = 2) -> None:
+    code, _, err = ssrvlad(*command.split())
+    assert (code, len(err)) == (expected, 1), err
+    assert message in err[0]
+    assert err[0].isprintable()
+
+
+LABEL_MAPS: list[tuple[Make, str]] = [
+    (lambda p: bad.png(p / "x.png"), "has 13000 x 13000 pixels; expected at most 64000000"),
+    (lambda p: bad.tiff(p / "x.tif"), "has 13000 x 13000 pixels"),
+    (lambda p: bad.array(p / "x.npy", (4000, 5000), b"1"), "has 1 bytes for an array"),
+    (lambda p: bad.array(p / "x.npy", (1 << 40, 1 << 40)), "has 0 bytes for an array"),
+    (lambda p: bad.array(p / "x.npy", (2, 2), b"1234", "|O"), "holds Python objects"),
+    (lambda p: bad.ones(p / "x.npy", (2, 2), "complex128"), "expected an (H, W) integer label map"),
+    (lambda p: bad.ones(p / "x.npy", (0, 3)), "expected an (H, W) integer label map"),
+    (lambda p: bad.text(p / "x.png", "no picture"), "cannot identify the image"),
+    (lambda p: bad.text(p / "x.png", ""), "cannot identify the image"),
+    (lambda p: bad.text(p / "x.npy", "\x93NUMPY" + "\0" * 40), "x.npy"),
+    (lambda p: (p / "x.png").symlink_to("nowhere"), "No such file"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), LABEL_MAPS)
+def test_label_maps(here, ssrvlad, make, message):
+    bad_folder = here / "bad"
+    bad_folder.mkdir()
+    make(bad_folder)
+    code, _, err = ssrvlad(
+        *["encode", "maps", "bad", "-o", "new.ssrdb", "--labels-as", "camvid-11"]
+    )
+    assert (code, len(err)) == (SKIPPED, 1), err
+    assert message in err[0] or message == "x.npy"
+    assert "bad/x" in err[0]
+
+
+WAITING: list[tuple[Make, str]] = [
+    (lambda p: bad.pipe(p / "bad" / "x.png"), "bad"),
+    (lambda p: bad.endless(p / "bad" / "x.png"), "bad"),
+    (lambda p: bad.array(p / "bad" / "x.npy", (10**7, 0, 0)), "bad"),
+    (lambda p: bad.pipe(p / "bad" / "x.npy"), "bad"),
+]
+
+
+@pytest.mark.parametrize(("make", "name"), WAITING)
+def test_what_is_no_file_is_no_frame(here, ssrvlad, make, name):
+    make(here)
+    one_line(ssrvlad, f"encode {name} -o new.ssrdb --labels-as camvid-11", "label maps")
+    alone = next((here / name).iterdir())
+    code, _, err = ssrvlad("encode", alone, "-o", "new.ssrdb", "--labels-as", "camvid-11")
+    assert code in (2, SKIPPED)
+    assert alone.name in err[0]
+
+
+PICTURES: list[tuple[Make, str]] = [
+    (lambda p: bad.png(p / "x.png", colours=2), "has 13000 x 13000 pixels"),
+    (lambda p: bad.tiff(p / "x.tif"), "has 13000 x 13000 pixels"),
+    (lambda p: bad.array(p / "x.npy", (1 << 30, 1 << 30, 3)), "has 0 bytes for an array"),
+    (lambda p: bad.pipe(p / "x.jpg"), "is a pipe; expected a file"),
+    (lambda p: bad.endless(p / "x.jpg"), "is a device; expected a file"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), PICTURES)
+def test_pictures(here, make, message):
+    from ssrvlad_torch.datasets.frame_file import FrameFile
+    from ssrvlad_torch.datasets.image_files import read_image
+
+    path = make(here)
+    with pytest.raises(ValueError, match=r"\S") as refusal:
+        read_image(FrameFile("a", "x", path))
+    assert message in str(refusal.value)
+
+
+YAML: list[tuple[str, str]] = [
+    (bad.ALIASES, "an alias in line 2"),
+    (bad.NESTED, "nested too deeply"),
+    ("a: !!bool abc", "not YAML"),
+    ("a: !!int x", "not YAML"),
+    ("a: !!python/object/apply:os.system [ls]", "not YAML"),
+    ("? [a]\n: b", "not YAML"),
+    ("a: !!timestamp x", "not YAML"),
+    ("\0", "not YAML"),
+    ("[1, 2]", "label space"),
+    ("3", "label space"),
+    (f"{SPACE}\n", "not YAML"),
+    (f"{SPACE}, colour: [1, 2]}}\n", "colour"),
+    ("x" * (2 << 20), "more than 1048576 bytes"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), YAML)
+def test_label_spaces(here, ssrvlad, content, message):
+    bad.text(here / "own.yaml", content)
+    one_line(ssrvlad, "encode maps -o new.ssrdb --labels-as own.yaml", "own.yaml")
+    one_line(ssrvlad, "labels own.yaml", message if message != "label space" else "own.yaml")
+
+
+@pytest.mark.parametrize(("content", "message"), YAML[:5])
+def test_settings_of_a_segmenter(here, ssrvlad, content, message):
+    bad.text(here / "own.yaml", content)
+    command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
+    one_line(ssrvlad, command, message)
+
+
+@pytest.mark.parametrize("size", ["[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"])
+def test_a_size_that_is_none(here, ssrvlad, size):
+    bad.text(here / "own.yaml", f"network: net.onnx\nsize: {size}\n")
+    command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
+    one_line(ssrvlad, command, "own.yaml: ")
+
+
+NO_FILES: list[tuple[Make, str]] = [
+    (lambda p: bad.pipe(p / "bad.yaml"), "is a pipe; expected a file"),
+    (lambda p: bad.endless(p / "bad.yaml"), "is a device; expected a file"),
+    (lambda p: (p / "bad.yaml").mkdir(), "is a folder; expected a file"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), NO_FILES)
+@pytest.mark.parametrize(
+    "command",
+    ["encode maps -o new.ssrdb --labels-as bad.yaml", "labels bad.yaml"],
+)
+def test_a_label_space_that_is_no_file(here, ssrvlad, make, message, command):
+    make(here)
+    one_line(ssrvlad, command, message)
+
+
+TRUTHS: list[tuple[Make, str]] = [
+    (lambda p: bad.text(p / "bad.json", bad.NESTED), "nested too deeply"),
+    (lambda p: bad.text(p / "bad.json", "{"), "bad.json"),
+    (lambda p: bad.array(p / "bad.npy", (1 << 20, 1 << 20)), "has 0 bytes for an array"),
+    (lambda p: bad.pipe(p / "bad.json"), "is a pipe"),
+    (lambda p: bad.endless(p / "bad.csv"), "is a device"),
+    (lambda p: bad.text(p / "bad.npz", "no archive"), "no .npz archive"),
+    (lambda p: bad.text(p / "bad.csv", "query,reference\n\0,b\n"), "bad.csv"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), TRUTHS)
+def test_ground_truth(here, ssrvlad, make, message):
+    name = make(here).name
+    one_line(ssrvlad, f"evaluate town.ssrdb maps --ground-truth {name}", message)
+
+
+POSES: list[tuple[str, str]] = [
+    ("frame,x,y\n0,inf,1\n", "poses.csv line 2: x is inf; expected a finite number"),
+    ("frame,x,y\n0,1,1\n0,2,1\n", "poses.csv line 3: frame '0' is at two places"),
+    ("frame,x,y,x\n0,1,1,2\n", "poses.csv line 1: two columns 'x'"),
+    ("frame,x,y\n0,one,1\n", "poses.csv line 2"),
+    ("frame,x,y\n0,1\n", "poses.csv line 2"),
+    ("", "poses.csv line 0: no column 'frame'"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), POSES)
+def test_poses(here, ssrvlad, content, message):
+    bad.text(here / "maps" / "poses.csv", content)
+    one_line(ssrvlad, "encode maps -o new.ssrdb --labels-as camvid-11", message)
+
+
+OUTPUTS = [
+    "export --labels-as camvid-11 -o",
+    "show maps/000.png --labels-as camvid-11 -o",
+    "db export town.ssrdb --format npy -o",
+    "evaluate town.ssrdb maps --report",
+]
+
+
+@pytest.mark.parametrize("command", OUTPUTS)
+def test_nothing_is_written_over_what_is_no_file(here, ssrvlad, command):
+    (here / "folder.png").mkdir()
+    bad.pipe(here / "pipe.png")
+    (here / "device.png").symlink_to(os.devnull)
+    for name, message in (
+        ("folder.png", "cannot write folder.png: it is a folder"),
+        ("pipe.png", "cannot write pipe.png: it is no regular file"),
+        ("device.png", "cannot write device.png: it is no regular file"),
+        ("none/x.png", "cannot write none/x.png: there is no folder none"),
+    ):
+        one_line(ssrvlad, f"{command} {name}", message)
+    assert Path(os.devnull).is_char_device()
+    assert not [name for name in here.iterdir() if name.name.startswith(".")]
+
+
+def test_a_link_stays_a_link(here, ssrvlad):
+    (here / "shown.png").symlink_to("target.png")
+    assert ssrvlad(*["show", "maps/000.png", "--labels-as", "camvid-11", "-o", "shown.png"])[0] == 0
+    assert (here / "shown.png").is_symlink()
+    assert (here / "target.png").stat().st_size > 0
+
+
+VALUES = [
+    ("query town.ssrdb maps --top 0", "top"),
+    ("query town.ssrdb maps --min-confidence nan", "min-confidence"),
+    ("loops maps --labels-as camvid-11 --threshold nan", "threshold"),
+    ("loops maps --labels-as camvid-11 --threshold 2", "threshold"),
+    ("query none maps", "none"),
+    ("verify maps/000.png", "maps/000.png"),
+    ("verify photos", "photos"),
+]
+
+
+@pytest.mark.parametrize(("command", "name"), VALUES)
+def test_values(here, ssrvlad, command, name):
+    one_line(ssrvlad, command, name)
+
+
+def test_more_candidates_than_frames_are_all_frames(here, ssrvlad):
+    code, out, _ = ssrvlad(*["query", "town.ssrdb", "maps", "--top", "9", "--as-paper"])
+    assert (code, len(out.splitlines())) == (0, 3)
+
+
+def test_names_with_control_characters_stay_on_their_line(here, ssrvlad):
+    for name in ("new\nline", "bell\a", "\x1b[31mred"):
+        shutil.copy(here / "maps" / "000.png", here / "maps" / f"{name}.png")
+    assert ssrvlad(*["encode", "maps", "-o", "odd.ssrdb", "--labels-as", "camvid-11"])[0] == 0
+    code, out, _ = ssrvlad(*["query", "odd.ssrdb", "maps"])
+    lines = out.splitlines()
+    assert code == 0
+    assert sum(line.startswith("maps/") for line in lines) == 6
+    assert all(line.isprintable() for line in lines)

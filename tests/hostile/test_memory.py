@@ -1,0 +1,77 @@
+"""A small file must not take the machine: what is refused costs at most 300 MB."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import bad_files as bad
+import pytest
+
+PROGRAM = """
+import json, pathlib, sys, zlib, base64
+from ssrvlad_torch.datasets.frame_file import FrameFile
+from ssrvlad_torch.datasets.image_files import read_image
+from ssrvlad_torch.datasets.label_files import read_label_map
+from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.evaluation.ground_truth_files import from_file
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.taxonomy import label_space
+
+def memory(name):
+    status = pathlib.Path("/proc/self/status").read_text()
+    return int(status.split(name + ":")[1].split()[0]) // 1024
+
+def label_map(path):
+    read_label_map(FrameFile("a", "x", path), label_space("camvid-11"))
+
+def golden(path):
+    packer = zlib.compressobj(9)
+    data = b"".join(packer.compress(bytes(1 << 20)) for _ in range(64)) + packer.flush()
+    entry = {"dtype": "uint8", "shape": [1 << 20], "data": base64.b64encode(data).decode()}
+    Metadata("", {}, "", {}, {}, {"labels": entry}).golden_arrays()
+
+doors = {
+    "label map": label_map,
+    "picture": lambda path: read_image(FrameFile("a", "x", path)),
+    "label space": label_space,
+    "ground truth": lambda path: from_file(path, ["a"], ["b"]),
+    "golden": golden,
+    "size": lambda path: SegmenterConfig(size=(30000, 30000)),
+}
+for door, path in json.loads(sys.argv[1]):
+    pathlib.Path("/proc/self/clear_refs").write_text("5")
+    idle, refused = memory("VmRSS"), None
+    try:
+        doors[door](pathlib.Path(path))
+    except ValueError as error:
+        refused = str(error)
+    print(json.dumps([door, path, memory("VmHWM") - idle, refused]), flush=True)
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's /proc")
+def test_what_is_refused_costs_little(tmp_path):
+    (tmp_path / "bomb.yaml").write_text(bad.ALIASES)
+    given = [
+        ("label map", bad.png(tmp_path / "gray.png")),
+        ("label map", bad.tiff(tmp_path / "gray.tif")),
+        ("label map", bad.endless(tmp_path / "zero.png")),
+        ("label map", bad.array(tmp_path / "huge.npy", (1 << 20, 1 << 20))),
+        ("picture", bad.png(tmp_path / "colour.png", colours=2)),
+        ("picture", bad.array(tmp_path / "huge.npy", (1 << 20, 1 << 20, 3))),
+        ("label space", tmp_path / "bomb.yaml"),
+        ("label space", bad.endless(tmp_path / "zero.yaml")),
+        ("ground truth", bad.archive(tmp_path / "zeros.npz", 300 << 20)),
+        ("ground truth", bad.array(tmp_path / "huge.npy", (1 << 20, 1 << 20))),
+        ("golden", tmp_path),
+        ("size", tmp_path),
+    ]
+    table = json.dumps([(door, str(path)) for door, path in given])
+    command = [sys.executable, "-c", PROGRAM, table]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    rows = [json.loads(line) for line in done.stdout.splitlines()]
+    assert len(rows) == len(given)
+    for door, path, more, refused in rows:
+        assert refused, (door, path)
+        assert more <= 300, (door, path, more)
