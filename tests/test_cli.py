@@ -266,8 +266,8 @@ def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
     first = tmp_path / "first.png"
     labels = np.asarray(Image.open(maps / "000.png").resize((320, 240), Image.Resampling.NEAREST))
     Image.fromarray(photo(labels) if segmenter else labels).save(first)
-    for number in range(2000):
-        (tmp_path / "drive" / f"{number}.png").symlink_to(first)
+    for frame in range(2000):
+        (tmp_path / "drive" / f"{frame}.png").symlink_to(first)
     command = ("encode", "drive", "-o", "db", *CAMVID.split(), *segmenter)
     begun = "cache/**/*.png" if segmenter else "db/_versions/*"
     assert interrupt(tmp_path, begun, number, *command) == end
