@@ -107,7 +107,7 @@ function drawTargets({ config }, { descriptor, keypoints }) {
         "skeleton than its centre does, blue where they see less."
       : "Rings by distance from the point where the view opens, sectors by direction: what the " +
         "numbers of a category say about where it stands. Red is much, white nothing, " +
-        "pale blue what the smooth patterns leave over.";
+        "pale blue what the smooth basis leaves over.";
   const targets = Object.entries(CATEGORIES).map(([name, colour], k) => {
     const target = document.createElement("div");
     target.className = "target";

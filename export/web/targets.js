@@ -15,25 +15,25 @@ export function targetOf(config, descriptor, k) {
   return { rings, sectors, values, turned: 0.5 };
 }
 
-/** The smooth part of the histogram whose amounts of patterns the numbers are, of any scale. */
+/** The smooth part of the histogram, of any scale; the numbers are its coefficients. */
 function histogramOf({ rings, sectors, power, spectral_weight }, numbers) {
   const values = new Float64Array(rings * sectors);
   wavesOf(rings, sectors)
     .slice(0, numbers.length)
     .forEach(({ u, v, phase }, i) => {
-      const amount = Math.sign(numbers[i]) * Math.abs(numbers[i]) ** (1 / power);
+      const coefficient = Math.sign(numbers[i]) * Math.abs(numbers[i]) ** (1 / power);
       const wave = values.map((_, bin) => {
         const [ring, sector] = [Math.floor(bin / sectors), bin % sectors];
         const outward = Math.cos((Math.PI * u * (ring + 0.5)) / rings);
         return outward * Math.cos((2 * Math.PI * v * sector) / sectors - phase);
       });
       const weight = (1 + u * u + v * v) ** (spectral_weight / 2);
-      wave.forEach((height, bin) => (values[bin] += (amount * height) / weight / Math.hypot(...wave)));
+      wave.forEach((height, bin) => (values[bin] += (coefficient * height) / weight / Math.hypot(...wave)));
     });
   return values;
 }
 
-/** Patterns in the order of `stages.harmonics.waves`. */
+/** Basis functions in the order of `stages.harmonics.waves`. */
 function wavesOf(rings, sectors) {
   const waves = [];
   for (let u = 0; u < rings; u++)
