@@ -174,7 +174,7 @@ def encode_queries(
     Raises:
         ValueError: there are no frames, or the other database has another fingerprint.
     """
-    if (other := source.database()) is not None:
+    if other := source.database():
         if other.fingerprint != database.fingerprint:
             raise ValueError(
                 f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "

@@ -374,12 +374,9 @@ class Database:
         """The records of all frames, without their descriptors."""
         return KnownFrames(self._columns(OF_A_RECORD))
 
-    def frames(self) -> FrameSet:
-        """All frames as from `load`, without their descriptors, ``(R, 0)``, and not verified."""
-        return self.placed()[0]
-
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
-        """`frames`, and ``(R,)`` the place of each among the rows as they are stored."""
+        """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
+        place of each among the rows as they are stored."""
         table = self._columns(_OF_A_SET)
         order = _order(table)
         return _frame_set(table.take(order), np.empty((len(order), 0), np.float32)), order

@@ -33,6 +33,12 @@ if TYPE_CHECKING:
 _ATTEMPTS, _PAUSE = 100, 0.02
 _COUNT = (1 << 64) - 1
 _MESSAGE = "lance.commit.message"
+_CHANGES = {
+    "Overwrite": "create",
+    "UpdateConfig": "add an origin",
+    "CreateIndex": "index",
+    "Rewrite": "compact",
+}
 
 
 def lance() -> Any:
@@ -237,7 +243,8 @@ def message_of(table: LanceDataset, version: int) -> str:
     if transaction is None:
         return ""
     said = (transaction.transaction_properties or {}).get(_MESSAGE)
-    return said or type(transaction.operation).__name__.lower()
+    operation = type(transaction.operation).__name__
+    return said or _CHANGES.get(operation, operation.lower())
 
 
 def _exclusive(table: LanceDataset, operation: Any) -> Any:

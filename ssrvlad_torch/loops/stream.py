@@ -117,10 +117,10 @@ def detect_loops(
     try:
         for frame in frames:
             yield frame if isinstance(frame, Skipped) else _observe(detector, frame)
-            if database is not None and len(detector) >= len(database) + CHECKPOINT_FRAMES:
+            if database and len(detector) >= len(database) + CHECKPOINT_FRAMES:
                 detector.save(database)
     finally:
-        if database is not None:
+        if database:
             detector.save(database)
 
 

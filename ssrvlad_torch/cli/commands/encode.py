@@ -76,18 +76,18 @@ def _encode(
         raise ValueError("--engine ray takes no --segmenter")
     database = Database.open(output) if Database.exists(output) else None
     labels_as: LabelsAs | None = source.labels_as
-    if labels_as is None and database is not None:
+    if labels_as is None and database:
         labels_as = _only_label_space(database)
     if labels_as is None:
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
-    if preset is None and database is not None:
+    if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(config)
-    known = folders_of(database.known()) if database is not None else {}
+    known = folders_of(database.known()) if database else {}
     files, segmenter = source.frames(labels_as, known)
-    if database is None:
+    if not database:
         database = Database.create(output, config)
     with progress_bar("encoding", len(files)) as bar:
         options = EncodeOptions(
