@@ -14,11 +14,13 @@ from ssrvlad_torch.database.rows import matrix
 from ssrvlad_torch.recognition.matching import Matches
 
 KINDS: dict[str, tuple[str, int, dict[str, Any]]] = {
-    "IVF_RQ, lists of 4096": ("IVF_RQ", 4096, {}),
-    "IVF_RQ, lists of 1024": ("IVF_RQ", 1024, {}),
-    "IVF_PQ, 60 codes, lists of 4096": ("IVF_PQ", 4096, {"num_sub_vectors": 60}),
-    "IVF_SQ, lists of 4096": ("IVF_SQ", 4096, {}),
-    "IVF_HNSW_SQ, lists of 4096": ("IVF_HNSW_SQ", 4096, {}),
+    "IVF_RQ, 1 bit": ("IVF_RQ", 4096, {"num_bits": 1}),
+    "IVF_RQ, 1 bit, lists of 1024": ("IVF_RQ", 1024, {"num_bits": 1}),
+    "IVF_RQ, 3 bits": ("IVF_RQ", 4096, {"num_bits": 3}),
+    "IVF_PQ, 60 codes": ("IVF_PQ", 4096, {"num_sub_vectors": 60}),
+    "IVF_RQ, 5 bits": ("IVF_RQ", 4096, {"num_bits": 5}),
+    "IVF_SQ": ("IVF_SQ", 4096, {}),
+    "IVF_HNSW_SQ": ("IVF_HNSW_SQ", 4096, {}),
 }
 SCANNED, CANDIDATES = 0.1, 100
 
@@ -71,7 +73,7 @@ def compare(path: Path, queries: torch.Tensor, exact: Matches, names: list[str])
 
 
 def _ask(table: lance.LanceDataset, query: torch.Tensor, probes: int) -> list[int]:
-    """Rows of a table that was never changed since it was written, so that ids count them."""
+    """The 10 best rows by the index; `scale.records` counts them in x."""
     nearest = {"column": "descriptor", "q": query.numpy(), "k": CANDIDATES, "nprobes": probes}
     found = table.to_table(
         columns=["descriptor", "x"], nearest=nearest, disable_scoring_autoprojection=True

@@ -453,7 +453,7 @@ class Database:
         """The version that is read, as Lance's own; for what is not here."""
         return self._table
 
-    def write_index(self, column: str, kind: str, lists: int) -> None:
+    def write_index(self, column: str, kind: str, lists: int, **options: Any) -> None:
         """Builds an index of cosines over a column; see `index.build_index`.
 
         Raises:
@@ -462,7 +462,7 @@ class Database:
         """
         self._see_writable()
         with self._writing:
-            self._settle(engine.create_index(self.path, column, kind, lists))
+            self._settle(engine.create_index(self.path, column, kind, lists, **options))
 
     def history(self) -> list[Version]:
         """The versions that are kept, the oldest first."""

@@ -173,11 +173,12 @@ def compact(uri: str, keep: timedelta) -> LanceDataset:
     return changed(uri, change)
 
 
-def create_index(uri: str, column: str, kind: str, lists: int) -> LanceDataset:
+def create_index(uri: str, column: str, kind: str, lists: int, **options: Any) -> LanceDataset:
     """Builds an index of a column for cosines, in the place of what is there."""
+    options |= {"metric": "cosine", "replace": True, "num_partitions": lists}
 
     def change(table: LanceDataset) -> LanceDataset:
-        table.create_index(column, kind, metric="cosine", replace=True, num_partitions=lists)
+        table.create_index(column, kind, **options)
         table = opened(uri)
         sync_version(table)
         return table

@@ -1,6 +1,7 @@
 """An index on disk, for databases that do not fit in memory: inverted lists of descriptors
 quantised to a bit a number (RaBitQ, arXiv 2405.12497), made and searched by Lance (IVF_RQ). Of the
-kinds of index that Lance has it is the fastest to build, and needs no training of codes.
+kinds of index that Lance has it is the quickest to build and the smallest, and finds as much:
+docs/scale.md.
 
 What the index finds is scored again with the stored descriptors, so that scores are exact and only
 a candidate that it passes over is lost. Frames that were added since it was built are searched too.
@@ -81,9 +82,11 @@ def build_index(database: Database) -> IndexReport:
             f"{rows}: search it without"
         )
     lists = max(1, rows // ROWS_OF_A_LIST)
-    kind = "IVF_FLAT" if database.width % 8 else "IVF_RQ"  # whole bytes of bits
     began = time.perf_counter()
-    database.write_index(_COLUMN, kind, lists)
+    if database.width % 8:  # no whole bytes of bits
+        database.write_index(_COLUMN, "IVF_FLAT", lists)
+    else:
+        database.write_index(_COLUMN, "IVF_RQ", lists, num_bits=1)
     seconds = time.perf_counter() - began
     recall, milliseconds = _compare(database)
     return IndexReport(lists, seconds, recall, milliseconds)
