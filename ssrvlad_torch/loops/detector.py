@@ -25,7 +25,7 @@ from .result import LoopResult, Reason
 COLUMNS = (-4, 0, 4)
 """Anchors of a frame, see `recognition.sweep`."""
 
-MOTION = Motion(jump=0.05, unmapped=0.9, weight=0.45, level=3.5)
+MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.45, level=3.5)
 """A stream comes to new places more often than a query of a map does."""
 
 NEAR = 5

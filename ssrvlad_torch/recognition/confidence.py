@@ -11,8 +11,8 @@ from torch import Tensor
 
 from .motion import moments, nearness
 
-OFFLINE = (2.09, 0.31)
-ONLINE = (1.68, 0.69)
+OFFLINE = (1.81, 0.33)
+ONLINE = (1.09, 0.74)
 SINGLE = (-2.07, 0.65, 2.64)
 
 _ELSEWHERE = 5

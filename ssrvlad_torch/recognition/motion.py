@@ -37,6 +37,9 @@ _ROUNDING = 1e-6
 class Motion:
     """What a sequence is expected to do, and how much one frame says.
 
+    The change, weight and level are chosen by `scripts/pages/choose_motion.py`; see
+    docs/recognition.md.
+
     Attributes:
         change: chance that the speed changes from one frame to the next.
         jump: chance to leave the track: to any row, or to a place that the map lacks.
@@ -50,12 +53,12 @@ class Motion:
         ValueError: a chance is not from 0 to 1, the weight not above 0, or a number not finite.
     """
 
-    change: float = 0.05
+    change: float = 0.01
     jump: float = 0.01
     unmapped: float = 0.1
     stay: float = 0.97
     weight: float = 0.3
-    level: float = 1.0
+    level: float = 0.5
 
     def __post_init__(self) -> None:
         for name in ("change", "jump", "unmapped", "stay"):

@@ -1,0 +1,340 @@
+"""Drives of all data sets as the methods describe them, and the searches that pages measure.
+
+The city and CamVid are those of `conditions.py`. The real traverses are folders of ``--data`` with
+``images`` and the label maps of two networks, ``predicted_espnetv2`` and ``predicted_dabnet``.
+Descriptions are kept on the disk, by drive and method: another run takes minutes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from conditions import (
+    BATCH,
+    CAMVID_CONDITIONS,
+    CITY_CONDITIONS,
+    CITY_SEEDS,
+    METRES,
+    RESAMPLES,
+    Drive,
+    camvid,
+    city,
+)
+from torch import Tensor
+
+from ssrvlad_torch import SSRVLAD, baselines
+from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.datasets.image_files import decode_image
+from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.datasets.synthetic_city import REFERENCE
+from ssrvlad_torch.evaluation.ground_truth import from_poses
+from ssrvlad_torch.evaluation.metrics import evaluate
+from ssrvlad_torch.recognition.matching import temporal_sum
+from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
+from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.taxonomy import label_space
+
+PRESETS = {"SSR-VLAD, paper": "paper", "SSR-VLAD, default": "default"}
+BASELINES = {
+    "label grid": "label-grid",
+    "HOG": "hog",
+    "CoHOG": "cohog",
+    "tiny image": "tiny-image",
+}
+METHODS = (*PRESETS, *BASELINES)
+OF_PICTURES = ("HOG", "CoHOG", "tiny image")
+BY_SCORES = ("CoHOG", "tiny image")
+"""Their encodings are no vectors: the steps see their scores."""
+
+NETWORKS = ("espnetv2", "dabnet")
+REAL = {
+    "UofA": {"evening -> day": ("uofa/evening", "uofa/day", 1)},
+    "Gardens Point": {
+        "right -> left": ("gardens_walk/day_right", "gardens_walk/day_left", 2),
+        "night -> right": ("gardens_walk/night_right", "gardens_walk/day_right", 2),
+        "night -> left": ("gardens_walk/night_right", "gardens_walk/day_left", 2),
+    },
+}
+"""Queries, references, and how many rows a true match may be away."""
+
+FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
+OFFSET = 10**6
+
+Known = tuple[tuple[str, ...], np.ndarray]
+
+
+@dataclass(frozen=True)
+class Search:
+    """Queries, references and true matches, by names of drives and rows of them."""
+
+    queries: str
+    references: str
+    truth: list[np.ndarray]
+    query_rows: list[int] | None = None
+    reference_rows: list[int] | None = None
+
+
+@dataclass(frozen=True)
+class Condition:
+    """Searches whose queries count together."""
+
+    dataset: str
+    name: str
+    searches: list[Search]
+
+    @property
+    def has_pictures(self) -> bool:
+        return self.dataset != "City"
+
+
+@dataclass
+class Described:
+    """Descriptions of drives by every method, each made once.
+
+    Args:
+        data: folder of the real data sets; without, there is only the city.
+        cache: where descriptions are kept.
+    """
+
+    data: Path | None
+    cache: Path
+    _known: dict[str, Any] = field(default_factory=dict)
+
+    def drive(self, name: str) -> Drive:
+        """A drive: ``city SEED CONDITION NUMBER``, ``camvid KIND`` or ``real NETWORK FOLDER``."""
+        kind, _, rest = name.partition(" ")
+        if kind == "city":
+            seed, _, condition = rest.partition(" ")
+            if condition == "reference":
+                return city(int(seed), REFERENCE)
+            named, _, number = condition.rpartition(" ")
+            return city(int(seed), CITY_CONDITIONS[named][int(number)])
+        assert self.data
+        if kind == "camvid":
+            return camvid(self.data / "camvid", rest)
+        network, _, folder = rest.partition(" ")
+        return real(self.data / folder, network)
+
+    def about(self, name: str) -> Known:
+        """Ids and poses of a drive's frames."""
+
+        def look() -> dict[str, Any]:
+            drive = self.drive(name)
+            return {"frames": drive.frames, "poses": torch.from_numpy(drive.poses)}
+
+        found = self._kept(f"{name} about", look)
+        return tuple(found["frames"]), found["poses"].numpy()
+
+    def vectors(self, name: str, method: str) -> Tensor:
+        """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
+        preset = PRESETS.get(method)
+        version = f" {head(preset, 'camvid-11').config.fingerprint}" if preset else ""
+        return self._kept(f"{name} {method}{version}", lambda: described(self.drive(name), method))
+
+    def pair(self, search: Search, method: str) -> tuple[Tensor, Tensor]:
+        """Vectors of the queries and of the references of a search."""
+        queries, references = (
+            self.vectors(name, method) for name in (search.queries, search.references)
+        )
+        if references.ndim == 3:
+            references = references[:, COLUMNS.index(0)]
+        here, there = self.rows(search)
+        return queries[here], references[there]
+
+    def scores(self, search: Search, method: str) -> Tensor:
+        """``(Q, R)`` of a method whose encodings are no vectors."""
+
+        def run() -> Tensor:
+            made = baselines.make(BASELINES[method])
+            drives = [self.drive(name) for name in (search.queries, search.references)]
+            here, there = (
+                [frame for n, frame in enumerate(frames(drive)) if n in set(rows)]
+                for drive, rows in zip(drives, self.rows(search), strict=True)
+            )
+            known = made.encode_reference(iter(there))
+            found = [made.scores(made.encode_query(iter([each])), known) for each in here]
+            return torch.cat(found)
+
+        pictures = [
+            " ".join(part for part in name.split() if part not in (*NETWORKS, "labels"))
+            for name in (search.queries, search.references)
+        ]
+        kind = pictures if search.query_rows is None else ["camvid odd", "even"]
+        return self._kept(f"{' to '.join(kind)} {method}", run)
+
+    def rows(self, search: Search) -> tuple[list[int], list[int]]:
+        """Of the queries' and the references' drives."""
+        ends = (len(self.about(name)[0]) for name in (search.queries, search.references))
+        given = (search.query_rows, search.reference_rows)
+        here, there = (rows or list(range(n)) for rows, n in zip(given, ends, strict=True))
+        return here, there
+
+    def sequences(self, search: Search) -> tuple[list[str], list[str]]:
+        """Of queries and references."""
+        names = (self.about(name)[0] for name in (search.queries, search.references))
+        here, there = (
+            [frames[row].rpartition("/")[0] for row in rows]
+            for frames, rows in zip(names, self.rows(search), strict=True)
+        )
+        return here, there
+
+    def _kept(self, name: str, make: Any) -> Any:
+        file = self.cache / f"{name.replace(' ', '_').replace('/', '_').replace(',', '')}.pt"
+        if name not in self._known:
+            if not file.exists():
+                file.parent.mkdir(parents=True, exist_ok=True)
+                made = make()
+                torch.save(made, file.with_suffix(".tmp"))
+                file.with_suffix(".tmp").replace(file)
+                print(name, flush=True)
+            self._known[name] = torch.load(file)
+        return self._known[name]
+
+
+class Decisions(NamedTuple):
+    """What was decided about all queries of a condition, references counted through its searches.
+
+    Attributes:
+        scores, rows: ``(Q, 5)`` of the candidates.
+        truth: true matches of each query.
+        confidence: ``(Q,)``.
+    """
+
+    scores: np.ndarray
+    rows: np.ndarray
+    truth: list[np.ndarray]
+    confidence: np.ndarray
+
+    @property
+    def right(self) -> np.ndarray:
+        """``(Q,)`` bool, whether the first candidate is a true match."""
+        return np.array([row in set(t) for row, t in zip(self.rows[:, 0], self.truth, strict=True)])
+
+    def figures(self) -> dict[str, tuple[float, float, float]]:
+        """Each of `FIGURES`, and the ends of its 95 % bootstrap interval over the queries."""
+        found = evaluate(self.scores, self.rows, self.truth, at=(1, 5), resamples=RESAMPLES)
+        ends = found["intervals"]
+        rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}
+        others = {"AUC-PR": "auc_pr", "Recall@100%Precision": "recall_at_100_precision"}
+        rates |= {name: (found[key], ends[key]) for name, key in others.items()}
+        return {name: (value, *low_high) for name, (value, low_high) in rates.items()}
+
+
+def decide(
+    described: Described, condition: Condition, method: str, steps: Steps, reach: int = 0
+) -> Decisions:
+    """Decides about the queries of a condition.
+
+    Args:
+        reach: t of the temporal sum over the references (Eq. 3).
+    """
+    found, truth = [], []
+    for number, search in enumerate(condition.searches):
+        names = described.sequences(search)
+        if method in BY_SCORES:
+            one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
+        else:
+            queries, references = described.pair(search, method)
+            one = recognise(queries, temporal_sum(references, names[1], reach), *names, steps, 5)
+        found.append(one)
+        truth += [places + number * OFFSET for places in search.truth]
+    return Decisions(
+        torch.cat([one.matches.scores for one in found]).numpy(),
+        torch.cat([one.matches.indices + n * OFFSET for n, one in enumerate(found)]).numpy(),
+        truth,
+        torch.cat([one.confidence for one in found]).numpy(),
+    )
+
+
+@cache
+def head(preset: str, labels_as: str) -> SSRVLAD:
+    return SSRVLAD.from_preset(preset, labels_as=labels_as)
+
+
+def described(drive: Drive, method: str) -> Tensor:
+    if method not in PRESETS:
+        return baselines.make(BASELINES[method]).encode_query(frames(drive))
+    made = head(PRESETS[method], drive.labels_as)
+    batches = torch.from_numpy(drive.maps).split(BATCH)
+    sweeps = PRESETS[method] == "default"
+    return torch.cat([made.sweep(b, COLUMNS) if sweeps else made(b) for b in batches])
+
+
+def frames(drive: Drive) -> Iterator[Frame]:
+    for number, (name, labels) in enumerate(zip(drive.frames, drive.maps, strict=True)):
+        picture = decode_image(drive.pictures[number].read_bytes()) if drive.pictures else None
+        yield Frame(name, labels, drive.labels_as, picture)
+
+
+@cache
+def real(folder: Path, network: str) -> Drive:
+    """A real traverse as a network sees it."""
+    space = label_space("cityscapes-trainids")
+    files = find_label_files([str(folder / f"predicted_{network}")], folder.name)
+    return Drive(
+        tuple(file.frame for file in files),
+        np.full((len(files), 3), np.nan),
+        np.stack([read_label_map(file, space) for file in files]),
+        space.name,
+        tuple(next((folder / "images").glob(f"{file.name}.*")) for file in files),
+    )
+
+
+def all_conditions(
+    described: Described, seeds: Sequence[int] = CITY_SEEDS, networks: Sequence[str] = NETWORKS
+) -> Iterator[Condition]:
+    """Every condition of every data set that is there."""
+    if described.data:
+        yield from real_conditions(described, networks)
+        yield from camvid_conditions(described)
+    yield from city_conditions(described, seeds)
+
+
+def real_conditions(described: Described, networks: Sequence[str]) -> Iterator[Condition]:
+    for dataset, pairs in REAL.items():
+        for network in networks:
+            for name, (queries, references, rows) in pairs.items():
+                here, there = (f"real {network} {part}" for part in (queries, references))
+                count, others = (len(described.about(drive)[0]) for drive in (here, there))
+                near = np.arange(others)
+                truth = [np.flatnonzero(abs(near - number) <= rows) for number in range(count)]
+                yield Condition(dataset, f"{name}, {network}", [Search(here, there, truth)])
+
+
+def camvid_conditions(described: Described) -> Iterator[Condition]:
+    """Odd against even frames; all frames of a stop are one place."""
+    assert described.data
+    places = json.loads((described.data / "camvid/same_place_odd_even.json").read_text())
+    names, _ = described.about("camvid labels")
+    odd, even = every_other(names, 1), every_other(names, 0)
+    row_of = {names[number]: place for place, number in enumerate(even)}
+    truth = [np.array([row_of[f] for f in places[names[n]]], np.int64) for n in odd]
+    for name, (queries, references) in CAMVID_CONDITIONS.items():
+        search = Search(f"camvid {queries}", f"camvid {references}", truth, odd, even)
+        yield Condition("CamVid", name, [search])
+
+
+def city_conditions(described: Described, seeds: Sequence[int]) -> Iterator[Condition]:
+    for name, drives in CITY_CONDITIONS.items():
+        searches = []
+        for seed in seeds:
+            there = f"city {seed} reference"
+            for number in range(len(drives)):
+                here = f"city {seed} {name} {number}"
+                poses = (described.about(drive)[1] for drive in (here, there))
+                searches.append(Search(here, there, from_poses(*poses, METRES)))
+        yield Condition("City", name, searches)
+
+
+def every_other(names: Sequence[str], start: int) -> list[int]:
+    """Of each sequence the rows of frame ``start`` and every second after it."""
+    sequences = np.array([name.rpartition("/")[0] for name in names])
+    chosen = [np.flatnonzero(sequences == name)[start::2] for name in dict.fromkeys(sequences)]
+    return np.concatenate(chosen).tolist()
