@@ -1,0 +1,226 @@
+"""One door and random damage: python random_damage.py DOOR SECONDS SEED FINDINGS
+
+Prints counts as JSON at least every second. `scripts/fuzz` runs it for all doors.
+"""
+
+from __future__ import annotations
+
+import faulthandler
+import json
+import random
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from PIL import Image
+
+REFUSALS = (ValueError, OSError)
+LONGEST = 10.0
+MOST_MEMORY = 300
+
+ODD = (b"\0", b"\xff", b"\x7f", b"-1", b"1e999", b"nan", b"[" * 2000, b"\n", b"&a ", b"*a", b"!!")
+
+
+def damaged(random_: random.Random, good: list[bytes]) -> bytes:
+    """A good file with one to four accidents."""
+    content = bytearray(random_.choice(good))
+    for _ in range(random_.randint(1, 4)):
+        place = random_.randint(0, len(content))
+        match random_.randint(0, 5):
+            case 0:
+                content[place : place + 1] = bytes([random_.randint(0, 255)])
+            case 1:
+                del content[place:]
+            case 2:
+                del content[place : place + random_.randint(1, 16)]
+            case 3:
+                content[place:place] = random_.choice(ODD)
+            case 4:
+                other = random_.choice(good)
+                start = random_.randint(0, len(other))
+                content[place:] = other[start:]
+            case 5:
+                content[place:place] = content[place : place + random_.randint(1, 64)]
+    return bytes(content)
+
+
+def _images(folder: Path, formats: tuple[str, ...], mode: str) -> list[bytes]:
+    pixels = np.random.default_rng(0).integers(0, 12, (24, 32), dtype=np.uint8)
+    image, found = Image.fromarray(pixels).convert(mode), []
+    for suffix in formats:
+        image.save(folder / f"a.{suffix}")
+        found.append((folder / f"a.{suffix}").read_bytes())
+    return found
+
+
+def _arrays(folder: Path, *arrays: np.ndarray) -> list[bytes]:
+    found = []
+    for array in arrays:
+        np.save(folder / "a.npy", array)
+        found.append((folder / "a.npy").read_bytes())
+    return found
+
+
+def label_map(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.datasets.frame_file import FrameFile
+    from ssrvlad_torch.datasets.label_files import read_label_map
+    from ssrvlad_torch.taxonomy import label_space
+
+    good = _images(folder, ("png", "tif", "bmp"), "L") + _arrays(folder, np.ones((9, 8), np.uint8))
+    space = label_space("camvid-11")
+    return good, ".png", lambda path: read_label_map(FrameFile("a", "b", path), space)
+
+
+def image(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.datasets.frame_file import FrameFile
+    from ssrvlad_torch.datasets.image_files import read_image
+
+    good = _images(folder, ("jpg", "png", "webp", "ppm", "tif"), "RGB")
+    return good, ".jpg", lambda path: read_image(FrameFile("a", "b", path))
+
+
+def label_space(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    import ssrvlad_torch
+    from ssrvlad_torch.taxonomy import label_space as read
+
+    spaces = Path(ssrvlad_torch.__file__).parent / "label_spaces"
+    return [file.read_bytes() for file in spaces.iterdir()], ".yaml", read
+
+
+def segmenter(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.segmentation.networks import open_network
+
+    good = [
+        b"network: a.onnx\nsize: [64, 128]\nmean: [0.5, 0.5, 0.5]\nstd: [1, 1, 1]\nwhite: 255\n",
+        b"network: a.onnx\nlabels_as: camvid-11\nclasses: 0:11\nmultiple: 16\ncolour_order: bgr\n",
+    ]
+    return good, ".yaml", open_network
+
+
+def poses(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.datasets.poses import read_poses
+
+    good = [
+        b"frame,x,y,heading\na,1.5,2,0\nb,2.5,3,0.1\n",
+        b"frame,latitude,longitude,course\na,50.1,8.2,10\nb,50.2,8.3,11\n",
+    ]
+    return good, ".csv", read_poses
+
+
+def trajectory(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.datasets.trajectories import read_trajectory
+
+    kitti = " ".join(["1", "0", "0", "5"] * 3)
+    good = [f"{kitti}\n{kitti}\n".encode(), b"0.1 1 2 3 0 0 0 1\n0.2 2 2 3 0 0 0 1\n"]
+    return good, ".txt", read_trajectory
+
+
+def truth(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.evaluation.ground_truth_files import from_file
+
+    rows = np.empty((2, 2), object)
+    rows[0, 0], rows[0, 1], rows[1, 0], rows[1, 1] = 0, [0], 1, [1, 0]
+    good = [b'{"a": ["c"], "b": []}', b'[["a", "c"]]', b"query,reference\na,c\nb,\n", b"1,0\n0,1\n"]
+    good += _arrays(folder, np.eye(2), rows)
+    np.savez(folder / "a.npz", GThard=np.eye(2))
+    good.append((folder / "a.npz").read_bytes())
+    suffixes = (".json", ".csv", ".npy", ".npz")
+
+    def read(path: Path) -> None:
+        suffix = suffixes[path.stat().st_size % len(suffixes)]
+        from_file(path.rename(path.with_suffix(suffix)), ["a", "b"], ["c", "d"])
+
+    return good, ".json", read
+
+
+def model(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch import SSRVLADConfig, export_head
+    from ssrvlad_torch.deployment.metadata import Metadata
+    from ssrvlad_torch.onnx_files import load_model
+
+    config = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
+    export_head(config, folder / "a.onnx")
+
+    def read(path: Path) -> None:
+        properties = {entry.key: entry.value for entry in load_model(path).metadata_props}
+        Metadata.from_properties(properties).golden_arrays()
+
+    return [(folder / "a.onnx").read_bytes()], ".onnx", read
+
+
+DOORS = {
+    "label-map": label_map,
+    "image": image,
+    "label-space": label_space,
+    "segmenter": segmenter,
+    "poses": poses,
+    "trajectory": trajectory,
+    "truth": truth,
+    "model": model,
+}
+
+
+def main() -> None:
+    door, seconds, seed, findings = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+    faulthandler.enable()
+    warnings.simplefilter("ignore")
+    counts = {"tried": 0, "refused": 0, "found": 0}
+    random_ = random.Random(seed)
+    with TemporaryDirectory() as name:
+        good, suffix, read = DOORS[door](Path(name))
+        idle = _memory("VmRSS")
+        end, told = time.monotonic() + seconds, 0.0
+        while time.monotonic() < end:
+            content = damaged(random_, good)
+            kept = Path(findings) / f"{door}-{seed}-{counts['tried']}{suffix}"
+            kept.write_bytes(content)
+            begun = time.monotonic()
+            if _try(read, Path(name), suffix, content, counts, kept.name):
+                kept.unlink()
+            if time.monotonic() - begun > LONGEST or _memory("VmHWM") - idle > MOST_MEMORY:
+                counts["found"] += 1
+                kept.write_bytes(content)
+                print(f"{kept.name}: too slow or too large", file=sys.stderr)
+                break
+            counts["tried"] += 1
+            if begun - told > 1:
+                told = begun
+                print(json.dumps(counts), flush=True)
+    print(json.dumps(counts))
+
+
+def _try(
+    read: Callable[[Path], object],
+    folder: Path,
+    suffix: str,
+    content: bytes,
+    counts: dict[str, int],
+    name: str,
+) -> bool:
+    """Whether the door read the file or refused it as it should."""
+    given = folder / f"given{suffix}"
+    given.write_bytes(content)
+    try:
+        read(given)
+    except REFUSALS as error:
+        counts["refused"] += 1
+        assert str(error)
+    except Exception as error:
+        counts["found"] += 1
+        print(f"{name}: {error!r}", file=sys.stderr)
+        return False
+    return True
+
+
+def _memory(name: str) -> int:
+    """Megabytes; 0 where the system does not tell."""
+    status = Path("/proc/self/status")
+    return int(status.read_text().split(f"{name}:")[1].split()[0]) // 1024 if status.exists() else 0
+
+
+if __name__ == "__main__":
+    main()
