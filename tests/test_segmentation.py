@@ -253,6 +253,12 @@ def test_what_fails_in_a_batch_is_tried_alone_and_named(tmp_path):
     assert str(results[1]) == "the network fails at 25x32: one at a time, multiples of 8"
 
 
+def test_a_long_picture_is_not_resized_to_any_size():
+    segmenter = Segmenter(colour_network(), SPACE, SegmenterConfig(size=2000))
+    with pytest.raises(ValueError, match="at 1x40: has 2000 x 80000 pixels; expected at most"):
+        segmenter([NOISE[:1].repeat(2, 1)[:, :40]])
+
+
 @pytest.mark.parametrize("image", [NOISE / 255, NOISE[..., 0], NOISE[:0], NOISE.astype(int)])
 def test_what_is_no_image_is_an_error(image):
     with pytest.raises(ValueError, match=r"expected \(H, W, 3\) uint8 images, got"):
@@ -422,7 +428,7 @@ def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
     ("text", "message"),
     [
         (None, r"cannot read the settings .*net\.yaml: No such file"),
-        ("network: [", r"cannot read the settings .*net\.yaml: while parsing"),
+        ("network: [", r"^\S*net\.yaml is not YAML: while parsing"),
         ("size: [4, 4]", r"net\.yaml names no network; expected network: NAME"),
         ("network: net.onnx\nmeans: 3", r"unknown setting 'means'; expected network, labels_as"),
         ("network: net.onnx\nmean: 3", r"net\.yaml: mean must be three numbers, got 3"),

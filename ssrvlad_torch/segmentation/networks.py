@@ -104,7 +104,7 @@ def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     try:
         document = read_yaml(path)
-    except (OSError, ValueError) as error:
+    except OSError as error:
         raise ValueError(f"cannot read the settings {path}: {one_line(error)}") from error
     if not isinstance(document, dict) or not isinstance(document.get("network"), str):
         raise ValueError(f"{path} names no network; expected network: NAME, and settings")

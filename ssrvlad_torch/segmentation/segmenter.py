@@ -23,6 +23,7 @@ from ..datasets.label_files import LabelMap
 from ..datasets.names import absolute
 from ..files import one_line
 from ..taxonomy import LabelSpace, label_space
+from ..untrusted import check_pixels
 from .cache import LARGEST, LabelMapCache
 from .identity import digest_of
 from .label_network import LabelNetwork
@@ -231,6 +232,7 @@ class Segmenter:
         """The label maps of a batch; where the network fails, each picture is tried alone."""
         images = self.labels.place(torch.from_numpy(np.stack(pictures)))
         try:
+            check_pixels(*self.config.network_size(*images.shape[1:3]))
             output = self.labels.outputs(images)
         except UnrecognisedError:
             raise
