@@ -82,7 +82,13 @@ GRAPHS = {
 }
 
 
-@pytest.mark.parametrize("form", GRAPHS)
+RARE = ("half", "double", "weights beside")
+
+
+@pytest.mark.parametrize(
+    "form",
+    [pytest.param(form, marks=[pytest.mark.slow] if form in RARE else []) for form in GRAPHS],
+)
 def test_a_graph(form, tmp_path):
     network = OnnxNetwork(write_graph(tmp_path / "seg.onnx", **GRAPHS[form]))
     segmenter = Segmenter(network, SPACE, PLAIN)
