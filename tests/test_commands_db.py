@@ -111,6 +111,9 @@ def test_a_query_reads_on_past_damage_only_if_told_to(ssrvlad, database, maps):
     for line in out.splitlines():
         frames = {candidate["frame"] for candidate in json.loads(line)["candidates"]}
         assert frames <= {f"monday/00{n}" for n in (0, 1, 3, 4, 5)}
+    code, _, err = ssrvlad("query", database, maps, "--skip-damaged", "--index")
+    assert code == 2
+    assert "--index does not go with" in err[0]
 
 
 def test_history_tells_versions_that_other_commands_take(ssrvlad, database, maps, tmp_path):

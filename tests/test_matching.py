@@ -1,5 +1,7 @@
 """Matching against plain NumPy, and Eq. 3 against a loop."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 import torch
@@ -174,6 +176,15 @@ def test_a_reach_beyond_the_sequence_sums_all_of_it():
 def test_an_empty_frame_stays_empty_and_gives_nothing_to_its_neighbours():
     descriptors = torch.tensor([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
     assert temporal_sum(descriptors, ["a"] * 3, 1).tolist() == descriptors.tolist()
+
+
+def test_temporal_sum_keeps_no_copy_of_long_names():
+    sequences = ["a" * 1000] * 5000 + ["b" * 1000] * 5000
+    tracemalloc.start()
+    temporal_sum(torch.ones(10_000, 2), sequences, 1)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6, "names as wide strings take 40 MB"
 
 
 def test_temporal_sum_leaves_its_input_alone():

@@ -108,7 +108,10 @@ def test_what_was_committed_before_an_interruption_stays(tmp_path, files, databa
 
 @pytest.mark.parametrize(
     ("error", "message"),
-    [(ZeroDivisionError("of nothing"), "Ray gave up: "), (OSError("no room"), "^no room$")],
+    [
+        (ZeroDivisionError("of nothing"), "^Ray gave up: of nothing$"),
+        (OSError("no room"), "^no room$"),
+    ],
 )
 def test_a_part_that_fails_is_one_line(files, database, monkeypatch, error, message):
     class Failing(PartEncoder):

@@ -6,7 +6,8 @@
 Every step runs in a process of its own with one thread, so that its peak of memory and its seconds
 are its own. The descriptors are those of label maps of the synthetic city, varied: parts of two of
 them and noise. What is done stays in the folder, and a second run goes on from there. It takes two
-kilobytes a frame on the disk and as much again in memory.
+kilobytes a frame on the disk and as much again in memory. A million frames take some ten minutes,
+and kinds of index are compared on 200,000.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
         if step not in reports:
             command = [sys.executable, __file__, "--step", step, "--folder", str(folder)]
             command += ["--frames", str(frames)]
-            environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "LANCE_LOG": "error"}
             told = subprocess.run(
                 command, stdout=subprocess.PIPE, text=True, check=True, env=environment
             )

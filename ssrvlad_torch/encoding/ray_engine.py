@@ -126,6 +126,8 @@ class Actor:
             part: Part | OSError = self.encode(pickle.loads(files), bool(new))
         except OSError as error:  # of the disk: trying again does not help
             part = OSError(one_line(error))
+        except Exception as error:  # Ray would tell of itself, and not of this
+            part = OSError(f"Ray gave up: {one_line(error)}")
         return {"part": [pickle.dumps(part)]}
 
 
