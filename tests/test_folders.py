@@ -20,7 +20,8 @@ def test_the_synthetic_city(tmp_path):
     assert roles(dataset) == {"query": "query", "reference": "reference"}
     assert dataset.truth.file == files.ground_truth
     assert dataset.warnings == []
-    assert dataset.label_files() == find_label_files([str(files.query), str(files.reference)])
+    found = find_label_files([str(files.query), str(files.reference)])
+    assert repr(dataset.label_files()) == repr(found)  # a stamp that is not known is NaN
     assert dataset.labels_as == "cityscapes-trainids"
 
 
