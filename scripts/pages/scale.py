@@ -231,7 +231,7 @@ NAMES = {
 
 def page(results: dict[int, dict[str, Report]], kinds: list[Report]) -> str:
     lines = [
-        "# A million frames, and more",
+        "# Large databases",
         "",
         f"Written by `scripts/pages/scale.py` on {platform.machine()}, {os.cpu_count()} cores, "
         f"torch {torch.__version__}. The frames are synthetic: descriptors of the preset `default` "
