@@ -19,6 +19,8 @@ export class Model {
     const metadata = metadataOf(file);
     for (const name of ["fingerprint", "config", "label_space", "golden", "interface"])
       if (!metadata[name]) throw new Error(`no metadata ssrvlad.${name}: no file of ssrvlad export`);
+    if (JSON.parse(metadata.interface).sweep?.length)
+      throw new Error("expected a file without --sweep: this page takes one descriptor an image");
     const skeleton = skeletonTensor(file);
     const bytes = skeleton ? withOutput(file, skeleton) : file;
     const session = await ort.InferenceSession.create(bytes, { logSeverityLevel: 3 });
