@@ -5,9 +5,11 @@ They stand here so that `ablate.py` can measure them again; nothing of the packa
 
 from __future__ import annotations
 
+from functools import cache
+
 import torch
 import torch.nn.functional as F
-from conditions import Describe, Masks, described_from_masks
+from conditions import Describe, Drive, Masks, described_from_masks
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
@@ -45,6 +47,31 @@ def harmonics(config: SSRVLADConfig) -> Describe:
 def area_alone(masks: Masks) -> Tensor:
     """All 480 numbers for the areas of the six layers."""
     return described(cells(masks), (80, 0))
+
+
+def with_merged(kept: int, other: int, masks: Masks) -> Tensor:
+    """The area of one layer is counted as that of another."""
+    found = cells(masks).clone()
+    found[:, kept] += found[:, other]
+    found[:, other] = 0
+    return described(found)
+
+
+def weighted_by_agreement(describe: Describe) -> Describe:
+    """Each number weighs by how slowly it changes along the drive, which needs no truth.
+
+    The weight is 1 less half the mean square of its steps over its variance: 1 for what changes
+    steadily, 0 for what is drawn anew in every frame. A product of two drives' numbers weighs by
+    the root of both weights.
+    """
+
+    def weighted(drive: Drive) -> Tensor:
+        single = describe(drive)
+        steps = single.diff(dim=0).square().mean(0) / 2
+        agreement = (1 - steps / (single.var(0) + 1e-9)).clamp(0.01, 1)
+        return F.normalize(single * agreement.sqrt())
+
+    return weighted
 
 
 def between_labelled_pixels(masks: Masks) -> Tensor:
@@ -128,6 +155,7 @@ def anchored_at_each_layers_centre(masks: Masks) -> Tensor:
     columns = centre_table(centroids(layers), len(layers))[..., 1]
     shifts = torch.where(columns < 0, 0, columns - (layers.shape[2] - 1) // 2)
     found = cells(masks)
+    found = found.clone()
     for k in range(AREA_LAYERS):
         found[:, k] = pool(layers, shifts[:, k])[:, k]
     return described(found)
@@ -180,8 +208,9 @@ REJECTED: dict[str, Describe] = {
 }
 
 
+@cache
 def cells(masks: Masks) -> Tensor:
-    """``(B, 10, rows, columns)``, areas and lengths of boundaries."""
+    """``(B, 10, rows, columns)``, areas and lengths of boundaries; made once a drive."""
     return with_lengths(masks, boundaries(merge(masks.layers)))
 
 
