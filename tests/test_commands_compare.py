@@ -85,6 +85,41 @@ def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
     assert [row["method"] for row in rows] == names.split(",")
 
 
+def test_methods_taken_together(ssrvlad, tmp_path):
+    """The rows of each stay as they were; two more are those of single frames and followed."""
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", range(32), ".jpg")
+        write_maps(tmp_path / "town" / drive / "labels", range(32))
+    options = (tmp_path / "town", "--method", "label-grid,hog", *CAMVID, "--tolerance-frames", 0)
+    alone = json.loads(ssrvlad("compare", *options, "--json")[1])["rows"]
+    code, out, _ = ssrvlad("compare", *options, "--fuse", "hog,label-grid", "--json")
+    *rows, single, followed = json.loads(out)["rows"]
+    assert code == 0
+    for row, before in zip(rows, alone, strict=True):
+        for key in ("method", "recall_at", "steps"):
+            assert row[key] == before[key]
+    for row, mode in ((single, "no"), (followed, "offline")):
+        assert row["method"] == "hog + label-grid"
+        assert row["steps"]["standardise"] == {"query": True}
+        assert row["steps"]["follow"] == {"query": mode}
+        assert sum(row["weights"]["query"].values()) == pytest.approx(1)
+        assert row["recall_at"]["1"] >= max(one["recall_at"]["1"] for one in rows) - 0.01
+    assert single["bytes_a_reference"] == 2 * 480 * 4
+
+
+@pytest.mark.parametrize("names", ["hog", "hog,hog", "hog,tiny-image"])
+def test_what_cannot_be_taken_together(ssrvlad, town, names):
+    code, _, err = ssrvlad("compare", town, "--method", "hog,label-grid", "--fuse", names)
+    assert (code, len(err)) == (2, 1)
+    assert f"--fuse: expected two or more of hog, label-grid, got {names!r}" in err[0]
+
+
+def test_a_member_that_does_not_run(compare, town):
+    code, rows, _ = compare(town, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad")
+    assert code == 3
+    assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
+
+
 def test_the_tables(ssrvlad, town):
     code, out, err = ssrvlad("compare", town, "--method", "label-grid,hog,lost-x", *CAMVID)
     assert (code, len(err)) == (3, 1)

@@ -294,7 +294,7 @@ def recognise(
         references=Places.of(references),
         queries=Places.of(queries),
         found=found,
-        similarity=_unranked(found, len(references)) if all_pairs else None,
+        similarity=unranked(found, len(references)) if all_pairs else None,
         told={
             "method": method.name,
             "temporal": getattr(method, "temporal", None),
@@ -327,7 +327,7 @@ def _frames(
         yield frame
 
 
-def _unranked(found: Matches, references: int) -> npt.NDArray[np.float32]:
+def unranked(found: Matches, references: int) -> npt.NDArray[np.float32]:
     """Scores of all pairs, ``(Q, R)``, from as many candidates at least."""
     scores = found.scores.new_full((len(found.scores), references), -torch.inf)
     rows, ranks = (found.indices >= 0).nonzero(as_tuple=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -26,6 +27,7 @@ Row = dict[str, Any]
 AT_RECALL = 0.5
 AT = ("1", "5", "10")
 COSTS = ("encode", "match")
+_TOGETHER = "--fuse"
 
 
 def compare(
@@ -75,6 +77,12 @@ def compare(
             "--set", help="A setting, METHOD.NAME=VALUE, such as netvlad.weights=FILE; repeatable."
         ),
     ] = None,
+    fuse: Annotated[
+        str | None,
+        typer.Option(
+            help="Some of the methods, with commas between, whose scores are also taken together."
+        ),
+    ] = None,
     random_weights: RandomWeights = False,
     workers: Workers = 2,
     as_json: Json = False,
@@ -83,9 +91,13 @@ def compare(
     what they cost. Each method is measured twice: by the scores of single frames, and with the
     steps below. --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad. All
     methods get the same frames: those that have what every method needs. A method without images,
-    label maps or weights does not run, and its row says so.
+    label maps or weights does not run, and its row says so. --fuse adds up the scores of methods,
+    each weighted by how far its first candidates are ahead on the queries at hand.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
+
+    \b
+    Example: ssrvlad compare town --method ssr-vlad,hog --fuse ssr-vlad,hog --labels-as camvid-11
 
     \b
     Example: ssrvlad compare --references photos/monday --queries photos/today \\
@@ -97,13 +109,16 @@ def compare(
     from ..truth import TrueMatches
 
     names = [name.strip() for name in method.split(",")]
+    together = [name.strip() for name in fuse.split(",")] if fuse else []
+    if fuse and (len(set(together)) < 2 or not set(together) <= set(names)):
+        raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
     methods = _make(names, parse_settings(settings or ()), random_weights)
     naming = Naming(references or (), queries or (), odd_even)
     drives = Drives.open(dataset, layout, naming, Labels(labels, labels_as))
     true = TrueMatches.by(truth, drives.whole.truth)
     if true.metres is not None:
         drives = drives.posed()
-    rows = _rows(methods, drives, true, truth.convention, steps_of(steps), workers)
+    rows = _rows(methods, drives, true, truth.convention, steps_of(steps), workers, together)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -141,6 +156,7 @@ def _rows(
     convention: Convention,
     steps: Steps,
     workers: int,
+    together: Sequence[str],
 ) -> list[Row]:
     from ..drives import KINDS
 
@@ -157,8 +173,12 @@ def _rows(
     if able:
         needs = {need for method in able.values() for need in method.needs}
         drives = drives.complete([kind for kind in KINDS if kind in needs])
-        rows |= _run(able, drives, truth, convention, steps, workers)
-    return [row for name in methods for row in rows[name]]
+        rows |= _run(able, drives, truth, convention, steps, workers, together)
+    if together and _TOGETHER not in rows:
+        missing = next(name for name in together if name not in able)
+        reason = f"{missing} does not run"
+        rows[_TOGETHER] = [{"method": " + ".join(together), "reason": reason}]
+    return [row for name in (*methods, *[_TOGETHER] * bool(together)) for row in rows[name]]
 
 
 def _run(
@@ -168,26 +188,41 @@ def _run(
     convention: Convention,
     steps: Steps,
     workers: int,
+    together: Sequence[str],
 ) -> dict[str, list[Row]]:
     from ...recognition.recognise import AS_PAPER
-    from ..measure import measure, wants_similarity
+    from ..fused import followed, fused
+    from ..measure import Recognition, measure, wants_similarity
     from ..recognise import recognise
     from ..truth import Places
 
     parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
     matches = truth.among(*(Places.of(part.frames, whole) for part in parts))
+    taken = None if wants_similarity(convention) or steps == AS_PAPER else steps
+    singly = replace(steps, follow=None, delay=0)
+    members: dict[str, Recognition] = {}
+
+    def measured(found: Sequence[Recognition]) -> list[Row]:
+        return [measure(each, matches, convention, AT_RECALL) for each in found]
+
     for name, method in methods.items():
         labelled = "labels" in method.needs
         there, here = (part.label_files() if labelled else part.image_files() for part in parts)
         labels_as = whole.labels_as if labelled else None
-        all_pairs = wants_similarity(convention)
-        taken = None if all_pairs or steps == AS_PAPER else steps
+        all_pairs = wants_similarity(convention) or name in together
+        own = singly if taken and name in together else taken
         try:
-            found = recognise(method, there, here, labels_as, workers, all_pairs, taken)
+            found = recognise(method, there, here, labels_as, workers, all_pairs, own)
         except ValueError as error:
             rows[name] = [{"method": method.name, "reason": str(error)}]
-        else:
-            rows[name] = [measure(each, matches, convention, AT_RECALL) for each in found]
+            continue
+        if name in together:
+            members[name] = found[-1]
+            found = [found[0], *(followed(each, steps) for each in found[1:])]
+        rows[name] = measured(found)
+    if together and set(together) <= set(members):
+        chosen = [members[name] for name in together]
+        rows[_TOGETHER] = measured(fused(chosen, taken or singly))
     return rows
 
 
@@ -202,7 +237,9 @@ def _print(rows: Sequence[Row]) -> None:
         "method", *(f"RecallRate\n@{n}" for n in AT), "AUC-PR", "Recall@100%\nPrecision"
     )
     for row in rows:
-        name = row["method"] + ("\n  with steps" if row.get("steps") else "")
+        alone = "weights" in row and set(row["steps"]["follow"].values()) == {"no"}
+        steps = "\n  with steps" if row.get("steps") and not alone else ""
+        name = row["method"] + steps
         quality.add_row(name, *(_figures(row) if row in done else ["not run"]))
     print_table(quality)
     if not done:
