@@ -152,7 +152,7 @@ def test_the_shared_drives():
         for drive, folder in zip(("0001TP", "0016E5"), folders, strict=True)
         for file in find_label_files([folder], drive, 2, 1)
     ]
-    assert dataset.label_files(2, 1) == by_hand
+    assert repr(dataset.label_files(2, 1)) == repr(by_hand)  # NaN where a stamp is not known
     for network in ("predicted_dicenet", "predicted_espnetv2"):
         predicted = open_dataset(CAMVID, labels=network, labels_as="cityscapes-trainids")
         assert predicted.warnings == []
