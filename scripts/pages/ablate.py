@@ -22,8 +22,15 @@ import conditions
 import numpy as np
 import steps
 import torch
-from conditions import CAMVID_CONDITIONS, CITY_FRAMES, CITY_SEEDS, described_by, figures, search_all
-from results import described_by_baseline
+from conditions import (
+    CAMVID_CONDITIONS,
+    CITY_FRAMES,
+    CITY_SEEDS,
+    described_by,
+    described_by_baseline,
+    figures,
+    search_all,
+)
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.files import replacing

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, baselines, match
 from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.datasets.label_files import LabelFile, find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
@@ -104,6 +104,20 @@ def described_by(config: SSRVLADConfig) -> Describe:
     def describe(drive: Drive) -> Tensor:
         batches = torch.from_numpy(drive.maps).split(BATCH)
         return torch.cat([heads[drive.labels_as](batch) for batch in batches])
+
+    return describe
+
+
+def described_by_baseline(name: str) -> Describe:
+    """A method of label maps."""
+    method = baselines.make(name)
+
+    def describe(drive: Drive) -> Tensor:
+        frames = zip(drive.frames, drive.maps, strict=True)
+        found: Tensor = method.encode_query(
+            baselines.Frame(frame, labels, drive.labels_as) for frame, labels in frames
+        )
+        return found
 
     return describe
 
