@@ -12,6 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..bitplanes import Bits
+
 DIRECTIONS = ("upright", "level", "rising", "falling")
 """Bits 0 to 3. What rises goes up to the right."""
 
@@ -38,7 +40,7 @@ def boundaries(planes: Tensor) -> Tensor:
     return F.pad(found, (1, 1, 1, 1))
 
 
-def directions(nw: Tensor, ne: Tensor, sw: Tensor, se: Tensor) -> tuple[Tensor, ...]:
+def directions(nw: Bits, ne: Bits, sw: Bits, se: Bits) -> tuple[Bits, ...]:
     """Bit-planes of the layers with a boundary in each direction, from the diagonal neighbours."""
     north, south, west, east = nw ^ ne, sw ^ se, nw ^ sw, ne ^ se
     return (
