@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image, ImageDraw
+from PIL import Image, ImageDraw, ImageFont
 
 from ..config import SSRVLADConfig
 from ..database.database import Database
@@ -21,7 +21,7 @@ from ..evaluation.ground_truth_files import from_file, of_known
 from ..evaluation.metrics import evaluate
 from ..files import empty_folder, replacing
 from ..recognition.matching import match
-from ..taxonomy import colourise, label_space
+from ..taxonomy import VOID, colourise, label_space
 
 LABELS_AS = "cityscapes-trainids"
 PICTURED = 8
@@ -30,7 +30,11 @@ STEPS = 4
 
 _MARGIN = 10
 _FRAME = 4
-_CAPTION = 14
+_LINE = 20
+_TITLE = (
+    "Above: the second drive, in winter, beside the first track, with other cars and poor labels. "
+    "Below: its best match in the first drive."
+)
 _RIGHT, _WRONG = (40, 160, 60), (210, 40, 40)
 
 
@@ -95,16 +99,29 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
 
 def draw_recognitions(recognised: Sequence[Recognition]) -> Image.Image:
     """Some of the queries, evenly spread over the drive, each above its best candidate, framed
-    green if that is right and red if it is wrong."""
-    chosen = np.linspace(0, len(recognised) - 1, min(PICTURED, len(recognised))).astype(int)
-    tiles = [_tile(recognised[index]) for index in chosen]
+    green if that is right and red if it is wrong; a wrong one is among them if there is one."""
+    tiles = [_tile(recognition) for recognition in _chosen(recognised)]
     columns = -(-len(tiles) // 2)
     width, height = (max(tile.size[axis] for tile in tiles) + _MARGIN for axis in (0, 1))
-    sheet = Image.new("RGB", (columns * width + _MARGIN, 2 * height + _MARGIN), "white")
+    legend = _legend(columns * width)
+    top = _LINE + 2 * _MARGIN
+    size = columns * width + _MARGIN, top + 2 * height + legend.height + _MARGIN
+    sheet = Image.new("RGB", size, "white")
+    ImageDraw.Draw(sheet).text((_MARGIN, _MARGIN), _TITLE, fill="black", font=_font())
     for number, tile in enumerate(tiles):
         row, column = divmod(number, columns)
-        sheet.paste(tile, (column * width + _MARGIN, row * height + _MARGIN))
+        sheet.paste(tile, (column * width + _MARGIN, top + row * height))
+    sheet.paste(legend, (_MARGIN, top + 2 * height))
     return sheet
+
+
+def _chosen(recognised: Sequence[Recognition]) -> list[Recognition]:
+    places = np.linspace(0, len(recognised) - 1, min(PICTURED, len(recognised))).astype(int)
+    chosen = [recognised[place] for place in places]
+    wrong = [recognition for recognition in recognised if not recognition.right]
+    if wrong and all(recognition.right for recognition in chosen):
+        chosen[-1] = wrong[-1]
+    return chosen
 
 
 def _tile(recognition: Recognition) -> Image.Image:
@@ -113,14 +130,40 @@ def _tile(recognition: Recognition) -> Image.Image:
         Image.fromarray(colourise(read_label_map(file, space), LABELS_AS))
         for file in (recognition.query, recognition.reference)
     )
-    colour = _RIGHT if recognition.right else _WRONG
     width, height = above.size
-    tile = Image.new("RGB", (width + 2 * _FRAME, 2 * height + 3 * _FRAME + _CAPTION), colour)
-    tile.paste(above, (_FRAME, _CAPTION + _FRAME))
-    tile.paste(below, (_FRAME, _CAPTION + height + 2 * _FRAME))
-    verdict = "right" if recognition.right else "wrong"
-    caption = f"{recognition.query.frame} -> {recognition.reference.frame}"
-    ImageDraw.Draw(tile).text(
-        (_FRAME, 2), f"{caption}  {recognition.score:.3f}  {verdict}", fill="white"
+    right = recognition.right
+    tile = Image.new(
+        "RGB", (width + 2 * _FRAME, 2 * (height + _LINE) + 2 * _FRAME), _RIGHT if right else _WRONG
     )
+    tile.paste(above, (_FRAME, _LINE))
+    tile.paste(below, (_FRAME, height + 2 * _LINE))
+    verdict = "right" if right else "wrong"
+    match_of = f"{recognition.reference.frame}  {recognition.score:.2f}, {verdict}"
+    draw = ImageDraw.Draw(tile)
+    draw.text((_FRAME, 2), recognition.query.frame, fill="white", font=_font())
+    draw.text((_FRAME, height + _LINE + 2), match_of, fill="white", font=_font())
     return tile
+
+
+def _legend(width: int) -> Image.Image:
+    """The classes and their colours, in as many lines as it takes."""
+    draw = ImageDraw.Draw(Image.new("RGB", (1, 1)))
+    places, x, y = [], 0, 0
+    for label in label_space(LABELS_AS).classes:
+        if label.colour is None or label.category == VOID:
+            continue
+        long = _LINE + int(draw.textlength(label.name, _font())) + 2 * _MARGIN
+        if x + long > width:
+            x, y = 0, y + _LINE
+        places.append((x, y, label))
+        x += long
+    legend = Image.new("RGB", (width, y + _LINE), "white")
+    draw = ImageDraw.Draw(legend)
+    for x, y, label in places:
+        draw.rectangle((x, y + 4, x + _LINE - 8, y + _LINE - 4), fill=label.colour)
+        draw.text((x + _LINE - 3, y + 2), label.name, fill="black", font=_font())
+    return legend
+
+
+def _font() -> Any:
+    return ImageFont.load_default(13)
