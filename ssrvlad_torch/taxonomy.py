@@ -178,9 +178,10 @@ def label_space(given: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
     name = os.fspath(given)
     if name.endswith((".yaml", ".yml")):
         try:
-            return _parsed(read_text(name, MOST_YAML), name)
+            text = read_text(name, MOST_YAML)
         except (OSError, ValueError) as error:
             raise ValueError(f"cannot read the label space {name}: {error}") from error
+        return _parsed(text, name)
     names = label_space_names()
     if name not in names:
         close = get_close_matches(name, names, n=2, cutoff=0.6)

@@ -28,6 +28,7 @@ MOST_YAML = 1 << 20
 
 _MOST_BYTES = 256 << 20
 _MOST_PIXELS = 64_000_000
+_MOST_LEVELS = 20
 
 Value = TypeVar("Value")
 
@@ -91,7 +92,7 @@ def parse_yaml(text: str, name: object) -> Any:
         InputError: it is no YAML, is nested too deeply, or has aliases, by which a short text can
             stand for a huge one.
     """
-    with naming(name, "not YAML"):
+    with naming(name, "no plain YAML"):
         return yaml.load(text, _PlainLoader)
 
 
@@ -188,12 +189,19 @@ def naming(name: object, problem: str) -> Iterator[None]:
 
 
 class _PlainLoader(yaml.SafeLoader):
+    """Refuses aliases, and more levels than settings and label spaces need."""
+
+    _level = 0
+
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        """Refuses aliases."""
+        line = self.peek_event().start_mark.line + 1
         if self.check_event(yaml.AliasEvent):
-            line = self.peek_event().start_mark.line + 1
-            raise InputError(f"an alias in line {line}; expected YAML without aliases")
+            raise yaml.YAMLError(f"an alias in line {line}; expected YAML without aliases")
+        if self._level == _MOST_LEVELS:
+            raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels in line {line}")
+        self._level += 1
         node: yaml.Node | None = super().compose_node(parent, index)
+        self._level -= 1
         return node
 
 

@@ -1,4 +1,4 @@
-"""What the pages of docs/ tell a user to type, typed: commands of ssrvlad and Python, page by page."""
+"""What docs/ tells a user to type, typed: commands of ssrvlad and Python, page by page."""
 
 from __future__ import annotations
 
