@@ -121,7 +121,8 @@ def by_labels(folder: Path, labels_as: str) -> Tensor:
 def by_hog(folder: Path) -> Tensor:
     files = find_image_files([str(folder)])
     frames = (Frame(file.frame, image=read_image(file)) for file in files)
-    found: Tensor = baselines.make("hog").encode_query(frames)
+    found = baselines.make("hog").encode_query(frames)
+    assert isinstance(found, Tensor)
     return found
 
 
