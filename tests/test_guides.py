@@ -27,8 +27,8 @@ def test_every_command(page, run, photos):  # noqa: F811
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_every_snippet(page, photos, monkeypatch, tmp_path):  # noqa: F811
-    monkeypatch.chdir(tmp_path)
+def test_every_snippet(page, run, photos, monkeypatch):  # noqa: F811
+    monkeypatch.chdir(photos)
     exec("\n".join(blocks(page, "python")), {})
 
 

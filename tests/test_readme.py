@@ -22,7 +22,9 @@ from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.taxonomy import colourise
 
-README = (Path(__file__).parents[1] / "README.md").read_text(encoding="utf-8")
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+COMMANDS_PAGE = (ROOT / "docs" / "guides" / "commands.md").read_text(encoding="utf-8")
 CONSOLE = re.findall(r"```console\n(.*?)```", README, re.DOTALL)
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
@@ -65,7 +67,8 @@ def photos(maps):
     weights = random_network(AlexNetPlaces365).state_dict()
     torch.save(weights, maps / "alexnet_places365.caffemodel")
     write_graph(maps / "net.onnx", labels=True)
-    settings = re.findall(r"```yaml\n(.*?)```", README, re.DOTALL)[0]
+    choosing = (ROOT / "docs" / "guides" / "choosing.md").read_text(encoding="utf-8")
+    settings = re.findall(r"```yaml\n(.*?)```", choosing, re.DOTALL)[0]
     (maps / "seg.yaml").write_text(re.sub(r"(?m)^(labels_as|classes):.*\n", "", settings))
     return maps
 
@@ -112,16 +115,6 @@ def test_the_commands_on_images(run, maps):
         assert run(re.sub(r"hf:\S+", published, line.removeprefix("$ ")))
 
 
-def test_the_commands_on_data_sets(run, photos):
-    for line in next(block for block in CONSOLE if "compare" in block).splitlines():
-        assert run(line.removeprefix("$ "))
-
-
-def test_the_commands_on_onnx_files(run, photos):
-    for line in next(block for block in CONSOLE if "fuse" in block).splitlines():
-        assert run(line.removeprefix("$ "))
-
-
 def test_python(run, photos, monkeypatch):
     run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
     monkeypatch.chdir(photos)
@@ -130,7 +123,7 @@ def test_python(run, photos, monkeypatch):
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_in_the_table(command):
-    assert re.search(rf"^\| `ssrvlad {command}[ `]", README, re.MULTILINE)
+    assert re.search(rf"^\| `ssrvlad {command}[ `]", COMMANDS_PAGE, re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "bench"])

@@ -1,4 +1,4 @@
-"""Draws docs/figures/stages.png: one frame of the synthetic city, stage by stage.
+"""Draws docs/figures/stages.png, one frame of the synthetic city stage by stage, and demo.png.
 
 python scripts/pages/how_it_works.py
 """
@@ -6,6 +6,7 @@ python scripts/pages/how_it_works.py
 from __future__ import annotations
 
 import argparse
+import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -16,6 +17,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.cli.demo import run_demo
 from ssrvlad_torch.config import CATEGORIES
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
@@ -23,6 +25,9 @@ from ssrvlad_torch.stages.layers import merge
 from ssrvlad_torch.taxonomy import colourise
 
 SPACE = "cityscapes-trainids"
+FRAMES = 100
+"""Of each drive of the demo, as `ssrvlad demo` has."""
+
 LAYER = 2
 """Buildings."""
 
@@ -33,14 +38,14 @@ _OURS = (0.12, 0.37, 0.7)
 def main() -> None:
     """Writes the figure."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--output", type=Path, default=Path("docs/figures/stages.png"))
+    parser.add_argument("--output", type=Path, default=Path("docs/figures"))
     given = parser.parse_args()
     with TemporaryDirectory() as folder:
         write_city(Path(folder) / "city", frames=8)
         frame = sorted((Path(folder) / "city" / "reference").iterdir())[4]
-        labels = np.asarray(Image.open(frame))
-    draw(labels).savefig(given.output, dpi=100)
-    print(given.output)
+        draw(np.asarray(Image.open(frame))).savefig(given.output / "stages.png", dpi=100)
+        shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None).picture
+        shutil.copy(shown, given.output / "demo.png")
 
 
 def draw(labels: np.ndarray) -> Figure:
