@@ -273,9 +273,9 @@ def test_its_size_is_bounded():
 def test_a_missing_folder_is_told_beforehand(report, tmp_path):
     place = tmp_path / "none" / "out.html"
     for attempt in (lambda: require_place(place), lambda: write_report(place, report)):
-        with pytest.raises(ValueError, match=r"report .*out.html: there is no folder .*none$"):
+        with pytest.raises(OSError, match=r"out.html: there is no folder .*none$"):
             attempt()
-    with pytest.raises(ValueError, match="it is a folder"):
+    with pytest.raises(OSError, match="it is a folder"):
         require_place(tmp_path)
     assert not [*tmp_path.iterdir()]
 

@@ -108,7 +108,8 @@ def test_workers_end_with_the_results():
 
 
 PARENT = """
-import sys
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, sys.argv[1])
 from test_workers import slow
 from ssrvlad_torch.encoding.workers import in_order

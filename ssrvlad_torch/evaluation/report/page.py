@@ -64,7 +64,7 @@ def require_place(path: Path) -> None:
     """Refuses a place where no page can be written, before the work is done.
 
     Raises:
-        ValueError: the folder is missing, or a folder stands where the page is to be.
+        OSError: see `check_output`.
     """
     check_output(path)
 
