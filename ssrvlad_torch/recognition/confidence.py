@@ -11,9 +11,9 @@ from torch import Tensor
 
 from .motion import moments, nearness
 
-OFFLINE = (1.81, 0.33)
-ONLINE = (1.09, 0.74)
-SINGLE = (-2.07, 0.65, 2.64)
+OFFLINE = (1.41, 0.39)
+ONLINE = (1.39, 0.76)
+SINGLE = (-2.69, 0.80, 3.25)
 
 _ELSEWHERE = 5
 _LEAST = 1e-4

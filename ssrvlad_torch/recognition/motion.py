@@ -53,7 +53,7 @@ class Motion:
         ValueError: a chance is not from 0 to 1, the weight not above 0, or a number not finite.
     """
 
-    change: float = 0.01
+    change: float = 0.05
     jump: float = 0.01
     unmapped: float = 0.1
     stay: float = 0.97
