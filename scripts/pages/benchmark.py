@@ -391,13 +391,13 @@ def main() -> None:
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     sections = [
         partial(size_section, maps, options.repetitions),
-        partial(batch_section, maps, options.repetitions),
         partial(stage_section, maps.batch(LARGE, 1), maps.config("paper"), options.repetitions),
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),
         partial(methods_section, options),
         partial(pictures_section, options.networks, pictures, options.repetitions),
         partial(loops_section),
+        partial(batch_section, maps, options.repetitions),
         partial(encoding_section, maps, options.repetitions),
         partial(matching_section, options.references),
     ]
