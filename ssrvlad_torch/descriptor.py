@@ -232,11 +232,15 @@ def _tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:
     Raises:
         ValueError: anything else.
     """
-    if isinstance(labels, Tensor):
+    if isinstance(labels, Tensor) and not labels.is_meta and labels.layout is torch.strided:
         return labels
     if isinstance(labels, np.ndarray) and labels.dtype.kind in "biufc":
         native = labels.astype(labels.dtype.newbyteorder("="), copy=False)
         return torch.from_numpy(np.require(native, requirements=["C", "W"]))
+    if isinstance(labels, Tensor):
+        raise ValueError(
+            f"expected a dense tensor in memory, got {labels.layout} on {labels.device}"
+        )
     kind = f"{type(labels).__module__.split('.')[0]} {type(labels).__name__}"
     if isinstance(labels, np.ndarray):
         kind = f"an array of {labels.dtype}"

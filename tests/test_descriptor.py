@@ -319,3 +319,12 @@ def test_a_label_space_of_ones_own_travels_with_the_config():
     assert again == config
     assert SSRVLAD(again).label_space.digest == label_space(SPACE).digest
     assert torch.equal(SSRVLAD(again)(batch_of_blobs(1)), SSRVLAD(DEFAULT)(batch_of_blobs(1)))
+
+
+@pytest.mark.parametrize(
+    "labels",
+    [torch.ones(1, 4, 4, device="meta"), torch.ones(1, 4, 4, dtype=torch.int64).to_sparse()],
+)
+def test_a_tensor_without_values_is_a_sentence(labels):
+    with pytest.raises(ValueError, match="expected a dense tensor in memory"):
+        SSRVLAD.from_preset("default", labels_as="camvid-11")(labels)

@@ -211,3 +211,19 @@ def test_a_reach_in_metres_is_another_t_for_each_sequence():
     poses[15:] = np.nan
     with pytest.raises(ValueError, match="sequence 'b' has no poses"):
         frames_within(poses, sequences, 4.0)
+
+
+@pytest.mark.parametrize(
+    ("vectors", "message"),
+    [
+        (None, "expected queries as a tensor or an array, got NoneType"),
+        ("abc", "expected queries as a tensor or an array, got str"),
+        (torch.ones(1, 3, dtype=torch.complex64), "of real numbers in memory, got torch.complex64"),
+        (torch.ones(1, 3, device="meta"), "of real numbers in memory, .* on meta"),
+        (torch.ones(1, 3).to_sparse(), "of real numbers in memory, .*sparse"),
+        (torch.full((1, 3), 1e-30), "too small for float32"),
+    ],
+)
+def test_what_are_no_vectors_is_a_sentence(vectors, message):
+    with pytest.raises(ValueError, match=message):
+        match(vectors, torch.eye(3), top=1)

@@ -63,8 +63,8 @@ def match(
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
         tensor([[0]])
     """
-    queries = torch.as_tensor(queries)
-    vectors = references.vectors if isinstance(references, Rows) else torch.as_tensor(references)
+    queries = numbers(queries, "queries")
+    vectors = references.vectors if isinstance(references, Rows) else numbers(references)
     _check(queries, vectors, top)
     allowed, ranges = _limits(len(queries), len(vectors), where, exclude)
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
@@ -116,7 +116,7 @@ class Rows(NamedTuple):
         Raises:
             ValueError: they hold values that are not finite.
         """
-        single = torch.as_tensor(vectors)
+        single = numbers(vectors)
         lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
         return cls(single, torch.cat(lengths))
 
@@ -140,14 +140,33 @@ def wanted(queries: Vectors) -> Tensor:
     Raises:
         ValueError: they hold values that are not finite.
     """
-    single = torch.as_tensor(queries).float()
+    single = numbers(queries, "queries").float()
     return single / _lengths(single, "queries")[..., None]
+
+
+def numbers(vectors: Vectors, name: str = "references") -> Tensor:
+    """Vectors as a tensor of real numbers.
+
+    Raises:
+        ValueError: they are anything else, or not in memory.
+    """
+    try:
+        tensor = torch.as_tensor(vectors)
+    except (TypeError, ValueError, RuntimeError) as error:
+        kind = type(vectors).__name__
+        raise ValueError(f"expected {name} as a tensor or an array, got {kind}") from error
+    if tensor.is_complex() or tensor.is_meta or tensor.layout is not torch.strided:
+        got = f"{tensor.dtype}, {tensor.layout} on {tensor.device}"
+        raise ValueError(f"expected {name} of real numbers in memory, got {got}")
+    return tensor
 
 
 def _lengths(vectors: Tensor, name: str = "references") -> Tensor:
     lengths: Tensor = torch.linalg.vector_norm(vectors, dim=-1)
     if len(lengths) and not bool(lengths.amax().isfinite()):
         raise ValueError(f"{name} hold values that are not finite")
+    if bool(vectors[lengths == 0].any()):
+        raise ValueError(f"{name} hold values too small for float32 to measure their length")
     return lengths
 
 
