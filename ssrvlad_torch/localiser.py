@@ -23,6 +23,7 @@ from .recognition.sweep import COLUMNS
 from .segmentation.networks import AUTO, runs_code
 from .segmentation.segmenter import Segmenter
 from .taxonomy import LabelSpace
+from .untrusted import read_bytes
 
 _ALONE = Steps(follow=None)
 
@@ -141,7 +142,7 @@ class Localiser:
             ValueError: it is no picture, the network fails, or the database is empty or damaged.
         """
         if not isinstance(picture, np.ndarray):
-            picture = decode_image(Path(picture).read_bytes())
+            picture = decode_image(read_bytes(picture))
         known = self._references()
         (labels,) = self.segmenter([picture])
         found = recognise(

@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -29,8 +29,6 @@ MOST_YAML = 1 << 20
 _MOST_BYTES = 256 << 20
 _MOST_PIXELS = 64_000_000
 _MOST_LEVELS = 20
-
-Value = TypeVar("Value")
 
 
 class InputError(ValueError):
@@ -64,14 +62,22 @@ def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
         OSError: it cannot be read.
     """
     check_regular(path)
-    most = most or int(os.environ.get("SSRVLAD_FILE_LIMIT") or _MOST_BYTES)
     with Path(path).open("rb") as file:
-        content = file.read(min(os.fstat(file.fileno()).st_size, most) + 1)
-        if len(content) > most or file.read(1):
-            raise InputError(
-                f"{os.fspath(path)} has more than {most} bytes (SSRVLAD_FILE_LIMIT sets the limit)"
-            )
-    return content
+        size = os.fstat(file.fileno()).st_size
+        check_size(size, path, most)
+        return file.read(size)
+
+
+def check_size(size: int, name: object, most: int | None = None) -> None:
+    """Checks how many bytes something has before they are in memory; ``most`` as for `read_bytes`.
+
+    Raises:
+        InputError: it has more.
+    """
+    limit = most or int(os.environ.get("SSRVLAD_FILE_LIMIT") or _MOST_BYTES)
+    if size > limit:
+        hint = "" if most else " (SSRVLAD_FILE_LIMIT)"
+        raise InputError(f"{name} has {size} bytes; expected at most {limit}{hint}")
 
 
 def read_text(path: str | os.PathLike[str], most: int | None = None) -> str:
@@ -146,17 +152,10 @@ def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
     Raises:
         InputError: it is damaged, too large, or holds Python objects.
     """
-    most = int(os.environ.get("SSRVLAD_FILE_LIMIT") or _MOST_BYTES)
     with naming(path, "no .npz archive"), zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
-        size = sum(entry.file_size for entry in archive.infolist())
-        if size > most:
-            raise InputError(
-                f"{path} holds {size} bytes; expected at most {most} (SSRVLAD_FILE_LIMIT)"
-            )
-        return {
-            entry.filename.removesuffix(".npy"): parse_npy(archive.read(entry))
-            for entry in archive.infolist()
-        }
+        entries = archive.infolist()
+        check_size(sum(entry.file_size for entry in entries), f"what is in {path}")
+        return {e.filename.removesuffix(".npy"): parse_npy(archive.read(e)) for e in entries}
 
 
 def check_pixels(height: int, width: int) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ..untrusted import read_bytes
 from .poses import Pose
 
 
@@ -69,7 +70,7 @@ def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> d
         ValueError: a line is of another form; the message names file and line.
     """
     poses = {}
-    text = path.read_text(encoding="utf-8", errors="replace")
+    text = read_bytes(path).decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
         words = line.split()
         if words and not line.startswith("#"):

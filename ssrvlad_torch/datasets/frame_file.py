@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 from numpy.lib.format import open_memmap, write_array
 
 from ..files import one_line
-from ..untrusted import read_bytes
+from ..untrusted import check_size, read_bytes
 from .names import absolute
 from .poses import UNKNOWN, Pose
 
@@ -131,6 +131,7 @@ class RemoteFile(FrameFile):
 
     def _content(self) -> bytes:
         with _file_system(self.folder).open_input_file(str(self.path)) as source:
+            check_size(source.size(), self.place)
             content: bytes = source.read()
         return content
 

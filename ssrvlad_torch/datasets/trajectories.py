@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from ..untrusted import read_text
 from .camera_poses import Y_DOWN, Z_UP, optical_axis
 from .poses import UNKNOWN, Pose
 
@@ -60,7 +61,7 @@ def read_trajectory(path: Path) -> Trajectory:
         ValueError: neither; the message names the line.
     """
     poses, stamps = list[Pose](), list[float]()
-    for number, line in enumerate(path.read_text(encoding="utf-8-sig").splitlines(), 1):
+    for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.replace(",", " ").split()
         if not words or words[0].startswith("#"):
             continue

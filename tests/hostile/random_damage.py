@@ -178,6 +178,7 @@ def main() -> None:
             content = damaged(random_, good)
             kept = Path(findings) / f"{door}-{seed}-{counts['tried']}{suffix}"
             kept.write_bytes(content)
+            counts["tried"] += 1
             begun = time.monotonic()
             if _try(read, Path(name), suffix, content, counts, kept.name):
                 kept.unlink()
@@ -186,7 +187,6 @@ def main() -> None:
                 kept.write_bytes(content)
                 print(f"{kept.name}: too slow or too large", file=sys.stderr)
                 break
-            counts["tried"] += 1
             if begun - told > 1:
                 told = begun
                 print(json.dumps(counts), flush=True)

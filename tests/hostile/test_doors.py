@@ -130,7 +130,7 @@ YAML: list[tuple[str, str]] = [
     ("3", "label space"),
     (f"{SPACE}\n", "no plain YAML"),
     (f"{SPACE}, colour: [1, 2]}}\n", "colour"),
-    ("x" * (2 << 20), "more than 1048576 bytes"),
+    ("x" * (2 << 20), "has 2097152 bytes; expected at most 1048576"),
 ]
 
 
