@@ -9,13 +9,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from .motion import moments, nearness
+from .motion import lead, moments, nearness
 
 OFFLINE = (1.41, 0.39)
 ONLINE = (1.39, 0.76)
 SINGLE = (-2.69, 0.80, 3.25)
 
-_ELSEWHERE = 5
 _LEAST = 1e-4
 
 
@@ -50,12 +49,9 @@ def confidence_of_scores(
         return torch.tensor(0.0)
     mean, deviation = moments(scores) if spread is None else spread
     near = nearness(scores)
-    first = int(scores.argmax())
-    places = torch.arange(len(scores)) if rows is None else rows
-    others = near[(places - places[first]).abs() > _ELSEWHERE]
-    others = others[others.isfinite()]
-    if not len(others):
+    ahead = lead(near[None], rows)[0]
+    if not ahead.isfinite():
         return torch.tensor(0.0)
-    z = (near[first] - mean) / deviation
     offset, by_z, by_lead = SINGLE
-    return torch.sigmoid(offset + by_z * z + by_lead * (near[first] - others.max()))
+    z = (near.max() - mean) / deviation
+    return torch.sigmoid(offset + by_z * z + by_lead * ahead)

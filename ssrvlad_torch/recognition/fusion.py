@@ -13,9 +13,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .motion import nearness
+from .motion import ELSEWHERE, lead, nearness
 
-_ELSEWHERE = 5
 _LEAST_SPREAD = 1e-6
 
 
@@ -87,9 +86,7 @@ def _scaled(scores: Tensor) -> _Scaled:
 
 
 def _lead(z: Tensor) -> Tensor:
-    """How far the first candidate is ahead of the best row elsewhere, on average."""
-    if not len(z) or z.shape[1] <= 2 * _ELSEWHERE + 1:
+    """How far first candidates are ahead, on average; 0 where that cannot be told."""
+    if not len(z) or z.shape[1] <= 2 * ELSEWHERE + 1:
         return torch.tensor(0.0)
-    first = z.argmax(1, keepdim=True)
-    elsewhere = (torch.arange(z.shape[1]) - first).abs() > _ELSEWHERE
-    return (z.amax(1) - z.masked_fill(~elsewhere, -torch.inf).amax(1)).mean()
+    return lead(z).mean()

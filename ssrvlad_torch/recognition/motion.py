@@ -25,6 +25,9 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
 GAP = 5
 """No step is longer: so many empty cells keep two sequences apart."""
 
+ELSEWHERE = 5
+"""Rows that are farther apart show different places."""
+
 _LEAST_STEP = min(step for _, steps in SPEEDS for step in steps)
 _LEAST_SPREAD = 1e-6
 _MOST = 50.0
@@ -76,6 +79,21 @@ class Motion:
 def nearness(scores: Tensor) -> Tensor:
     """Less the logarithm of half the squared Euclidean distance of descriptors of length 1."""
     return -torch.log((1 - scores).clamp(min=_ROUNDING))
+
+
+def lead(near: Tensor, rows: Tensor | None = None) -> Tensor:
+    """How much nearer the first candidate is than the best one elsewhere, see `ELSEWHERE`.
+
+    Args:
+        near: ``(Q, N)`` nearness.
+        rows: ``(N,)`` of the map, rising; without, ``near`` is of all rows.
+
+    Returns:
+        ``(Q,)``, infinite where nothing is elsewhere.
+    """
+    rows = torch.arange(near.shape[1]) if rows is None else rows
+    apart = (rows - rows[near.argmax(1)][:, None]).abs()
+    return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
 
 
 def moments(scores: Tensor) -> tuple[float, float]:

@@ -110,18 +110,16 @@ def recognise(
         got = len(query_sequences)
         raise ValueError(f"expected a sequence for each of {len(swept)} queries, got {got}")
     measured = cache(lambda own: Rows.of(standardise(known, reference_sequences) if own else known))
-    used = _used(steps)
-    parts: list[tuple[Matches, Tensor]] = []
-    for run in runs(query_sequences):
-        name, rows = query_sequences[run.start], slice(run.start, run.stop)
+
+    def judge(run: range) -> _Outcome:
+        rows = slice(run.start, run.stop)
         own = steps.standardise and len(run) >= LEAST
         part, width = _prepared(swept[rows], measured(own), replace(steps, standardise=own))
         scores = _Scores(part, measured(own), None if barred is None else barred[rows])
         found, followed = _judged(scores, reference_sequences, steps, top)
-        parts.append(found)
-        used["standardise"][name], used["sweep"][name] = own, width
-        used["follow"][name] = followed
-    return _joined(parts, used, top)
+        return _Outcome(*found, own, width, followed)
+
+    return _of_each(query_sequences, steps, top, judge)
 
 
 def recognise_by_scores(
@@ -137,18 +135,13 @@ def recognise_by_scores(
         scores: ``(Q, R)`` float, at most 1; -inf where there can be no match.
     """
     steps = replace(steps or Steps(), standardise=False, sweep=False)
-    used = _used(steps)
-    parts: list[tuple[Matches, Tensor]] = []
-    for run in runs(query_sequences):
-        name, rows = query_sequences[run.start], slice(run.start, run.stop)
-        found, used["follow"][name] = _judged(scores[rows], reference_sequences, steps, top)
-        used["standardise"][name], used["sweep"][name] = False, 0
-        parts.append(found)
-    return _joined(parts, used, top)
 
+    def judge(run: range) -> _Outcome:
+        part = scores[run.start : run.stop]
+        found, followed = _judged(part, reference_sequences, steps, top)
+        return _Outcome(*found, False, 0, followed)
 
-def _used(steps: Steps) -> dict[str, Any]:
-    return {**asdict(steps), "standardise": {}, "sweep": {}, "follow": {}}
+    return _of_each(query_sequences, steps, top, judge)
 
 
 def recognise_by_search(
@@ -164,34 +157,48 @@ def recognise_by_search(
         search: gives what finds candidates, standardised or not. There is no sweep.
     """
     steps = replace(steps or Steps(), sweep=False)
-    used = _used(steps)
-    parts: list[tuple[Matches, Tensor]] = []
-    for run in runs(query_sequences):
-        name, own = query_sequences[run.start], steps.standardise and len(run) >= LEAST
-        part, mode = Part(search(own), run), steps.follow
-        if mode and gain(part, reference_sequences, Motion(unmapped=0.0)) > 0:
-            places = follow_candidates(
-                part, reference_sequences, mode=mode, delay=steps.delay, top=top
-            )
-            empty = torch.tensor([not len(part.candidates(query)) for query in range(len(part))])
-            parts.append(_placed(places, empty, mode))
-        else:
-            mode = None
-            parts.append(_single([_best_candidate(part, query, top) for query in range(len(part))]))
-        used["standardise"][name], used["sweep"][name] = own, 0
-        used["follow"][name] = mode or "no"
-    return _joined(parts, used, top)
+
+    def judge(run: range) -> _Outcome:
+        own, mode = steps.standardise and len(run) >= LEAST, steps.follow
+        part = Part(search(own), run)
+        if not mode or gain(part, reference_sequences, Motion(unmapped=0.0)) <= 0:
+            alone = [_best_candidate(part, query, top) for query in range(len(part))]
+            return _Outcome(*_single(alone), own, 0, "no")
+        places = follow_candidates(part, reference_sequences, None, mode, steps.delay, top)
+        empty = torch.tensor([not len(part.candidates(query)) for query in range(len(part))])
+        return _Outcome(*_placed(places, empty, mode), own, 0, mode)
+
+    return _of_each(query_sequences, steps, top, judge)
 
 
-def _joined(parts: Sequence[tuple[Matches, Tensor]], used: dict[str, Any], top: int) -> Recognised:
-    if not parts:
-        none = torch.zeros(0, top)
-        return Recognised(Matches(none, none.long()), torch.zeros(0), used)
-    matches = Matches(
-        torch.cat([found.scores for found, _ in parts]),
-        torch.cat([found.indices for found, _ in parts]),
+class _Outcome(NamedTuple):
+    """What was found of one sequence of queries, and how."""
+
+    matches: Matches
+    confidence: Tensor
+    standardise: bool
+    sweep: int
+    follow: str
+
+
+def _of_each(
+    sequences: Sequence[str], steps: Steps, top: int, judge: Callable[[range], _Outcome]
+) -> Recognised:
+    """What is found of all queries, sequence by sequence."""
+    judged = {run: judge(run) for run in runs(sequences)}
+    used: dict[str, Any] = asdict(steps)
+    for step in ("standardise", "sweep", "follow"):
+        used[step] = {sequences[run.start]: getattr(one, step) for run, one in judged.items()}
+    none = torch.zeros(0, top)
+    scores, indices, sure = (
+        torch.cat([empty, *parts])
+        for empty, parts in (
+            (none, [one.matches.scores for one in judged.values()]),
+            (none.long(), [one.matches.indices for one in judged.values()]),
+            (none.sum(1), [one.confidence for one in judged.values()]),
+        )
     )
-    return Recognised(matches, torch.cat([sure for _, sure in parts]), used)
+    return Recognised(Matches(scores, indices), sure, used)
 
 
 def _prepared(queries: Tensor, references: Rows, steps: Steps) -> tuple[Tensor, int]:

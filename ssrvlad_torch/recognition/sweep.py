@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from .matching import Rows, Vectors, wanted
-from .motion import nearness
+from .motion import ELSEWHERE, lead, nearness
 from .standardise import standardise
 
 COLUMNS = tuple(range(-24, 25, 4))
@@ -88,20 +88,16 @@ def narrowed(
 
 _SAMPLE = 200
 _SCORES = 1 << 24
-_ELSEWHERE = 5
 
 
 def _lead(queries: Tensor, references: Rows) -> float:
-    """How much nearer first candidates are than the best of the rows elsewhere, on average."""
-    if len(references) <= 2 * _ELSEWHERE + 1:
+    """How far first candidates are ahead, on average; 0 where that cannot be told."""
+    if len(references) <= 2 * ELSEWHERE + 1:
         return 0.0
-    rows = torch.arange(len(references))
     leads = []
     few = max(1, _SCORES // (len(references) * queries.shape[1]))
     for part in torch.split(queries, few):
         scores = score(part, references)
-        near = nearness(scores[scores.amax(1).isfinite()])
-        apart = (rows - near.argmax(1, keepdim=True)).abs()
-        leads.append(near.amax(1) - near.masked_fill(apart <= _ELSEWHERE, -torch.inf).amax(1))
-    lead = torch.cat(leads) if leads else torch.zeros(0)
-    return float(lead[lead.isfinite()].mean()) if lead.isfinite().any() else 0.0
+        leads.append(lead(nearness(scores[scores.amax(1).isfinite()])))
+    ahead = torch.cat(leads) if leads else torch.zeros(0)
+    return float(ahead[ahead.isfinite()].mean()) if ahead.isfinite().any() else 0.0
