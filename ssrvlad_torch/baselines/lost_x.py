@@ -12,7 +12,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..recognition.matching import cosines
+from ..recognition.sweep import score
 from ..taxonomy import label_space
 from .dense_network import DenseNetwork, TrunkAndClassifier, load_dense_network
 from .lost import class_sums, lost_descriptor
@@ -121,7 +121,7 @@ class LoSTX:
         times the cost of the layout. The others come after them in the order of their cosines,
         and so do those of the ten with fewer than two pairs of keypoints.
         """
-        distances = 1 - cosines(queries.descriptors, references.descriptors)
+        distances = 1 - score(queries.descriptors, references.descriptors)
         for q, row in enumerate(distances):
             costs = torch.full_like(row, math.inf)
             for r in row.argsort(stable=True)[:_CANDIDATES].tolist():

@@ -7,7 +7,7 @@ from collections.abc import Hashable, Iterable, Sequence
 import torch
 from torch import Tensor
 
-from ..recognition.matching import cosines
+from ..recognition.sweep import score
 from .protocol import Frame, batches
 
 
@@ -33,7 +33,7 @@ class Vectors:
 
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
         """``(Q, R)`` cosines."""
-        return cosines(queries, references)
+        return score(queries, references)
 
     def _kind(self, frame: Frame) -> Hashable:
         """What the frames of a batch have in common."""

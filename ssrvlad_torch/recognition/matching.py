@@ -170,24 +170,6 @@ def _lengths(vectors: Tensor, name: str = "references") -> Tensor:
     return lengths
 
 
-def cosines(queries: Tensor, references: Tensor) -> Tensor:
-    """Cosines (Eq. 4) of vectors whose lengths are known.
-
-    Args:
-        queries: ``(Q, D)`` float of length 1, or zero.
-        references: ``(R, D)`` likewise.
-
-    Returns:
-        ``(Q, R)`` float32, -inf where a vector is zero: what is empty matches nothing.
-    """
-    scores = (queries @ references.T).float()
-    told = queries.any(dim=1)
-    scores[~told] = -torch.inf
-    suspect = (scores[told][:1] == 0).any(dim=0).nonzero()[:, 0]  # a zero row scores exactly 0
-    scores[:, suspect[~references[suspect].any(dim=1)]] = -torch.inf
-    return scores
-
-
 def temporal_sum(
     descriptors: Vectors, sequences: Sequence[str], reach: int, out: Tensor | None = None
 ) -> Tensor:
