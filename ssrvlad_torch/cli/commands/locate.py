@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..options import Json, RecognitionOptions, SourceOptions
-from ..output import finish, note, print_json
+from ..output import finish, note, print_json, say
 
 if TYPE_CHECKING:
     from ...database.database import Database
@@ -42,21 +42,18 @@ def locate(
     queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep else ())
     found = judged(queries, references, steps, top=1)
     scores, rows = sure_enough(found, recognition.min_confidence)
-    for picture, score, row, sure in zip(
-        queries.frames, scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist(),
-        strict=True,
-    ):  # fmt: skip
+    columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
+    for picture, score, row, sure in zip(queries.frames, *columns, strict=True):
         place = references.frames[row] if row >= 0 else None
         pose = references.poses[row].tolist() if row >= 0 else [math.nan] * 3
         if as_json:
-            told = {"score": score if place else None, "confidence": sure}
-            x, y, heading = pose
-            print_json({"picture": picture, "place": place, **told, "x": x, "y": y,
-                        "heading": heading})  # fmt: skip
+            told = {"picture": picture, "place": place, "score": score if place else None}
+            where = dict(zip(("x", "y", "heading"), pose, strict=True))
+            print_json({**told, "confidence": sure, **where})
         elif place is None:
-            print(f"{picture}: no place (confidence {sure:.2f})")
+            say(f"{picture}: no place (confidence {sure:.2f})")
         else:
-            print(f"{picture}: {place}, score {score:.4f}, confidence {sure:.2f}, {_where(*pose)}")
+            say(f"{picture}: {place}, score {score:.4f}, confidence {sure:.2f}, {_where(*pose)}")
     if not as_json:
         note(steps_in_words(found.used, t))
     finish(skipped)

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from ..options import SourceOptions
+from ..output import say
 
 
 def poses(
@@ -40,4 +41,4 @@ def poses(
         write_poses(output, {file.frame: file.pose for file in known})
     else:
         write_pictures(output, known)
-    print(f"{output}: {len(known)} of {len(files)} frames have a pose")
+    say(f"{output}: {len(known)} of {len(files)} frames have a pose")
