@@ -14,6 +14,7 @@ from PIL import Image
 from ssrvlad_torch import SSRVLAD, Database, Localiser, Segmenter
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.segmentation.networks import runs_code
 
 
 @pytest.fixture
@@ -72,3 +73,13 @@ def test_another_network_is_refused_and_label_maps_are_not(settings, folder, map
     assert Localiser(other, drawn).locate(folder / "3.png")
     with pytest.raises(ValueError, match="was not made from pictures"):
         Localiser.open(tmp_path / "drawn")
+
+
+@pytest.mark.parametrize(
+    ("network", "code"),
+    [("net.onnx", False), ("hf:ORG/NAME", False), ("torchhub:O/R/M", True), ("nets:mine", True)],
+)
+def test_a_name_that_runs_code_is_told_also_through_a_file(tmp_path, network, code):
+    (tmp_path / "net.yaml").write_text(f"network: {network}\n")
+    assert runs_code(network) == code
+    assert runs_code(str(tmp_path / "net.yaml")) == code

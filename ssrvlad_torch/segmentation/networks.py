@@ -74,8 +74,14 @@ def open_network(name: str | Path) -> NamedNetwork:
 
 
 def runs_code(name: str) -> bool:
-    """Whether a name stands for code, which runs when it is opened; those of data do not."""
+    """Whether a name stands for code, which runs when it is opened; those of data do not.
+
+    Raises:
+        ValueError: it is a YAML file that names no network.
+    """
     path = Path(name)
+    if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
+        return runs_code(_named(path)[0])
     data = path.suffix.lower() in (".yaml", ".yml", ".onnx") or path.is_dir()
     return not data and not name.startswith("hf:")
 
@@ -102,15 +108,7 @@ def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> Nam
 
 def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
-    try:
-        document = read_yaml(path)
-    except OSError as error:
-        raise ValueError(f"cannot read the settings {path}: {one_line(error)}") from error
-    if not isinstance(document, dict) or not isinstance(document.get("network"), str):
-        raise ValueError(f"{path} names no network; expected network: NAME, and settings")
-    name = document.pop("network")
-    if name.startswith((".", "/")) or (path.parent / name).exists() or name.endswith(".onnx"):
-        name = str(path.parent / name)
+    name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
     known = [each.name for each in dataclasses.fields(SegmenterConfig)]
     unknown = [key for key in document if key not in known]
@@ -130,6 +128,20 @@ def _of_file(path: Path) -> NamedNetwork:
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
     return dataclasses.replace(found, name=str(path), labels_as=labels_as)
+
+
+def _named(path: Path) -> tuple[str, dict[str, Any]]:
+    """The name of the network in a YAML file, and what else it says."""
+    try:
+        document = read_yaml(path)
+    except OSError as error:
+        raise ValueError(f"cannot read the settings {path}: {one_line(error)}") from error
+    if not isinstance(document, dict) or not isinstance(document.get("network"), str):
+        raise ValueError(f"{path} names no network; expected network: NAME, and settings")
+    name = document.pop("network")
+    if name.startswith((".", "/")) or (path.parent / name).exists() or name.endswith(".onnx"):
+        name = str(path.parent / name)
+    return name, document
 
 
 def channels(text: str) -> tuple[int, int]:

@@ -49,7 +49,7 @@ class SegmenterConfig:
 
     def __post_init__(self) -> None:
         sides = self.size if isinstance(self.size, tuple) else (self.size or 1,)
-        if not _are_numbers(sides, len(sides), int, above=0) or len(sides) > 2:
+        if len(sides) not in (1, 2) or not _are_numbers(sides, len(sides), int, above=0):
             raise ValueError(
                 f"size must be height and width in pixels, or the shorter side, got {self.size!r}"
             )

@@ -146,7 +146,7 @@ def test_settings_of_a_segmenter(here, ssrvlad, content, message):
     one_line(ssrvlad, command, message)
 
 
-@pytest.mark.parametrize("size", ["[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"])
+@pytest.mark.parametrize("size", ["[]", "[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"])
 def test_a_size_that_is_none(here, ssrvlad, size):
     bad.text(here / "own.yaml", f"network: net.onnx\nsize: {size}\n")
     command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
