@@ -6,8 +6,9 @@ import torch.nn.functional as F
 from helpers import descriptors, flip_byte
 
 from ssrvlad_torch import Database, match, standardise
-from ssrvlad_torch.database import index
-from ssrvlad_torch.database.index import IndexSearch, build_index, search_index
+from ssrvlad_torch.database import index_search
+from ssrvlad_torch.database.index import build_index, search_index
+from ssrvlad_torch.database.index_search import IndexSearch
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_search
 from ssrvlad_torch.recognition.sweep import score
 
@@ -103,7 +104,7 @@ def test_a_damaged_row_that_is_found_is_refused(tmp_path):
 @pytest.mark.parametrize("off", [True, False])
 def test_all_frames_as_candidates_give_what_exact_search_gives(town, monkeypatch, follow, off):
     database, _ = town
-    monkeypatch.setattr(index, "CANDIDATES", 1000)
+    monkeypatch.setattr(index_search, "CANDIDATES", 1000)
     frames = database.load()
     queries = F.normalize(frames.descriptors[300:340] + 0.3 * descriptors(5, 40, 32), dim=1)
     queries[11] = 0

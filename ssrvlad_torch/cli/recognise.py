@@ -18,7 +18,7 @@ from .. import baselines
 from ..baselines.run import Retrieval, run
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..database.index import IndexSearch
+from ..database.index_search import IndexSearch
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
