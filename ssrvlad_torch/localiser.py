@@ -13,7 +13,8 @@ from .config import SSRVLADConfig
 from .database.database import Database
 from .database.frames import FrameSet
 from .database.metadata import Origin
-from .datasets.image_files import Pixels, decode_image, find_image_files
+from .datasets.frame_file import FrameFile
+from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
 from .descriptor import SSRVLAD, query_head
 from .encoding.encoder import encode_to_database
@@ -23,7 +24,6 @@ from .recognition.sweep import COLUMNS
 from .segmentation.networks import AUTO, runs_code
 from .segmentation.segmenter import Segmenter
 from .taxonomy import LabelSpace
-from .untrusted import read_bytes
 
 _ALONE = Steps(follow=None)
 
@@ -142,7 +142,7 @@ class Localiser:
             ValueError: it is no picture, the network fails, or the database is empty or damaged.
         """
         if not isinstance(picture, np.ndarray):
-            picture = decode_image(read_bytes(picture))
+            picture = _read(Path(picture))
         known = self._references()
         (labels,) = self.segmenter([picture])
         found = recognise(
@@ -199,3 +199,10 @@ def see_made_by(database: Database, segmenter: Segmenter) -> None:
         raise ValueError(
             f"{database.path} was made by {theirs} as it was then; {mine} gives other label maps"
         )
+
+
+def _read(path: Path) -> Pixels:
+    try:
+        return read_image(FrameFile("", "", path))
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error

@@ -74,7 +74,7 @@ def check_size(size: int, name: object, most: int | None = None) -> None:
     Raises:
         InputError: it has more.
     """
-    limit = most or int(os.environ.get("SSRVLAD_FILE_LIMIT") or _MOST_BYTES)
+    limit = most or _limit("SSRVLAD_FILE_LIMIT", _MOST_BYTES)
     if size > limit:
         hint = "" if most else " (SSRVLAD_FILE_LIMIT)"
         raise InputError(f"{name} has {size} bytes; expected at most {limit}{hint}")
@@ -165,11 +165,19 @@ def check_pixels(height: int, width: int) -> None:
         InputError: more than 64 million pixels, or than the environment variable
             ``SSRVLAD_PIXEL_LIMIT`` says.
     """
-    most = int(os.environ.get("SSRVLAD_PIXEL_LIMIT") or _MOST_PIXELS)
+    most = _limit("SSRVLAD_PIXEL_LIMIT", _MOST_PIXELS)
     if height * width > most:
         raise InputError(
             f"has {height} x {width} pixels; expected at most {most} (SSRVLAD_PIXEL_LIMIT)"
         )
+
+
+def _limit(name: str, default: int) -> int:
+    """What an environment variable allows."""
+    text = os.environ.get(name) or str(default)
+    if not text.isdecimal():
+        raise InputError(f"the environment variable {name} is {text!r}; expected a whole number")
+    return int(text)
 
 
 @contextmanager

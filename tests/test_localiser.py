@@ -58,6 +58,9 @@ def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
     assert localiser.locate(folder / "1.png").confidence == 0, "two frames are nothing to go by"
     with pytest.raises(ValueError, match=r"expected \(H, W, 3\) uint8"):
         localiser.locate(np.zeros((3, 4)))
+    (folder.parent / "torn.jpg").write_bytes(b"torn")
+    with pytest.raises(ValueError, match=r"torn\.jpg: is no image file"):
+        localiser.locate(folder.parent / "torn.jpg")
 
 
 def test_another_network_is_refused_and_label_maps_are_not(settings, folder, maps, tmp_path):

@@ -36,7 +36,13 @@ app = typer.Typer(
 )
 
 
-@app.callback(invoke_without_command=True)
+LIMITS = (
+    "Environment: SSRVLAD_PIXEL_LIMIT, the most pixels of a picture (64 million); "
+    "SSRVLAD_FILE_LIMIT, the most bytes of a file (256 MiB)."
+)
+
+
+@app.callback(invoke_without_command=True, epilog=LIMITS)
 def ssrvlad(
     context: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,

@@ -59,7 +59,7 @@ LABEL_MAPS: list[tuple[Make, str]] = [
     (lambda p: bad.ones(p / "x.npy", (0, 3)), "expected an (H, W) integer label map"),
     (lambda p: bad.text(p / "x.png", "no picture"), "cannot identify the image"),
     (lambda p: bad.text(p / "x.png", ""), "cannot identify the image"),
-    (lambda p: bad.text(p / "x.npy", "\x93NUMPY" + "\0" * 40), "bad/x"),
+    (lambda p: bad.text(p / "x.npy", "\x93NUMPY" + "\0" * 40), "magic string"),
     (lambda p: (p / "x.png").symlink_to("nowhere"), "No such file"),
 ]
 
@@ -75,6 +75,22 @@ def test_label_maps(here, ssrvlad, make, message):
     assert (code, len(err)) == (SKIPPED, 1), err
     assert message in err[0]
     assert "bad/x" in err[0]
+
+
+@pytest.mark.parametrize(("make", "message"), LABEL_MAPS[:-1])
+def test_a_label_map_alone(here, ssrvlad, make, message):
+    make(here)
+    name = next(file.name for file in here.glob("x.*"))
+    one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", message)
+    one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", f"{name}: ")
+
+
+@pytest.mark.parametrize("limit", ["5", "many"])
+def test_limits_of_the_environment(here, ssrvlad, monkeypatch, limit):
+    monkeypatch.setenv("SSRVLAD_PIXEL_LIMIT", limit)
+    one_line(ssrvlad, "show maps/000.png -o fig.png --labels-as camvid-11", "SSRVLAD_PIXEL_LIMIT")
+    monkeypatch.setenv("SSRVLAD_FILE_LIMIT", limit)
+    one_line(ssrvlad, "show maps/000.png -o fig.png --labels-as camvid-11", "SSRVLAD_FILE_LIMIT")
 
 
 WAITING: list[Make] = [

@@ -42,13 +42,19 @@ def show(
             raise ValueError("Missing option '--labels-as', or '--segmenter' for an image")
         head = SSRVLAD.from_preset(preset, labels_as=labels_as)
         file = find_label_files([str(frame)])[0]
-        draw(read_label_map(file, head.label_space), head, output, title=file.frame)
     else:
         taken = channels(classes) if classes else None
         network = Segmenter.load(segmenter, labels_as or AUTO, classes=taken)
         head = SSRVLAD.from_preset(preset, labels_as=network.label_space)
-        ((file, labels),) = network.label_maps(find_image_files([str(frame)])[:1])
+        file = find_image_files([str(frame)])[0]
+    try:
+        if segmenter is None:
+            labels = read_label_map(file, head.label_space)
+        else:
+            ((_, labels),) = network.label_maps([file])
         if isinstance(labels, ValueError):
             raise labels
         draw(labels, head, output, title=file.frame)
+    except ValueError as error:
+        raise ValueError(f"{file.place}: {error}") from error
     say(output)
