@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Writes image pairs for hloc from what `ssrvlad` found: a line "query reference" each.
+"""Writes image pairs for hloc and COLMAP from what `ssrvlad` found: a line "query reference" each.
 
 ssrvlad query town.ssrdb images/today --top 20 --json | \\
     python export/hloc_pairs.py --images images -o pairs.txt
 
 Reads JSON lines on stdin: of `ssrvlad query --json` and `export/run_onnx.py --json`, a pair for
 each candidate, best first; of `ssrvlad loops --json` and `export/loops_onnx.py`, a pair for each
-accepted loop. The file is as `hloc.pairs_from_retrieval` writes it, and goes where that goes, to
-`hloc.match_features` and `hloc.localize_sfm`. hloc knows an image by its path below the folder
+accepted loop. The file is as `hloc.pairs_from_retrieval` writes it, for `hloc.match_features`,
+`hloc.localize_sfm` and COLMAP's `matches_importer`. Both know an image by its path below the folder
 `--images`, suffix included; without `--images` frames are named by their ids, as `ssrvlad db export
 --format hloc` names them. Needs nothing but Python.
 """

@@ -1,5 +1,7 @@
 #!/usr/bin/env python3
-"""The script that RTAB-Map calls for a global descriptor: pixels in, float32 (1, D) out.
+"""Not run with RTAB-Map itself: the tests call it as RTAB-Map's `PyDescriptor.cpp` does.
+
+The script that RTAB-Map calls for a global descriptor: pixels in, float32 (1, D) out.
 
 rtabmap --Mem/GlobalDescriptorStrategy 1 --Kp/TfIdfLikelihoodUsed false \
         --Mem/RehearsalSimilarity 1 --PyDescriptor/Dim 480 \

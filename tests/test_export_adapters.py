@@ -1,4 +1,5 @@
-"""The adapters for RTAB-Map and hloc, called as their hosts call them."""
+"""The adapters for RTAB-Map and hloc, called as their hosts call them, and COLMAP itself on pairs
+of ours."""
 
 from __future__ import annotations
 
@@ -245,3 +246,116 @@ def test_wrong_lines_and_missing_images_are_told(tmp_path, hloc, stdin, message)
     code, said, (error,) = hloc(stdin, "--images", images, "-o", out)
     assert (code, said, out.exists()) == (2, "", False)
     assert message.format(images=images) in error
+
+
+HOST = """
+import inspect
+from abc import ABCMeta, abstractmethod
+
+from torch import nn
+
+
+class BaseModel(nn.Module, metaclass=ABCMeta):
+    default_conf = {}
+    required_inputs = []
+
+    def __init__(self, conf):
+        super().__init__()
+        self.conf = conf = {**self.default_conf, **conf}
+        self._init(conf)
+
+    def forward(self, data):
+        assert all(key in data for key in self.required_inputs)
+        return self._forward(data)
+
+    @abstractmethod
+    def _init(self, conf): ...
+
+    @abstractmethod
+    def _forward(self, data): ...
+
+
+def dynamic_load(root, name):
+    module = __import__(f"{root.__name__}.{name}", fromlist=[""])
+    found = [c for _, c in inspect.getmembers(module, inspect.isclass)]
+    (model,) = [c for c in found if c.__module__ == module.__name__ and issubclass(c, BaseModel)]
+    return model
+"""
+"""The interface of `hloc.utils.base_model`, in other words."""
+
+
+@pytest.fixture
+def extractor(tmp_path, monkeypatch):
+    """What hloc makes of the file when it is one of its extractors."""
+    for name, text in (
+        ("hloc/__init__.py", ""),
+        ("hloc/utils/__init__.py", ""),
+        ("hloc/utils/base_model.py", HOST),
+        ("hloc/extractors/__init__.py", ""),
+        ("hloc/extractors/ssrvlad.py", (EXPORT / "hloc_extractor.py").read_text()),
+    ):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    for name in [name for name in sys.modules if name.partition(".")[0] == "hloc"]:
+        monkeypatch.delitem(sys.modules, name)
+    extractors = importlib.import_module("hloc.extractors")
+    load_model = importlib.import_module("hloc.utils.base_model").dynamic_load
+    yield lambda conf: load_model(extractors, conf["name"])(conf).eval()
+    for name in [name for name in sys.modules if name.partition(".")[0] == "hloc"]:
+        del sys.modules[name]
+
+
+def test_hloc_gets_global_descriptors(extractor, place):
+    """Images as `hloc.extract_features` has them: float32 from 0 to 1, channels first."""
+    model = extractor({"name": "ssrvlad", "file": str(place)})
+    colours = np.eye(3, dtype=np.float32)[LABELS]
+    found = model({"image": torch.from_numpy(colours.transpose(2, 0, 1))[None]})
+    assert list(found) == ["global_descriptor"]
+    np.testing.assert_allclose(found["global_descriptor"].numpy(), WANTED, atol=1e-6)
+
+
+def test_hloc_is_told_of_another_model(extractor, tmp_path):
+    export_head(CONFIG, tmp_path / "head.onnx")
+    with pytest.raises(
+        ValueError, match=r"expected a file of `ssrvlad fuse`, got input \['labels'"
+    ):
+        extractor({"name": "ssrvlad", "file": str(tmp_path / "head.onnx")})
+
+
+def test_colmap_matches_the_pairs(tmp_path, hloc):
+    """COLMAP itself, by its Python package: SIFT on photographs that overlap, and its matcher on
+    the pairs that were written."""
+    pycolmap = pytest.importorskip("pycolmap")
+    scene = np.random.default_rng(0).integers(0, 256, (60, 110), np.uint8)
+    scene = Image.fromarray(scene).resize((1100, 600), Image.Resampling.BICUBIC)
+    for drive, left in (("monday", 0), ("today", 40)):
+        for number in range(2):
+            file = tmp_path / "images" / drive / f"{number:03d}.png"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            start = left + 400 * number
+            scene.crop((start, 0, start + 400, 600)).convert("RGB").save(file)
+    found = [
+        {"query": f"today/{n:03d}", "candidates": [{"frame": f"monday/{n:03d}", "score": 0.9}]}
+        for n in range(2)
+    ]
+    pairs = tmp_path / "pairs.txt"
+    lines = "".join(f"{json.dumps(line)}\n" for line in found)
+    assert hloc(lines, "--images", tmp_path / "images", "-o", pairs)[0] == 0
+    database = tmp_path / "colmap.db"
+    sift = pycolmap.FeatureExtractionOptions(num_threads=1, use_gpu=False)
+    pycolmap.extract_features(database, tmp_path / "images", extraction_options=sift)
+    pycolmap.match_image_pairs(
+        database,
+        pycolmap.FeatureMatchingOptions(num_threads=1, use_gpu=False),
+        pycolmap.ImportedPairingOptions(match_list_path=str(pairs)),
+    )
+    stored = pycolmap.Database.open(database)
+    names = {image.image_id: image.name for image in stored.read_all_images()}
+    keys, matches = stored.read_all_matches()
+    matched = {
+        frozenset(names[image] for image in pycolmap.pair_id_to_image_pair(key)) for key in keys
+    }
+    stored.close()
+    assert min(map(len, matches)) > 50
+    assert matched == {frozenset(line.split()) for line in pairs.read_text().splitlines()}

@@ -1,13 +1,15 @@
-"""The ROS 2 package: its core as it is, the node between stand-ins for ROS."""
+"""The ROS 2 package: its core as it is, the node over a bag, with the messages of rosbags and a
+stand-in for rclpy."""
 
 from __future__ import annotations
 
 import ast
 import importlib
-import json
 import math
 import sys
 import tomllib
+import zlib
+from array import array
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from xml.etree import ElementTree
@@ -163,7 +165,7 @@ def test_meanings_are_given_as_words():
 def seen(core, seeds=SEEDS, start=0):
     """What a core says of a drive, a frame a second."""
     return [
-        json.loads(core.see(picture(street(seed)), number * SECOND, (number, -1.0, 0.5)))
+        core.see(picture(street(seed)), number * SECOND, (number, -1.0, 0.5)).result
         for number, seed in enumerate(seeds, start)
     ]
 
@@ -176,10 +178,8 @@ def test_it_finds_what_the_detector_finds():
         detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
         for number, seed in enumerate(SEEDS)
     ]
-    got = seen(core)
-    assert sum(line["reason"] == "accepted" for line in got) == 5
-    for line, result in zip(got, expected, strict=True):
-        assert line == {**result._asdict(), "reason": result.reason.value}
+    assert sum(result.accepted for result in expected) == 5
+    assert seen(core) == expected
 
 
 def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
@@ -189,7 +189,7 @@ def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
     core.learn_labels(CAMVID)
     with pytest.raises(ValueError, match="unknown meaning: 'x'"):
         core.learn_labels([(1, "x")])
-    assert seen(core, [1])[0]["reason"] == "no_candidate"
+    assert seen(core, [1])[0].reason == "no_candidate"
 
 
 def test_time_must_not_go_back():
@@ -216,8 +216,8 @@ def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     second = live_loops.LiveLoops(CONFIG, memory=memory)
     second.learn_labels(CAMVID)
     got += seen(second, SEEDS[14:], 14)
-    assert [line["frame"] for line in got] == [line["frame"] for line in expected]
-    assert got[-1]["candidate"] == expected[-1]["candidate"]
+    assert [result.frame for result in got] == [result.frame for result in expected]
+    assert got[-1].candidate == expected[-1].candidate
     second.save()
     stored = Database.open(memory)
     assert stored.load().poses[3].tolist() == [3, -1, 0.5]
@@ -225,10 +225,47 @@ def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     assert stored.known()[f"drive/{0:019d}"].digest == digest(labels)
 
 
+def test_a_memory_of_other_frames_is_refused(tmp_path):
+    head = SSRVLAD.from_preset("default", labels_as=label_table.LABELS_AS)
+    Database.create(tmp_path / "db", head.config).append(["monday/a"], head(street(0)[None]))
+    with pytest.raises(ValueError, match="expected a frame <drive>/<nanoseconds>, got 'monday/a'"):
+        live_loops.LiveLoops(CONFIG, memory=tmp_path / "db")
+
+
+TYPES = {
+    "rtabmap_msgs/msg/GlobalDescriptor": (
+        "std_msgs/Header header\nint32 type\nuint8[] info\nuint8[] data\n"
+    ),
+    "vision_msgs/msg/LabelInfo": (
+        "std_msgs/Header header\nvision_msgs/VisionClass[] class_map\nfloat32 threshold\n"
+    ),
+    "vision_msgs/msg/VisionClass": "uint16 class_id\nstring class_name\n",
+}
+"""Messages of packages beside ROS's own, as rtabmap_msgs and vision_msgs define them."""
+KINDS = {
+    "label_info": "vision_msgs/msg/LabelInfo",
+    "odom": "nav_msgs/msg/Odometry",
+    "labels": "sensor_msgs/msg/Image",
+    "descriptor": "rtabmap_msgs/msg/GlobalDescriptor",
+    "loops": "sensor_msgs/msg/TimeReference",
+}
+
+
+@pytest.fixture(scope="module")
+def store():
+    """The messages, with all their fields, as the library of bags knows them."""
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    for name, text in TYPES.items():
+        store.register(typesys.get_types_from_msg(text, name))
+    return store
+
+
 class StandInNode:
-    """What `rclpy.node.Node` is asked for."""
+    """What `rclpy.node.Node` is asked for. It publishes as ROS does: in bytes, or not at all."""
 
     given: dict = {}  # noqa: RUF012
+    store = None
 
     def __init__(self, name):
         self.name, self.published, self.said, self.listeners = name, [], [], {}
@@ -238,11 +275,20 @@ class StandInNode:
         return SimpleNamespace(value=self.given.get(name, default))
 
     def create_publisher(self, kind, topic, depth):
-        assert (kind.__name__, topic) == ("String", "loops")
-        return SimpleNamespace(publish=lambda message: self.published.append(message.data))
+        assert kind.__msgtype__ == KINDS[topic]
+
+        def publish(message):
+            for field, value in vars(message).items():
+                if isinstance(value, array):  # rclpy has arrays where rosbags has NumPy's
+                    object.__setattr__(message, field, np.array(value))
+            content = self.store.serialize_cdr(message, KINDS[topic])
+            self.published.append((topic, bytes(content)))
+
+        return SimpleNamespace(publish=publish)
 
     def create_subscription(self, kind, topic, callback, quality):
-        self.listeners[topic] = kind.__name__, callback, quality
+        assert kind.__msgtype__ == KINDS[topic]
+        self.listeners[topic] = callback, quality
 
     def get_logger(self):
         return SimpleNamespace(error=self.said.append, warning=self.said.append)
@@ -258,18 +304,14 @@ def module(name, **contents):
 
 
 @pytest.fixture
-def node(monkeypatch):
-    """The module `loop_node` between stand-ins."""
-    messages = {
-        "nav_msgs": ["Odometry"],
-        "sensor_msgs": ["Image"],
-        "std_msgs": ["String"],
-        "vision_msgs": ["LabelInfo"],
-    }
-    for package, names in messages.items():
-        kinds = {name: type(name, (SimpleNamespace,), {}) for name in names}
+def node(monkeypatch, store):
+    """The module `loop_node` with the messages of a type store and a stand-in for rclpy."""
+    packages = {name.partition("/")[0] for name in store.types}
+    for package in packages:
+        kinds = {n.rpartition("/")[2]: t for n, t in store.types.items() if n.startswith(package)}
         monkeypatch.setitem(sys.modules, package, module(package))
         monkeypatch.setitem(sys.modules, f"{package}.msg", module(f"{package}.msg", **kinds))
+    monkeypatch.setattr(StandInNode, "store", store)
     durability = SimpleNamespace(TRANSIENT_LOCAL="latched", VOLATILE="volatile")
     quality = module(
         "rclpy.qos",
@@ -287,59 +329,114 @@ def node(monkeypatch):
     sys.modules.pop("ssrvlad_ros.loop_node", None)
 
 
-def stamped(labels, number):
-    stamp = SimpleNamespace(sec=number, nanosec=7)
-    return SimpleNamespace(**vars(picture(labels)), header=SimpleNamespace(stamp=stamp))
+def header(types, number):
+    stamp = types["builtin_interfaces/msg/Time"](sec=number, nanosec=7)
+    return types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera")
 
 
-def odometry(x, y, angle):
-    turned = live_loops.Quaternion(0, 0, math.sin(angle / 2), math.cos(angle / 2))
-    pose = SimpleNamespace(position=SimpleNamespace(x=x, y=y), orientation=turned)
-    return SimpleNamespace(pose=SimpleNamespace(pose=pose))
+def label_info(types, classes):
+    kind = types["vision_msgs/msg/VisionClass"]
+    class_map = [kind(class_id=number, class_name=name) for number, name in classes]
+    return types[KINDS["label_info"]](header=header(types, 0), class_map=class_map, threshold=0.0)
 
 
-def test_the_node_passes_messages_on(node, monkeypatch, tmp_path):
+def image(types, labels, number):
+    fields = {**vars(picture(labels)), "header": header(types, number)}
+    fields["data"] = np.frombuffer(fields["data"], np.uint8)
+    return types[KINDS["labels"]](**fields)
+
+
+def odometry(types, x, y, angle):
+    message = {name.rpartition("/")[2]: kind for name, kind in types.items()}
+    rotation = message["Quaternion"](x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2))
+    pose = message["Pose"](position=message["Point"](x=x, y=y, z=0.0), orientation=rotation)
+    still = message["Vector3"](x=0.0, y=0.0, z=0.0)
+    return message["Odometry"](
+        header=header(types, 0),
+        child_frame_id="",
+        pose=message["PoseWithCovariance"](pose=pose, covariance=np.zeros(36)),
+        twist=message["TwistWithCovariance"](
+            twist=message["Twist"](linear=still, angular=still), covariance=np.zeros(36)
+        ),
+    )
+
+
+def write_drive(path, store):
+    """A bag: an image before the labels are known, the labels, and the drive of `SEEDS`."""
+    rosbag2, types = pytest.importorskip("rosbags.rosbag2"), store.types
+    messages = [("labels", image(types, street(0), 0)), ("label_info", label_info(types, CAMVID))]
+    messages.append(("label_info", label_info(types, [])))
+    for number, seed in enumerate(SEEDS, 1):
+        messages.append(("odom", odometry(types, float(number), 2.0, 0.25)))
+        messages.append(("labels", image(types, street(seed), number)))
+    with rosbag2.Writer(path, version=9) as bag:
+        topics = {
+            topic: bag.add_connection(topic, KINDS[topic], typestore=store)
+            for topic in ("label_info", "odom", "labels")
+        }
+        for time, (topic, message) in enumerate(messages):
+            bag.write(topics[topic], time, store.serialize_cdr(message, KINDS[topic]))
+    return path
+
+
+def uncompressed(content):
+    """`rtabmap::uncompressData` of a row of float32."""
+    rows, columns, kind = np.frombuffer(content[-12:], np.int32)
+    assert (rows, kind) == (1, 5)
+    numbers = np.frombuffer(zlib.decompress(content[:-12]), np.float32)
+    assert len(numbers) == columns
+    return numbers
+
+
+def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
+    """A bag is played to the node, and what it publishes is read again by the fields of its
+    messages."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
     given = {"exclude": 5, "sweep": False, "memory": str(tmp_path / "db")}
     monkeypatch.setattr(StandInNode, "given", given)
-    made = node.LoopNode()
-    kinds = {topic: (kind, quality) for topic, (kind, _, quality) in made.listeners.items()}
-    assert kinds == {
-        "label_info": ("LabelInfo", (1, "latched")),
-        "odom": ("Odometry", 10),
-        "labels": ("Image", "sensor"),
+    running = node.LoopNode()
+    qualities = {topic: quality for topic, (_, quality) in running.listeners.items()}
+    assert qualities == {"label_info": (1, "latched"), "odom": 10, "labels": "sensor"}
+    with rosbag2.Reader(write_drive(tmp_path / "bag", store)) as bag:
+        for connection, _, content in bag.messages():
+            message = store.deserialize_cdr(content, connection.msgtype)
+            running.listeners[connection.topic][0](message)
+    assert running.said[0] == "frame skipped: no table of labels has come yet"
+    assert "has 0 classes" in running.said[1] and len(running.said) == 2
+    found = {
+        topic: [store.deserialize_cdr(c, KINDS[t]) for t, c in running.published if t == topic]
+        for topic in ("descriptor", "loops")
     }
-    hear = {topic: callback for topic, (_, callback, _) in made.listeners.items()}
-    hear["labels"](stamped(street(0), 0))
-    assert made.said == ["frame skipped: no table of labels has come yet"]
-    classes = [SimpleNamespace(class_id=i, class_name=name) for i, name in CAMVID]
-    hear["label_info"](SimpleNamespace(class_map=classes))
-    hear["label_info"](SimpleNamespace(class_map=[]))
-    assert "has 0 classes" in made.said[1]
-    for number, seed in enumerate(SEEDS, 1):
-        hear["odom"](odometry(number, 2.0, 0.25))
-        hear["labels"](stamped(street(seed), number))
-    found = [json.loads(line) for line in made.published]
-    assert [line["frame"] for line in found[:2]] == [f"drive/{n * SECOND + 7:019d}" for n in (1, 2)]
-    assert sum(line["reason"] == "accepted" for line in found) == 5
-    assert len(made.said) == 2
-    made.close()
+    assert [m.header.stamp.sec for m in found["descriptor"]] == [*range(1, len(SEEDS) + 1)]
+    head = SSRVLAD.from_preset("default", labels_as="camvid-11")
+    for seed, message in zip(SEEDS[:3], found["descriptor"], strict=False):
+        expected = head(street(seed)[None])[0].numpy()
+        np.testing.assert_allclose(uncompressed(message.data.tobytes()), expected, atol=1e-6)
+    core = live_loops.LiveLoops(CONFIG)
+    core.learn_labels(CAMVID)
+    closed = [result for result in seen(core, start=1) if result.accepted]
+    pairs = [(int(r.frame[-19:-9]), int(r.candidate[-19:-9])) for r in closed]
+    assert len(pairs) == 5
+    assert [(m.header.stamp.sec, m.time_ref.sec) for m in found["loops"]] == pairs
+    assert {(m.header.stamp.nanosec, m.time_ref.nanosec) for m in found["loops"]} == {(7, 7)}
+    assert {m.source for m in found["loops"]} == {"drive"}
+    running.close()
     poses = Database.open(tmp_path / "db").load().poses
     np.testing.assert_allclose(poses[:2], [[1, 2, 0.25], [2, 2, 0.25]])
 
 
-def test_the_node_may_be_told_that_labels_are_not_latched(node, monkeypatch):
+def test_the_node_may_be_told_that_labels_are_not_latched(node, store, monkeypatch):
     monkeypatch.setattr(StandInNode, "given", {"latched": False, "meanings": ["x=sky"]})
-    made = node.LoopNode()
-    assert made.listeners["label_info"][2] == (1, "volatile")
-    made._on_labels(SimpleNamespace(class_map=[SimpleNamespace(class_id=0, class_name="x")]))
-    assert made.said == []
+    running = node.LoopNode()
+    assert running.listeners["label_info"][1] == (1, "volatile")
+    running._on_labels(label_info(store.types, [(0, "x")]))
+    assert running.said == []
 
 
-def test_the_node_saves_when_it_is_interrupted(node, monkeypatch, tmp_path):
-    def spin(made):
-        classes = [SimpleNamespace(class_id=i, class_name=name) for i, name in CAMVID]
-        made._on_labels(SimpleNamespace(class_map=classes))
-        made._on_image(stamped(street(0), 1))
+def test_the_node_saves_when_it_is_interrupted(node, store, monkeypatch, tmp_path):
+    def spin(running):
+        running._on_labels(label_info(store.types, CAMVID))
+        running._on_image(image(store.types, street(0), 1))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(StandInNode, "given", {"memory": str(tmp_path / "db")})
@@ -348,21 +445,25 @@ def test_the_node_saves_when_it_is_interrupted(node, monkeypatch, tmp_path):
     assert len(Database.open(tmp_path / "db")) == 1
 
 
+ROS = {
+    "builtin_interfaces", "nav_msgs", "rclpy", "rtabmap_msgs", "sensor_msgs", "vision_msgs"
+}  # fmt: skip
+
+
 def test_only_the_node_imports_ros():
     inside = PACKAGE / "ssrvlad_ros"
-    ros = {"rclpy", "nav_msgs", "sensor_msgs", "std_msgs", "vision_msgs"}
     for file in inside.glob("*.py"):
         imports = list(ast.walk(ast.parse(file.read_text())))
         names = {a.name for n in imports if isinstance(n, ast.Import) for a in n.names}
         names |= {n.module or "" for n in imports if isinstance(n, ast.ImportFrom)}
-        found = {name.partition(".")[0] for name in names} & ros
-        assert found == (ros if file.stem == "loop_node" else set()), file
+        found = {name.partition(".")[0] for name in names} & ROS
+        assert found == (ROS if file.stem == "loop_node" else set()), file
 
 
 def test_the_package_declares_what_it_needs():
     manifest = ElementTree.parse(PACKAGE / "package.xml").getroot()
     needs = {each.text for each in manifest.iter("exec_depend")}
-    assert needs == {"rclpy", "nav_msgs", "sensor_msgs", "std_msgs", "vision_msgs"}
+    assert needs == ROS
     setup = (PACKAGE / "setup.py").read_text()
     assert f'version="{manifest.findtext("version")}"' in setup
     assert (PACKAGE / "resource" / manifest.findtext("name")).is_file()

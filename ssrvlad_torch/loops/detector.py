@@ -89,6 +89,18 @@ class LoopDetector:
         return self._memory.poses.copy()
 
     @property
+    def descriptor(self) -> Floats:
+        """``(D,)`` float32, a copy, of the last frame.
+
+        Raises:
+            IndexError: there was none yet.
+        """
+        if not len(self):
+            raise IndexError("no frame was seen yet")
+        last: Floats = self._memory.descriptors(len(self) - 1, len(self))[0]
+        return last
+
+    @property
     def columns(self) -> tuple[int, ...]:
         """Anchors from which frames are described; none for the usual one alone."""
         return COLUMNS if self.config.sweep and self.head.config.aggregation == "harmonics" else ()

@@ -1,9 +1,9 @@
-"""What the node does, without ROS: label images in, loops out."""
+"""What the node does, without ROS: label images in, descriptors and loops out."""
 
 from __future__ import annotations
 
-import json
 import math
+import zlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -12,12 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.loops.result import LoopResult
 from ssrvlad_torch.loops.stream import CHECKPOINT_FRAMES, open_detector
 
 from .label_table import LABELS_AS, LabelTable
 
 DTYPES = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
 """The encodings that a label image can have."""
+
+_OPENCV_FLOAT32 = 5
 
 
 class LabelImage(Protocol):
@@ -40,6 +43,18 @@ class Quaternion(NamedTuple):
     w: float
 
 
+class Seen(NamedTuple):
+    """What was found of a frame.
+
+    Attributes:
+        result: whether it closes a loop.
+        descriptor: ``(D,)`` float32.
+    """
+
+    result: LoopResult
+    descriptor: npt.NDArray[np.float32]
+
+
 class LiveLoops:
     """Finds loop closures in a stream of label images.
 
@@ -51,7 +66,7 @@ class LiveLoops:
         preset: of the descriptors; without, the memory's, or ``default``.
 
     Raises:
-        ValueError: the memory is damaged or was made with another preset.
+        ValueError: the memory is damaged, was made with another preset, or has other frames.
     """
 
     def __init__(
@@ -65,6 +80,8 @@ class LiveLoops:
         self.sequence = sequence
         self._meanings = dict(meanings or {})
         self._detector, self._database = open_detector(config, memory, preset, LABELS_AS)
+        for frame in self._detector.frames:
+            nanoseconds_of(frame)
         self._saved = len(self._detector)
         self._table: LabelTable | None = None
 
@@ -78,16 +95,13 @@ class LiveLoops:
 
     def see(
         self, image: LabelImage, nanoseconds: int, pose: tuple[float, float, float] | None = None
-    ) -> str:
+    ) -> Seen:
         """Looks for the place of the next frame, and remembers it.
 
         Args:
             image: ids of classes; its encoding is in `DTYPES`.
             nanoseconds: when it was taken.
             pose: x and y in metres, heading in radians.
-
-        Returns:
-            JSON of a `ssrvlad_torch.loops.result.LoopResult`.
 
         Raises:
             ValueError: the frame cannot be used: no table yet, another encoding, an unknown id, a
@@ -100,7 +114,7 @@ class LiveLoops:
         result = self._detector.update(labels, frame, nanoseconds / 1e9, pose)
         if len(self._detector) >= self._saved + CHECKPOINT_FRAMES:
             self.save()
-        return json.dumps(result._asdict())
+        return Seen(result, self._detector.descriptor)
 
     def save(self) -> None:
         """Writes a checkpoint, if there is a memory.
@@ -130,6 +144,25 @@ def decode(image: LabelImage) -> npt.NDArray[Any]:
     rows = np.frombuffer(content, np.uint8, image.height * image.step)
     pixels = rows.reshape(image.height, image.step)[:, :row].copy().view(stored)
     return pixels.astype(stored.newbyteorder("="))
+
+
+def as_rtabmap(descriptor: npt.NDArray[np.float32]) -> bytes:
+    """A descriptor as RTAB-Map compresses matrices (``rtabmap::compressData``): zlib, then rows,
+    columns and OpenCV's type of float32 as 32-bit numbers."""
+    content = zlib.compress(np.ascontiguousarray(descriptor, "<f4").tobytes())
+    return content + np.array((1, len(descriptor), _OPENCV_FLOAT32), "<i4").tobytes()
+
+
+def nanoseconds_of(frame: str) -> tuple[str, int]:
+    """The drive and the stamp in the id of a frame.
+
+    Raises:
+        ValueError: the id is of another form.
+    """
+    drive, _, number = frame.rpartition("/")
+    if not (drive and number.isdecimal()):
+        raise ValueError(f"expected a frame <drive>/<nanoseconds>, got {frame!r}")
+    return drive, int(number)
 
 
 def heading(rotation: Quaternion) -> float:

@@ -1,25 +1,34 @@
-"""The ROS 2 node: messages to `LiveLoops` and back, nothing else."""
+"""Not run in ROS itself: the tests run it over a bag, between stand-ins for `rclpy`.
+
+The ROS 2 node: messages to `LiveLoops` and back, nothing else.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+from array import array
 from pathlib import Path
 
 import rclpy
+from builtin_interfaces.msg import Time
 from nav_msgs.msg import Odometry
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
-from sensor_msgs.msg import Image
-from std_msgs.msg import String
+from rtabmap_msgs.msg import GlobalDescriptor
+from sensor_msgs.msg import Image, TimeReference
 from vision_msgs.msg import LabelInfo
 
 from ssrvlad_torch.loops.config import LoopConfig
 
-from .live_loops import LiveLoops, heading, meanings_of
+from .live_loops import LiveLoops, as_rtabmap, heading, meanings_of, nanoseconds_of
+
+_SECOND = 10**9
+_OF_PYTHON = 1
+"""The type that RTAB-Map gives the descriptors of its own Python scripts."""
 
 
 class LoopNode(Node):
-    """Subscribes to ``labels``, ``label_info`` and ``odom``; publishes ``loops``.
+    """Hears ``labels``, ``label_info`` and ``odom``; publishes ``descriptor`` and ``loops``.
 
     Its parameters are the settings of `LoopConfig`, and ``sequence``, ``memory``, ``preset``,
     ``meanings`` (see `LiveLoops`) and ``latched``: whether ``label_info`` is published once, with
@@ -41,7 +50,8 @@ class LoopNode(Node):
         self._pose = None
         once = DurabilityPolicy.TRANSIENT_LOCAL
         durability = once if self._given("latched", True) else DurabilityPolicy.VOLATILE
-        self._publisher = self.create_publisher(String, "loops", 10)
+        self._descriptors = self.create_publisher(GlobalDescriptor, "descriptor", 10)
+        self._closures = self.create_publisher(TimeReference, "loops", 10)
         self.create_subscription(
             LabelInfo, "label_info", self._on_labels, QoSProfile(depth=1, durability=durability)
         )
@@ -66,13 +76,22 @@ class LoopNode(Node):
         self._pose = pose.position.x, pose.position.y, heading(pose.orientation)
 
     def _on_image(self, message: Image) -> None:
-        stamp = message.header.stamp
+        header = message.header
         try:
-            found = self._loops.see(message, stamp.sec * 10**9 + stamp.nanosec, self._pose)
+            nanoseconds = header.stamp.sec * _SECOND + header.stamp.nanosec
+            result, descriptor = self._loops.see(message, nanoseconds, self._pose)
+            closed = nanoseconds_of(result.candidate) if result.accepted else None
         except (ValueError, OSError) as error:
             self.get_logger().warning(f"frame skipped: {error}")
-        else:
-            self._publisher.publish(String(data=found))
+            return
+        data = array("B", as_rtabmap(descriptor))
+        self._descriptors.publish(
+            GlobalDescriptor(header=header, type=_OF_PYTHON, info=array("B"), data=data)
+        )
+        if closed:
+            drive, known = closed
+            stamp = Time(sec=known // _SECOND, nanosec=known % _SECOND)
+            self._closures.publish(TimeReference(header=header, time_ref=stamp, source=drive))
 
 
 def main() -> None:
