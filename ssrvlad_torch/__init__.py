@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from .soft.place_loss import multi_similarity as multi_similarity
     from .taxonomy import LabelSpace as LabelSpace
 
-__version__ = "0.1.0"
+    __version__: str
 
 _ROOMS = {
     "Database": "database.database",
@@ -58,10 +58,22 @@ __all__ = sorted(_ROOMS)  # noqa: PLE0605 - a list of str
 
 
 def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        return _version()
     if name not in _ROOMS:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f".{_ROOMS[name]}", __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ROOMS})
+    return sorted({*globals(), *_ROOMS, "__version__"})
+
+
+def _version() -> str:
+    """Of what was installed, by its tag; 0.0 for a checkout that never was."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("ssrvlad-torch")
+    except PackageNotFoundError:
+        return "0.0"
