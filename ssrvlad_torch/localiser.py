@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from .baselines.protocol import Frame
 from .config import SSRVLADConfig
 from .database.database import Database
 from .database.frames import FrameSet
@@ -17,6 +18,7 @@ from .datasets.frame_file import FrameFile
 from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
 from .descriptor import SSRVLAD, query_head
+from .encoding.beside import beside_by, methods_of
 from .encoding.encoder import encode_to_database
 from .encoding.results import Summary
 from .recognition.recognise import Steps, recognise
@@ -70,6 +72,7 @@ class Localiser:
         see_made_by(database, segmenter)
         config = dataclasses.replace(database.config, labels_as=segmenter.label_space)
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
+        self._methods = methods_of(database.beside)
         self._known: FrameSet | None = None
 
     @classmethod
@@ -79,6 +82,7 @@ class Localiser:
         database: str | Path,
         labels_as: str | LabelSpace = AUTO,
         preset: str | None = None,
+        beside: str | None = None,
     ) -> Localiser:
         """A localiser by the name of its network.
 
@@ -87,18 +91,21 @@ class Localiser:
             database: folder or URI; a new one is made where there is none.
             labels_as: label space of the network's classes; ``"auto"`` is what their names mean.
             preset: of a new database; ``"default"`` if not given.
+            beside: ``"hog"`` describes each picture of a new database by it, too, and recognition
+                fuses both.
 
         Raises:
             ValueError: as for the class, or the network cannot be used, or the database that is
-                there has another preset.
+                there has another preset, or not what shall be beside.
             OSError: the network cannot be downloaded, or the database not be written.
             ImportError: a missing extra.
         """
         segmenter = Segmenter.load(network, labels_as)
-        if Database.exists(database) and preset is None:
+        also = [beside_by(beside)] if beside else []
+        if Database.exists(database) and preset is None and not also:
             return cls(segmenter, Database.open(database))
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=segmenter.label_space)
-        return cls(segmenter, Database.open_or_create(database, config))
+        return cls(segmenter, Database.open_or_create(database, config, also))
 
     @classmethod
     def open(cls, database: str | Path) -> Localiser:
@@ -136,7 +143,7 @@ class Localiser:
 
         Returns:
             the best place, however unsure: see its confidence. ``None`` if nothing in the picture
-            has a category, or no frame of the database has anything in common with it.
+            can be described, or no frame of the database has anything in common with it.
 
         Raises:
             ValueError: it is no picture, the network fails, or the database is empty or damaged.
@@ -145,6 +152,7 @@ class Localiser:
             picture = _read(Path(picture))
         known = self._references()
         (labels,) = self.segmenter([picture])
+        frame = Frame("picture", image=picture)
         found = recognise(
             self._locate(torch.from_numpy(labels)[None]),
             known.descriptors,
@@ -152,6 +160,10 @@ class Localiser:
             known.sequences,
             _ALONE,
             top=1,
+            beside={
+                each.name: (each.encode_query([frame]), known.beside[each.name])
+                for each in self._methods
+            },
         )
         row = int(found.matches.indices[0, 0])
         if row < 0:

@@ -410,11 +410,11 @@ def test_a_full_disk_keeps_what_was_committed_and_says_so(maps, monkeypatch):
     maps.add("a", range(10))
     merge, merged = Database.merge, []
 
-    def full_at_the_second(self, records, descriptors):
+    def full_at_the_second(self, records, *descriptors):
         merged.append(len(records))
         if len(merged) > 1:
             raise OSError(errno.ENOSPC, "No space left on device")
-        merge(self, records, descriptors)
+        merge(self, records, *descriptors)
 
     with monkeypatch.context() as patch:
         patch.setattr(Database, "merge", full_at_the_second)

@@ -26,7 +26,7 @@ from ssrvlad_torch import SSRVLAD, baselines, follow, standardise
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
-from ssrvlad_torch.recognition.fusion import fuse_scores
+from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.sweep import COLUMNS, narrowed, score
 from ssrvlad_torch.taxonomy import label_space
 
@@ -74,8 +74,8 @@ def page(data: Path, kept: Path) -> Iterator[str]:
     )
     for search in searches(data):
         alone = [scores(search, data, kept, way) for way in ("labels", "pictures")]
-        both = fuse_scores(alone)
-        every = [*alone, both.scores]
+        both = FusedScores(alone)
+        every = [*alone, both.whole()]
         single = [rate(one.argmax(1).numpy(), search.truth) for one in every]
         places = [follow(one, [""] * one.shape[1], mode="online").indices[:, 0] for one in every]
         followed = [rate(rows.numpy(), search.truth) for rows in places]

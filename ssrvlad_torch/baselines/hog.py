@@ -30,6 +30,11 @@ class HOG(Grid):
     name = "hog"
     needs = frozenset({"images"})
 
+    @property
+    def fingerprint(self) -> str:
+        """A text, equal where the descriptors compare."""
+        return f"{self.rows} x {self.columns} cells, {ORIENTATIONS} directions"
+
     def _kind(self, frame: Frame) -> Hashable:
         return image_shape(frame)
 

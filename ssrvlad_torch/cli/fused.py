@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from ..recognition.follow import runs
-from ..recognition.fusion import fuse_scores
+from ..recognition.fusion import FusedScores
 from ..recognition.recognise import Steps, recognise_by_scores
 from .measure import TOP, Recognition
 from .recognise import unranked
@@ -28,12 +28,12 @@ def fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
     first = members[0]
     scores = [_scores(member) for member in members]
     names = _sequences(first.queries.frames)
-    parts = [fuse_scores([one[run.start : run.stop] for one in scores]) for run in runs(names)]
+    parts = [FusedScores([one[run.start : run.stop] for one in scores]) for run in runs(names)]
     weights = {
         names[run.start]: dict(zip(_names(members), part.weights, strict=True))
         for run, part in zip(runs(names), parts, strict=True)
     }
-    together = torch.cat([part.scores for part in parts])
+    together = torch.cat([part.whole() for part in parts])
     told = {
         **first.told,
         "method": " + ".join(_names(members)),

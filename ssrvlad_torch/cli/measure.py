@@ -125,6 +125,10 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
         else "no sweep",
         f"followed: {'/'.join(dict.fromkeys(followed))}",
     ]
+    weights = list(used["weights"].values())
+    if any(len(each) > 1 for each in weights):
+        fused = (f"{name} {'/'.join(f'{w[name]:.2f}' for w in weights)}" for name in weights[0])
+        told.append(f"fused: {' + '.join(fused)}")
     if used["delay"]:
         told.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:

@@ -214,6 +214,13 @@ class RecognitionOptions(StepOptions):
             "t = 3, and no other step.",
         ),
     ] = False
+    fuse: Annotated[
+        bool | None,
+        typer.Option(
+            help="Use descriptors of pictures too. Without it, if the database holds them "
+            "(ssrvlad encode --with)."
+        ),
+    ] = None
     min_confidence: Annotated[
         float,
         typer.Option(

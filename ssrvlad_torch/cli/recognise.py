@@ -19,14 +19,16 @@ from ..baselines.run import Retrieval, run
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
+from ..database.metadata import Beside
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.results import cores
 from ..evaluation.metrics import Convention
 from ..recognition.matching import Matches
-from ..recognition.recognise import AS_PAPER, LEAST, Recognised, Steps, recognise_by_search
+from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise_by_search
 from ..recognition.recognise import recognise as recognise_places
+from ..recognition.standardise import LEAST
 from ..recognition.sweep import COLUMNS, score
 from ..taxonomy import label_space
 from ..untrusted import parse_yaml
@@ -53,6 +55,22 @@ def steps_of(given: StepOptions) -> Steps:
     return Steps(given.standardise, given.sweep, follow, given.delay)
 
 
+def beside(database: Database, given: RecognitionOptions) -> tuple[Beside, ...]:
+    """What describes queries beside the method itself: what the database holds, unless told not to.
+
+    Raises:
+        ValueError: it is asked for, and the database holds nothing or the paper's way is, too.
+    """
+    if given.fuse and not database.beside:
+        raise ValueError(
+            f"--fuse: {database.path} holds no descriptors of pictures; encode them anew with "
+            "--with hog"
+        )
+    if given.fuse and given.as_paper:
+        raise ValueError("--fuse does not go with --as-paper")
+    return () if given.fuse is False or given.as_paper else database.beside
+
+
 def judged(
     queries: FrameSet,
     references: FrameSet,
@@ -69,6 +87,7 @@ def judged(
         steps,
         top,
         shut,
+        {name: (values, references.beside[name]) for name, values in queries.beside.items()},
     )
 
 
@@ -90,8 +109,9 @@ def by_database(
         ValueError: the database is empty or damaged, or there are no queries.
     """
     steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
+    also = () if wants_similarity(convention) else beside(database, options)
     references, t = load_references(database, options.reach)
-    queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else ())
+    queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else (), also)
     found = judged(queries, references, steps, CANDIDATES if page else TOP)
     queries = with_single_descriptors(queries)
     names = [frame.frame for frame in skipped]

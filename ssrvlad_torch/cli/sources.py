@@ -13,6 +13,7 @@ from pathlib import Path
 from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.frames import FrameSet
+from ..database.metadata import Beside
 from ..database.reading import Damage
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
@@ -153,14 +154,18 @@ def load_references(
     if reach.metres is not None:
         ts = frames_within(frames.poses, frames.sequences, reach.metres)
     for run in runs(frames.sequences):
-        rows = frames.descriptors[run.start : run.stop]
         names = frames.sequences[run.start : run.stop]
-        temporal_sum(rows, names, ts[names[0]], out=rows)
+        for values in (frames.descriptors, *frames.beside.values()):
+            rows = values[run.start : run.stop]
+            temporal_sum(rows, names, ts[names[0]], out=rows)
     return frames, reach.frames if reach.metres is None else ts
 
 
 def encode_queries(
-    database: Database, source: Source, columns: Sequence[int] = ()
+    database: Database,
+    source: Source,
+    columns: Sequence[int] = (),
+    beside: Sequence[Beside] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
     """Frames encoded with the settings of a database, and the skipped ones; of a source that is
     another database, its frames.
@@ -170,22 +175,34 @@ def encode_queries(
         source: the frames.
         columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; none for single ones. A
             database holds single ones, and those of ``paper`` have no anchor to move.
+        beside: what else describes them.
 
     Raises:
-        ValueError: there are no frames, or the other database has another fingerprint.
+        ValueError: there are no frames, the other database has another fingerprint, or there are
+            no pictures to describe.
     """
+    no_pictures = (
+        f"{database.path} holds descriptors of pictures; expected images and a --segmenter"
+    )
+    no_pictures += ", or --no-fuse"
     if other := source.database():
         if other.fingerprint != database.fingerprint:
             raise ValueError(
                 f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
                 f"{database.fingerprint or 'none'}: they do not compare"
             )
-        return other.load(), []
+        frames = other.load()
+        if not set(beside) <= set(other.beside):
+            raise ValueError(no_pictures)
+        known = {one.name: frames.beside[one.name] for one in beside}
+        return dataclasses.replace(frames, beside=known), []
     config = with_labels_as(database.config, source.labels_as)
+    if beside and not source.given.segmenter:
+        raise ValueError(no_pictures)
     files, segmenter = source.frames(config.labels_as)
     with progress_bar("encoding", len(files)) as bar:
-        head = query_head(config, columns)
-        return encode_to_memory(head, files, source.given.workers, bar.advance, segmenter)
+        head, workers = query_head(config, columns), source.given.workers
+        return encode_to_memory(head, files, workers, bar.advance, segmenter, beside)
 
 
 def with_labels_as(config: SSRVLADConfig, labels_as: LabelsAs | None) -> SSRVLADConfig:

@@ -2,7 +2,8 @@
 
 Every change is one commit and makes a new version. Who has opened a version keeps it while others
 write. What made the descriptors stands in the table's metadata: the settings and their
-fingerprint, and each label space and segmenter that a row names as its origin.
+fingerprint, what else describes every frame, and each label space and segmenter that a row names
+as its origin.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -25,9 +26,9 @@ from ..taxonomy import LabelSpace, label_space_names
 from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frames import FrameRecord, FrameSet, Vectors, natural_key
-from .metadata import Meta, Origin
+from .metadata import Beside, Meta, Origin
 from .reading import Damage, read_intact, read_rows
-from .rows import OF_A_RECORD, POSE, KnownFrames, matrix, schema, to_table
+from .rows import DESCRIPTOR, OF_A_RECORD, POSE, Arrays, KnownFrames, matrix, schema, to_table
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -99,9 +100,10 @@ class Database:
 
     def __repr__(self) -> str:
         kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
+        beside = "".join(f" and {one.name}" for one in self.beside)
         return (
-            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}, {kind}, "
-            f"version {self.version}>"
+            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}{beside}, "
+            f"{kind}, version {self.version}>"
         )
 
     @staticmethod
@@ -118,7 +120,11 @@ class Database:
 
     @classmethod
     def create(
-        cls, path: str | Path, config: SSRVLADConfig | None = None, width: int | None = None
+        cls,
+        path: str | Path,
+        config: SSRVLADConfig | None = None,
+        width: int | None = None,
+        beside: Sequence[Beside] = (),
     ) -> Database:
         """A new, empty database.
 
@@ -127,22 +133,29 @@ class Database:
             config: the settings of every descriptor, a label space of one's own stored whole;
                 without, they are a user's own, of which nothing is claimed.
             width: numbers of a descriptor, where there is no config.
+            beside: what else describes every frame.
 
         Raises:
-            ValueError: something is there already, or neither config nor width is given.
+            ValueError: something is there already, neither config nor width is given, or a name
+                beside is that of another column.
             OSError: it cannot be written.
         """
         text = str(path)
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of one's own")
-        columns = schema(config.length if config else width or 0)
+        widths = {DESCRIPTOR: config.length if config else width or 0}
+        widths |= {one.name: one.width for one in beside}
+        columns = schema(widths)
+        if len(columns) < len(schema({})) + 1 + len(beside):
+            names = ", ".join(one.name for one in beside)
+            raise ValueError(f"expected names beside that no column has, each once, got {names}")
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space_of(config.labels_as))
         if cls.exists(text):
             raise ValueError(f"{text} is a database already")
         if engine.is_local(text) and (Path(text).is_file() or _is_used(Path(text))):
             raise ValueError(f"{text} is there and is no database; expected a new or empty folder")
-        table = engine.create(text, columns.with_metadata(Meta.to_dict(config)))
+        table = engine.create(text, columns.with_metadata(Meta.to_dict(config, beside)))
         return cls(text, table, pinned=False)
 
     @classmethod
@@ -188,16 +201,18 @@ class Database:
         return engine.put_aside(str(path))
 
     @classmethod
-    def open_or_create(cls, path: str | Path, config: SSRVLADConfig) -> Database:
+    def open_or_create(
+        cls, path: str | Path, config: SSRVLADConfig, beside: Sequence[Beside] = ()
+    ) -> Database:
         """The database at ``path``, new if there is none.
 
         Raises:
-            ValueError: the database there has another fingerprint; both are shown.
+            ValueError: as `require`.
         """
         if not cls.exists(path):
-            return cls.create(path, config)
+            return cls.create(path, config, beside=beside)
         database = cls.open(path)
-        database.require(config)
+        database.require(config, beside)
         return database
 
     @property
@@ -224,19 +239,39 @@ class Database:
     @property
     def width(self) -> int:
         """Numbers of a descriptor."""
-        return int(self._table.schema.field("descriptor").type.list_size)
+        return int(self._table.schema.field(DESCRIPTOR).type.list_size)
+
+    @property
+    def beside(self) -> tuple[Beside, ...]:
+        """What else describes every frame."""
+        return self._meta.beside
+
+    @property
+    def _widths(self) -> dict[str, int]:
+        return {DESCRIPTOR: self.width, **{one.name: one.width for one in self.beside}}
 
     @property
     def origins(self) -> dict[str, Origin]:
         """What made the label maps, by the key that stands in a frame's record."""
         return dict(self._meta.origins)
 
-    def require(self, config: SSRVLADConfig) -> None:
+    def require(self, config: SSRVLADConfig, beside: Sequence[Beside] = ()) -> None:
         """Refuses descriptors made with other settings.
 
+        Args:
+            config: the settings.
+            beside: what must describe every frame besides.
+
         Raises:
-            ValueError: shows both fingerprints and the settings that differ.
+            ValueError: shows both fingerprints and the settings that differ, or what is missing
+                beside.
         """
+        for one in beside:
+            if one not in self.beside:
+                raise ValueError(
+                    f"{self.path} has no descriptors by {one.name}, {one.fingerprint}: a database "
+                    "has them from its first frame on, or never"
+                )
         if config.fingerprint == self.fingerprint:
             return
         mine, theirs = self.config.to_dict(), config.to_dict()
@@ -271,26 +306,37 @@ class Database:
             self._settle(engine.add_metadata(self.path, origin.to_entry()))
         return origin.key
 
-    def append(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
+    def append(
+        self,
+        frames: Sequence[FrameRecord | str],
+        descriptors: Vectors,
+        beside: Mapping[str, Vectors] | None = None,
+    ) -> None:
         """Adds frames; they are on the disk when it returns.
 
         Args:
             frames: N records, or bare ids; one that is there already is an error.
             descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
+            beside: likewise for each name of `beside`.
 
         Raises:
             ValueError: the numbers do not fit or are not finite, an id is there already, or the
                 database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
-        self.adopt([self.write_apart(frames, descriptors)])
+        self.adopt([self.write_apart(frames, descriptors, beside)])
 
-    def merge(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> None:
+    def merge(
+        self,
+        frames: Sequence[FrameRecord | str],
+        descriptors: Vectors,
+        beside: Mapping[str, Vectors] | None = None,
+    ) -> None:
         """Adds frames, those with ids that are there in the place of these, in one commit.
 
         Arguments and errors as for `append`.
         """
-        self._change([self.write_apart(frames, descriptors)], "merge")
+        self._change([self.write_apart(frames, descriptors, beside)], "merge")
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ids that are not there are passed over.
@@ -301,14 +347,21 @@ class Database:
         """
         self._change([Written((), tuple(sorted(set(frames))))], "remove")
 
-    def write_apart(self, frames: Sequence[FrameRecord | str], descriptors: Vectors) -> Written:
+    def write_apart(
+        self,
+        frames: Sequence[FrameRecord | str],
+        descriptors: Vectors,
+        beside: Mapping[str, Vectors] | None = None,
+    ) -> Written:
         """Writes rows that do not count before they are given to `adopt`, here or elsewhere.
 
         Arguments as for `append`. What is never adopted is deleted by a later `compact`.
         """
         self._see_writable()
         records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]
-        rows = to_table(records, self._checked(records, descriptors))
+        rows = to_table(
+            records, self._checked(records, {DESCRIPTOR: descriptors, **(beside or {})})
+        )
         with engine.writing(self.path):
             fragments = engine.write_fragments(self._table, rows) if records else []
         return Written(engine.described(fragments), tuple(rows["frame"].to_pylist()))
@@ -350,25 +403,23 @@ class Database:
             raise ValueError(f"{self.path} was opened as of version {self.version}, to read only")
 
     def _checked(
-        self, records: Sequence[FrameRecord], descriptors: Vectors
-    ) -> npt.NDArray[np.float32]:
-        """The descriptors as an array, if they fit."""
-        detached = getattr(descriptors, "detach", None)
-        values = np.asarray(detached().cpu() if detached else descriptors, np.float32)
-        if values.shape != (len(records), self.width):
-            raise ValueError(
-                f"expected ({len(records)}, {self.width}) descriptors for {len(records)} frames, "
-                f"got {values.shape}"
-            )
-        if not np.isfinite(values).all():
-            raise ValueError("descriptors hold values that are not finite")
+        self, records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors]
+    ) -> Arrays:
+        """The descriptors as arrays by their columns, if they fit."""
+        if descriptors.keys() != self._widths.keys():
+            names, got = ", ".join(self._widths), ", ".join(descriptors)
+            raise ValueError(f"{self.path} holds {names} of every frame, got {got}")
+        arrays = {
+            name: _fitting(name, descriptors[name], (len(records), width))
+            for name, width in self._widths.items()
+        }
         often = Counter(record.frame for record in records).most_common(1)
         if often and often[0][1] > 1:
             raise ValueError(f"frame {often[0][0]!r} is given {often[0][1]} times")
         unknown = {record.origin for record in records} - {"", *self._meta.origins}
         if unknown:
             raise ValueError(f"origin {min(unknown)!r} is not in {self.path}: add_origin first")
-        return values
+        return arrays
 
     def known(self) -> KnownFrames:
         """The records of all frames, without their descriptors."""
@@ -379,7 +430,9 @@ class Database:
         place of each among the rows as they are stored."""
         table = self._columns(_OF_A_SET)
         order = _order(table)
-        return _frame_set(table.take(order), np.empty((len(order), 0), np.float32)), order
+        return _frame_set(
+            table.take(order), {DESCRIPTOR: np.empty((len(order), 0), np.float32)}
+        ), order
 
     def load(self, damage: list[Damage] | None = None) -> FrameSet:
         """All frames in memory, every byte of them verified.
@@ -390,10 +443,11 @@ class Database:
         Raises:
             ValueError: a row or a file is missing or damaged; the message names it.
         """
-        descriptors = np.empty((len(self), self.width), np.float32)
-        tables, done = [schema(self.width).empty_table().select(_OF_A_SET)], 0
+        arrays = {n: np.empty((len(self), width), np.float32) for n, width in self._widths.items()}
+        tables, done = [schema({}).empty_table().select(_OF_A_SET)], 0
         for batch in read_rows(self._table, damage):
-            descriptors[done : done + len(batch)] = matrix(batch["descriptor"])
+            for name, values in arrays.items():
+                values[done : done + len(batch)] = matrix(batch[name])
             done += len(batch)
             tables.append(pa.table(batch.select(_OF_A_SET)))
         table = pa.concat_tables(tables)
@@ -401,7 +455,8 @@ class Database:
         twice = table.num_rows - len(pc.unique(table["frame"]))
         if twice:
             raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
-        return _frame_set(table.take(order), _sorted(descriptors[:done], order))
+        arrays = {name: _sorted(values[:done], order) for name, values in arrays.items()}
+        return _frame_set(table.take(order), arrays)
 
     def _columns(self, names: list[str]) -> pa.Table:
         try:
@@ -506,6 +561,7 @@ class Database:
             "width": self.width,
             "preset": config.preset if config else None,
             "fingerprint": self.fingerprint,
+            "beside": {one.name: one.fingerprint for one in self.beside},
             "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
             "version": self.version,
         }
@@ -522,6 +578,17 @@ def _there(table: LanceDataset, rows: pa.Table) -> list[str]:
     there = pc.is_in(rows["frame"], table.to_table(columns=["frame"])["frame"])
     ids: list[str] = rows["frame"].filter(there).to_pylist()
     return ids
+
+
+def _fitting(name: str, descriptors: Vectors, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """Descriptors as an array, if they are finite and of this shape."""
+    detached = getattr(descriptors, "detach", None)
+    values = np.asarray(detached().cpu() if detached else descriptors, np.float32)
+    if values.shape != shape:
+        raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: values that are not finite")
+    return values
 
 
 def _tell(fragment: LanceFragment, damage: list[Damage]) -> bool:
@@ -555,14 +622,16 @@ def _sorted(
     return descriptors
 
 
-def _frame_set(table: pa.Table, descriptors: npt.NDArray[np.float32]) -> FrameSet:
+def _frame_set(table: pa.Table, descriptors: Arrays) -> FrameSet:
     import torch
 
+    beside = {name: torch.from_numpy(values) for name, values in descriptors.items()}
     return FrameSet(
         frames=tuple(table["frame"].to_pylist()),
         sequences=tuple(pc.dictionary_encode(table["sequence"]).to_pylist()),
-        descriptors=torch.from_numpy(descriptors),
+        descriptors=beside.pop(DESCRIPTOR),
         poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
         stamps=table["stamp"].to_numpy(),
         empty=table["empty"].to_numpy(),
+        beside=beside,
     )

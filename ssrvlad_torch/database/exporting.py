@@ -28,10 +28,12 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     Args:
         database: what is exported, its frames in order.
         form: ``npy``, an ``(R, D)`` float32 array, and beside it a text file with a frame's id a
-            line and a JSON file with the fingerprint and the settings; ``hloc``, an HDF5 file with
+            line, a JSON file with the fingerprint and the settings, and an array for each method
+            of `Database.beside`; ``hloc``, an HDF5 file with
             a group a frame, named by its id, that holds ``global_descriptor``, ``(D,)`` float32,
             as hloc's ``extract_features`` writes it
-            (https://github.com/cvg/Hierarchical-Localization), and the same as attributes.
+            (https://github.com/cvg/Hierarchical-Localization), and a data set for each method of
+            `Database.beside`; the settings are its attributes.
         file: where.
 
     Returns:
@@ -43,7 +45,7 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         OSError: the files cannot be written.
     """
     frames, info = database.load(), database.info()
-    about = {name: info[name] for name in ("fingerprint", "config", "label_spaces")}
+    about = {name: info[name] for name in ("fingerprint", "config", "beside", "label_spaces")}
     if form == "hloc":
         _write_hloc(frames, about, file)
         return [file]
@@ -53,13 +55,15 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     }
     if database.fingerprint:
         texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
-    with _written(file) as temporary, temporary.open("wb") as stream:
-        np.save(stream, frames.descriptors.numpy())
+    arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.beside.items()}
+    for each, values in {file: frames.descriptors, **arrays}.items():
+        with _written(each) as temporary, temporary.open("wb") as stream:
+            np.save(stream, values.numpy())
     beside = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
     for each, text in beside.items():
         with _written(each) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    return [file, *beside]
+    return [file, *arrays, *beside]
 
 
 @contextmanager
@@ -83,14 +87,19 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
         _see_room(temporary, frames)
         with h5py.File(temporary, "w", libver="latest") as target:
             target.attrs["ssrvlad"] = json.dumps(about)
-            for frame, descriptor in zip(frames.frames, frames.descriptors.numpy(), strict=True):
-                target.create_group(frame).create_dataset("global_descriptor", data=descriptor)
+            arrays = {"global_descriptor": frames.descriptors, **frames.beside}
+            for row, frame in enumerate(frames.frames):
+                group = target.create_group(frame)
+                for name, values in arrays.items():
+                    group.create_dataset(name, data=values[row].numpy())
 
 
 def _see_room(file: Path, frames: FrameSet) -> None:
     """Refuses a disk without room for an HDF5 file: HDF5 ends the process where it runs out."""
     names = sum(len(frame.encode()) for frame in frames.frames)
-    expected = 4 * frames.descriptors.numel() + _BYTES_OF_A_GROUP * (len(frames.frames) + 1) + names
+    arrays = [frames.descriptors, *frames.beside.values()]
+    groups = len(arrays) * _BYTES_OF_A_GROUP * (len(frames.frames) + 1)
+    expected = 4 * sum(values.numel() for values in arrays) + groups + names
     if shutil.disk_usage(file.parent).free < expected:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with file.open("wb") as stream:

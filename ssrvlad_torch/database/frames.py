@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
@@ -69,6 +69,7 @@ class FrameSet:
         poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
         stamps: ``(R,)`` float64, seconds, NaN where unknown.
         empty: ``(R,)`` bool, frames whose descriptor is zero; they match nothing.
+        beside: of further methods ``(R, D')`` float32 by name, see `Database.beside`.
     """
 
     frames: tuple[str, ...]
@@ -77,15 +78,18 @@ class FrameSet:
     poses: npt.NDArray[np.float64]
     stamps: npt.NDArray[np.float64]
     empty: npt.NDArray[np.bool_]
+    beside: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __repr__(self) -> str:
         posed = int((~np.isnan(self.poses[:, 0])).sum())
+        beside = "".join(f" and {name}" for name in self.beside)
         return (
             f"<FrameSet: {len(self)} frames of {len(set(self.sequences))} sequences, descriptors "
-            f"of {self.descriptors.shape[-1]}, {int(self.empty.sum())} empty, {posed} with a pose>"
+            f"of {self.descriptors.shape[-1]}{beside}, {int(self.empty.sum())} empty, {posed} with "
+            "a pose>"
         )
 
 

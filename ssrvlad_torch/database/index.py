@@ -19,7 +19,7 @@ import torch
 
 from ..recognition.matching import match
 from .reading import read_rows
-from .rows import OF_A_RECORD, intact, matrix
+from .rows import DESCRIPTOR, intact, matrix
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,8 +33,6 @@ LEAST_ROWS = 256
 PROBES = 24
 CANDIDATES = 100
 
-COLUMN = "descriptor"
-VERIFIED = [*OF_A_RECORD, "empty", COLUMN, "checksum"]
 _SAMPLE = 200
 
 Candidates = list[tuple[str, float]]
@@ -74,9 +72,9 @@ def build_index(database: Database) -> IndexReport:
     lists = max(1, rows // ROWS_OF_A_LIST)
     began = time.perf_counter()
     if database.width % 8:  # no whole bytes of bits
-        database.write_index(COLUMN, "IVF_FLAT", lists)
+        database.write_index(DESCRIPTOR, "IVF_FLAT", lists)
     else:
-        database.write_index(COLUMN, "IVF_RQ", lists, num_bits=1)
+        database.write_index(DESCRIPTOR, "IVF_RQ", lists, num_bits=1)
     seconds = time.perf_counter() - began
     recall, milliseconds = _compare(database)
     return IndexReport(lists, seconds, recall, milliseconds)
@@ -118,7 +116,7 @@ def indexed(database: Database) -> LanceDataset:
         ValueError: it has none.
     """
     table = database.table()
-    if not any(COLUMN in index.field_names for index in table.describe_indices()):
+    if not any(DESCRIPTOR in index.field_names for index in table.describe_indices()):
         raise ValueError(f"{database.path} has no index; ssrvlad db index builds one")
     return table
 
@@ -134,7 +132,7 @@ def nearest(
     return table.to_table(
         columns=columns,
         nearest={
-            "column": COLUMN,
+            "column": DESCRIPTOR,
             "q": query.float().numpy(),
             "k": count,
             "nprobes": PROBES,
@@ -151,10 +149,10 @@ def _search(
 ) -> Candidates:
     if not bool(query.any()):
         return []
-    found = nearest(table, query, max(CANDIDATES, 4 * top), condition, VERIFIED)
-    if not intact(found.select(VERIFIED)).all():
+    found = nearest(table, query, max(CANDIDATES, 4 * top), condition, table.schema.names)
+    if not intact(found.select(table.schema.names)).all():
         raise ValueError(f"{table.uri} is damaged; ssrvlad db verify tells where")
-    best = match(query[None], matrix(found[COLUMN]).copy(), top, threshold)
+    best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top, threshold)
     frames = found["frame"].to_pylist()
     pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
     return [(frames[row], score) for row, score in pairs if row >= 0]
@@ -196,12 +194,14 @@ def _compare(database: Database) -> tuple[dict[int, float], float]:
 def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
     """Some rows, and the rows of their 10 best matches but themselves, read batch by batch."""
     table = database.table()
-    queries = torch.from_numpy(matrix(table.take(rows.tolist(), columns=[COLUMN])[COLUMN]).copy())
+    queries = torch.from_numpy(
+        matrix(table.take(rows.tolist(), columns=[DESCRIPTOR])[DESCRIPTOR]).copy()
+    )
     scores = torch.full((len(rows), 10), -torch.inf)
     indices, first = torch.full((len(rows), 10), -1), 0
     for batch in read_rows(table):
         own = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
-        found = match(queries, matrix(batch[COLUMN]).copy(), 10, exclude=own)
+        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, exclude=own)
         places = torch.where(found.indices < 0, -1, found.indices + first)
         scores, order = torch.cat([scores, found.scores], 1).topk(10)
         indices = torch.cat([indices, places], 1).gather(1, order)

@@ -15,9 +15,9 @@ from ..recognition.matching import Rows
 from ..recognition.motion import moments
 from ..recognition.standardise import less, standardise
 from ..recognition.sweep import score
-from .index import CANDIDATES, COLUMN, VERIFIED, filter_of, indexed, nearest
+from .index import CANDIDATES, filter_of, indexed, nearest
 from .reading import read_rows
-from .rows import intact, matrix
+from .rows import DESCRIPTOR, intact, matrix
 from .selection import neighbours, select
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ class IndexSearch:
         self._condition = filter_of(allowed, ())
         ids, reach = spared
         self._exclude = None if reach is None else neighbours(ids, self.frames, reach)
-        self._columns = [COLUMN] if standardised else VERIFIED
+        self._columns = [DESCRIPTOR] if standardised else self._table.schema.names
         self._slots, self._kept = torch.full((len(self.frames),), -1), 0
         self._vectors = torch.empty(0, database.width)
         self._found: dict[int, Tensor] = {}
@@ -162,9 +162,9 @@ class IndexSearch:
 
     def _keep(self, rows: Tensor, found: pa.Table) -> None:
         """Remembers what was read of rows."""
-        if "checksum" in self._columns and not intact(found.select(VERIFIED)).all():
+        if "checksum" in self._columns and not intact(found.select(self._columns)).all():
             raise ValueError(f"{self._table.uri} is damaged; ssrvlad db verify tells where")
-        vectors = torch.from_numpy(matrix(found[COLUMN]).copy())
+        vectors = torch.from_numpy(matrix(found[DESCRIPTOR]).copy())
         fresh = (self._slots[rows] < 0).nonzero()[:, 0]
         rows, vectors = rows[fresh], vectors[fresh]
         if self._means is not None:
@@ -181,10 +181,10 @@ class IndexSearch:
 
     def _mean_of_each(self, count: int) -> Tensor:
         """``(count, D)`` float32, the mean of each sequence, in one pass over the rows."""
-        totals = np.zeros((count, int(self._table.schema.field(COLUMN).type.list_size)))
+        totals = np.zeros((count, int(self._table.schema.field(DESCRIPTOR).type.list_size)))
         counted, first = np.zeros(count), 0
         for batch in read_rows(self._table):
-            vectors = F.normalize(torch.from_numpy(matrix(batch[COLUMN]).copy()), dim=1).numpy()
+            vectors = F.normalize(torch.from_numpy(matrix(batch[DESCRIPTOR]).copy()), dim=1).numpy()
             drives = self._drives[self._rows[first : first + len(batch)]]
             for drive in np.unique(drives):
                 totals[drive] += vectors[drives == drive].sum(0, dtype=np.float64)

@@ -1,10 +1,11 @@
-"""What a database says of its rows: the settings, and what made the label maps."""
+"""What a database says of its rows: the settings, what else describes frames, and what made the
+label maps."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from ..config import SSRVLADConfig
@@ -13,6 +14,20 @@ from ..taxonomy import LabelSpace
 FORMAT = "ssrvlad-database-4"
 
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
+
+
+class Beside(NamedTuple):
+    """What describes every frame beside the method itself, by its picture.
+
+    Attributes:
+        name: of the method, and of the column of its descriptors.
+        width: numbers of a descriptor.
+        fingerprint: a text, equal where the descriptors compare.
+    """
+
+    name: str
+    width: int
+    fingerprint: str
 
 
 class Origin(NamedTuple):
@@ -51,19 +66,21 @@ class Origin(NamedTuple):
 
 
 class Meta(NamedTuple):
-    """A table's metadata: the settings, if any, and the origins by their keys."""
+    """A table's metadata: the settings, if any, what is beside, and the origins by their keys."""
 
     config: SSRVLADConfig | None
+    beside: tuple[Beside, ...]
     origins: dict[str, Origin]
 
     @staticmethod
-    def to_dict(config: SSRVLADConfig | None) -> dict[str, str]:
+    def to_dict(config: SSRVLADConfig | None, beside: Sequence[Beside] = ()) -> dict[str, str]:
         """Of a table without origins."""
         text = json.dumps(
             {
                 "format": FORMAT,
                 "fingerprint": config.fingerprint if config else "",
                 "config": config and config.to_dict(),
+                "beside": [one._asdict() for one in beside],
             }
         )
         return {_META: text, _DIGEST: _digest(text)}
@@ -93,7 +110,9 @@ class Meta(NamedTuple):
         for key, origin in origins.items():
             if origin.key != key:
                 raise ValueError(f"{path} is damaged: origin {key} does not fit its content")
-        return cls(_config(json.loads(text), path), origins)
+        content = json.loads(text)
+        beside = tuple(Beside(**one) for one in content.get("beside", ()))
+        return cls(_config(content, path), beside, origins)
 
 
 def _config(content: dict[str, Any], path: str) -> SSRVLADConfig | None:

@@ -21,26 +21,35 @@ Words = npt.NDArray[np.uint64]
 _MULTIPLIER = 0x9E3779B97F4A7C15
 
 
-def schema(width: int) -> pa.Schema:
-    """The columns of a database of descriptors of ``width`` numbers."""
+DESCRIPTOR = "descriptor"
+"""The column of the method itself."""
+
+Arrays = Mapping[str, npt.NDArray[np.float32]]
+"""``(N, D)`` descriptors by their columns."""
+
+
+def schema(widths: Mapping[str, int]) -> pa.Schema:
+    """The columns of a database, those of descriptors by how many numbers they have."""
     kinds = dict.fromkeys(OF_A_RECORD, pa.string())
     kinds |= dict.fromkeys([*POSE, "stamp"], pa.float64())
     kinds |= {"height": pa.int32(), "width": pa.int32(), "empty": pa.bool_()}
-    kinds |= {"descriptor": pa.list_(pa.float32(), width), "checksum": pa.uint64()}
+    kinds |= {name: pa.list_(pa.float32(), width) for name, width in widths.items()}
+    kinds["checksum"] = pa.uint64()
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
 
 
-def to_table(records: Sequence[FrameRecord], descriptors: npt.NDArray[np.float32]) -> pa.Table:
-    """N records and their ``(N, D)`` float32 descriptors as rows."""
-    width = descriptors.shape[1]
+def to_table(records: Sequence[FrameRecord], descriptors: Arrays) -> pa.Table:
+    """N records and their descriptors as rows."""
+    form = schema({name: values.shape[1] for name, values in descriptors.items()})
     columns: dict[str, Any] = {
         name: [getattr(record, name) for record in records] for name in OF_A_RECORD
     }
-    flat = pa.array(np.ascontiguousarray(descriptors).ravel())
-    columns["empty"] = ~descriptors.any(axis=1)
-    columns["descriptor"] = pa.FixedSizeListArray.from_arrays(flat, width)
+    columns["empty"] = ~descriptors[DESCRIPTOR].any(axis=1)
+    for name, values in descriptors.items():
+        flat = pa.array(np.ascontiguousarray(values).ravel())
+        columns[name] = pa.FixedSizeListArray.from_arrays(flat, values.shape[1])
     columns["checksum"] = np.zeros(len(records), np.uint64)
-    table = pa.table(columns, schema=schema(width))
+    table = pa.table(columns, schema=form)
     place = table.schema.get_field_index("checksum")
     return table.set_column(place, table.schema.field(place), pa.array(checksums(table)))
 

@@ -12,12 +12,16 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from ..baselines.protocol import Frame
 from ..config import SSRVLADConfig
 from ..database.frames import FrameRecord
+from ..database.metadata import Beside
 from ..datasets.frame_files import FrameFile
+from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace
+from .beside import methods_of
 from .results import Skipped
 
 BATCH = 16
@@ -34,10 +38,12 @@ class Item(NamedTuple):
 
 
 class Described(NamedTuple):
-    """A record and its ``(D,)`` descriptor; an array, which is cheap to send."""
+    """A record and its ``(D,)`` descriptors, its own and by the names of methods beside; arrays,
+    which are cheap to send."""
 
     record: FrameRecord
     descriptor: npt.NDArray[np.float32]
+    beside: dict[str, npt.NDArray[np.float32]]
 
 
 def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
@@ -56,16 +62,19 @@ class Describer:
     Args:
         head: the method.
         origin: of the records, see `Database.add_origin`.
+        beside: what else describes frames; their files are then images.
     """
 
-    def __init__(self, head: SSRVLAD, origin: str = "") -> None:
+    def __init__(self, head: SSRVLAD, origin: str = "", beside: Sequence[Beside] = ()) -> None:
         self.head = head
         self.origin = origin
+        self.beside = tuple(beside)
+        self._methods = methods_of(beside)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """The settings with the label space, which may be a file of this machine; no tables."""
         config = replace(self.head.config, labels_as=self.head.label_space)
-        return _made_of, (config, self.head.native, self.origin)
+        return _made_of, (config, self.head.native, self.origin, self.beside)
 
     def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
         """What becomes of some frames, in their order."""
@@ -92,13 +101,22 @@ class Describer:
         try:
             stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
             descriptors = self.head(stack.to(_device(self.head))).cpu().numpy()
+            frames = [
+                Frame(item.file.frame, image=read_image(item.file))
+                for item in (batch if self._methods else ())
+            ]
+            beside = {each.name: each.encode_query(frames).numpy() for each in self._methods}
         except ValueError as error:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]
             return [result for item in batch for result in self._describe([item])]
         return [
-            Described(self._record(item), descriptor)
-            for item, descriptor in zip(batch, descriptors, strict=True)
+            Described(
+                self._record(item),
+                descriptors[row],
+                {name: values[row] for name, values in beside.items()},
+            )
+            for row, item in enumerate(batch)
         ]
 
     def _record(self, item: Item) -> FrameRecord:
@@ -110,10 +128,12 @@ class Describer:
         )  # fmt: skip
 
 
-def _made_of(config: SSRVLADConfig, native: bool, origin: str) -> Describer:
+def _made_of(
+    config: SSRVLADConfig, native: bool, origin: str, beside: Sequence[Beside]
+) -> Describer:
     head = SSRVLAD(config)
     head.native = head.native and native
-    return Describer(head, origin)
+    return Describer(head, origin, beside)
 
 
 def _read(space: LabelSpace, item: Item) -> Item:

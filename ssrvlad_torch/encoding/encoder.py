@@ -12,6 +12,7 @@ import torch
 
 from ..database.database import Database
 from ..database.frames import FrameSet
+from ..database.metadata import Beside
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
 from ..segmentation.segmenter import Segmenter
@@ -55,13 +56,13 @@ def encode_to_database(
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        database: where the raw descriptors go.
+        database: where the raw descriptors go, and those of pictures that it holds beside.
         options: how; without, the defaults.
         segmenter: makes the label maps, of the head's label space; without, they are read.
 
     Raises:
-        ValueError: the fingerprints differ, the segmenter does not fit, or a sequence of the
-            database is of another folder.
+        ValueError: the fingerprints differ, the segmenter does not fit, a sequence of the
+            database is of another folder, or it holds descriptors of pictures and there are none.
         OSError: the database cannot be written, or a worker was killed.
 
     Example:
@@ -71,13 +72,14 @@ def encode_to_database(
     """
     options = options or EncodeOptions()
     database.require(head.config)
-    _see_fit(head, segmenter)
+    _see_fit(head, segmenter, database.beside)
     with deferred_interruption() as check:
         made_by = (segmenter.key(), segmenter.name) if segmenter else ()
         origin = database.add_origin(head.label_space, *made_by)
         plan = Plan.of(files, database, database.origins[origin])
         options.progress(plan.already_there)
-        results = _encode(Describer(head, origin), plan.files, options.workers, segmenter)
+        describer = Describer(head, origin, database.beside)
+        results = _encode(describer, plan.files, options.workers, segmenter)
         with closing(results), Writer(database, plan, options) as writer:
             for result in results:
                 writer.add(result)
@@ -91,11 +93,12 @@ def encode_to_memory(
     workers: int | None = None,
     progress: Progress = tell_nobody,
     segmenter: Segmenter | None = None,
+    beside: Sequence[Beside] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
     """Encodes frames in order; arguments as for `encode`."""
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
-    for frame in encode(head, files, workers, segmenter):
+    for frame in encode(head, files, workers, segmenter, beside):
         if isinstance(frame, Skipped):
             skipped.append(frame)
         else:
@@ -104,6 +107,7 @@ def encode_to_memory(
     records = [frame.record for frame in frames]
     none = torch.zeros(0, head.config.length)
     descriptors = torch.stack([frame.descriptor for frame in frames]) if frames else none
+    stacked = {one.name: [frame.beside[one.name] for frame in frames] for one in beside}
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
@@ -111,6 +115,7 @@ def encode_to_memory(
         poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
         empty=~descriptors.flatten(1).any(dim=1).numpy(),
+        beside={name: torch.stack(rows) for name, rows in stacked.items() if rows},
     ), skipped
 
 
@@ -119,6 +124,7 @@ def encode(
     files: Sequence[FrameFile],
     workers: int | None = None,
     segmenter: Segmenter | None = None,
+    beside: Sequence[Beside] = (),
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames in order.
 
@@ -132,23 +138,27 @@ def encode(
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
         workers: how many, without it the number of cores; with 0 or 1 all is done here.
         segmenter: makes the label maps; without, they are read.
+        beside: what else describes the frames, of which the segmenter reads the pictures.
 
     Raises:
         ValueError: the segmenter does not fit.
         ChildProcessError: a worker was killed.
     """
-    _see_fit(head, segmenter)
-    return _encode(Describer(head), files, workers, segmenter)
+    _see_fit(head, segmenter, beside)
+    return _encode(Describer(head, beside=beside), files, workers, segmenter)
 
 
 def encoded(result: Described | Skipped) -> Encoded | Skipped:
     """A frame as it comes from a worker, its descriptor a tensor."""
     if isinstance(result, Skipped):
         return result
-    return Encoded(result.record, torch.from_numpy(result.descriptor))
+    beside = {name: torch.from_numpy(values) for name, values in result.beside.items()}
+    return Encoded(result.record, torch.from_numpy(result.descriptor), beside)
 
 
-def _see_fit(head: SSRVLAD, segmenter: Segmenter | None) -> None:
+def _see_fit(head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[Beside]) -> None:
+    if beside and not segmenter:
+        raise ValueError(f"{beside[0].name} describes pictures: expected images and a segmenter")
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(
             f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "

@@ -71,6 +71,8 @@ def encode_with_ray(
     _need_ray()
     options = options or EncodeOptions()
     database.require(head.config)
+    if database.beside:
+        raise ValueError(f"{database.path} holds descriptors of pictures; Ray reads label maps")
     with deferred_interruption() as check:
         origin = database.add_origin(head.label_space)
         plan = Plan.of(files, database, database.origins[origin])

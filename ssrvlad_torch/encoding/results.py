@@ -19,10 +19,11 @@ Progress = Callable[[int], object]
 
 
 class Encoded(NamedTuple):
-    """A frame and its ``(D,)`` float32 descriptor."""
+    """A frame and its ``(D,)`` float32 descriptors: its own, and by the names of methods beside."""
 
     record: FrameRecord
     descriptor: Tensor
+    beside: dict[str, Tensor]
 
 
 class Skipped(NamedTuple):

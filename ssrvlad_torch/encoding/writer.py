@@ -59,7 +59,8 @@ class Writer:
         self._database.adopt(apart)
         if frames:
             descriptors = torch.stack([frame.descriptor for frame in frames])
-            self._database.merge([frame.record for frame in frames], descriptors)
+            beside = {n: torch.stack([f.beside[n] for f in frames]) for n in frames[0].beside}
+            self._database.merge([frame.record for frame in frames], descriptors, beside)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)
             self.summary.anew.update(reason for reason in reasons if reason != NEW)

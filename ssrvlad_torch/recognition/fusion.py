@@ -13,62 +13,93 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from .follow import Scores
 from .motion import ELSEWHERE, lead, nearness
+from .standardise import LEAST
 
+_SAMPLE = 200
 _LEAST_SPREAD = 1e-6
 
 
-class Fused(NamedTuple):
-    """Scores of all methods together.
+class FusedScores(Scores):
+    """The scores of one traverse of queries by several methods as one, made as they are asked for.
 
-    Attributes:
-        scores: ``(Q, R)`` float32, at most 1; -inf where no method has a score.
-        weights: of each method; their sum is 1.
-    """
-
-    scores: Tensor
-    weights: tuple[float, ...]
-
-
-@torch.no_grad()
-def fuse_scores(scores: Sequence[Tensor]) -> Fused:
-    """The scores of one traverse of queries by several methods as one.
-
-    The result is of the form of cosines, for `follow` and `recognise_by_scores`. A method that has
-    no score of a pair, for it is empty to it, leaves it to the others.
+    They are of the form of cosines, for `follow` and `recognise_by_scores`. A method that has no
+    score of a pair, for it is empty to it, leaves it to the others. Of fewer queries than
+    `standardise.LEAST` the methods weigh alike: so few do not tell which to trust.
 
     Args:
-        scores: of each method ``(Q, R)`` float, at most 1, higher for what is more alike; -inf
+        members: of each method ``(Q, R)`` float, at most 1, higher for what is more alike; -inf
             where there can be no match.
+
+    Attributes:
+        weights: of each method; their sum is 1.
 
     Raises:
         ValueError: there are none, or they are of different shapes.
 
     Example:
         >>> here, there = torch.eye(20), torch.eye(20).roll(1, 0)
-        >>> fuse_scores([here, here, there]).scores.argmax(1).equal(torch.arange(20))
+        >>> FusedScores([here, here, there]).whole().argmax(1).equal(torch.arange(20))
         True
     """
-    shapes = {tuple(one.shape) for one in scores}
-    if len(shapes) != 1 or len(next(iter(shapes))) != 2:
-        got = ", ".join(str(tuple(one.shape)) for one in scores) or "none"
-        raise ValueError(f"expected scores (Q, R) of one shape, got {got}")
-    scaled = [_scaled(one.float()) for one in scores]
-    leads = torch.stack([_lead(one.z) for one in scaled])
-    leads = leads.clamp(min=0)
-    weights = leads / leads.sum() if float(leads.sum()) > 0 else leads.fill_(1 / len(leads))
 
+    def __init__(self, members: Sequence[Scores]) -> None:
+        shapes = {(len(one), *one[0].shape) if len(one) else (0,) for one in members}
+        if len(shapes) != 1 or len(next(iter(shapes))) != 2:
+            got = ", ".join(map(str, shapes)) or "none"
+            raise ValueError(f"expected scores (Q, R) of one shape, got {got}")
+        self._members = members
+        self.weights = weights_of(self._leads())
+
+    def __len__(self) -> int:
+        return len(self._members[0])
+
+    def __getitem__(self, query: int, /) -> Tensor:
+        return fused([one[query] for one in self._members], self.weights)
+
+    def whole(self) -> Tensor:
+        """``(Q, R)`` float32."""
+        return torch.stack([self[query] for query in range(len(self))])
+
+    def _leads(self) -> list[float]:
+        """How far the first candidates of each method are ahead, on average over a sample."""
+        count = len(self)
+        if count < LEAST:
+            return [0.0] * len(self._members)
+        sample = range(0, count, max(1, count // _SAMPLE))
+        return [sum(map(ahead, (one[q] for q in sample))) / len(sample) for one in self._members]
+
+
+def weights_of(leads: Sequence[float]) -> tuple[float, ...]:
+    """What each method weighs by how far its first candidates are ahead; their sum is 1."""
+    above = [max(0.0, one) for one in leads]
+    total = sum(above)
+    return tuple(one / total if total > 0 else 1 / len(above) for one in above)
+
+
+def ahead(scores: Tensor) -> float:
+    """How far the first candidate of a query is ahead of the best one elsewhere, in standard
+    deviations of the nearness of ``(R,)`` scores; 0 where that cannot be told."""
+    if len(scores) <= 2 * ELSEWHERE + 1:
+        return 0.0
+    return float(lead(_scaled(scores).z[None]))
+
+
+@torch.no_grad()
+def fused(scores: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
+    """``(R,)`` scores of one query by several methods as one; -inf where no method has a score."""
+    scaled = [_scaled(one) for one in scores]
     z, mean, spread = (
         sum(weight * part for weight, part in zip(weights, parts, strict=True))
         for parts in zip(*scaled, strict=True)
     )
-    fused = -torch.expm1(-(mean + spread * z))
     none = torch.stack([one == -torch.inf for one in scores]).all(0)
-    return Fused(fused.masked_fill(none, -torch.inf), tuple(weights.tolist()))
+    return (-torch.expm1(-(mean + spread * z))).masked_fill(none, -torch.inf)
 
 
 class _Scaled(NamedTuple):
-    """``(Q, R)`` nearness in standard deviations from its mean; ``(Q, 1)`` mean and deviation."""
+    """``(R,)`` nearness in standard deviations from its mean; mean and deviation."""
 
     z: Tensor
     mean: Tensor
@@ -77,16 +108,9 @@ class _Scaled(NamedTuple):
 
 def _scaled(scores: Tensor) -> _Scaled:
     scored = scores > -torch.inf
-    near = nearness(scores).where(scored, 0)
-    count = scored.sum(1, keepdim=True).clamp(min=1)
-    mean = near.sum(1, keepdim=True) / count
+    near = nearness(scores.float()).where(scored, 0)
+    count = scored.sum().clamp(min=1)
+    mean = near.sum() / count
     apart = (near - mean).where(scored, 0)
-    spread = (apart.square().sum(1, keepdim=True) / count).sqrt()
+    spread = (apart.square().sum() / count).sqrt()
     return _Scaled(apart / spread.clamp(min=_LEAST_SPREAD), mean, spread)
-
-
-def _lead(z: Tensor) -> Tensor:
-    """How far first candidates are ahead, on average; 0 where that cannot be told."""
-    if not len(z) or z.shape[1] <= 2 * ELSEWHERE + 1:
-        return torch.tensor(0.0)
-    return lead(z).mean()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -14,14 +14,14 @@ from .candidates import Part, Search, follow_candidates, gain
 from .confidence import confidence_of_places, confidence_of_scores
 from .filter import Filter
 from .follow import Mode, Places, Scores, follow, runs
+from .fusion import FusedScores
 from .matching import Matches, Rows, Vectors
 from .motion import Motion
-from .standardise import standardise
+from .standardise import LEAST, standardise
 from .sweep import COLUMNS, narrowed, score
 
-LEAST = 30
-"""Frames of a traverse whose mean is taken off. That of fewer is their place, not what they have in
-common: with it Recall@1 of single pictures, swept, was 0.69 in place of 0.84 on CamVid."""
+OWN = "ssr-vlad"
+"""What the method itself is called among others."""
 
 _SCORES_IN_MEMORY = 1 << 26
 
@@ -32,7 +32,7 @@ class Steps:
 
     Attributes:
         standardise: take each traverse's own mean off, see `standardise`. A traverse of fewer
-            than `LEAST` queries is compared as it is, with the references as they are.
+            than `standardise.LEAST` queries is compared as it is, with the references as they are.
         sweep: use the anchors of queries that have several, see `sweep.narrowed`.
         follow: see `follow.follow`; ``None`` judges every query by itself.
         delay: queries for which an online answer waits.
@@ -67,7 +67,7 @@ class Recognised(NamedTuple):
         confidence: ``(Q,)`` float32, the probability that the first candidate is right, see
             `confidence`; 0 without one.
         used: what was done, to be told: the steps, and by sequence whether it was standardised,
-            the width of the sweep and how it was followed.
+            the width of the sweep, how it was followed, and what each of several methods weighs.
     """
 
     matches: Matches
@@ -84,6 +84,7 @@ def recognise(
     steps: Steps | None = None,
     top: int = 5,
     barred: Tensor | None = None,
+    beside: Mapping[str, tuple[Vectors, Vectors]] | None = None,
 ) -> Recognised:
     """Candidates of every query, and how sure the first is.
 
@@ -95,6 +96,8 @@ def recognise(
         steps: what is done; without, all.
         top: candidates of each query.
         barred: ``(Q, R)`` bool, references that are no candidates.
+        beside: of further methods queries ``(Q, D')`` and references ``(R, D')`` by name; the
+            scores of all are fused, see `FusedScores`.
 
     Raises:
         ValueError: shapes do not fit.
@@ -105,19 +108,34 @@ def recognise(
         [5, 6, 7, 8]
     """
     steps = steps or Steps()
-    swept, known = torch.as_tensor(queries), torch.as_tensor(references).float()
-    if len(query_sequences) != len(swept):
-        got = len(query_sequences)
-        raise ValueError(f"expected a sequence for each of {len(swept)} queries, got {got}")
-    measured = cache(lambda own: Rows.of(standardise(known, reference_sequences) if own else known))
+    methods = {
+        name: (torch.as_tensor(wanted), torch.as_tensor(known).float())
+        for name, (wanted, known) in {OWN: (queries, references), **(beside or {})}.items()
+    }
+    for wanted, _ in methods.values():
+        if len(query_sequences) != len(wanted):
+            got = len(query_sequences)
+            raise ValueError(f"expected a sequence for each of {len(wanted)} queries, got {got}")
+
+    @cache
+    def measured(name: str, own: bool) -> Rows:
+        known = methods[name][1]
+        return Rows.of(standardise(known, reference_sequences) if own else known)
 
     def judge(run: range) -> _Outcome:
         rows = slice(run.start, run.stop)
         own = steps.standardise and len(run) >= LEAST
-        part, width = _prepared(swept[rows], measured(own), replace(steps, standardise=own))
-        scores = _Scores(part, measured(own), None if barred is None else barred[rows])
+        members, widths = list[Scores](), list[int]()
+        for name, (wanted, _) in methods.items():
+            known = measured(name, own)
+            part, width = _prepared(wanted[rows], known, replace(steps, standardise=own))
+            members.append(_Scores(part, known, None if barred is None else barred[rows]))
+            widths.append(width)
+        scores, weights = _together(members)
         found, followed = _judged(scores, reference_sequences, steps, top)
-        return _Outcome(*found, own, width, followed)
+        return _Outcome(
+            *found, own, max(widths), followed, dict(zip(methods, weights, strict=True))
+        )
 
     return _of_each(query_sequences, steps, top, judge)
 
@@ -139,7 +157,7 @@ def recognise_by_scores(
     def judge(run: range) -> _Outcome:
         part = scores[run.start : run.stop]
         found, followed = _judged(part, reference_sequences, steps, top)
-        return _Outcome(*found, False, 0, followed)
+        return _Outcome(*found, False, 0, followed, {})
 
     return _of_each(query_sequences, steps, top, judge)
 
@@ -163,10 +181,10 @@ def recognise_by_search(
         part = Part(search(own), run)
         if not mode or gain(part, reference_sequences, Motion(unmapped=0.0)) <= 0:
             alone = [_best_candidate(part, query, top) for query in range(len(part))]
-            return _Outcome(*_single(alone), own, 0, "no")
+            return _Outcome(*_single(alone), own, 0, "no", {})
         places = follow_candidates(part, reference_sequences, None, mode, steps.delay, top)
         empty = torch.tensor([not len(part.candidates(query)) for query in range(len(part))])
-        return _Outcome(*_placed(places, empty, mode), own, 0, mode)
+        return _Outcome(*_placed(places, empty, mode), own, 0, mode, {})
 
     return _of_each(query_sequences, steps, top, judge)
 
@@ -179,6 +197,7 @@ class _Outcome(NamedTuple):
     standardise: bool
     sweep: int
     follow: str
+    weights: dict[str, float]
 
 
 def _of_each(
@@ -187,7 +206,7 @@ def _of_each(
     """What is found of all queries, sequence by sequence."""
     judged = {run: judge(run) for run in runs(sequences)}
     used: dict[str, Any] = asdict(steps)
-    for step in ("standardise", "sweep", "follow"):
+    for step in ("standardise", "sweep", "follow", "weights"):
         used[step] = {sequences[run.start]: getattr(one, step) for run, one in judged.items()}
     none = torch.zeros(0, top)
     scores, indices, sure = (
@@ -231,6 +250,15 @@ class _Scores(Scores):
             self._known = score(self._queries[part], self._references)
         row = self._known[query - self._first]
         return row if self._barred is None else row.masked_fill(self._barred[query], -torch.inf)
+
+
+def _together(members: Sequence[Scores]) -> tuple[Scores | Tensor, tuple[float, ...]]:
+    """The scores of all methods as one, in memory if they are few, and what each weighs."""
+    if len(members) == 1:
+        return members[0], (1.0,)
+    fused = FusedScores(members)
+    few = len(fused) * len(fused[0]) <= _SCORES_IN_MEMORY
+    return fused.whole() if few else fused, fused.weights
 
 
 def _judged(

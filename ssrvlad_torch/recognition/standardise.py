@@ -15,6 +15,10 @@ from torch import Tensor
 
 from .matching import Vectors
 
+LEAST = 30
+"""Frames of a traverse whose mean is taken off. That of fewer is their place, not what they have in
+common: with it Recall@1 of single pictures, swept, was 0.69 in place of 0.84 on CamVid."""
+
 
 @torch.no_grad()
 def standardise(

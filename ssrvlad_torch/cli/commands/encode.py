@@ -27,6 +27,14 @@ def encode(
         str, typer.Option("--output", "-o", help="Database to make or add to: a folder or a URI.")
     ],
     preset: MaybePreset = None,
+    beside: Annotated[
+        Literal["hog"] | None,
+        typer.Option(
+            "--with",
+            help="Describe each image by this method, too: recognition then fuses both. It is said "
+            "once, when the database is made, and wants a --segmenter.",
+        ),
+    ] = None,
     engine: Annotated[
         Engine,
         typer.Option(
@@ -44,10 +52,14 @@ def encode(
     frames that are missing, and frames whose file, pose, label space or segmenter has changed.
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
+
+    \b
+    Example: ssrvlad encode photos/monday -o both.ssrdb --segmenter seg.yaml \\
+    --labels-as cityscapes-trainids --with hog
     """
     from ..sources import Source
 
-    summary = _encode(Source.open(source), output, preset, engine, prune)
+    summary = _encode(Source.open(source), output, preset, beside, engine, prune)
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
         told = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
@@ -60,11 +72,17 @@ def encode(
 
 
 def _encode(
-    source: Source, output: str, preset: str | None, engine: Engine, prune: bool
+    source: Source,
+    output: str,
+    preset: str | None,
+    beside: str | None,
+    engine: Engine,
+    prune: bool,
 ) -> Summary:
     from ...config import SSRVLADConfig
     from ...database.database import Database
     from ...descriptor import SSRVLAD
+    from ...encoding.beside import beside_by
     from ...encoding.encoder import encode_to_database
     from ...encoding.plan import folders_of
     from ...encoding.ray_engine import encode_with_ray
@@ -75,6 +93,9 @@ def _encode(
     if engine == "ray" and source.given.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
     database = Database.open(output) if Database.exists(output) else None
+    also = [beside_by(beside)] if beside else []
+    if also and not source.given.segmenter:
+        raise ValueError(f"--with {beside} wants images as SOURCE, and a --segmenter")
     labels_as: LabelsAs | None = source.labels_as
     if labels_as is None and database:
         labels_as = _only_label_space(database)
@@ -84,11 +105,13 @@ def _encode(
         config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
+    if database:
+        database.require(config, also)
     head = SSRVLAD(config)
     known = folders_of(database.known()) if database else {}
     files, segmenter = source.frames(labels_as, known)
     if not database:
-        database = Database.create(output, config)
+        database = Database.create(output, config, beside=also)
     with progress_bar("encoding", len(files)) as bar:
         options = EncodeOptions(
             source.given.workers, _is_complete(source), prune, bar.advance, bar.skip

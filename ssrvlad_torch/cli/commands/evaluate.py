@@ -93,6 +93,8 @@ def _check(method: MethodOptions, recognition: RecognitionOptions, source: Sourc
         return
     if recognition.min_confidence:
         raise ValueError("--min-confidence is of a database: confidence is fitted to its scores")
+    if recognition.fuse:
+        raise ValueError("--fuse is of a database; ssrvlad compare --fuse takes methods together")
     if recognition.reach:
         raise ValueError(
             "--temporal and --as-paper are of a database; with --method ssr-vlad use "

@@ -30,7 +30,7 @@ def locate(
     from ...database.database import Database
     from ...recognition.sweep import COLUMNS
     from ..measure import steps_in_words
-    from ..recognise import judged, steps_of, sure_enough
+    from ..recognise import beside, judged, steps_of, sure_enough
     from ..sources import Source, encode_queries, load_references
 
     town = Database.open(database)
@@ -39,7 +39,8 @@ def locate(
         opened = _by_its_network(town, opened)
     steps = steps_of(recognition)
     references, t = load_references(town, recognition.reach)
-    queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep else ())
+    also = beside(town, recognition)
+    queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep else (), also)
     found = judged(queries, references, steps, top=1)
     scores, rows = sure_enough(found, recognition.min_confidence)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()

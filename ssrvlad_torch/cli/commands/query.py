@@ -43,7 +43,8 @@ def query(
         typer.Option(
             "--index",
             help="Search by the index on disk (ssrvlad db index). Scores are exact. Sequences are "
-            "followed over the candidates of the index; --sweep has no effect.",
+            "followed over the candidates of the index; --sweep has no effect, and descriptors of "
+            "pictures are not used.",
         ),
     ] = False,
     as_of: AsOf = None,
@@ -52,7 +53,7 @@ def query(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Recognise places: ranked candidate frames with scores for every label map.
+    """Recognise places: ranked candidate frames with scores for every label map or image.
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
@@ -61,16 +62,21 @@ def query(
     from ...database.selection import neighbours, select
     from ...recognition.sweep import COLUMNS
     from ..measure import steps_in_words
-    from ..recognise import barred, by_index, judged, steps_of, sure_enough
+    from ..recognise import barred, beside, by_index, judged, steps_of, sure_enough
     from ..sources import Source, encode_queries, load_references
 
     opened = Source.open(source)
     first, last = _window(window)
-    if index and (recognition.reach or window or skip_damaged):
-        raise ValueError("--index does not go with a temporal sum, --window or --skip-damaged")
+    if index and (recognition.reach or window or skip_damaged or recognition.fuse):
+        raise ValueError(
+            "--index does not go with a temporal sum, --window, --skip-damaged or --fuse"
+        )
     town, damage = Database.open(database, as_of), list[Damage]()
     steps = steps_of(recognition)
-    queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep and not index else ())
+    also = () if index else beside(town, recognition)
+    queries, skipped = encode_queries(
+        town, opened, COLUMNS if steps.sweep and not index else (), also
+    )
     if index:
         all_found, references = by_index(town, queries, steps, top, from_sequence, exclude)
         t: int | dict[str, int] = 0

@@ -1,0 +1,244 @@
+"""Descriptors of pictures beside those of label maps: stored, verified, exported, fused."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE
+from helpers import descriptors, street
+from networks import photo, write_graph
+from PIL import Image
+
+from ssrvlad_torch import Database, Localiser, SSRVLADConfig
+from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.baselines.hog import HOG
+from ssrvlad_torch.database.exporting import export_database
+from ssrvlad_torch.database.index import build_index, search_index
+from ssrvlad_torch.database.metadata import Beside
+from ssrvlad_torch.database.rows import intact
+from ssrvlad_torch.encoding.beside import beside_by
+from ssrvlad_torch.recognition.recognise import Steps, recognise
+
+CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
+FRAMES = ["day/10", "day/2", "night/1"]
+OWN = Beside("own", 7, "seven numbers")
+
+
+@pytest.fixture
+def made(tmp_path):
+    database = Database.create(tmp_path / "town", CONFIG, beside=[OWN])
+    database.append(FRAMES, descriptors(0, 3), {"own": descriptors(1, 3, 7)})
+    return database
+
+
+def test_what_stands_beside_comes_out_bit_for_bit_and_in_order(made):
+    opened = Database.open(made.path)
+    frames = opened.load()
+    assert frames.frames == ("day/2", "day/10", "night/1")
+    assert torch.equal(frames.descriptors, descriptors(0, 3)[[1, 0, 2]])
+    assert torch.equal(frames.beside["own"], descriptors(1, 3, 7)[[1, 0, 2]])
+    assert opened.beside == (OWN,)
+    assert opened.info()["beside"] == {"own": "seven numbers"}
+    assert "descriptors of 480 and own" in repr(opened)
+    assert "descriptors of 480 and own" in repr(frames)
+    opened.merge(["day/2"], descriptors(2, 1), {"own": descriptors(3, 1, 7)})
+    assert torch.equal(opened.load().beside["own"][0], descriptors(3, 1, 7)[0])
+
+
+def test_every_frame_has_all_of_them(made):
+    message = "holds descriptor, own of every frame, got descriptor$"
+    with pytest.raises(ValueError, match=message):
+        made.append(["day/3"], descriptors(0, 1))
+    with pytest.raises(ValueError, match=r"own: expected \(1, 7\) for 1 frames, got \(1, 8\)"):
+        made.append(["day/3"], descriptors(0, 1), {"own": descriptors(0, 1, 8)})
+    with pytest.raises(ValueError, match="has no descriptors by own, eight numbers"):
+        made.require(CONFIG, [OWN._replace(fingerprint="eight numbers")])
+    made.require(CONFIG, [OWN])
+    assert len(made) == 3
+
+
+@pytest.mark.parametrize("names", [["frame"], ["descriptor"], ["own", "own"]])
+def test_a_column_has_one_meaning(tmp_path, names):
+    beside = [OWN._replace(name=name) for name in names]
+    with pytest.raises(ValueError, match="expected names beside that no column has"):
+        Database.create(tmp_path / "town", CONFIG, beside=beside)
+
+
+def test_the_checksum_covers_what_stands_beside(made):
+    table = made.table().to_table()
+    assert intact(table).all()
+    numbers = table["own"].combine_chunks().flatten().to_numpy().copy()
+    numbers[8] += 1
+    place = table.schema.get_field_index("own")
+    column = type(table["own"].combine_chunks()).from_arrays(numbers, 7)
+    assert intact(table.set_column(place, table.schema.field(place), column)).tolist() == [
+        True, False, True,
+    ]  # fmt: skip
+
+
+def test_other_forms_have_them_too(made, tmp_path):
+    files = export_database(made, "npy", tmp_path / "out.npy")
+    assert tmp_path / "out.npy.own.npy" in files
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npy.own.npy"), made.load().beside["own"])
+    assert json.loads((tmp_path / "out.npy.json").read_text())["beside"] == {"own": "seven numbers"}
+    h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
+    export_database(made, "hloc", tmp_path / "out.h5")
+    with h5py.File(tmp_path / "out.h5", "r") as stored:
+        np.testing.assert_array_equal(stored["day/2"]["own"], made.load().beside["own"][0])
+
+
+def test_an_index_is_of_the_method_itself(tmp_path):
+    database = Database.create(tmp_path / "town", CONFIG, beside=[OWN])
+    names = [f"day/{row}" for row in range(300)]
+    database.append(names, descriptors(0, 300), {"own": descriptors(1, 300, 7)})
+    build_index(database)
+    [found] = search_index(Database.open(database.path), descriptors(0, 300)[17][None], 1)
+    assert found[0][0] == "day/17"
+
+
+def test_two_methods_that_err_apart_are_better_together():
+    generator = torch.Generator().manual_seed(0)
+    maps = [torch.randn(40, 32, generator=generator) for _ in range(2)]
+    seen = [known + 2 * torch.randn(40, 32, generator=generator) for known in maps]
+    single = Steps(follow=None)
+    alone = [
+        recognise(here, there, ["a"] * 40, ["b"] * 40, single)
+        for here, there in zip(seen, maps, strict=True)
+    ]
+    both = recognise(
+        seen[0], maps[0], ["a"] * 40, ["b"] * 40, single, beside={"own": (seen[1], maps[1])}
+    )
+    right = [
+        int((found.matches.indices[:, 0] == torch.arange(40)).sum()) for found in (*alone, both)
+    ]
+    assert right[2] > max(right[:2])
+    assert alone[0].used["weights"] == {"a": {"ssr-vlad": 1.0}}
+    weights = both.used["weights"]["a"]
+    assert weights.keys() == {"ssr-vlad", "own"}
+    assert sum(weights.values()) == pytest.approx(1)
+    with pytest.raises(ValueError, match="expected a sequence for each of 39 queries, got 40"):
+        recognise(seen[0], maps[0], ["a"] * 40, ["b"] * 40, beside={"own": (seen[1][1:], maps[1])})
+
+
+# ---- with pictures
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    """``monday``, 31 photos, ``today``, the same, and a network that labels them."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    write_graph(tmp_path / "net.onnx")
+    settings = f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: {SPACE}\n"
+    (tmp_path / "net.yaml").write_text(settings)
+    for drive in ("monday", "today"):
+        (tmp_path / drive).mkdir()
+        for seed in range(31):
+            picture = Image.fromarray(photo(street(seed, 60, 80)))
+            picture.save(tmp_path / drive / f"{seed}.png")
+    return tmp_path
+
+
+@pytest.fixture
+def town(photos, ssrvlad):
+    given = ("--segmenter", photos / "net.yaml", "--with", "hog", "--workers", 1)
+    assert ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)[0] == 0
+    return photos / "town"
+
+
+def test_encode_stores_what_the_method_makes_of_each_picture(town, photos, ssrvlad):
+    database = Database.open(town)
+    assert database.beside == (beside_by("hog"),)
+    frames = database.load()
+    images = [np.asarray(Image.open(photos / f"{frame}.png")) for frame in frames.frames]
+    expected = HOG().encode_query([Frame("", image=image) for image in images])
+    assert torch.equal(frames.beside["hog"], expected)
+    again = ("encode", photos / "monday", photos / "today", "-o", town)
+    code, out, _ = ssrvlad(*again, "--segmenter", photos / "net.yaml", "--workers", 2)
+    assert code == 0
+    assert "31 frames encoded (0 of them empty), 31 already there" in out
+    assert torch.equal(Database.open(town).load().beside["hog"][:31], expected)
+    (photos / "monday" / "31.png").write_bytes(b"no picture")
+    assert ssrvlad(*again, "--segmenter", photos / "net.yaml")[0] == 3
+
+
+def test_queries_are_fused_unless_told_not_to(town, photos, ssrvlad):
+    given = ("--segmenter", photos / "net.yaml", "--follow", "no")
+    code, out, err = ssrvlad("query", town, photos / "today", *given, "--json")
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert [line["candidates"][0]["frame"] for line in lines] == [
+        line["query"].replace("today", "monday") for line in lines
+    ]
+    weights = lines[0]["steps"]["weights"]["today"]
+    assert weights.keys() == {"ssr-vlad", "hog"}
+    _, _, err = ssrvlad("query", town, photos / "today", *given, "--fuse")
+    assert f"fused: ssr-vlad {weights['ssr-vlad']:.2f} + hog {weights['hog']:.2f}" in err[-1]
+    for option in ("--no-fuse", "--as-paper"):
+        _, out, _ = ssrvlad("query", town, photos / "today", *given, option, "--json")
+        assert json.loads(out.splitlines()[0])["steps"]["weights"]["today"] == {"ssr-vlad": 1.0}
+    _, out, _ = ssrvlad(
+        "evaluate", town, photos / "today", *given, "--tolerance-frames", 0, "--json"
+    )
+    assert json.loads(out)["steps"]["weights"]["today"] == weights
+    _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
+    assert json.loads(out.splitlines()[0])["steps"]["weights"]["monday"].keys() == weights.keys()
+    assert ssrvlad("db", "index", town)[0] == 2, "of too few frames"
+
+
+def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
+    code, out, err = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
+    assert code == 0
+    assert out.startswith("today/7: monday/7, score ")
+    assert "fused: ssr-vlad 0.50 + hog 0.50" in err[-1]
+    by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", beside="hog")
+    assert by_name.add(photos / "monday").encoded == 31
+    place = by_name.locate(photos / "today" / "7.png")
+    assert place.frame == "monday/7"
+    found = json.loads(ssrvlad("locate", photos / "today" / "7.png", "--in", town, "--json")[1])
+    assert (place.score, place.confidence) == pytest.approx((found["score"], found["confidence"]))
+    alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone")
+    assert alone.database.beside == ()
+    with pytest.raises(ValueError, match="has no descriptors by hog"):
+        Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside="hog")
+    with pytest.raises(ValueError, match="expected a method of pictures, hog, got 'sift'"):
+        Localiser.from_pretrained(photos / "net.yaml", photos / "other", beside="sift")
+
+
+def test_descriptors_of_another_version_do_not_compare(photos):
+    changed = beside_by("hog")._replace(fingerprint="7 x 7 cells")
+    database = Database.create(photos / "town", CONFIG, beside=[changed])
+    with pytest.raises(ValueError, match=r"hog gives other descriptors here \(6 x 10 cells, 8"):
+        Localiser.from_pretrained(photos / "net.yaml", database.path)
+
+
+def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
+    def refused(*arguments):
+        code, _, err = ssrvlad(*arguments)
+        assert (code, len(err)) == (2, 1), err
+        return err[0]
+
+    network = ("--segmenter", photos / "net.yaml")
+    plain = photos / "plain"
+    labels = ("--labels-as", SPACE)
+    told = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
+    assert "--with hog wants images as SOURCE, and a --segmenter" in told
+    assert not plain.exists()
+    assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
+    ray = refused("encode", maps, "-o", town, "--engine", "ray")
+    assert "holds descriptors of pictures; Ray reads label maps" in ray
+    assert ssrvlad("encode", photos / "monday", "-o", plain, *network)[0] == 0
+    told = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
+    assert "has no descriptors by hog" in told
+    told = refused("query", plain, photos / "today", *network, "--fuse")
+    assert "holds no descriptors of pictures; encode them anew with --with hog" in told
+    for source in (maps, plain):
+        told = refused("query", town, source)
+        assert "expected images and a --segmenter, or --no-fuse" in told
+        assert ssrvlad("query", town, source, "--no-fuse")[0] == 0
+    assert "--as-paper" in refused("query", town, maps, "--fuse", "--as-paper")
+    assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
+    folders = (photos / "monday", photos / "today", "--method", "hog", "--tolerance-frames", 0)
+    assert "ssrvlad compare --fuse" in refused("evaluate", *folders, "--fuse")
