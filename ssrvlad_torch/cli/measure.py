@@ -126,7 +126,7 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
         f"followed: {'/'.join(dict.fromkeys(followed))}",
     ]
     weights = list(used["weights"].values())
-    if any(len(each) > 1 for each in weights):
+    if any(weights):
         fused = (f"{name} {'/'.join(f'{w[name]:.2f}' for w in weights)}" for name in weights[0])
         told.append(f"fused: {' + '.join(fused)}")
     if used["delay"]:

@@ -131,11 +131,9 @@ def recognise(
             part, width = _prepared(wanted[rows], known, replace(steps, standardise=own))
             members.append(_Scores(part, known, None if barred is None else barred[rows]))
             widths.append(width)
-        scores, weights = _together(members)
+        scores, weights = _together(members, list(methods))
         found, followed = _judged(scores, reference_sequences, steps, top)
-        return _Outcome(
-            *found, own, max(widths), followed, dict(zip(methods, weights, strict=True))
-        )
+        return _Outcome(*found, own, max(widths), followed, weights)
 
     return _of_each(query_sequences, steps, top, judge)
 
@@ -252,13 +250,16 @@ class _Scores(Scores):
         return row if self._barred is None else row.masked_fill(self._barred[query], -torch.inf)
 
 
-def _together(members: Sequence[Scores]) -> tuple[Scores | Tensor, tuple[float, ...]]:
-    """The scores of all methods as one, in memory if they are few, and what each weighs."""
+def _together(
+    members: Sequence[Scores], names: Sequence[str]
+) -> tuple[Scores | Tensor, dict[str, float]]:
+    """The scores of all methods as one, in memory if few, and what each weighs if several."""
     if len(members) == 1:
-        return members[0], (1.0,)
+        return members[0], {}
     fused = FusedScores(members)
     few = len(fused) * len(fused[0]) <= _SCORES_IN_MEMORY
-    return fused.whole() if few else fused, fused.weights
+    weights = dict(zip(names, fused.weights, strict=True))
+    return fused.whole() if few else fused, weights
 
 
 def _judged(
