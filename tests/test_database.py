@@ -7,6 +7,8 @@ from pathlib import Path
 
 import lance
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 import pytest
 import torch
 import yaml
@@ -16,6 +18,7 @@ from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch.database.database import _order
 from ssrvlad_torch.database.frames import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
 
@@ -112,6 +115,19 @@ def test_the_order_is_that_of_a_person_however_frames_were_added(path, tmp_path)
 def test_natural_keys_order_as_a_person_would(names):
     expected = ["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]
     assert sorted(names, key=natural_key) == expected
+
+
+@given(
+    st.sampled_from(["{:03d}", "a{:06d}.{:02d}", "²{:04d}\n{:03d}"])
+    | st.sampled_from(["{}", "{}-{}"]),
+    st.lists(st.tuples(*[st.integers(0, 99)] * 2), min_size=1, max_size=9, unique=True),
+)
+def test_frames_of_one_shape_of_name_stand_in_natural_order_too(form, numbers):
+    names = {f"{sequence}/{form.format(*pair)}" for pair in numbers for sequence in "ba"}
+    table = pa.table({"frame": sorted(names, reverse=True)})
+    table = table.append_column("sequence", pc.utf8_slice_codeunits(table["frame"], 0, 1))
+    expected = sorted(names, key=lambda frame: (frame[0], natural_key(frame[2:])))
+    assert table["frame"].take(_order(table)).to_pylist() == expected
 
 
 # ---- settings and origins

@@ -449,7 +449,8 @@ class Database:
             for name, values in arrays.items():
                 values[done : done + len(batch)] = matrix(batch[name])
             done += len(batch)
-            tables.append(pa.table(batch.select(_OF_A_SET)))
+            few = batch.select(_OF_A_SET).take(pa.array(np.arange(len(batch))))
+            tables.append(pa.table(few))  # a copy: as long as a part lives, so does the batch
         table = pa.concat_tables(tables)
         order = _order(table)
         twice = table.num_rows - len(pc.unique(table["frame"]))
@@ -605,9 +606,16 @@ def _order(table: pa.Table) -> npt.NDArray[np.int64]:
     sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
     rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
     ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
-    keys = [natural_key(frame.rpartition("/")[2]) for frame in table["frame"].to_pylist()]
-    by_name = np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
+    by_name = _by_name(pc.replace_substring_regex(table["frame"], "(?s)^.*/", ""))
     return by_name[np.argsort(ranks[by_name], kind="stable")]
+
+
+def _by_name(names: pa.ChunkedArray) -> npt.NDArray[np.int64]:
+    """Names in natural order. Where they differ in digits only, that is the order of characters."""
+    if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:
+        return np.asarray(pc.sort_indices(names)).astype(np.int64)
+    keys = [natural_key(name) for name in names.to_pylist()]
+    return np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
 
 
 def _sorted(

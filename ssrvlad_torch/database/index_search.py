@@ -86,6 +86,7 @@ class IndexSearch:
         self._vectors = torch.empty(0, database.width)
         self._found: dict[int, Tensor] = {}
         self._samples: dict[int, Tensor] = {}
+        self._scored: dict[int, tuple[Tensor, Tensor]] = {}
         self._pool = ThreadPoolExecutor(_THREADS)
         self._asked: dict[int, Future[pa.Table | None]] = {}
         rows = len(self.frames)
@@ -107,7 +108,16 @@ class IndexSearch:
         return self._found[query]
 
     def scores(self, query: int, rows: Tensor) -> Tensor:
-        """See `recognition.candidates.Search`."""
+        """See `recognition.candidates.Search`; scores are remembered, for a second pass."""
+        known, scores = self._scored.get(query, (rows[:0], torch.empty(0)))
+        fresh = rows[~torch.isin(rows, known)]
+        if len(fresh):
+            known, order = torch.cat([known, fresh]).sort()
+            scores = torch.cat([scores, self._score(query, fresh)])[order]
+            self._scored[query] = known, scores
+        return scores[torch.searchsorted(known, rows)]
+
+    def _score(self, query: int, rows: Tensor) -> Tensor:
         scores = score(self._queries[query][None], self._read(rows))[0]
         return scores.masked_fill(~self._may_match(query, rows), -torch.inf)
 
