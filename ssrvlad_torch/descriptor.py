@@ -138,6 +138,8 @@ class SSRVLAD(nn.Module):
             masks = masks_of(layers, self.config)
             histograms = self._aggregation.histograms(layers)
             return Explanation(
+                labels=label_map(labels, self.label_space),
+                label_space=self.label_space,
                 layers=unpack(masks.layers),
                 clean_layers=unpack(masks.clean),
                 skeleton=unpack(masks.skeleton),

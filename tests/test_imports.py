@@ -23,7 +23,7 @@ def test_the_package_loads_without_the_extras():
         "sklearn",
     )
     code = (
-        "import sys, ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.cli.show;"
+        "import sys, ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.picture;"
         f"print([m for m in {heavy!r} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -34,9 +34,8 @@ def test_the_package_loads_without_the_extras():
 def test_a_missing_extra_is_named(module, tmp_path):
     code = {
         "reference": "import ssrvlad_torch.reference",
-        "show": "import numpy as np, pathlib; from ssrvlad_torch import SSRVLAD;"
-        "from ssrvlad_torch.cli import show;"
-        "show.draw(np.zeros((9, 9), int), SSRVLAD(), pathlib.Path('x.png'), '')",
+        "show": "import numpy as np; from ssrvlad_torch import SSRVLAD;"
+        "SSRVLAD().explain(np.zeros((1, 9, 9), int)).show()",
     }[module]
     blocked = "import sys; sys.modules['skimage'] = sys.modules['matplotlib'] = None;"
     done = subprocess.run(

@@ -2,59 +2,64 @@
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from ssrvlad_torch.loops.picture import draw_loops
+from ssrvlad_torch.picture import write_picture
 
 POSES = np.array([(0, 0, 0), (10, 0, 0), (20, 5, 1), (10, 5, 3), (0, 1, 3), (10, 1, 0.1)], float)
 LOOPS = np.array([-1, -1, -1, -1, 0, 2])
 
 
-def picture(path, *arguments, **more):
-    draw_loops(path, *arguments, **more)
-    with Image.open(path) as image:
-        return np.asarray(image.convert("RGB")).astype(int)
+def dots(axes):
+    """Places of the dots by their colours."""
+    found = [line for line in axes.lines if line.get_marker() == "."]
+    return {line.get_color(): line.get_xydata().tolist() for line in found}
 
 
-def shows(pixels, red, green, blue):
-    """Whether a colour occurs, antialiased at most a little."""
-    return bool((np.abs(pixels - (red, green, blue)).sum(axis=-1) < 30).any())
+def legend(axes):
+    return [text.get_text() for text in axes.get_legend().get_texts()]
 
 
-GREEN, RED, BLUE = (44, 160, 44), (214, 39, 40), (31, 119, 180)
+def test_right_loops_are_green_and_wrong_ones_red():
+    above, beside = draw_loops(LOOPS, POSES, "drive", metres=5).axes
+    assert dots(above) == {"tab:green": [[0, 1]], "tab:red": [[10, 1]]}
+    assert dots(beside) == {"tab:green": [[4, 0]], "tab:red": [[5, 2]]}
+    assert {"right, within 5 m: 1", "wrong, or of unknown pose: 1"} <= {*legend(beside)}
+    above, beside = draw_loops(LOOPS, POSES, "drive", metres=50).axes
+    assert dots(above) == {"tab:green": [[0, 1], [10, 1]]}
+    unjudged = draw_loops(LOOPS, POSES, "drive").axes[1]
+    assert dots(unjudged) == {"tab:blue": [[4, 0], [5, 2]]} and "loops: 2" in legend(unjudged)
 
 
-def test_right_loops_are_green_and_wrong_ones_red(tmp_path):
-    both = picture(tmp_path / "a.png", LOOPS, POSES, "drive", metres=5)
-    assert [shows(both, *colour) for colour in (GREEN, RED, BLUE)] == [True, True, False]
-    right = picture(tmp_path / "b.png", LOOPS, POSES, "drive", metres=50)
-    assert [shows(right, *colour) for colour in (GREEN, RED)] == [True, False]
-    unjudged = picture(tmp_path / "c.png", LOOPS, POSES, "drive")
-    assert [shows(unjudged, *colour) for colour in (GREEN, RED, BLUE)] == [False, False, True]
+def test_without_poses_there_is_no_trajectory():
+    (beside,) = draw_loops(LOOPS, np.full((6, 3), np.nan), "drive").axes
+    assert dots(beside) == {"tab:blue": [[4, 0], [5, 2]]}
 
 
-def test_without_poses_there_is_no_trajectory(tmp_path):
-    placed = picture(tmp_path / "a.png", LOOPS, POSES, "drive")
-    bare = picture(tmp_path / "b.png", LOOPS, np.full((6, 3), np.nan), "drive")
-    assert bare.shape[1] * 2 == placed.shape[1]
-    assert shows(bare, *BLUE)
-
-
-def test_some_poses_may_be_unknown(tmp_path):
+def test_some_poses_may_be_unknown():
     poses = POSES.copy()
     poses[[0, 3]] = np.nan
-    assert shows(picture(tmp_path / "a.png", LOOPS, poses, "drive", metres=50), *RED)
+    assert dots(draw_loops(LOOPS, poses, "drive", metres=50).axes[1])["tab:red"] == [[4, 0]]
+
+
+def test_sequences_are_not_joined():
+    above = draw_loops(LOOPS, POSES, "drive", 5, ["a", "a", "a", "b", "b", "b"]).axes[0]
+    lines = [line.get_xdata().tolist() for line in above.lines if line.get_linestyle() == "-"]
+    assert lines == [POSES[:3, 0].tolist(), POSES[3:, 0].tolist()]
+    assert legend(above).count("trajectory") == legend(above).count("start") == 1
 
 
 @pytest.mark.parametrize("frames", [0, 3])
-def test_a_stream_without_loops_is_drawn(tmp_path, frames):
-    pixels = picture(tmp_path / "a.png", np.full(frames, -1), POSES[:frames], "drive")
-    assert not shows(pixels, *BLUE)
+def test_a_stream_without_loops_is_drawn(frames, tmp_path):
+    figure = draw_loops(np.full(frames, -1), POSES[:frames], "drive")
+    assert "loops: 0" in legend(figure.axes[-1])
+    write_picture(figure, tmp_path / "loops.png")
 
 
 def test_the_suffix_says_the_format(tmp_path):
-    draw_loops(tmp_path / "loops.svg", LOOPS, POSES, "drive")
+    figure = draw_loops(LOOPS, POSES, "drive")
+    write_picture(figure, tmp_path / "loops.svg")
     assert "<svg" in (tmp_path / "loops.svg").read_text()
     with pytest.raises(ValueError, match=r"loops\.xyz: a picture is one of .*png"):
-        draw_loops(tmp_path / "loops.xyz", LOOPS, POSES, "drive")
+        write_picture(figure, tmp_path / "loops.xyz")
     assert [path.name for path in tmp_path.iterdir()] == ["loops.svg"]

@@ -36,6 +36,7 @@ from ssrvlad_torch.files import replacing
 from ssrvlad_torch.loops.picture import draw_loops
 from ssrvlad_torch.loops.result import LoopResult, Reason
 from ssrvlad_torch.loops.stream import candidates_of, loops_of
+from ssrvlad_torch.picture import write_picture
 
 LEARNED_ON = range(100, 104)
 MEASURED_ON = range(6)
@@ -210,7 +211,7 @@ def believed(outcome: Outcome, threshold: float) -> Outcome:
 
 def draw(path: Path, outcome: Outcome, condition: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
-    draw_loops(path, outcome.loops, outcome.tour.poses, condition, METRES)
+    write_picture(draw_loops(outcome.loops, outcome.tour.poses, condition, METRES), path)
 
 
 def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:

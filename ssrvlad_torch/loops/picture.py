@@ -2,101 +2,109 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from collections.abc import Sequence
+from itertools import groupby
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..evaluation.outcomes import Floats, Rows
-from ..files import replacing
+from ..picture import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _RIGHT, _WRONG, _UNJUDGED = "tab:green", "tab:red", "tab:blue"
-
-
-def require_picture(path: Path) -> None:
-    """Refuses what `draw_loops` would refuse, before the frames are there.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-        ValueError: no such picture format.
-    """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
-    formats = Figure().canvas.get_supported_filetypes()
-    if _form(path) not in formats:
-        raise ValueError(f"{path}: a picture is one of {', '.join(formats)}")
+_GRAY, _DARK = "0.7", "0.25"
 
 
 def draw_loops(
-    path: Path, loops: Rows, poses: Floats, title: str, metres: float | None = None
-) -> None:
-    """Writes a picture of a stream.
+    loops: Rows,
+    poses: Floats,
+    title: str,
+    metres: float | None = None,
+    sequences: Sequence[str] | None = None,
+) -> Figure:
+    """A picture of a stream.
 
-    Where there are poses, the trajectory is drawn from above with a line from each frame that
-    closes a loop to its candidate. Beside it stands, for each such frame, the number of the frame
-    and of its candidate: a stretch that is driven again is a rising line, one that is driven back
-    a falling one.
+    Where there are poses, each sequence is drawn from above, with a dot at each frame that closes a
+    loop and a line from there to its candidate. Beside it stands, for each such frame, the number
+    of the frame and of its candidate: a stretch that is driven again is a rising line.
 
     Args:
-        path: the picture; its suffix says the format (``.png``, ``.svg``, ``.pdf``).
         loops: ``(N,)`` int64, row of each frame's candidate, -1 where it closes no loop.
         poses: ``(N, 3)`` x and y in metres and heading, NaN where unknown.
         title: stands above.
-        metres: loops of frames that are farther apart are drawn red, others green; without,
-            all are blue.
+        metres: loops of frames that are farther apart are wrong and drawn red, others green;
+            without, all are blue.
+        sequences: the sequence of each frame; without, all are of one.
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: no such picture format.
-        OSError: the picture cannot be written.
     """
-    require_picture(path)
-    from matplotlib.figure import Figure
-
     here = np.flatnonzero(loops >= 0)
     there = loops[here]
-    apart = np.hypot(*(poses[here, :2] - poses[there, :2]).T)
-    judged = {_UNJUDGED: np.full(len(here), True)}
-    if metres is not None:
-        judged = {_RIGHT: apart <= metres, _WRONG: ~(apart <= metres)}
     placed = bool(np.isfinite(poses[:, :2]).all(axis=1).any())
-    figure = Figure(figsize=(13, 6) if placed else (6.5, 6), layout="constrained")
+    figure = new_figure(10 if placed else 5, 5)
     figure.suptitle(f"{title}: {len(here)} of {len(loops)} frames close a loop")
     axes = figure.subplots(1, 2 if placed else 1, squeeze=False)[0]
-    for colour, chosen in judged.items():
+    if placed:
+        _draw_trajectory(axes[0], poses, sequences or [""] * len(poses))
+    for name, colour, chosen in _judged(here, there, poses, metres):
         if placed:
             _draw_loops_from_above(axes[0], poses, here[chosen], there[chosen], colour)
-        axes[-1].plot(here[chosen], there[chosen], ".", ms=4, color=colour)
-    if placed:
-        _draw_trajectory(axes[0], poses)
+        label = f"{name}: {np.count_nonzero(chosen)}"
+        axes[-1].plot(here[chosen], there[chosen], ".", ms=4, color=colour, label=label)
     ends = (0, max(1, len(loops)))
-    axes[-1].plot(ends, ends, color="0.8", lw=0.8, zorder=0)
-    axes[-1].set(xlabel="frame", ylabel="candidate", xlim=ends, ylim=ends)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=110, format=_form(path))
+    axes[-1].plot(ends, ends, color=_GRAY, lw=0.8, zorder=0, label="the frame itself")
+    axes[-1].set(xlabel="number of the frame", ylabel="number of its candidate")
+    axes[-1].set(xlim=ends, ylim=ends)
+    axes[-1].legend(loc="upper left", frameon=False)
+    if placed:
+        _below(axes[0])
+    return figure
 
 
-def _form(path: Path) -> str:
-    return path.suffix.removeprefix(".").lower() or "png"
+def _judged(
+    here: Rows, there: Rows, poses: Floats, metres: float | None
+) -> list[tuple[str, str, Rows]]:
+    """Name, colour and which of the loops are meant."""
+    if metres is None:
+        return [("loops", _UNJUDGED, np.full(len(here), True))]
+    right = np.hypot(*(poses[here, :2] - poses[there, :2]).T) <= metres
+    return [
+        (f"right, within {metres:g} m", _RIGHT, right),
+        ("wrong, or of unknown pose", _WRONG, ~right),
+    ]
 
 
-def _draw_trajectory(axes: Axes, poses: Floats) -> None:
-    axes.plot(poses[:, 0], poses[:, 1], color="0.6", lw=1, zorder=0)
-    known = np.flatnonzero(np.isfinite(poses[:, :2]).all(axis=1))
-    axes.plot(*poses[known[0], :2], "o", color="black", ms=5, label="start")
+def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> None:
+    """Each sequence by itself: from where one ends to where the next begins nothing drove."""
+    shown = {"trajectory": True, "start": True}
+    for _, group in groupby(range(len(poses)), lambda row: sequences[row]):
+        rows = [*group]
+        known = [row for row in rows if np.isfinite(poses[row, :2]).all()]
+        line = "trajectory" if shown.pop("trajectory", None) else None
+        axes.plot(*poses[rows, :2].T, color=_GRAY, lw=1, zorder=0, label=line)
+        if known:
+            label = "start" if shown.pop("start", None) else None
+            axes.plot(*poses[known[0], :2], "s", color=_DARK, ms=5, label=label)
     axes.set(xlabel="x in metres", ylabel="y in metres")
     axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(loc="upper right", frameon=False)
 
 
 def _draw_loops_from_above(axes: Axes, poses: Floats, here: Rows, there: Rows, colour: str) -> None:
     from matplotlib.collections import LineCollection
 
+    if not len(here):
+        return
     lines = np.stack((poses[here, :2], poses[there, :2]), axis=1)
     axes.add_collection(LineCollection(list(lines), colors=colour, lw=0.8, alpha=0.7))
-    axes.plot(poses[here, 0], poses[here, 1], ".", ms=4, color=colour)
+    axes.plot(*poses[here, :2].T, ".", ms=4, color=colour)
+
+
+def _below(axes: Axes) -> None:
+    """A legend that covers nothing."""
+    axes.plot([], [], ".-", color=_DARK, lw=0.8, label="frame, and line to its candidate")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False)

@@ -16,6 +16,7 @@ from typing import Literal, NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from .display import candidates_table
 from .filter import Belief, Filter, updated
 from .motion import Motion
 
@@ -39,6 +40,9 @@ class Places(NamedTuple):
     indices: Tensor
     near: Tensor
     unmapped: Tensor
+
+    def _repr_html_(self) -> str:
+        return candidates_table(self.scores, self.indices, near=self.near, unmapped=self.unmapped)
 
 
 class Scores(Protocol):

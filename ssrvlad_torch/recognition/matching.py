@@ -11,6 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .display import candidates_table
+
 Vectors = Tensor | npt.NDArray[np.float32]
 
 _QUERY_BLOCK = 1024
@@ -27,6 +29,9 @@ class Matches(NamedTuple):
 
     scores: Tensor
     indices: Tensor
+
+    def _repr_html_(self) -> str:
+        return candidates_table(self.scores, self.indices)
 
 
 @torch.no_grad()

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from .candidates import Part, Search, follow_candidates, gain
 from .confidence import confidence_of_places, confidence_of_scores
+from .display import candidates_table
 from .filter import Filter
 from .follow import Mode, Places, Scores, follow, runs
 from .fusion import FusedScores
@@ -73,6 +74,9 @@ class Recognised(NamedTuple):
     matches: Matches
     confidence: Tensor
     used: dict[str, Any]
+
+    def _repr_html_(self) -> str:
+        return candidates_table(*self.matches, confidence=self.confidence)
 
 
 @torch.no_grad()

@@ -58,8 +58,9 @@ def loops(
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
     from ...encoding.results import Skipped
-    from ...loops.picture import draw_loops, require_picture
+    from ...loops.picture import draw_loops
     from ...loops.stream import detect_loops, loops_of, open_detector, report
+    from ...picture import require_picture, write_picture
     from ..sources import Source
 
     config = LoopConfig(exclude, threshold, sweep)
@@ -81,7 +82,9 @@ def loops(
     _print_report(report(detector, results, tolerance_metres), as_json)
     if picture:
         pairs = loops_of(detector, results)
-        draw_loops(picture, pairs, detector.poses, " ".join(source.paths), tolerance_metres)
+        title, drives = " ".join(source.paths), [f.rpartition("/")[0] for f in detector.frames]
+        figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives)
+        write_picture(figure, picture)
     finish(skipped)
 
 

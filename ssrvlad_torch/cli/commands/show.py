@@ -25,18 +25,19 @@ def show(
     ] = None,
     preset: Preset = "default",
 ) -> None:
-    """Picture what the method sees in one frame: layers, skeletons, keypoints, centres,
-    histograms.
+    """Picture what the method sees in one frame: layers, boundaries and their histograms; with
+    paper, layers, skeletons, keypoints, centres and histograms.
 
     Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11
     """
     from ...datasets.image_files import find_image_files
-    from ...datasets.label_files import find_label_files, read_label_map
+    from ...datasets.label_files import LabelMap, find_label_files, read_label_map
     from ...descriptor import SSRVLAD
+    from ...picture import require_picture, write_picture
     from ...segmentation.networks import AUTO, channels
     from ...segmentation.segmenter import Segmenter
-    from ..show import draw
 
+    require_picture(output)
     if segmenter is None:
         if labels_as is None:
             raise ValueError("Missing option '--labels-as', or '--segmenter' for an image")
@@ -49,12 +50,13 @@ def show(
         file = find_image_files([str(frame)])[0]
     try:
         if segmenter is None:
-            labels = read_label_map(file, head.label_space)
+            labels: LabelMap | ValueError = read_label_map(file, head.label_space)
         else:
             ((_, labels),) = network.label_maps([file])
         if isinstance(labels, ValueError):
             raise labels
-        draw(labels, head, output, title=file.frame)
+        view = head.explain(labels[None])
     except ValueError as error:
         raise ValueError(f"{file.place}: {error}") from error
+    write_picture(view.show(title=file.frame), output)
     say(output)

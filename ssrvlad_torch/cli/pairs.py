@@ -1,0 +1,129 @@
+"""A picture of queries above their best matches, right and wrong ones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from ..datasets.label_files import LabelMap
+from ..taxonomy import LabelSpace, colourise
+
+_HEIGHT = 240
+_MARGIN, _FRAME = 14, 5
+_HEADING, _TEXT = 24, 18
+_QUERY, _RIGHT, _WRONG = (90, 98, 110), (26, 127, 55), (207, 34, 46)
+
+
+class Pair(NamedTuple):
+    """A query and its best match, ``(H, W)`` label ids each.
+
+    Attributes:
+        query, match: the label maps.
+        query_name, match_name: what stands above them.
+        right: whether the match shows the place.
+    """
+
+    query: LabelMap
+    match: LabelMap
+    query_name: str
+    match_name: str
+    right: bool
+
+
+def chosen(right: Sequence[bool], matched: Sequence[bool], count: int) -> list[int]:
+    """Queries evenly spread over a drive; where all of them are right and another is wrong, the
+    last of those in place of the last.
+
+    Args:
+        right: whether the best match of each is right.
+        matched: whether it has one.
+        count: how many.
+    """
+    some = np.flatnonzero(matched)
+    even = np.linspace(0, len(some) - 1, min(count, len(some))).astype(int)
+    places: list[int] = some[even].tolist()
+    wrong = [place for place in some.tolist() if not right[place]]
+    if wrong and all(right[place] for place in places):
+        places[-1] = wrong[-1]
+    return places
+
+
+def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str) -> Image.Image:
+    """Queries in a row, below them their best matches, framed green if right and red if wrong; at
+    last the classes that are seen.
+
+    Args:
+        pairs: at least one.
+        space: of the label maps.
+        above, below: headings of the two rows.
+    """
+    rows = [
+        [_tile(pair.query, space, pair.query_name, _QUERY) for pair in pairs],
+        [
+            _tile(
+                pair.match,
+                space,
+                f"{'right' if pair.right else 'WRONG'}: {pair.match_name}",
+                _RIGHT if pair.right else _WRONG,
+            )
+            for pair in pairs
+        ],
+    ]
+    wide, tall = (max(tile.size[axis] for row in rows for tile in row) for axis in (0, 1))
+    width = len(pairs) * (wide + _MARGIN) + _MARGIN
+    seen = np.unique(np.concatenate([np.unique(p) for pair in pairs for p in pair[:2]]))
+    legend = _legend(width - 2 * _MARGIN, space, {*seen.tolist()})
+    step = _HEADING + tall + 2 * _MARGIN
+    sheet = Image.new("RGB", (width, 2 * step + legend.height + 2 * _MARGIN), "white")
+    draw = ImageDraw.Draw(sheet)
+    for number, (heading, row) in enumerate(zip((above, below), rows, strict=True)):
+        top = number * step + _MARGIN
+        draw.text((_MARGIN, top), heading, fill="black", font=_font(_HEADING))
+        for column, tile in enumerate(row):
+            sheet.paste(tile, (_MARGIN + column * (wide + _MARGIN), top + _HEADING + _MARGIN))
+    sheet.paste(legend, (_MARGIN, 2 * step + _MARGIN))
+    return sheet
+
+
+def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...]) -> Image.Image:
+    """A label map in a frame, with its name on top."""
+    picture = Image.fromarray(colourise(labels, space))
+    size = (round(picture.width * _HEIGHT / picture.height), _HEIGHT)
+    picture = picture.resize(size, Image.Resampling.NEAREST)
+    top = _TEXT + 2 * _FRAME
+    tile = Image.new("RGB", (size[0] + 2 * _FRAME, size[1] + top + _FRAME), colour)
+    tile.paste(picture, (_FRAME, top))
+    font = _font(_TEXT)
+    draw = ImageDraw.Draw(tile)
+    while draw.textlength(name, font) > size[0]:
+        name = name.removesuffix("...")[:-1] + "..."
+    draw.text((_FRAME, _FRAME - 1), name, fill="white", font=font)
+    return tile
+
+
+def _legend(width: int, space: LabelSpace, seen: set[int]) -> Image.Image:
+    """The classes that are seen and their colours, in as many lines as it takes."""
+    draw, font = ImageDraw.Draw(Image.new("RGB", (1, 1))), _font(_TEXT)
+    line = _TEXT + 8
+    places, x, y = [], 0, 0
+    for label in space.classes:
+        if label.id not in seen:
+            continue
+        long = _TEXT + 8 + int(draw.textlength(label.name, font)) + _MARGIN
+        if x + long > width:
+            x, y = 0, y + line
+        places.append((x, y, label))
+        x += long
+    legend = Image.new("RGB", (width, y + line), "white")
+    draw = ImageDraw.Draw(legend)
+    for x, y, label in places:
+        draw.rectangle((x, y + 3, x + _TEXT, y + 3 + _TEXT), fill=label.colour or (0, 0, 0))
+        draw.text((x + _TEXT + 6, y + 2), label.name, fill="black", font=font)
+    return legend
+
+
+def _font(size: int) -> Any:
+    return ImageFont.load_default(size)

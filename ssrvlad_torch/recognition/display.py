@@ -1,0 +1,38 @@
+"""How a notebook shows candidates: a table of HTML."""
+
+from __future__ import annotations
+
+import math
+
+from torch import Tensor
+
+_MOST_QUERIES, _MOST_CANDIDATES = 10, 5
+
+
+def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
+    """The best candidates of the first queries, each as its row with its score.
+
+    Args:
+        scores, rows: ``(Q, top)``, of the candidates.
+        columns: ``(Q,)`` each, further numbers of a query by their names.
+    """
+    queries, top = rows.shape
+    shown = min(top, _MOST_CANDIDATES)
+    names = ["query", *(f"candidate {n}" for n in range(1, shown + 1)), *columns]
+    lines = [
+        [
+            str(query),
+            *map(_cell, rows[query, :shown].tolist(), scores[query, :shown].tolist()),
+            *(f"{column[query]:.3f}" for column in columns.values()),
+        ]
+        for query in range(min(queries, _MOST_QUERIES))
+    ]
+    head = "".join(f"<th>{name}</th>" for name in names)
+    body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in line)}</tr>" for line in lines)
+    left = queries - len(lines)
+    more = f"<p>{left} more queries</p>" if left else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
+
+
+def _cell(row: int, score: float) -> str:
+    return "none" if math.isinf(score) else f"row {row} ({score:.3f})"
