@@ -109,7 +109,8 @@ def draw(view: Explanation, image: int = 0, title: str = "") -> Figure:
     tall = view.layers.shape[2] / view.layers.shape[3]
     row = _WIDTH / columns * (tall + _TARGET) + 0.6
     figure = new_figure(_WIDTH, _ROW + 2 * row)
-    top, *rows = np.ravel(figure.subfigures(3, 1, height_ratios=(_ROW, row, row)))
+    parts: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
+    top, *rows = parts
     left, right = top.subplots(1, 2)
     _draw_labels(left, view, image, title)
     _draw_words(right, view, image, harmonic)

@@ -12,7 +12,7 @@ LOOPS = np.array([-1, -1, -1, -1, 0, 2])
 
 def dots(axes):
     """Places of the dots by their colours."""
-    found = [line for line in axes.lines if line.get_marker() == "."]
+    found = [line for line in axes.lines if line.get_marker() == "." and len(line.get_xdata())]
     return {line.get_color(): line.get_xydata().tolist() for line in found}
 
 
