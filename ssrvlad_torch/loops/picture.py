@@ -106,5 +106,10 @@ def _draw_loops_from_above(axes: Axes, poses: Floats, here: Rows, there: Rows, c
 
 def _below(axes: Axes) -> None:
     """A legend that covers nothing."""
-    axes.plot([], [], ".-", color=_DARK, lw=0.8, label="frame, and line to its candidate")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False)
+    from matplotlib.lines import Line2D
+
+    loop = Line2D([], [], marker=".", color=_DARK, lw=0.8, label="frame, and line to its candidate")
+    handles = [*axes.get_legend_handles_labels()[0], loop]
+    axes.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=3, frameon=False
+    )
