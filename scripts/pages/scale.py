@@ -28,15 +28,20 @@ import numpy as np
 import torch
 from _index_kinds import KINDS, compare
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, follow, match
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.index import build_index, search_index
+from ssrvlad_torch.database.index_search import IndexSearch
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.writer import COMMIT_ROWS
+from ssrvlad_torch.recognition.matching import Rows
+from ssrvlad_torch.recognition.recognise import recognise_by_search
+from ssrvlad_torch.recognition.sweep import score
 
 LABELS_AS = "cityscapes-trainids"
 SEEDS, FRAMES_OF_A_SEED, FRAMES_OF_A_SEQUENCE = 4, 64, 10_000
+BACK, ONLINE = 3000, 20
 QUERIES, ALONE, NOISE, ON_PAPER = 1000, 5, 0.15, 100_000_000
 KINDS_OF, KIND_QUERIES = 200_000, 100
 
@@ -55,7 +60,8 @@ def main() -> None:
         print(json.dumps(measured(STEPS[given.step], sizes[0], given.folder)))
         return
     given.folder.mkdir(parents=True, exist_ok=True)
-    results = {frames: run_all(frames, given.folder, list(NAMES)) for frames in sizes}
+    steps = [*NAMES, "online"]
+    results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
     kinds = run_all(KINDS_OF, given.folder, ["kinds"])["kinds"]["kinds"]
     given.out.write_text(page(results, kinds), encoding="utf-8")
 
@@ -185,6 +191,35 @@ def by_index(frames: int, folder: Path) -> Report:
     return {}
 
 
+def follow_by_index(frames: int, folder: Path) -> Report:
+    """What `query --index` does with the frames of a drive that comes back."""
+    database, wanted = opened(frames, folder), again(folder)
+    drive = ["again"] * len(wanted)
+    search = IndexSearch(database, wanted, drive)
+    started = time.perf_counter()
+    found = recognise_by_search(lambda _: search, drive, search.frames.sequences, top=1)
+    lasted = time.perf_counter() - started
+    rows = torch.arange(BACK, BACK + len(wanted))
+    right = float((found.matches.indices[:, 0] == rows).float().mean())
+    return {"rate": len(wanted) / lasted, "right": right}
+
+
+def online(frames: int, folder: Path) -> Report:
+    """The exact search of a frame, and following on top of it."""
+    references = opened(frames, folder).load()
+    known, wanted = Rows.of(references.descriptors), again(folder)[:ONLINE]
+    began = time.perf_counter()
+    scores = torch.cat([score(query[None], known) for query in wanted])
+    searched = time.perf_counter()
+    follow(scores, references.sequences, mode="online", top=1)
+    followed = time.perf_counter()
+    return {
+        "search": (searched - began) / ONLINE,
+        "step": (followed - began) / ONLINE,
+        "ratio": (followed - began) / (searched - began),
+    }
+
+
 def kinds(frames: int, folder: Path) -> Report:
     """On a table of its own, whose rows were written once and in order."""
     path = folder / "kinds"
@@ -203,6 +238,14 @@ def queries(folder: Path) -> torch.Tensor:
     return varied(0, QUERIES, seeds(folder).flip(0))
 
 
+def again(folder: Path) -> torch.Tensor:
+    """Some frames of the database in a row, with other noise."""
+    numbers = varied(0, COMMIT_ROWS, seeds(folder))[BACK : BACK + QUERIES]
+    generator = torch.Generator().manual_seed(1)
+    noise = torch.randn(numbers.shape, generator=generator) * numbers.abs().mean(1, keepdim=True)
+    return torch.nn.functional.normalize(numbers + NOISE * noise * (numbers != 0), dim=1)
+
+
 STEPS: dict[str, Callable[[int, Path], Report]] = {
     "nothing": lambda _frames, _folder: {},
     "write": write,
@@ -213,6 +256,8 @@ STEPS: dict[str, Callable[[int, Path], Report]] = {
     "exact": exact,
     "index": index,
     "by index": by_index,
+    "followed": follow_by_index,
+    "online": online,
     "kinds": kinds,
 }
 
@@ -226,6 +271,7 @@ NAMES = {
     "exact": f"{QUERIES} exact queries",
     "index": "`db index`",
     "by index": f"{QUERIES} queries by the index",
+    "followed": f"`query --index` of {QUERIES}, followed",
 }
 
 
@@ -264,6 +310,12 @@ def facts(frames: int, reports: dict[str, Report]) -> list[str]:
         f"- {reports['compact']['bytes'] / frames:.0f} bytes a frame on the disk.",
         f"- One exact query alone takes {exact['one'] * 1e3:.0f} ms of CPU, one by the index "
         f"{built['one'] * 1e3:.1f} ms.",
+        "- Once it has read the records and means, `query --index` of a drive that comes back does "
+        f"{reports['followed']['rate']:.0f} queries a second, followed, and finds "
+        f"{reports['followed']['right']:.3f} of the frames.",
+        f"- Exact and online, a frame takes {reports['online']['step'] * 1e3:.0f} ms, of which the "
+        f"search takes {reports['online']['search'] * 1e3:.0f} ms: following makes it "
+        f"{reports['online']['ratio']:.2f} times as long.",
         f"- The index has {built['lists']} lists. Of the exact best it finds "
         f"{built['recall']['1']:.3f} at 1 and {built['recall']['10']:.3f} at 10.",
     ]

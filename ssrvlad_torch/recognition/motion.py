@@ -8,7 +8,6 @@ from functools import cache
 
 import torch
 from torch import Tensor
-from torch.nn.functional import conv1d
 
 SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.04, {-2: 0.1, -1: 0.8, 0: 0.1}),
@@ -139,13 +138,28 @@ def moved(belief: Tensor, motion: Motion) -> Tensor:
     Returns:
         likewise, without what jumps; what left the map is in the gaps.
     """
-    return conv1d(belief[None], chances(motion), padding=GAP)[0, :, : belief.shape[1]]
+    anyone, after = belief.sum(0), torch.zeros_like(belief)
+    for speed, (prior, steps) in enumerate(SPEEDS):
+        kept = torch.add(anyone * (motion.change * prior), belief[speed], alpha=1 - motion.change)
+        for step, chance in steps.items():
+            _add_moved(after[speed], kept, step, chance * (1 - motion.jump))
+    return after
 
 
 def moved_back(belief: Tensor, motion: Motion) -> Tensor:
     """The transpose of `moved`."""
-    back = chances(motion).transpose(0, 1).flip(2)
-    return conv1d(belief[None], back, padding=GAP)[0, :, -belief.shape[1] :]
+    before = torch.zeros_like(belief)
+    for speed, (_, steps) in enumerate(SPEEDS):
+        for step, chance in steps.items():
+            _add_moved(before[speed], belief[speed], -step, chance * (1 - motion.jump))
+    anyone = (prior_of_speeds() * before).sum(0)
+    return before.mul_(1 - motion.change).add_(anyone, alpha=motion.change)
+
+
+def _add_moved(cells: Tensor, others: Tensor, step: int, chance: float) -> None:
+    """Adds to cells what others hold that are a step before them."""
+    count, ahead, behind = len(cells), max(0, step), max(0, -step)
+    cells[ahead : count - behind].add_(others[behind : count - ahead], alpha=chance)
 
 
 @cache
