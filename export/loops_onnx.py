@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from run_onnx import SOME_SKIPPED, Model, find_frames, note, one_line
+from run_onnx import SOME_SKIPPED, add_model, find_frames, note, one_line, open_model
 
 Vector = npt.NDArray[np.float32]
 
@@ -261,7 +261,7 @@ def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 
 def run(given: argparse.Namespace) -> int:
     """What the command line asks for; the exit code."""
-    model = Model(given.model)
+    model = open_model(given)
     detector = Detector(Settings(given.exclude, given.threshold))
     seen: set[str] = set()
     skipped = 0
@@ -288,7 +288,7 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("model", type=Path, help="the .onnx file")
+    add_model(parser)
     parser.add_argument("source", type=Path, nargs="+", help="files or folders of frames, or -")
     parser.add_argument("--exclude", type=int, default=plain["exclude"])
     parser.add_argument("--threshold", type=float, default=plain["threshold"])

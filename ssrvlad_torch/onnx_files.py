@@ -51,7 +51,11 @@ def load_model(path: Path) -> onnx.ModelProto:
 
 
 def open_session(
-    source: Path | bytes, name: object, provider: str = CPU, otherwise: str | None = None
+    source: Path | bytes,
+    name: object,
+    provider: str = CPU,
+    otherwise: str | None = None,
+    settings: Mapping[str, str] | None = None,
 ) -> Any:
     """A session of ONNX Runtime.
 
@@ -60,6 +64,7 @@ def open_session(
         name: what messages call it.
         provider: execution provider; what it lacks runs on the CPU.
         otherwise: the provider to take where ONNX Runtime does not have the first.
+        settings: entries of the session's configuration.
 
     Raises:
         ValueError: ONNX Runtime does not have the provider, or cannot run the graph.
@@ -77,6 +82,8 @@ def open_session(
         )
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _ONLY_FATAL
+    for key, value in (settings or {}).items():
+        options.add_session_config_entry(key, value)
     try:
         return onnxruntime.InferenceSession(source, options, [*dict.fromkeys((provider, CPU))])
     except Exception as error:  # each kind of failure has its own type, not all of them public

@@ -1,9 +1,16 @@
+import threading
+
 import numpy as np
+import onnxruntime
 import pytest
 import torch
+from graphs import session
 
-from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.deployment.golden import SIZE, golden_pair
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.deployment.golden import CORPUS_SIZES, SIZE, corpus, golden_pair, outputs_of
+from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.descriptor import SweepHead
 from ssrvlad_torch.taxonomy import label_space_names
 
 
@@ -13,26 +20,124 @@ def pair_of(space: str, given: str = "labels", dtype: str = "uint8"):
 
 
 @pytest.mark.parametrize("space", label_space_names())
-def test_every_id_of_the_space_is_in_the_input(space):
+def test_every_id_of_the_space_is_in_the_input_and_one_that_is_not(space):
     head, pair = pair_of(space, dtype="int64")
-    assert pair["labels"].shape == SIZE
-    assert set(np.unique(pair["labels"])) == {label.id for label in head.label_space.classes}
+    assert pair["labels"].shape == (2, *SIZE)
+    known = {label.id for label in head.label_space.classes}
+    (foreign,) = set(np.unique(pair["labels"])) - known
+    assert known < set(np.unique(pair["labels"]))
+    assert foreign.astype(np.int32) in known, "32 bits would not tell it"
+    assert pair["unknown"].tolist() == [0, (pair["labels"][1] == foreign).sum()]
 
 
-@pytest.mark.parametrize(("given", "dtype"), [("labels", "uint8"), ("logits", "uint8")])
-def test_the_outputs_are_the_modules(given, dtype):
-    head, pair = pair_of("cityscapes-trainids", given, dtype)
-    view = head.explain(torch.from_numpy(pair[given]))
+def test_what_is_foreign_belongs_to_no_layer():
+    head, pair = pair_of("camvid-11")
+    labels = pair["labels"].copy()
+    assert labels.max() > 11
+    labels[labels > 11] = 11  # void
+    np.testing.assert_array_equal(head(labels), pair["descriptor"])
+    view = head.explain(labels)
+    np.testing.assert_array_equal(pair["keypoints"], view.keypoints.sum((2, 3)))
+    sweep = SweepHead(head.config, (0, 9))
+    found = outputs_of(sweep, pair["labels"])
+    np.testing.assert_array_equal(found["descriptor"], sweep(labels))
+
+
+def test_scores_have_every_class_and_the_outputs_are_the_modules():
+    head, pair = pair_of("cityscapes-trainids", "logits")
+    view = head.explain(torch.from_numpy(pair["logits"]))
+    assert set(np.unique(pair["logits"].argmax(1))) == set(range(19))
     np.testing.assert_array_equal(pair["descriptor"], view.descriptor)
     np.testing.assert_array_equal(pair["keypoints"], view.keypoints.sum((2, 3)))
     assert pair["unknown"].tolist() == [0, 0]
-    assert view.layers.any((2, 3)).sum() == 2 * len({0, 1, 2, 3, 4, 5})
+
+
+@pytest.mark.parametrize(("given", "dtype"), [("labels", "uint8"), ("logits", "uint8")])
+def test_the_corpus_is_what_its_input_takes(given, dtype):
+    head = SSRVLAD.from_preset("default", labels_as="mapillary-vistas-1.2")
+    maps = dict(corpus(head, given, dtype))
+    assert len(maps) == 2 * len(CORPUS_SIZES)
+    for name, array in maps.items():
+        assert array.dtype == (np.uint8 if given == "labels" else np.float32)
+        height, width = array.shape[-2:]
+        assert name.endswith(f"{height}x{width}")
+        assert not outputs_of(head, array)["unknown"].any()
+    fixed = [array.shape for _, array in corpus(head, "labels", "int64", [(9, 7)] * 3)]
+    assert set(fixed) == {(1, 9, 7)}
 
 
 def test_the_input_is_reduced_and_cleaned():
     """What the golden pair does not pass through it cannot show."""
     head, pair = pair_of("camvid-32")
-    view = head.explain(torch.from_numpy(pair["labels"]))
-    assert view.layers.shape[2:] != SIZE[1:]
+    view = head.explain(pair["labels"][:1])
+    assert view.layers.shape[2:] != SIZE
     assert not torch.equal(view.layers, view.clean_layers)
     assert view.intersections.any()
+
+
+OTHERS = {
+    "BitwiseAnd": "BitwiseOr",
+    "BitwiseOr": "BitwiseAnd",
+    "BitwiseXor": "BitwiseOr",
+    "Add": "Sub",
+    "Sub": "Add",
+    "Mul": "Add",
+    "Div": "Mul",
+    "Less": "GreaterOrEqual",
+    "LessOrEqual": "Greater",
+    "Greater": "LessOrEqual",
+    "GreaterOrEqual": "Less",
+    "Min": "Max",
+    "Max": "Min",
+}
+SECONDS = 1
+TRIES = 8
+
+
+def changeable(nodes) -> list:
+    """Nodes, also of loops, that can be given another operator."""
+    found = []
+    for node in nodes:
+        found += [node] if node.op_type in OTHERS else []
+        for attribute in node.attribute:
+            found += changeable(attribute.g.node)
+    return found
+
+
+def is_noticed(model, node, given, expected) -> bool:
+    """Whether another operator in a node changes an output, or the graph no longer runs."""
+    operator, node.op_type = node.op_type, OTHERS[node.op_type]
+    run_options = onnxruntime.RunOptions()
+    run_options.log_severity_level = 4
+    clock = threading.Timer(SECONDS, setattr, (run_options, "terminate", True))
+    try:
+        runner = session(model.SerializeToString())
+        clock.start()
+        got = runner.run(list(expected), given, run_options)
+    except Exception:
+        return True
+    finally:
+        clock.cancel()
+        node.op_type = operator
+    return any(
+        one.shape != other.shape or np.abs(one - other).max() > 1e-6
+        for one, other in zip(got, expected.values(), strict=True)
+    )
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_a_change_in_any_stage_of_the_graph_is_noticed(preset):
+    """Of some nodes of each stage one at least; others keep a loop within its bounds, or join bits
+    that are never both set."""
+    model = head_model(SSRVLADConfig.from_preset(preset, labels_as="cityscapes-trainids"))
+    properties = {entry.key: entry.value for entry in model.metadata_props}
+    expected = Metadata.from_properties(properties).golden_arrays()
+    given = {"labels": expected.pop("labels")}
+    stages: dict[str, list] = {}
+    for node in model.graph.node:
+        stages.setdefault(node.name.split("/")[0], []).append(node)
+    tried = {name: changeable(nodes) for name, nodes in stages.items()}
+    tried = {name: nodes[:: max(1, len(nodes) // TRIES)] for name, nodes in tried.items() if nodes}
+    assert len(tried) >= 8
+    for name, nodes in tried.items():
+        assert any(is_noticed(model, node, given, expected) for node in nodes), name

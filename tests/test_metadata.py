@@ -50,3 +50,9 @@ def test_what_is_not_ours_is_named(change, message):
     change(properties)
     with pytest.raises(ValueError, match=message):
         Metadata.from_properties(properties)
+
+
+def test_what_could_not_be_read_is_not_written():
+    big = {"image": np.broadcast_to(np.zeros(1, np.uint8), (65, 1024, 1024))}
+    with pytest.raises(ValueError, match="golden image is 65 MiB; expected at most 64"):
+        Metadata.of(SSRVLADConfig(), label_space("camvid-11"), {}, big)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import base64
 import importlib.util
 import json
 import subprocess
 import sys
+import zlib
 from functools import partial
 from pathlib import Path
 
@@ -224,6 +226,61 @@ def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
         1,
         "largest difference for the golden pair: inf\n",
     )
+
+
+def with_golden(head, target, change):
+    """A copy of a file with another golden pair."""
+    model = onnx.load(head)
+    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
+    golden = json.loads(entry.value)
+    change(golden)
+    entry.value = json.dumps(golden)
+    onnx.save(model, target)
+    return target
+
+
+def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, tmp_path, run):
+    """The first of the golden maps, turned, stands for what such a runtime would make of it."""
+
+    def turn(golden):
+        labels = script._array(golden["labels"])[:, ::-1].copy()
+        golden["labels"]["data"] = base64.b64encode(zlib.compress(labels.tobytes())).decode()
+
+    wrong = with_golden(head, tmp_path / "wrong.onnx", turn)
+    code, out, (line,) = run(wrong, maps)
+    assert (code, out) == (2, "")
+    assert "wrong.onnx is computed wrong here (largest difference for the golden pair: " in line
+    assert run(wrong, maps, "--unchecked")[:2] == run(head, maps)[:2]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda golden: golden["labels"].update(shape=[1 << 20, 1 << 20]), "at most 64 MiB"),
+        (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
+        (lambda golden: golden["labels"].update(data="AAAA"), "run_onnx: "),
+    ],
+)
+def test_a_damaged_golden_pair_is_one_line(head, maps, tmp_path, run, change, message):
+    code, _, (line,) = run(with_golden(head, tmp_path / "x.onnx", change), maps)
+    assert code == 2
+    assert message in line
+
+
+def test_when_a_golden_pair_holds():
+    golden = script.Golden
+    assert golden(1e-7).holds
+    assert not golden(1e-5).holds
+    assert not golden(float("nan")).holds
+    assert golden(0.02, other_pixels=0.004, cosine=0.99).holds
+    assert not golden(0.02, other_pixels=0.02, cosine=0.99).holds
+    assert not golden(0.02, other_pixels=0.004, cosine=0.5).holds
+
+
+def test_an_unknown_provider_is_named(head, maps, run):
+    code, _, (line,) = run(head, maps, "--provider", "Abacus")
+    assert code == 2
+    assert line.startswith("run_onnx: no provider Abacus; expected one of ")
 
 
 def test_class_scores_and_wide_labels(maps, tmp_path, run):

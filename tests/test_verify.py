@@ -17,6 +17,7 @@ from helpers import write_street
 from networks import write_graph
 from onnx import numpy_helper
 from PIL import Image
+from test_diagnosis import Other
 
 import ssrvlad_torch
 from ssrvlad_torch import SSRVLADConfig, export_head
@@ -27,7 +28,7 @@ from ssrvlad_torch.deployment.verify import compare, verify
 from ssrvlad_torch.onnx_files import graph_digest
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
-GOLDEN = ["golden pair", "module"]
+COMPARED = ["golden pair", "module", "corpus"]
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +85,9 @@ def edit_table(model: onnx.ModelProto) -> None:
 def test_a_file_that_is_as_it_should_be(kind, files, streets):
     found = verify(files[kind], find_label_files([str(streets)]))
     names = [check.name for check in found.checks]
-    assert names == ["golden image"] * (kind == "fused") + [*GOLDEN, "maps/0", "maps/1"]
+    assert names == ["golden image"] * (kind == "fused") + [*COMPARED, "maps/0", "maps/1"]
     assert found.passed
+    assert (found.verdict, found.fault) == ("exact", None)
     assert found.difference < 1e-6
     assert (found.problems, found.warnings, found.skipped) == ([], [], [])
     assert found.version == ssrvlad_torch.__version__
@@ -211,7 +213,7 @@ def test_label_maps_that_cannot_be_compared_are_skipped(files, ssrvlad, streets)
     report = json.loads(out)
     assert code == 3
     assert report["passed"]
-    assert [check["name"] for check in report["checks"]] == [*GOLDEN, "maps/0", "maps/1"]
+    assert [check["name"] for check in report["checks"]] == [*COMPARED, "maps/0", "maps/1"]
     reasons = {one["frame"]: one["reason"] for one in report["skipped"]}
     assert "label id 200" in reasons["maps/unknown"]
     assert "label id 300 is no uint8, which the file takes" in reasons["maps/wide"]
@@ -256,7 +258,7 @@ def test_the_script(files, streets):
     command = [sys.executable, script, files["labels"], "--labels", streets]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
-        *GOLDEN,
+        *COMPARED,
         "maps/0",
         "maps/1",
     ]
@@ -267,3 +269,18 @@ def test_the_golden_arrays_of_a_fused_file_are_those_of_its_image(files):
     golden = Metadata.from_properties(properties).golden_arrays()
     assert golden.keys() == {"image", "labels", "descriptor", "keypoints", "unknown"}
     assert len(np.unique(golden["labels"])) > 3
+
+
+@pytest.mark.parametrize("kind", ["labels", "fused"])
+def test_a_runtime_that_is_wrong_or_fails_is_diagnosed(kind, files, ssrvlad, monkeypatch):
+    """One that dilates with another operator, and one that has none."""
+    for other, verdict, place in (
+        ("BitwiseXor", "wrong", "morphology"),
+        ("", "cannot run", "morphology"),
+    ):
+        runtime = Other("BitwiseOr", other, "no kernel")
+        monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)
+        code, out, _ = ssrvlad("verify", files[kind], "--json")
+        report = json.loads(out)
+        assert (code, report["verdict"], report["passed"]) == (1, verdict, False)
+        assert place in report["fault"]["place"]

@@ -23,9 +23,20 @@ export async function readLabels(file) {
   return { ...header, labels: unpacked(rows, header) };
 }
 
-export async function inflated(parts) {
+/** The content of zlib's format; if a size is told, of exactly so many bytes. */
+export async function inflated(parts, size = null) {
   const stream = new Blob(parts).stream().pipeThrough(new DecompressionStream("deflate"));
-  return new Uint8Array(await new Response(stream).arrayBuffer());
+  if (size === null) return new Uint8Array(await new Response(stream).arrayBuffer());
+  const content = new Uint8Array(size);
+  let filled = 0;
+  const reader = stream.getReader();
+  for (let part = await reader.read(); !part.done; part = await reader.read()) {
+    if (filled + part.value.length > size) throw new Error("expected less compressed content");
+    content.set(part.value, filled);
+    filled += part.value.length;
+  }
+  if (filled < size) throw new Error("expected more compressed content");
+  return content;
 }
 
 function headerOf(view, at) {

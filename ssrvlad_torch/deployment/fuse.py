@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-import torch
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
@@ -19,6 +18,7 @@ from ..onnx_files import graph_digest, load_model, open_session, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
+from .golden import outputs_of
 from .label_graph import join, label_graph, opset, raised
 from .metadata import PREFIX, SEAL, Metadata, seal
 
@@ -169,21 +169,11 @@ def _golden(
     fraction = float((outputs[LABELS] != labels).mean())
     if fraction > MOST_OTHER_PIXELS:
         raise ValueError(f"labels {fraction:.1%} of a golden image otherwise once it is fused")
-    result = described(head, outputs[LABELS])
+    result = outputs_of(head, outputs[LABELS])
     for name, array in result.items():
         if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
     return {IMAGE: images, LABELS: outputs[LABELS], **result}
-
-
-def described(head: SSRVLAD, given: npt.NDArray[Any]) -> dict[str, npt.NDArray[Any]]:
-    """What the module makes of labels or class scores, by the names of a file's outputs."""
-    view = head.explain(torch.from_numpy(given))
-    return {
-        "descriptor": head(torch.from_numpy(given)).numpy(),
-        "keypoints": view.keypoints.sum((2, 3)).numpy(),
-        "unknown": np.zeros(len(given), np.int64),
-    }
 
 
 def run_by_name(session: Any, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:

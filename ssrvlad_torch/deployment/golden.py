@@ -1,25 +1,38 @@
-"""The golden pair: an input that every exported file carries, and the module's outputs for it."""
+"""The golden pair, an input that every exported file carries with what the module makes of it, and
+the corpus, on which `verify` compares."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import count
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from ..descriptor import SSRVLAD
+from ..descriptor import SSRVLAD, SweepHead
+from ..stages.vanishing_column import OPEN_LAYERS
+from ..taxonomy import CATEGORIES, VOID, LabelClass
 
-SIZE = (2, 133, 171)
-"""Images, rows and columns: more than the working size of a preset, and nothing divides them."""
+Array = npt.NDArray[Any]
 
+SIZE = (133, 171)
+"""Rows and columns: more than the working size of a preset, and nothing divides them."""
+
+CORPUS_SIZES = ((1, 1), (1, 23), (19, 1), (17, 23), (60, 81), (121, 160), (240, 320), (303, 211))
+"""Of maps in the corpus whose size is free."""
+
+_IMAGES = 2
 _PATCHES = 40
 _SPECKS = 60
+_OPEN = [CATEGORIES[k] for k in range(len(CATEGORIES)) if OPEN_LAYERS >> k & 1]
 
 
-def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, npt.NDArray[Any]]:
+def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, Array]:
     """Label maps of patches and specks of all ids, as ids or as class scores, and what is made of
-    them.
+    them. Some specks of label ids have an id outside the label space.
 
     Args:
         head: the method.
@@ -32,38 +45,114 @@ def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, npt.NDArray[
     Raises:
         ValueError: the dtype holds no id of the label space.
     """
+    ids = _ids(head, input, dtype)
+    labels = np.stack([_drawn(head, ids, SIZE, number) for number in range(_IMAGES)])
+    if input == "labels":
+        for foreign in _foreign(ids, dtype):
+            rows, columns = np.random.default_rng(1).integers(0, SIZE[0], (2, _SPECKS))
+            labels[-1, rows, columns] = foreign
+    given = as_input(labels, len(ids), input, dtype)
+    return {input: given, **outputs_of(head, given)}
+
+
+def corpus(
+    head: SSRVLAD, input: str, dtype: str, sizes: Sequence[tuple[int, int]] = CORPUS_SIZES
+) -> Iterator[tuple[str, Array]]:
+    """Names and inputs ``(1, H, W)`` or ``(1, C, H, W)``, of patches, noise and single classes.
+
+    Args:
+        head: the method.
+        input, dtype: as for `golden_pair`.
+        sizes: rows and columns; the kinds of maps are spread over them.
+    """
+    ids = np.sort(_ids(head, input, dtype))
+    for number, (height, width) in enumerate(sizes):
+        rng = np.random.default_rng(number)
+        few = rng.permutation(ids)[: 2 + number % 3]
+        others = {
+            "noise": rng.choice(few, (height, width)),
+            "one class": np.full((height, width), few[0]),
+            "checkerboard": few[np.indices((height, width)).sum(0) % 2 % len(few)],
+        }
+        other = list(others)[number % len(others)]
+        for kind, labels in {
+            "patches": _drawn(head, ids, (height, width), number + _IMAGES),
+            other: others[other],
+        }.items():
+            yield f"{kind} {height}x{width}", as_input(labels[None], len(ids), input, dtype)
+
+
+def outputs_of(head: SSRVLAD, given: Array) -> dict[str, Array]:
+    """What the module makes of labels or class scores, by the names of a file's outputs. A file
+    cannot refuse ids outside the label space: they are counted, and belong to no layer."""
     space = head.label_space
-    ids = np.array([label.id for label in space.classes])
-    if input == "logits":
-        ids = np.arange(space.channel_counts[-1])
-    elif dtype == "uint8":
-        ids = ids[(ids >= 0) & (ids < 256)]
-    if ids.size == 0:
-        raise ValueError(f"label space {space.name} has no id from 0 to 255; expected dtype int64")
-    labels = _patches(ids)
-    given: npt.NDArray[Any] = labels.astype(dtype)
-    if input == "logits":
-        given = np.eye(len(ids), dtype=np.float32)[:, labels].swapaxes(0, 1).copy()
-    view = head.explain(torch.from_numpy(given))
+    known = [label.id for label in space.classes]
+    foreign = np.zeros(given.shape, np.bool_)
+    if given.dtype.kind in "iu":
+        foreign = ~np.isin(given, known)
+    if foreign.any():
+        free = next(number for number in count() if number not in known)
+        given = np.where(foreign, np.array(free, given.dtype), given)
+        space = replace(space, classes=(*space.classes, LabelClass(free, "foreign", VOID)))
+        config = replace(head.config, labels_as=space)
+        head = SweepHead(config, head.columns) if isinstance(head, SweepHead) else SSRVLAD(config)
+    labels = torch.from_numpy(given)
+    view = head.explain(labels)
+    descriptor = head(labels) if isinstance(head, SweepHead) else view.descriptor
     return {
-        input: given,
-        "descriptor": head(torch.from_numpy(given)).numpy(),
+        "descriptor": descriptor.numpy(),
         "keypoints": view.keypoints.sum((2, 3)).numpy(),
-        "unknown": np.zeros(len(labels), np.int64),
+        "unknown": foreign.reshape(len(given), -1).sum(1).astype(np.int64),
     }
 
 
-def _patches(ids: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """``(B, H, W)``: every pixel has the id of the nearest of some random points, or is a speck."""
-    _, height, width = SIZE
-    rng = np.random.default_rng(0)
-    ids = rng.permutation(ids)
-    labels = np.empty(SIZE, np.int64)
-    for number, image in enumerate(labels):
-        y, x = rng.uniform(0, height, _PATCHES), rng.uniform(0, width, _PATCHES)
-        rows, columns = np.mgrid[:height, :width]
-        nearest = np.hypot(rows[..., None] - y, columns[..., None] - x).argmin(-1)
-        image[:] = ids[(nearest + number * _PATCHES) % len(ids)]
-        specks = rng.integers(0, image.size, _SPECKS)
-        image.flat[specks] = rng.choice(ids, _SPECKS)
+def as_input(labels: Array, channels: int, input: str, dtype: str) -> Array:
+    """``(B, H, W)`` ids in a dtype, or as ``(B, C, H, W)`` scores, 1 for a pixel's class."""
+    if input == "labels":
+        return labels.astype(dtype)
+    return np.equal(labels[:, None], np.arange(channels)[:, None, None]).astype(np.float32)
+
+
+def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.NDArray[np.int64]:
+    """``(H, W)``: every pixel has the id of the nearest of some random points, or is a speck. In
+    every second map a strip stands open from top to bottom, to which the vanishing column goes."""
+    height, width = size
+    rng = np.random.default_rng(seed)
+    ids = np.random.default_rng(0).permutation(ids)
+    y, x = rng.uniform(0, height, _PATCHES), rng.uniform(0, width, _PATCHES)
+    rows, columns = np.mgrid[:height, :width]
+    nearest = np.hypot(rows[..., None] - y, columns[..., None] - x).argmin(-1)
+    labels: npt.NDArray[np.int64] = ids[(nearest + seed * _PATCHES) % len(ids)].astype(np.int64)
+    is_open = {each.id for each in head.label_space.classes if each.category in _OPEN}
+    open_ids = [one for one in ids.tolist() if one in is_open]
+    if seed % 2 and open_ids:
+        left = int(rng.integers(0, width))
+        labels[:, left : left + 1 + width // 6] = open_ids[0]
+    specks = rng.integers(0, labels.size, min(_SPECKS, labels.size // 8))
+    labels.flat[specks] = ids[(np.arange(len(specks)) + seed * _SPECKS) % len(ids)]
     return labels
+
+
+def _ids(head: SSRVLAD, input: str, dtype: str) -> Array:
+    """The ids that an input can hold.
+
+    Raises:
+        ValueError: there are none.
+    """
+    space = head.label_space
+    if input == "logits":
+        return np.arange(space.channel_counts[-1])
+    ids = np.array([label.id for label in space.classes])
+    if dtype == "uint8":
+        ids = ids[(ids >= 0) & (ids < 256)]
+    if ids.size == 0:
+        raise ValueError(f"label space {space.name} has no id from 0 to 255; expected dtype int64")
+    return ids
+
+
+def _foreign(ids: Array, dtype: str) -> list[int]:
+    """Ids outside the label space; of wide ids one that 32 bits would take for one inside."""
+    if dtype == "int64":
+        return [int(ids[0]) + (1 << 40)]
+    free = np.setdiff1d(np.arange(256), ids)
+    return [int(free[-1])] if free.size else []

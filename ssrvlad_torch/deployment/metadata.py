@@ -56,14 +56,18 @@ class Metadata:
     def of(
         cls, config: SSRVLADConfig, space: LabelSpace, interface: dict[str, Any], golden: Arrays
     ) -> Metadata:
-        """The metadata of a head with these settings."""
+        """The metadata of a head with these settings.
+
+        Raises:
+            ValueError: a golden array is larger than `golden_arrays` reads.
+        """
         return cls(
             version=__version__,
             config=config.to_dict(),
             fingerprint=config.fingerprint,
             label_space=space.to_dict(),
             interface=interface,
-            golden={name: _to_text(array) for name, array in golden.items()},
+            golden={name: _to_text(name, array) for name, array in golden.items()},
         )
 
     @classmethod
@@ -107,7 +111,9 @@ def seal(graph: str, properties: Mapping[str, str]) -> str:
     return hashlib.sha256(json.dumps([graph, ours], sort_keys=True).encode()).hexdigest()
 
 
-def _to_text(array: npt.NDArray[Any]) -> dict[str, Any]:
+def _to_text(name: str, array: npt.NDArray[Any]) -> dict[str, Any]:
+    if array.nbytes > _MOST_GOLDEN:
+        raise ValueError(f"golden {name} is {array.nbytes >> 20} MiB; expected at most 64")
     little = array.astype(array.dtype.newbyteorder("<"))
     data = base64.b64encode(zlib.compress(little.tobytes(), 9)).decode()
     return {"dtype": array.dtype.name, "shape": list(array.shape), "data": data}

@@ -25,14 +25,15 @@ def verify(
         typer.Option(help="Label maps to compare on: a folder, glob or file; repeatable."),
     ] = None,
     provider: Annotated[
-        str, typer.Option(help="Execution provider of ONNX Runtime.")
+        str, typer.Option(help="Execution provider of ONNX Runtime, or openvino.")
     ] = "CPUExecutionProvider",
     as_json: Json = False,
 ) -> None:
-    """Compare an exported or fused file in ONNX Runtime with the PyTorch module, on its golden
-    pair and on label maps. The exit code is 1 if they differ.
+    """Compare an exported or fused file on a runtime with the PyTorch module: on its golden pair,
+    a corpus of drawn maps, and label maps. Where they differ the exit code is 1, and the stage of
+    the graph that differs first is named, or the node that cannot be run.
 
-    Example: ssrvlad verify place.onnx --labels maps/monday
+    Example: ssrvlad verify place.onnx --labels maps/monday --provider openvino
     """
     from ...datasets.label_files import find_label_files
     from ...deployment.verify import verify as check
@@ -57,7 +58,9 @@ def _as_json(found: Verification) -> dict[str, Any]:
         **dataclasses.asdict(found),
         "checks": [one._asdict() for one in found.checks],
         "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
+        "fault": found.fault and found.fault._asdict(),
         "difference": found.difference,
+        "verdict": found.verdict,
         "passed": found.passed,
     }
 
@@ -71,9 +74,11 @@ def _print(model: Path, found: Verification) -> None:
     print_table(table)
     for problem in found.problems:
         say(problem)
+    if found.fault:
+        say(f"{found.fault.kind}, {found.fault.place}: {found.fault.reason}")
     network = f" with {found.network}" if found.network else ""
     say(
-        f"{model}: {'as it should be' if found.passed else 'NOT as it should be'}, largest "
-        f"difference {found.difference:.2g}; version {found.version}, fingerprint "
-        f"{found.fingerprint}, {found.labels_as}{network}"
+        f"{model}: {'as it should be' if found.passed else 'NOT as it should be'}, "
+        f"{found.verdict} in {found.runtime}, largest difference {found.difference:.2g}; version "
+        f"{found.version}, fingerprint {found.fingerprint}, {found.labels_as}{network}"
     )
