@@ -6,7 +6,6 @@ import math
 import platform
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from statistics import median
 from textwrap import fill
 
 import torch
@@ -41,12 +40,6 @@ def largest_mean_smallest(values: Sequence[float]) -> str:
     """``max/average/min`` with three significant digits."""
     three = (max(values), sum(values) / len(values), min(values))
     return "/".join(significant(value) for value in three)
-
-
-def median_low_high(values: Sequence[float]) -> str:
-    """``median [min, max]`` with three significant digits."""
-    low, high = significant(min(values)), significant(max(values))
-    return f"{significant(median(values))} [{low}, {high}]"
 
 
 def significant(value: float, digits: int = 3) -> str:

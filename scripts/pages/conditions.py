@@ -1,4 +1,4 @@
-"""The conditions under which `results.py` and `ablate.py` measure recognition.
+"""The conditions that the pages measure recognition under.
 
 camvid-odd-even: the even frames of all sequences are the references, the odd frames the queries,
 and a query's true matches are its neighbours in the drive. CamVid is not part of this project:
@@ -11,7 +11,7 @@ searched by itself, and a true match is within 5 m.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,14 +21,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, baselines, match
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, baselines
 from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.datasets.label_files import LabelFile, find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
-from ssrvlad_torch.datasets.synthetic_city import REFERENCE, Conditions, SyntheticCity
-from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
-from ssrvlad_torch.evaluation.metrics import evaluate
-from ssrvlad_torch.recognition.matching import temporal_sum
+from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
 from ssrvlad_torch.taxonomy import label_space
 
 RESAMPLES = 1000
@@ -93,9 +90,6 @@ class Drive:
 Describe = Callable[[Drive], Tensor]
 """A drive's descriptors, ``(n, D)``."""
 
-Search = tuple[np.ndarray, np.ndarray, list[np.ndarray]]
-"""Scores and rows of the candidates of some queries, and their true matches."""
-
 
 def described_by(config: SSRVLADConfig) -> Describe:
     """SSR-VLAD with some settings."""
@@ -155,52 +149,6 @@ def _as(config: SSRVLADConfig, space: str) -> SSRVLADConfig:
     return SSRVLADConfig.from_dict({**config.to_dict(), "labels_as": space})
 
 
-def search_all(
-    describe: Describe, folder: Path | None, reach: int = 0
-) -> Iterator[tuple[str, list[Search]]]:
-    """Every condition's name and its searches; the references are summed over ``reach``."""
-    if folder:
-        described = {kind: describe(camvid(folder, kind)) for kind in SPACES}
-        for name, (query_kind, reference_kind) in CAMVID_CONDITIONS.items():
-            drive = camvid(folder, query_kind)
-            odd, even = every_other(drive, 1), every_other(drive, 0)
-            truth = from_frame_numbers(_at(drive, odd), _at(drive, even), 1)
-            sequences = [drive.sequences[row] for row in even]
-            summed = temporal_sum(described[reference_kind][even], sequences, reach)
-            yield name, [(*_match(described[query_kind][odd], summed), truth)]
-    mapped = {seed: city(seed, REFERENCE) for seed in CITY_SEEDS}
-    summed_cities = {
-        seed: temporal_sum(describe(drive), drive.sequences, reach)
-        for seed, drive in mapped.items()
-    }
-    for name, drives in CITY_CONDITIONS.items():
-        searches = []
-        for seed in CITY_SEEDS:
-            for conditions in drives:
-                drive = city(seed, conditions)
-                truth = from_poses(drive.poses, mapped[seed].poses, METRES)
-                searches.append((*_match(describe(drive), summed_cities[seed]), truth))
-        yield name, searches
-
-
-def figures(searches: list[Search]) -> dict[str, list[float]]:
-    """Each figure over the queries of all searches together: value, low and high end."""
-    scores = np.concatenate([search[0] for search in searches])
-    rows = np.concatenate([search[1] + i * 10**6 for i, search in enumerate(searches)])
-    truth = [rows + i * 10**6 for i, search in enumerate(searches) for rows in search[2]]
-    found = evaluate(scores, rows, truth, at=(1, 5), resamples=RESAMPLES)
-    low_high = found["intervals"]
-    return {
-        "RecallRate@1": [found["recall_at"]["1"], *low_high["recall_at"]["1"]],
-        "RecallRate@5": [found["recall_at"]["5"], *low_high["recall_at"]["5"]],
-        "AUC-PR": [found["auc_pr"], *low_high["auc_pr"]],
-        "Recall@100%Precision": [
-            found["recall_at_100_precision"],
-            *low_high["recall_at_100_precision"],
-        ],
-    }
-
-
 @cache
 def camvid(folder: Path, kind: str) -> Drive:
     """All sequences of CamVid, each named as its folder."""
@@ -234,12 +182,3 @@ def every_other(drive: Drive, start: int) -> list[int]:
     sequences = np.array(drive.sequences)
     chosen = [np.flatnonzero(sequences == name)[start::2] for name in dict.fromkeys(sequences)]
     return np.concatenate(chosen).tolist()
-
-
-def _at(drive: Drive, rows: list[int]) -> list[str]:
-    return [drive.frames[row] for row in rows]
-
-
-def _match(queries: Tensor, references: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    scores, rows = match(queries, references, top=10)
-    return scores.numpy(), rows.numpy()

@@ -1,41 +1,32 @@
 #!/usr/bin/env python3
-"""Writes docs/methods.md: every method of the harness, how well it recognises and what it costs.
+"""Writes docs/methods.md: every method of the harness, what it needs, costs and finds.
 
     .venv/bin/python scripts/pages/methods.py --camvid ../shared/data/camvid \
         --corridor ../shared/data/vprbench/corridor
 
 Neither data set is part of this project: for CamVid see `_problems.py`, `corridor` is laid out by
 VPR-Bench (`query`, `ref`, and its ground truth in the folder or beside it, where its stored results
-are looked for too, see `_stored.py`). Without them only the synthetic city is measured. Results are
-kept in `--cache`, and an interrupted run goes on where it was.
+are looked for too, see `_stored.py`). What the methods find on real traverses stands in
+docs/results.csv, see `results.py`. Results are kept in `--cache`, and an interrupted run goes on
+where it was.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from statistics import mean, median
 
 from _costs import ENCODED, Cost, measure
-from _markdown import head_row, interval, median_low_high, paragraph, processor, row, write
-from _problems import (
-    CITY,
-    CITY_CONDITIONS,
-    CITY_FRAMES,
-    CITY_SEEDS,
-    IMAGES,
-    LABELS,
-    Drive,
-    Problem,
-    camvid_problems,
-    city_problems,
-    image_problem,
-)
+from _markdown import head_row, interval, paragraph, processor, row, significant, write
+from _problems import IMAGES, LABELS, Drive, Problem, camvid_problems, image_problem
 from _stored import stored_trials
-from _trials import RESAMPLES, TRAINED, Cache, Outcome, Outcomes, Rival, Trial, try_all
+from _trials import TRAINED, Cache, Outcome, Outcomes, Rival, Trial, try_all
 
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.cli.bench import threads
@@ -47,42 +38,34 @@ ROUNDS, ROUNDS_OF_NETWORKS = 40, 8
 COLUMNS = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
 
 RIVALS = (
-    *(
-        Rival.ssrvlad(f"SSR-VLAD, {preset}, t = {reach}", preset, reach)
-        for preset in ("paper", "default")
-        for reach in (0, 3)
-    ),
+    *(Rival.ssrvlad(f"SSR-VLAD, {preset}", preset, 0) for preset in ("paper", "default")),
     Rival("label grid", "label-grid", LABELS),
+    Rival("HOG", "hog", IMAGES),
     Rival("CoHOG", "cohog", IMAGES),
     Rival("NetVLAD", "netvlad", IMAGES),
     Rival("Region-VLAD", "region-vlad", IMAGES),
     Rival("LoST-X", "lost-x", IMAGES),
-    Rival("HOG", "hog", IMAGES),
     Rival("tiny image", "tiny-image", IMAGES),
 )
+TRAVERSES = ("UofA", "Gardens Point")
 
-HEAD = f"""# Methods
+HEAD = """# Methods
 
-Written by `scripts/pages/methods.py`; no number is typed by hand. Metrics by convention `exact`, in
-brackets 95 % bootstrap intervals over the queries ({RESAMPLES} resamples). SSR-VLAD and label
-grid see label maps, the others images. t is the reach of SSR-VLAD's temporal sum over the
-references (Eq. 3); tiny image and LoST-X use the neighbours of a reference too. HOG, label grid and
-tiny image are the trivial methods that must be beaten.
-
-CamVid: the odd frames of two drives against the even ones; a true match is a neighbouring frame.
-`espnetv2` is the output of a real network that was trained on other data. Corridor: VPR-Bench's,
-images without label maps. Synthetic city: {len(CITY_SEEDS)} cities of {CITY_FRAMES} references, of
-which there are no images, {CITY_FRAMES} queries a drive, another traffic and 0.7 m to the left in
-every condition; a true match is within 5 m.
+Written by `scripts/pages/methods.py`; no number is typed by hand. What each method sees, what a
+place costs, and what it finds on real traverses through change: RecallRate@1, the mean over the
+conditions of UofA and Gardens Point in [results.csv](results.csv), of single frames and with the
+steps that `query` takes. [Results](results.md) has the other data sets, and intervals. HOG, label
+grid and tiny image are the trivial methods that must be beaten.
 """
 
 STORED = """The results that its authors publish with the data set, through the same metrics: a
 check of CoHOG, and what Region-VLAD reaches with its published weights, which are not here."""
 
-COSTS = f"""On {{processor}}; median [min, max] of {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for the
-networks with random weights) on which all methods of a table take turns. Matching is one query
-against all references, without ranking them; LoST-X and tiny image are matched with {ENCODED} only.
-What a segmentation network costs is not in it."""
+COSTS = f"""Costs on {{processor}}, at {{size}}: the median of {ROUNDS} frames ({ROUNDS_OF_NETWORKS}
+for the networks with random weights) on which all methods take turns; [methods.csv](methods.csv)
+has the least and the most. Matching is one query against {{references}} references, without ranking
+them; LoST-X and tiny image are matched with {ENCODED} only. What a segmentation network costs is
+not in it."""
 
 
 def main() -> None:
@@ -93,46 +76,66 @@ def main() -> None:
     arguments.add_argument("--cache", type=Path, default=Path(".cache/trials"))
     arguments.add_argument("--output", type=Path, default=Path("docs/methods.md"))
     options = arguments.parse_args()
-    kept, problems = Cache(options.cache), open_all(options)
+    kept = Cache(options.cache)
+    camvid = camvid_problems(options.camvid) if options.camvid else []
+    drives = [problem for problem in camvid if "espnetv2" not in problem.name]
+    problems = [corridor_problem(options.corridor)] if options.corridor else []
     with threads(1):
         outcomes = try_all(problems, RIVALS, kept, options.weights)
-        page = [
-            HEAD,
-            *in_short(problems, outcomes),
-            *(line for problem in problems for line in section(problem, outcomes)),
-            *(stored_section(options.corridor, problems, outcomes) if options.corridor else ()),
-            "## Cost\n",
-            paragraph(COSTS.format(processor=processor())),
-            *(line for same in by_dataset(problems) for line in costs(same, kept, options.weights)),
-            *missing(options, outcomes),
-        ]
+        page = [HEAD, *(in_short(drives, kept, options) if drives else ())]
+        for problem in problems:
+            page += [*section(problem, outcomes)]
+            page += [*stored_section(options.corridor, problem, outcomes)]
+        page += missing(options, outcomes)
     write(options.output, "\n".join(page) + "\n")
 
 
-def open_all(options: argparse.Namespace) -> list[Problem]:
-    problems = camvid_problems(options.camvid) if options.camvid else []
-    if options.corridor:
-        corridor = open_dataset(options.corridor, "vpr-bench")
-        parts = (corridor.select(role=role) for role in ("query", "reference"))
-        problems.append(image_problem(CORRIDOR, *parts))
-    return problems + city_problems(CITY_CONDITIONS)
+def corridor_problem(folder: Path) -> Problem:
+    corridor = open_dataset(folder, "vpr-bench")
+    parts = (corridor.select(role=role) for role in ("query", "reference"))
+    return image_problem(CORRIDOR, *parts)
 
 
-def by_dataset(problems: Sequence[Problem]) -> list[list[Problem]]:
-    names = dict.fromkeys(problem.dataset for problem in problems)
-    return [[problem for problem in problems if problem.dataset == name] for name in names]
-
-
-def in_short(problems: Sequence[Problem], outcomes: Outcomes) -> Iterator[str]:
-    """RecallRate@1 of every method under every condition."""
-    yield "## In short\n"
-    yield "RecallRate@1; empty where the method cannot see what there is.\n"
-    asked = [p for p in problems if any((p.name, r.name) in outcomes for r in RIVALS)]
-    yield from head_row("method", *(problem.name for problem in asked))
+def in_short(
+    problems: Sequence[Problem], kept: Cache, options: argparse.Namespace
+) -> Iterator[str]:
+    """A line for every method."""
+    costs = measured(problems, kept, options.weights)
+    found = rates(options.output.parent / "results.csv")
+    first = problems[0].searches[0]
+    size = "{} x {} pixels".format(*_size(first.queries))
+    references = len(first.references.places[0])
+    told = COSTS.format(processor=processor(), size=size, references=references)
+    yield paragraph(told)
+    yield from head_row(
+        "method", "sees", "bytes a place", "encode, ms", "match, ms", "single frames", "steps"
+    )
     for rival in RIVALS:
-        found = [outcomes.get((problem.name, rival.name), "") for problem in asked]
-        yield row(rival.name, *(figures(outcome)[0].partition(" [")[0] for outcome in found))
+        cost = costs[rival.name]
+        name = f"{rival.name} (random weights)" if "random" in cost.method else rival.name
+        times = (significant(median(values)) for values in (cost.encode, cost.match))
+        quality = (found.get((rival.name, way), "-") for way in ("single frames", "with the steps"))
+        sees = "label maps" if rival.sees == LABELS else "images"
+        yield row(name, sees, f"{cost.bytes_a_reference:.0f}", *times, *quality)
     yield ""
+    with options.output.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
+        lines = csv.writer(file)
+        lines.writerow(("method", "what", "median ms", "least", "most"))
+        for name, cost in costs.items():
+            for what, values in (("encode", cost.encode), ("match", cost.match)):
+                numbers = (median(values), min(values), max(values))
+                lines.writerow((name, what, *(significant(number) for number in numbers)))
+
+
+def rates(results: Path) -> dict[tuple[str, str], str]:
+    """Mean RecallRate@1 over the conditions of `TRAVERSES`, by method and way."""
+    found: dict[tuple[str, str], list[float]] = {}
+    with results.open(newline="", encoding="utf-8") as file:
+        for line in csv.DictReader(file):
+            if line["data set"] in TRAVERSES:
+                rate = float(line["RecallRate@1"])
+                found.setdefault((line["method"], line["way"]), []).append(rate)
+    return {key: f"{mean(values):.3f}" for key, values in found.items()}
 
 
 def section(problem: Problem, outcomes: Outcomes) -> Iterator[str]:
@@ -145,14 +148,11 @@ def section(problem: Problem, outcomes: Outcomes) -> Iterator[str]:
     yield ""
 
 
-def stored_section(
-    corridor: Path, problems: Sequence[Problem], outcomes: Outcomes
-) -> Iterator[str]:
+def stored_section(corridor: Path, problem: Problem, outcomes: Outcomes) -> Iterator[str]:
     """What VPR-Bench stored for the corridor, and how far our methods do the same."""
     yield f"## {CORRIDOR}: what VPR-Bench stored\n"
     yield paragraph(STORED)
     yield from head_row("technique", *COLUMNS, "same best match as ours")
-    (problem,) = (problem for problem in problems if problem.dataset == CORRIDOR)
     for name, stored in stored_trials(corridor).items():
         ours = outcomes.get((problem.name, name), "")
         same = reason(ours) if isinstance(ours, str) else ""
@@ -181,25 +181,16 @@ def reason(outcome: str) -> str:
     return "weights not here" if outcome.startswith("no weights") else "not run"
 
 
-def costs(problems: Sequence[Problem], kept: Cache, weights: Path | None) -> Iterator[str]:
-    """A table of what the methods cost on the frames of one data set."""
+def measured(problems: Sequence[Problem], kept: Cache, weights: Path | None) -> dict[str, Cost]:
+    """What the methods cost on frames of a data set that has label maps and images."""
     first = {problem.gives: problem.searches[0] for problem in reversed(problems)}
-    rivals = [rival for rival in RIVALS if rival.sees in first and not rival.name.endswith("= 3")]
     drives = {kind: search.queries for kind, search in first.items()}
     references = len(next(iter(first.values())).references.places[0])
-    stamps = [*(drive.stamp for drive in drives.values()), *(r.stamp(weights) for r in rivals)]
-    measured = kept.get(
-        ("costs", references, *stamps), partial(measure_all, rivals, drives, references, weights)
+    stamps = [*(drive.stamp for drive in drives.values()), *(r.stamp(weights) for r in RIVALS)]
+    found = kept.get(
+        ("costs", references, *stamps), partial(measure_all, RIVALS, drives, references, weights)
     )
-    height, width = _size(next(iter(drives.values())))
-    yield f"### {problems[0].dataset}: {height} x {width} pixels, {references} references\n"
-    yield from head_row("method", "bytes a reference", "encode, ms", "match, ms")
-    for rival in rivals:
-        cost = Cost(**measured[rival.name])
-        name = f"{rival.name} (random weights)" if "random" in cost.method else rival.name
-        times = map(median_low_high, (cost.encode, cost.match))
-        yield row(name.replace(", t = 0", ""), f"{cost.bytes_a_reference:.0f}", *times)
-    yield ""
+    return {rival.name: Cost(**found[rival.name]) for rival in RIVALS}
 
 
 def measure_all(
@@ -223,13 +214,10 @@ def _size(drive: Drive) -> tuple[int, int]:
 def missing(options: argparse.Namespace, outcomes: Outcomes) -> Iterator[str]:
     """What could not be run, and how to get what it needs."""
     yield "## What could not be run\n"
-    yield f"- {CITY}, images: it is made of label maps."
     if options.camvid is None:
         yield "- CamVid: no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid."
     if options.corridor is None:
         yield f"- {CORRIDOR}: no --corridor; github.com/MubarizZaffar/VPR-Bench."
-    else:
-        yield f"- {CORRIDOR}, labels: it has no label maps."
     reasons = {rival: told for (_, rival), told in outcomes.items() if isinstance(told, str)}
     yield from (f"- {rival}: {told}." for rival, told in reasons.items())
     yield ""

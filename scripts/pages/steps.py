@@ -1,6 +1,7 @@
 """The preset `default` from its masks with any settings, and the steps that were not kept.
 
-They stand here so that `ablate.py` can measure them again; nothing of the package uses them.
+They stand here so that `ablate.py` and `shape.py` can measure them again; nothing of the package
+uses them.
 """
 
 from __future__ import annotations
@@ -194,9 +195,6 @@ def plain_bins(masks: Masks) -> Tensor:
 REJECTED: dict[str, Describe] = {
     name: described_from_masks(step)
     for name, step in {
-        "area alone": area_alone,
-        "skeleton in place of boundaries": skeleton_in_place_of_boundaries,
-        "skeleton lengths too": skeleton_lengths_too,
         "residuals (Eq. 2)": residuals,
         "residuals, root, area": residuals_with_root_and_area,
         "layers of one length": layers_of_one_length,
