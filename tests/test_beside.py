@@ -12,10 +12,11 @@ from helpers import descriptors, street
 from networks import photo, write_graph
 from PIL import Image
 
-from ssrvlad_torch import Database, Localiser, SSRVLADConfig
+from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.database.exporting import export_database
+from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.index import build_index, search_index
 from ssrvlad_torch.database.metadata import Beside
 from ssrvlad_torch.database.rows import intact
@@ -242,3 +243,78 @@ def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
     assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
     folders = (photos / "monday", photos / "today", "--method", "hog", "--tolerance-frames", 0)
     assert "ssrvlad compare --fuse" in refused("evaluate", *folders, "--fuse")
+
+
+# ---- loops
+
+
+def laps(seed: int, noise: float, length: int = 60) -> torch.Tensor:
+    """Descriptors of two laps."""
+    generator = torch.Generator().manual_seed(seed)
+    places = torch.randn(length, 480, generator=generator).repeat(2, 1)
+    seen = places + noise * torch.randn(places.shape, generator=generator)
+    return torch.nn.functional.normalize(seen, dim=1)
+
+
+def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
+    """How many frames of the second lap close the right loop, if none of the others closes one."""
+    names = [one.name for one in detector.beside]
+    right = 0
+    for row, (own, *others) in enumerate(zip(*methods, strict=True)):
+        beside = dict(zip(names, others, strict=True))
+        found = detector.observe(FrameRecord("drive", str(row)), own, beside)
+        if found.accepted:
+            assert abs(int(found.candidate.partition("/")[2]) - (row - 60)) <= 2
+            right += 1
+    return right
+
+
+def test_a_detector_closes_more_loops_with_both():
+    noisy = laps(0, 2.0), laps(1, 2.0)
+    alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
+    seen = OWN._replace(name="hog", width=480, fingerprint=beside_by("hog").fingerprint)
+    detector = LoopDetector(LoopConfig(exclude=20), beside=[seen])
+    assert run(detector, *noisy) > max(alone) + 5
+    assert detector.weights.keys() == {"ssr-vlad", "hog"}
+    assert LoopDetector().weights == {}
+
+
+def test_a_detector_keeps_what_is_beside(tmp_path):
+    detector = LoopDetector(LoopConfig(exclude=2), beside=[beside_by("hog")])
+    database = Database.create(tmp_path / "memory", detector.head.config, beside=detector.beside)
+    pictures = [photo(street(seed, 60, 80)) for seed in range(6)]
+    for row, picture in enumerate(pictures):
+        detector.update(torch.full((60, 80), row), f"drive/{row}", picture=picture)
+    detector.save(database)
+    expected = HOG().encode_query([Frame("", image=picture) for picture in pictures])
+    assert torch.equal(database.load().beside["hog"], expected)
+    again = LoopDetector.load(database, detector.config)
+    both = [
+        each.update(torch.full((60, 80), 2), "later/0", picture=pictures[2])
+        for each in (again, LoopDetector.load(database, detector.config))
+    ]
+    assert both[0] == both[1]
+    with pytest.raises(ValueError, match="needs images, but frame later/1 has none"):
+        again.update(torch.full((60, 80), 2), "later/1")
+    with pytest.raises(ValueError, match="expected hog beside, got nothing"):
+        again.observe(FrameRecord("later", "1"), torch.zeros(480))
+    with pytest.raises(ValueError, match="nothing describes it"):
+        LoopDetector().update(torch.zeros(60, 80).int(), "a/1", picture=pictures[0])
+    with pytest.raises(ValueError, match="has no descriptors by hog"):
+        detector.save(Database.create(tmp_path / "other", detector.head.config))
+
+
+def test_loops_take_pictures(photos, ssrvlad):
+    given = ("--segmenter", photos / "net.yaml", "--exclude", 5, "--memory", photos / "memory")
+    code, out, _ = ssrvlad(
+        "loops", photos / "monday", *given, "--labels-as", SPACE, "--with", "hog"
+    )
+    assert code == 0
+    assert "followed online, fused: ssr-vlad 0." in out
+    assert Database.open(photos / "memory").beside == (beside_by("hog"),)
+    code, out, _ = ssrvlad("loops", photos / "today", *given, "--labels-as", SPACE)
+    assert code == 0
+    assert "31 frames" in out
+    code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--with", "hog")
+    assert code == 2
+    assert "--with hog wants images as SOURCE, and a --segmenter" in line

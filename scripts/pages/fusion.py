@@ -22,10 +22,12 @@ from conditions import BATCH
 from shape import CAMVID, DRIVES, NETWORKS, ROUTES, rate
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, baselines, follow, standardise
+from ssrvlad_torch import SSRVLAD, LoopDetector, baselines, follow, standardise
 from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.encoding.beside import beside_by
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS, narrowed, score
@@ -52,6 +54,14 @@ worse on UofA and Gardens Point and hardly better on CamVid). Both are always ab
 not always above HOG. The last column is the mean confidence of `both`; confidence was fitted to
 label maps of the city alone.
 """
+LOOPS = """
+## Loops
+
+References and then queries as one stream, `LoopDetector` with its defaults: the fraction of the
+queries that close a right loop, and in brackets the precision. Through a change of light, from the
+other side of a path, or over sixty frames, neither way is sure enough to say anything.
+"""
+DETECTORS = (("labels", False), ("pictures", False), ("labels", True))
 
 
 class Search(NamedTuple):
@@ -96,7 +106,33 @@ def page(data: Path, kept: Path) -> Iterator[str]:
     yield from head_row("condition", "default", "HOG", "both", "confidence")
     for search in searches(data):
         yield row(search.name, *(f"{each:.3f}" for each in by_picture(search, data, kept)))
+    yield LOOPS
+    yield from head_row("condition", "default", "HOG", "both")
+    for search in searches(data):
+        yield row(search.name, *(loops(search, data, kept, *ways) for ways in DETECTORS))
     yield ""
+
+
+def loops(search: Search, data: Path, kept: Path, own: str, beside: bool) -> str:
+    """Recall and precision of the references and then the queries as one stream."""
+    detector = LoopDetector(beside=[beside_by("hog")] if beside else ())
+    middle = [COLUMNS.index(column) for column in detector.columns]
+    right = accepted = 0
+    for drive, (folder, rows) in enumerate(
+        ((search.references, search.reference_rows), (search.queries, search.query_rows))
+    ):
+        frames = described(data, kept, folder, own)[rows]
+        frames = frames[:, middle] if own == "labels" else frames
+        pictures = described(data, kept, folder, "pictures")[rows]
+        for number, (frame, picture) in enumerate(zip(frames, pictures, strict=True)):
+            record = FrameRecord(str(drive), str(number))
+            found = detector.observe(record, frame, {"hog": picture} if beside else None)
+            accepted += found.accepted
+            lap, _, place = (found.candidate or "").partition("/")
+            if found.accepted and (drive, lap) == (1, "0"):
+                right += int(place) in search.truth[number]
+    recall = right / len(search.query_rows)
+    return f"{recall:.3f} ({right / accepted:.3f})" if accepted else "no loop"
 
 
 def by_picture(search: Search, data: Path, kept: Path) -> Iterator[float]:

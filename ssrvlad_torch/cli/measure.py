@@ -17,7 +17,7 @@ from ..evaluation.metrics import FIGURES, Convention, evaluate, precision_recall
 from ..evaluation.outcomes import judge
 from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
 from ..recognition.matching import Matches
-from .output import figure, interval, print_table
+from .output import figure, fused_in_words, interval, print_table
 from .pictures import Pictures
 from .truth import Places
 
@@ -125,10 +125,7 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
         else "no sweep",
         f"followed: {'/'.join(dict.fromkeys(followed))}",
     ]
-    weights = list(used["weights"].values())
-    if any(weights):
-        fused = (f"{name} {'/'.join(f'{w[name]:.2f}' for w in weights)}" for name in weights[0])
-        told.append(f"fused: {' + '.join(fused)}")
+    told += fused_in_words(list(used["weights"].values()))
     if used["delay"]:
         told.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:

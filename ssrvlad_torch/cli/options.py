@@ -39,6 +39,14 @@ MaybePreset = Annotated[
         help="paper (SSR-VLAD) or default (ours). Without it, the preset of the database.",
     ),
 ]
+With = Annotated[
+    Literal["hog"] | None,
+    typer.Option(
+        "--with",
+        help="Describe each image by this method, too: recognition then uses both. Say it when the "
+        "database is made. It wants a --segmenter.",
+    ),
+]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Frames = Annotated[int, typer.Option(min=2, help="Frames of each traverse.")]

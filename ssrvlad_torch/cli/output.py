@@ -122,6 +122,14 @@ def print_json(value: Mapping[str, Any]) -> None:
     print(json.dumps(_without_nan(value)), flush=True)
 
 
+def fused_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
+    """What each of several methods weighs in each sequence; nothing for one method alone."""
+    if not any(weights):
+        return []
+    names = (f"{name} {'/'.join(f'{each[name]:.2f}' for each in weights)}" for name in weights[0])
+    return [f"fused: {' + '.join(names)}"]
+
+
 def figure(value: float) -> str:
     """A fraction in three digits."""
     return "-" if math.isnan(value) else f"{value:.3f}"

@@ -21,6 +21,7 @@ from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
 from ..descriptor import query_head
+from ..encoding.beside import beside_by
 from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
 from ..recognition.follow import runs
@@ -106,6 +107,16 @@ class Source:
         return Segmenter.load(
             _network(network), _as_space(labels_as), folder or _user_cache(), classes
         )
+
+    def described_by(self, name: str | None) -> list[Beside]:
+        """What describes the images besides, if a method is named.
+
+        Raises:
+            ValueError: they are no images.
+        """
+        if name and not self.given.segmenter:
+            raise ValueError(f"--with {name} wants images as SOURCE, and a --segmenter")
+        return [beside_by(name)] if name else []
 
     def label_files(self, known: Mapping[str, str] | None = None) -> list[FrameFile]:
         """The frames that are label maps."""

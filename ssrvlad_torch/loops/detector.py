@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,14 +12,19 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..baselines.protocol import Frame
 from ..database.database import Database
 from ..database.frames import FrameRecord
+from ..database.metadata import Beside
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
+from ..encoding.beside import methods_of
 from ..recognition.filter import Filter
+from ..recognition.fusion import ahead, fused, weights_of
 from ..recognition.motion import Motion, moments
+from ..recognition.recognise import OWN
 from .config import LoopConfig
-from .memory import Floats, Memory
+from .memory import Floats, Memory, Vectors
 from .result import LoopResult, Reason
 
 COLUMNS = (-4, 0, 4)
@@ -49,6 +54,8 @@ class LoopDetector:
         config: the settings; without, the defaults.
         head: describes label maps; descriptors that are given must be of its settings. Without,
             the preset ``default``.
+        beside: what else describes frames, by their pictures: the scores of all are fused, each
+            weighted by how far its first candidates were ahead so far.
 
     Example:
         >>> detector = LoopDetector(head=SSRVLAD())
@@ -56,10 +63,18 @@ class LoopDetector:
         'no_candidate'
     """
 
-    def __init__(self, config: LoopConfig | None = None, head: SSRVLAD | None = None) -> None:
+    def __init__(
+        self,
+        config: LoopConfig | None = None,
+        head: SSRVLAD | None = None,
+        beside: Sequence[Beside] = (),
+    ) -> None:
         self.config = config or LoopConfig()
         self.head = head or SSRVLAD()
+        self.beside, self._methods = tuple(beside), methods_of(beside)
         self._memory = Memory(self.head.config.length)
+        self._others = {one.name: Vectors(one.width) for one in beside}
+        self._leads = [0.0] * (1 + len(self._others))
         self._filter = Filter(motion=MOTION)
         self._sequence: str | None = None
         self._stamp = -math.inf
@@ -105,6 +120,12 @@ class LoopDetector:
         """Anchors from which frames are described; none for the usual one alone."""
         return COLUMNS if self.config.sweep and self.head.config.aggregation == "harmonics" else ()
 
+    @property
+    def weights(self) -> dict[str, float]:
+        """What each of several methods weighs now; empty for the method alone."""
+        names = [OWN, *self._others] if self._others else []
+        return dict(zip(names, weights_of(self._leads), strict=False))
+
     def encoder(self) -> SSRVLAD:
         """What describes frames for `observe`, each from all `columns`."""
         return SweepHead(self.head.config, self.columns) if self.columns else self.head
@@ -115,6 +136,7 @@ class LoopDetector:
         frame_id: str,
         stamp: float | None = None,
         pose: Sequence[float] | None = None,
+        picture: npt.NDArray[np.uint8] | None = None,
     ) -> LoopResult:
         """Looks for the place of the next frame among the earlier ones, then remembers it.
 
@@ -125,6 +147,7 @@ class LoopDetector:
                 is looked for anew.
             stamp: seconds, not less than that of the frame before in its sequence.
             pose: x and y in metres, and heading in radians if it is known.
+            picture: ``(H, W, 3)`` uint8 in RGB, where there is something `beside`.
 
         Raises:
             ValueError: the frame cannot be described, its id is of another form or was there
@@ -137,8 +160,12 @@ class LoopDetector:
         seconds = math.nan if stamp is None else stamp
         record = FrameRecord(sequence, name, *place, seconds)
         given = torch.as_tensor(view)
+        if picture is not None and not self.beside:
+            raise ValueError("a picture is given, and nothing describes it: expected it beside")
+        frame = Frame(frame_id, image=picture)
+        others = {each.name: each.encode_query([frame])[0] for each in self._methods}
         if given.ndim == 1:
-            return self.observe(record, given)
+            return self.observe(record, given, others)
         descriptor = (
             self.head.sweep(given[None], self.columns)[0]
             if self.columns
@@ -147,27 +174,42 @@ class LoopDetector:
         labels = (given.argmax(0) if given.ndim == 3 else given).cpu().numpy()
         height, width = labels.shape
         record = record._replace(digest=digest(labels), height=height, width=width)
-        return self.observe(record, descriptor)
+        return self.observe(record, descriptor, others)
 
-    def observe(self, record: FrameRecord, descriptor: Tensor) -> LoopResult:
+    def observe(
+        self,
+        record: FrameRecord,
+        descriptor: Tensor,
+        beside: Mapping[str, Tensor] | None = None,
+    ) -> LoopResult:
         """As `update`, for a frame that was encoded before, with what a database keeps of it.
 
         Args:
             record: of the frame.
             descriptor: ``(D,)``, or ``(S, D)`` from S anchors with the usual one in the middle; of
                 length 1 or zero.
+            beside: ``(D',)`` for each name of `beside`.
 
         Raises:
             ValueError: as for `update`.
         """
-        swept = self._vectors(descriptor, record.frame)
+        swept = _vectors(descriptor, record.frame, self.head.config.length)
+        if (beside or {}).keys() != self._others.keys():
+            names, got = ", ".join(self._others) or "nothing", ", ".join(beside or {}) or "nothing"
+            raise ValueError(f"frame {record.frame!r}: expected {names} beside, got {got}")
+        others = {
+            one.name: _vectors((beside or {})[one.name], record.frame, one.width)
+            for one in self.beside
+        }
         with self._updating:
             self._check(record)
             if record.sequence != self._sequence:
                 self._filter.restart()
-            result = self._look(record.frame, swept)
+            result = self._look(record.frame, swept, others)
             centre = swept[len(swept) // 2]
             self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
+            for name, [vector] in others.items():
+                self._others[name].add(vector)
             self._unsaved.append(record)
             self._sequence = record.sequence
             self._stamp = -math.inf if math.isnan(record.stamp) else record.stamp
@@ -186,10 +228,14 @@ class LoopDetector:
             OSError: the disk refused; the database is as it was.
         """
         with self._saving:
-            database.require(self.head.config)
+            database.require(self.head.config, self.beside)
             with self._updating:
                 fresh, last = self._unsaved.copy(), len(self)
                 vectors = self._memory.descriptors(last - len(fresh), last)
+                others = {
+                    name: known.descriptors(last - len(fresh), last)
+                    for name, known in self._others.items()
+                }
             saved = last - len(fresh)
             if len(database) != saved:
                 raise ValueError(
@@ -197,7 +243,7 @@ class LoopDetector:
                     "saved"
                 )
             if fresh:
-                database.append(fresh, torch.from_numpy(vectors))
+                database.append(fresh, vectors, others)
             with self._updating:
                 del self._unsaved[: len(fresh)]
 
@@ -215,7 +261,7 @@ class LoopDetector:
         for anew.
 
         Args:
-            database: raw descriptors.
+            database: raw descriptors, and what is beside them.
             config: as for `LoopDetector`.
             head: its settings must have the database's fingerprint; without, the database's.
 
@@ -224,7 +270,7 @@ class LoopDetector:
         """
         head = head or SSRVLAD(database.config)
         database.require(head.config)
-        detector = cls(config, head)
+        detector = cls(config, head, database.beside)
         frames = database.load()
         added = {
             name: n for n, name in enumerate(dict.fromkeys(database.known().column("sequence")))
@@ -233,22 +279,9 @@ class LoopDetector:
         vectors = frames.descriptors.numpy()
         for row in order:
             detector._memory.append(frames.frames[row], frames.poses[row].tolist(), vectors[row])
+            for name, known in detector._others.items():
+                known.add(frames.beside[name][row].numpy())
         return detector
-
-    def _vectors(self, descriptor: Tensor, frame: str) -> Floats:
-        vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
-        length = self.head.config.length
-        if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
-            raise ValueError(
-                f"frame {frame!r}: expected a descriptor ({length},), or of an odd number of "
-                f"anchors, got {tuple(descriptor.shape)}"
-            )
-        lengths = np.linalg.norm(vectors, axis=1)
-        if not ((np.abs(lengths - 1) <= _OFF_LENGTH) | (lengths == 0)).all():
-            raise ValueError(
-                f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
-            )
-        return vectors
 
     def _check(self, record: FrameRecord) -> None:
         """Whether the frame may be the next one."""
@@ -259,7 +292,7 @@ class LoopDetector:
         if not math.isnan(stamp) and not last <= stamp < math.inf:
             raise ValueError(f"frame {frame!r}: expected a stamp from {last} on, got {stamp}")
 
-    def _look(self, frame: str, swept: Floats) -> LoopResult:
+    def _look(self, frame: str, swept: Floats, others: Mapping[str, Floats]) -> LoopResult:
         """Takes in the next frame, and says what becomes of it."""
         old = max(0, len(self) - self.config.exclude)
         self._extend(len(self) - min(RECENT, self.config.exclude))
@@ -272,7 +305,7 @@ class LoopDetector:
         if empty:
             self._filter.step(torch.full((len(self._filter),), -torch.inf))
             return LoopResult(frame, Reason.EMPTY_FRAME)
-        scores = torch.from_numpy(self._memory.scores(swept))
+        scores = self._scores(swept, others, old)
         self._filter.step(scores[: len(self._filter)], moments(scores[:old]))
         rows = self._filter.rows()
         candidate = int(rows[:old].argmax())
@@ -282,6 +315,16 @@ class LoopDetector:
         ahead = self._ahead(candidate, around, rows) if reason is Reason.ACCEPTED else None
         name, score = self._memory.frames[candidate], float(scores[candidate])
         return LoopResult(frame, reason, name, score, probability, ahead)
+
+    def _scores(self, swept: Floats, others: Mapping[str, Floats], old: int) -> Tensor:
+        """``(N,)`` of a frame by all methods, as they stand out from the old ones."""
+        own = torch.from_numpy(self._memory.scores(swept))
+        if not others:
+            return own
+        scores = [own, *(torch.from_numpy(self._others[n].scores(v)) for n, v in others.items())]
+        for place, one in enumerate(scores):
+            self._leads[place] += max(0.0, ahead(one[:old]))
+        return fused(scores, weights_of(self._leads), old)
 
     def _extend(self, rows: int) -> None:
         """Lets the filter know so many frames."""
@@ -313,6 +356,21 @@ class LoopDetector:
 
 
 _OFF_LENGTH = 1e-3
+
+
+def _vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
+    vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
+    if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
+        raise ValueError(
+            f"frame {frame!r}: expected a descriptor ({length},), or of an odd number of "
+            f"anchors, got {tuple(descriptor.shape)}"
+        )
+    lengths = np.linalg.norm(vectors, axis=1)
+    if not ((np.abs(lengths - 1) <= _OFF_LENGTH) | (lengths == 0)).all():
+        raise ValueError(
+            f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
+        )
+    return vectors
 
 
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:

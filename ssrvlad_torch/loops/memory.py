@@ -40,48 +40,37 @@ class GrowingArray:
         self._rows += 1
 
 
-class Memory:
-    """Ids, poses and descriptors of the frames of a stream, in its order; each is held once.
+class Vectors:
+    """Descriptors of the frames of a stream by one method, in its order; each is held once.
 
     Args:
         length: D, numbers in a descriptor.
     """
 
     def __init__(self, length: int) -> None:
-        self.rows: dict[str, int] = {}
-        self.frames: list[str] = []
         self._blocks = [np.empty((BLOCK_ROWS, length), np.float32)]
-        self._poses = GrowingArray(np.float64, 3)
         self._empty = GrowingArray(np.bool_)
         self._total = np.zeros(length)
         self._counted = 0
 
     def __len__(self) -> int:
-        return len(self.frames)
-
-    @property
-    def poses(self) -> npt.NDArray[np.float64]:
-        """``(N, 3)`` x and y in metres, heading in radians, NaN where unknown; in place."""
-        return self._poses.values
+        return len(self.empty)
 
     @property
     def empty(self) -> npt.NDArray[np.bool_]:
         """``(N,)``, frames whose descriptor is zero; in place."""
         return self._empty.values
 
-    def append(self, frame: str, pose: Sequence[float], descriptor: Floats) -> None:
+    def add(self, descriptor: Floats) -> None:
         """Adds a frame; its ``(D,)`` descriptor is of length 1 or zero."""
         block, place = divmod(len(self), len(self._blocks[0]))
         if block == len(self._blocks):
             self._blocks.append(np.empty_like(self._blocks[0]))
         self._blocks[block][place] = descriptor
         empty = not descriptor.any()
-        self._poses.append(pose)
         self._empty.append(empty)
         self._total += descriptor
         self._counted += not empty
-        self.rows[frame] = len(self)
-        self.frames.append(frame)
 
     def descriptors(self, first: int, last: int) -> Floats:
         """``(last - first, D)`` float32, a copy."""
@@ -112,3 +101,25 @@ class Memory:
         scores: Floats = (products[:, :-1] - less @ mean).max(axis=1) / lengths
         scores[self.empty] = -np.inf
         return scores
+
+
+class Memory(Vectors):
+    """Ids, poses and descriptors of the frames of a stream."""
+
+    def __init__(self, length: int) -> None:
+        super().__init__(length)
+        self.rows: dict[str, int] = {}
+        self.frames: list[str] = []
+        self._poses = GrowingArray(np.float64, 3)
+
+    @property
+    def poses(self) -> npt.NDArray[np.float64]:
+        """``(N, 3)`` x and y in metres, heading in radians, NaN where unknown; in place."""
+        return self._poses.values
+
+    def append(self, frame: str, pose: Sequence[float], descriptor: Floats) -> None:
+        """Adds a frame; its ``(D,)`` descriptor is of length 1 or zero."""
+        self.rows[frame] = len(self)
+        self.frames.append(frame)
+        self._poses.append(pose)
+        self.add(descriptor)

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..config import SSRVLADConfig
 from ..database.database import Database
+from ..database.metadata import Beside
 from ..datasets.frame_files import FrameFile
 from ..datasets.poses import UNKNOWN, find_poses
 from ..descriptor import SSRVLAD
@@ -31,7 +32,11 @@ CHECKPOINT_FRAMES = 500
 
 
 def open_detector(
-    config: LoopConfig, memory: Path | None, preset: str | None, labels_as: str | LabelSpace
+    config: LoopConfig,
+    memory: Path | None,
+    preset: str | None,
+    labels_as: str | LabelSpace,
+    beside: Sequence[Beside] = (),
 ) -> tuple[LoopDetector, Database | None]:
     """A detector, and the database that it was loaded from and is saved to.
 
@@ -40,9 +45,11 @@ def open_detector(
         memory: a database, new if there is none; ``None`` for none.
         preset: of the descriptors; without, the database's, or ``default``.
         labels_as: label space of the frames to come.
+        beside: what else describes frames; without, what the database holds.
 
     Raises:
-        ValueError: the database is damaged or was made with another preset.
+        ValueError: the database is damaged, or was made with another preset or without what shall
+            be beside.
     """
     if memory is not None and preset is None and Database.exists(memory):
         method = replace(Database.open(memory).config, labels_as=labels_as)
@@ -50,8 +57,8 @@ def open_detector(
         method = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(method)
     if memory is None:
-        return LoopDetector(config, head), None
-    database = Database.open_or_create(memory, method)
+        return LoopDetector(config, head, beside), None
+    database = Database.open_or_create(memory, method, beside)
     return LoopDetector.load(database, config, head), database
 
 
@@ -63,7 +70,7 @@ def encode_files(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes the files whose frames a detector does not know yet; see `encoding.encode`."""
     fresh = [file for file in files if file.frame not in detector]
-    return encode(detector.encoder(), fresh, workers, segmenter)
+    return encode(detector.encoder(), fresh, workers, segmenter, detector.beside)
 
 
 def encode_as_they_come(
@@ -100,7 +107,7 @@ def encode_as_they_come(
             continue
         ids = (file.frame, f"{folder}/{file.name}", file.name)
         pose = next((there[frame] for frame in ids if frame in there), UNKNOWN)
-        yield from encode(encoder, [replace(file, pose=pose)], 1, segmenter)
+        yield from encode(encoder, [replace(file, pose=pose)], 1, segmenter, detector.beside)
 
 
 def detect_loops(
@@ -166,6 +173,7 @@ def report(
         "sweep": list(detector.columns),
         "temporal": 0,
         "follow": "online",
+        "weights": detector.weights,
     }
     told: dict[str, Any] = {"frames": len(results), "reasons": dict(counts), "steps": steps}
     if metres is not None:
@@ -185,6 +193,6 @@ def report(
 
 def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Skipped:
     try:
-        return detector.observe(frame.record, frame.descriptor)
+        return detector.observe(frame.record, frame.descriptor, frame.beside)
     except ValueError as error:
         return Skipped(frame.record.frame, str(error))

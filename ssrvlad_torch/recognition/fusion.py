@@ -87,9 +87,15 @@ def ahead(scores: Tensor) -> float:
 
 
 @torch.no_grad()
-def fused(scores: Sequence[Tensor], weights: Sequence[float]) -> Tensor:
-    """``(R,)`` scores of one query by several methods as one; -inf where no method has a score."""
-    scaled = [_scaled(one) for one in scores]
+def fused(scores: Sequence[Tensor], weights: Sequence[float], among: int | None = None) -> Tensor:
+    """``(R,)`` scores of one query by several methods as one; -inf where no method has a score.
+
+    Args:
+        scores: of each method ``(R,)``.
+        weights: of each method.
+        among: mean and deviation are those of the first so many rows; without, of all.
+    """
+    scaled = [_scaled(one, among) for one in scores]
     z, mean, spread = (
         sum(weight * part for weight, part in zip(weights, parts, strict=True))
         for parts in zip(*scaled, strict=True)
@@ -106,11 +112,11 @@ class _Scaled(NamedTuple):
     spread: Tensor
 
 
-def _scaled(scores: Tensor) -> _Scaled:
+def _scaled(scores: Tensor, among: int | None = None) -> _Scaled:
     scored = scores > -torch.inf
     near = nearness(scores.float()).where(scored, 0)
-    count = scored.sum().clamp(min=1)
-    mean = near.sum() / count
+    count = scored[:among].sum().clamp(min=1)
+    mean = near[:among].sum() / count
     apart = (near - mean).where(scored, 0)
-    spread = (apart.square().sum() / count).sqrt()
+    spread = (apart[:among].square().sum() / count).sqrt()
     return _Scaled(apart / spread.clamp(min=_LEAST_SPREAD), mean, spread)

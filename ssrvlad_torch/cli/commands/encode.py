@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..options import Json, MaybePreset, SourceOptions
+from ..options import Json, MaybePreset, SourceOptions, With
 from ..output import finish, note, print_json, progress_bar, say
 from .db import contents
 
@@ -27,14 +27,7 @@ def encode(
         str, typer.Option("--output", "-o", help="Database to make or add to: a folder or a URI.")
     ],
     preset: MaybePreset = None,
-    beside: Annotated[
-        Literal["hog"] | None,
-        typer.Option(
-            "--with",
-            help="Describe each image by this method, too: recognition then fuses both. It is said "
-            "once, when the database is made, and wants a --segmenter.",
-        ),
-    ] = None,
+    beside: With = None,
     engine: Annotated[
         Engine,
         typer.Option(
@@ -82,7 +75,6 @@ def _encode(
     from ...config import SSRVLADConfig
     from ...database.database import Database
     from ...descriptor import SSRVLAD
-    from ...encoding.beside import beside_by
     from ...encoding.encoder import encode_to_database
     from ...encoding.plan import folders_of
     from ...encoding.ray_engine import encode_with_ray
@@ -93,9 +85,7 @@ def _encode(
     if engine == "ray" and source.given.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
     database = Database.open(output) if Database.exists(output) else None
-    also = [beside_by(beside)] if beside else []
-    if also and not source.given.segmenter:
-        raise ValueError(f"--with {beside} wants images as SOURCE, and a --segmenter")
+    also = source.described_by(beside)
     labels_as: LabelsAs | None = source.labels_as
     if labels_as is None and database:
         labels_as = _only_label_space(database)

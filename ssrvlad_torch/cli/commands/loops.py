@@ -13,8 +13,8 @@ import typer
 
 from ...evaluation.thresholds import SURE_PRECISION, needed
 from ...loops.config import LoopConfig
-from ..options import Json, MaybePreset, SourceOptions
-from ..output import figure, finish, print_json, say
+from ..options import Json, MaybePreset, SourceOptions, With
+from ..output import figure, finish, fused_in_words, print_json, say
 
 if TYPE_CHECKING:
     from ...encoding.results import Encoded, Skipped
@@ -49,6 +49,7 @@ def loops(
         typer.Option(help="Measure precision and recall: a loop is right within so many metres."),
     ] = None,
     preset: MaybePreset = None,
+    beside: With = None,
     as_json: Json = False,
 ) -> None:
     """Find loop closures in a stream of frames while it comes.
@@ -69,7 +70,8 @@ def loops(
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if picture:
         require_picture(picture)
-    detector, database = open_detector(config, memory, preset, given.labels_as)
+    also = given.described_by(beside)
+    detector, database = open_detector(config, memory, preset, given.labels_as, also)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
     with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
@@ -119,7 +121,8 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
     reasons = (f"{count} {reason}" for reason, count in sorted(told["reasons"].items()))
     say(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
     columns = ", ".join(map(str, told["steps"]["sweep"])) or "0"
-    say(f"steps: less the mean so far, anchors {columns}, no temporal sum, followed online")
+    steps = ["less the mean so far", f"anchors {columns}", "no temporal sum", "followed online"]
+    say(f"steps: {', '.join([*steps, *fused_in_words([told['steps']['weights']])])}")
     if "precision" not in told:
         return
     say(
