@@ -63,7 +63,7 @@ def report_of(
     vectors = queries.descriptors, references.descriptors
     plain = {
         "title": "town.ssrdb",
-        "descriptors": Descriptors(*vectors, CATEGORIES),
+        "descriptors": Descriptors(*vectors, dict.fromkeys(CATEGORIES, vectors[0].shape[1] // 8)),
         "settings": {"preset": "default"},
     }
     return Report(

@@ -57,7 +57,8 @@ def test_a_page_comes_beside_the_figures(ssrvlad, evaluate, database, tmp_path, 
     assert "6 queries, 6 of them with a true match, against 6 references." in page.words
     assert page.words.startswith("friday against town.ssrdb ")
     assert "true matches at most 0 frames away" in page.words
-    assert "preset default" in page.words
+    assert "method SSR-VLAD default" in page.words
+    assert "steps standardised, sweep" in page.words or "steps not standardised" in page.words
     arguments = ("evaluate", database, tmp_path / "friday", "--tolerance-frames", 1)
     plain, reported = (ssrvlad(*arguments, *rest)[1] for rest in ((), ("--report", out)))
     assert reported == f"{plain}report: {out}\n"

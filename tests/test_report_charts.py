@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 
 import numpy as np
@@ -9,15 +10,18 @@ import pytest
 from reports import Page, noisy, report_of
 
 from ssrvlad_torch.evaluation.metrics import precision_recall_curve
+from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report.charts import (
     HEIGHT,
     WIDTH,
+    map_chart,
     precision_recall_chart,
     recall_chart,
     score_chart,
 )
 from ssrvlad_torch.evaluation.report.page import operating_rows
 from ssrvlad_torch.evaluation.report.recall import recall_rates
+from ssrvlad_torch.recognition.matching import match
 
 
 @pytest.fixture(scope="module")
@@ -81,3 +85,25 @@ def test_two_charts_share_no_id(report):
     both = Page(recall_chart(rates) + score_chart(report.outcomes, None))
     ids = [attributes["id"] for _, attributes in both.tags if "id" in attributes]
     assert len(ids) == len(set(ids))
+
+
+def test_the_map_shows_right_and_wrong_queries():
+    """Two drives of references side by side, never joined; a line leads to what was wrong."""
+    queries, references = noisy(6, 6, 0.0)
+    references = dataclasses.replace(
+        references, frames=tuple(f"{'ab'[row // 3]}/{row}" for row in range(6))
+    )
+    truth = [np.array([row if row < 4 else 0]) for row in range(6)]
+    outcomes = judge(
+        *(best.numpy() for best in match(queries.descriptors, references.descriptors)), truth
+    )
+    svg = str(map_chart(queries.poses, references, outcomes))
+    assert "right: 4; wrong, the place is not there: 0; wrong: 2." in svg
+    drawn = re.findall(r'd="([^"]+)"[^>]*stroke: var\(--other\)', svg)
+    assert len(drawn) == 2
+    assert "var(--right)" in svg and "var(--wrong)" in svg
+    nowhere = np.full((6, 3), np.nan)
+    assert map_chart(nowhere, references, outcomes) is None
+    assert (
+        map_chart(queries.poses, dataclasses.replace(references, poses=nowhere), outcomes) is None
+    )

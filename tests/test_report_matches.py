@@ -1,4 +1,4 @@
-"""Which matches are shown, and what the categories of two descriptors add to their score."""
+"""Which matches are shown, and what the parts of two descriptors add to their cosine."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ import torch
 from helpers import descriptors
 from reports import Page, frame_set, report_of
 
+from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import Descriptors, stored_scores
 from ssrvlad_torch.evaluation.report.matches import Match, choose, parts
 from ssrvlad_torch.evaluation.report.page import render
+from ssrvlad_torch.stages.boundaries import DIRECTIONS
+from ssrvlad_torch.taxonomy import CATEGORIES
 
 SIMILARITY = np.array(
     [
@@ -41,12 +44,20 @@ def test_the_strongest_cases_come_first(outcomes):
     assert [match.query for match in chosen.confident] == [3, 1, 2, 6]
     assert [match.query for match in chosen.worst] == [2, 6, 1]
     assert [match.query for match in chosen.best] == [4, 0]
-    assert chosen.worst[0] == Match(2, 0, 0.6, False, true_match=2, true_score=0.1)
-    assert (chosen.worst[2].true_match, chosen.worst[2].true_score) == (1, 0.7)
+    assert chosen.worst[0] == Match(2, 0, 0.6, False, true_match=2, alone=0.6, true_alone=0.1)
+    assert (chosen.worst[2].true_match, chosen.worst[2].true_alone) == (1, 0.7)
     assert chosen.confident[0].true_match == -1
     assert chosen.best[0].correct
     few = choose(stored_scores(SIMILARITY), outcomes, TRUTH, most=1)
     assert [len(kind) for kind in few] == [1, 1, 1]
+
+
+def test_margins_are_of_single_frames(outcomes):
+    """Though the sequence decided, with scores of its own."""
+    followed = dataclasses.replace(outcomes, score=outcomes.score / 10)
+    chosen = choose(stored_scores(SIMILARITY), followed, TRUTH, most=9)
+    assert [match.query for match in chosen.worst] == [2, 6, 1]
+    assert (chosen.worst[0].score, chosen.worst[0].alone) == (pytest.approx(0.06), 0.6)
 
 
 def test_nothing_to_choose_from():
@@ -54,24 +65,35 @@ def test_nothing_to_choose_from():
     assert choose(stored_scores(np.zeros((0, 3))), empty, [], 4) == ([], [], [])
 
 
-def test_parts_sum_to_the_score_and_to_the_squared_distance():
+def test_parts_sum_to_the_cosine():
     query, references = 3 * descriptors(0, 1)[0], descriptors(1, 5)
-    added = parts(query, references, 8)
+    width = references.shape[1]
+    added = parts(query, references, [5, width - 9, 4])
+    assert added.shape == (5, 3)
     unit = (query / query.norm()).double()
-    assert added.score.shape == added.difference.shape == (5, 8)
-    np.testing.assert_allclose(added.score.sum(1), (references.double() @ unit).numpy(), atol=1e-6)
-    squared = ((references - unit) ** 2).sum(1).numpy()
-    np.testing.assert_allclose(added.difference.sum(1), squared, atol=1e-6)
+    np.testing.assert_allclose(added.sum(1), (references.double() @ unit).numpy(), atol=1e-6)
 
 
-def test_a_category_is_its_block():
+def test_a_part_is_where_it_stands():
     query = torch.zeros(16)
-    query[[0, 6]] = torch.tensor([3.0, 4.0])  # blocks 0 and 3
+    query[[0, 6]] = torch.tensor([3.0, 4.0])
     reference = torch.zeros(1, 16)
-    reference[0, 7] = 1.0  # block 3, another number of it
-    added = parts(query, reference, 8)
-    np.testing.assert_allclose(added.score[0], np.zeros(8))
-    np.testing.assert_allclose(added.difference[0], [0.36, 0, 0, 0.64 + 1, 0, 0, 0, 0], atol=1e-7)
+    reference[0, 6] = 1.0
+    np.testing.assert_allclose(parts(query, reference, [6, 2, 8]), [[0, 0.8, 0]])
+
+
+@pytest.mark.parametrize(
+    ("preset", "names", "lengths"),
+    [
+        ("paper", CATEGORIES, {60}),
+        ("default", (*CATEGORIES[:6], *(f"{d} boundaries" for d in DIRECTIONS)), {64, 24}),
+    ],
+)
+def test_the_parts_of_the_presets(preset, names, lengths):
+    config = SSRVLADConfig.from_preset(preset)
+    made = Descriptors.of(torch.zeros(1, 480), torch.zeros(1, 480), config)
+    assert (tuple(made.parts), {*made.parts.values()}) == (tuple(names), lengths)
+    assert sum(made.parts.values()) == config.length
 
 
 def test_the_table_tells_what_leads_to_the_wrong_place():
@@ -80,10 +102,10 @@ def test_the_table_tells_what_leads_to_the_wrong_place():
         for rows, name in (([[0.6, 0.8]], "query"), ([[1.0, 0.0], [0.0, 1.0]], "reference"))
     )
     report = report_of(queries, references, [[0]])
-    vectors = Descriptors(queries.descriptors, references.descriptors, ("road & rail", "sky"))
+    vectors = Descriptors(queries.descriptors, references.descriptors, {"road & rail": 1, "sky": 1})
     page = Page(render(dataclasses.replace(report, descriptors=vectors)))
-    assert "road & rail 0.000 -0.6000 0.360" in page.words
-    assert "sky 0.800 0.8000 0.040" in page.words
-    assert "sum 0.800 0.2000 0.400" in page.words
+    assert "road & rail 0.000 -0.600" in page.words
+    assert "sky 0.800 0.800" in page.words
+    assert "sum 0.800 0.200" in page.words
     widths = [a["style"] for a in page.all("td", "lead")]
     assert widths[:2] == ["--fraction:75%", "--fraction:100%"]

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from rich.table import Table
-from torch import Tensor
 
 from ..encoding.results import Skipped
 from ..evaluation.ground_truth_files import Known, of_known
 from ..evaluation.metrics import FIGURES, Convention, evaluate, precision_recall_curve
 from ..evaluation.outcomes import judge
+from ..evaluation.report import Descriptors
 from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
 from ..recognition.matching import Matches
 from .output import figure, fused_in_words, interval, print_table
@@ -45,7 +45,7 @@ class Recognition:
     queries: Places
     found: Matches
     similarity: npt.NDArray[np.float32] | None = None
-    descriptors: tuple[Tensor, Tensor] | None = None
+    descriptors: Descriptors | None = None
     pictures: tuple[Pictures, Pictures] | None = None
     skipped: Sequence[Skipped] = ()
     told: Mapping[str, Any] = field(default_factory=dict)

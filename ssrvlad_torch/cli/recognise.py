@@ -25,6 +25,7 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..encoding.results import cores
 from ..evaluation.metrics import Convention
+from ..evaluation.report import Descriptors
 from ..recognition.matching import Matches
 from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise_by_search
 from ..recognition.recognise import recognise as recognise_places
@@ -122,7 +123,7 @@ def by_database(
         queries=_places(queries, counted(queries.frames, source.whole, names)),
         found=sure_enough(found, options.min_confidence),
         similarity=_similarity(queries, references) if wants_similarity(convention) else None,
-        descriptors=(queries.descriptors, references.descriptors),
+        descriptors=Descriptors.of(queries.descriptors, references.descriptors, config),
         pictures=(
             pictures_of_queries(source, config.labels_as),
             pictures_of_references(database, source, given, config.labels_as),

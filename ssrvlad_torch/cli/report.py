@@ -16,15 +16,13 @@ from ..evaluation.ground_truth_files import Known, of_known
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import (
-    Descriptors,
     Report,
     cosine_scores,
     require_place,
     stored_scores,
     write_report,
 )
-from ..taxonomy import CATEGORIES
-from .measure import Recognition
+from .measure import Recognition, steps_in_words
 from .pictures import require_files
 from .truth import Places, TrueMatches
 
@@ -81,7 +79,7 @@ class Page:
             truth=truth,
             candidates=min(scores.shape[1], len(recognition.references.frames)),
             curve=precision_recall_curve(outcomes, truth, metrics["convention"], pairs),
-            settings=_in_words({**settings, **recognition.told, "ssrvlad-torch": __version__}),
+            settings=_settings(settings, recognition),
             notes=_notes(recognition, matches),
             **_scores(recognition, known, pairs),
             **_pictures(recognition),
@@ -114,10 +112,10 @@ def _scores(
     if recognition.descriptors is None:
         assert pairs is not None
         return {"scores": stored_scores(pairs)}
-    queries, references = recognition.descriptors[0][known], recognition.descriptors[1]
+    queries, references = recognition.descriptors.queries[known], recognition.descriptors.references
     return {
         "scores": cosine_scores(queries, references),
-        "descriptors": Descriptors(queries, references, CATEGORIES),
+        "descriptors": recognition.descriptors._replace(queries=queries),
     }
 
 
@@ -126,6 +124,15 @@ def _pictures(recognition: Recognition) -> dict[str, Any]:
         return {}
     names = ("query_pictures", "reference_pictures")
     return dict(zip(names, recognition.pictures, strict=True))
+
+
+def _settings(settings: Mapping[str, object], recognition: Recognition) -> dict[str, str]:
+    """The method first, then how it was used, in words."""
+    told = dict(recognition.told)
+    method = {"method": f"SSR-VLAD {told.pop('preset')}"} if "preset" in told else {}
+    if told.get("steps"):
+        told["steps"] = steps_in_words(told["steps"], told.pop("temporal", None))
+    return _in_words({**method, **settings, **told, "ssrvlad-torch": __version__})
 
 
 def _in_words(settings: Mapping[str, object]) -> dict[str, str]:

@@ -10,12 +10,14 @@ from __future__ import annotations
 import io
 import re
 from collections.abc import Mapping
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..curves import PrecisionRecall
 from ..outcomes import Floats, Outcomes
+from .contents import Frames
 from .recall import RecallRates
 
 if TYPE_CHECKING:
@@ -37,6 +39,9 @@ COLOURS = {
 WIDTH, HEIGHT = 440, 300
 FRAME = (60, 426, 12, 252)
 """Pixels of the axes: left, right, top, bottom."""
+
+MOST_VECTORS = 2000
+"""Frames that a map draws as vectors; of more it is a bitmap, so that its size is bounded."""
 
 _BINS = 40
 _ROUND_N = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
@@ -123,6 +128,39 @@ def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
     }
 
 
+def map_chart(poses: Floats, references: Frames, outcomes: Outcomes) -> Markup | None:
+    """Where the references were driven and the queries stand, seen from above; from each wrong
+    query a line leads to what was taken. ``None`` where no poses are known.
+
+    Args:
+        poses: ``(Q, 3)`` of the queries, x and y first, in metres, NaN where unknown.
+    """
+    there = references.poses[:, :2]
+    here = np.asarray(poses[:, :2])
+    if not (np.isfinite(here).all(axis=1).any() and np.isfinite(there).all(axis=1).any()):
+        return None
+    figure, axes = _axes("x in metres", "y in metres")
+    raster = len(here) + len(there) > MOST_VECTORS
+    starts = [frame.rpartition("/")[0] for frame in references.frames]
+    for _, group in groupby(range(len(there)), starts.__getitem__):
+        axes.plot(*there[[*group]].T, color=COLOURS["other"], lw=1.5, rasterized=raster)
+    taken = outcomes.candidate >= 0
+    wrong = np.flatnonzero(taken & ~outcomes.correct)
+    lines = np.stack((here[wrong], there[outcomes.candidate[wrong]]), axis=1)
+    gaps = np.concatenate((lines, np.full((len(wrong), 1, 2), np.nan)), axis=1).reshape(-1, 2)
+    axes.plot(*gaps.T, color=COLOURS["wrong"], lw=0.7, alpha=0.6, rasterized=raster)
+    groups = {
+        "right": outcomes.correct,
+        "unknown": taken & ~outcomes.has_match,
+        "wrong": taken & ~outcomes.correct & outcomes.has_match,
+    }
+    for name, chosen in groups.items():
+        axes.plot(*here[chosen].T, ".", color=COLOURS[name], ms=5, rasterized=raster)
+    axes.set_aspect("equal", adjustable="datalim")
+    told = "; ".join(f"{_NAMES[name]}: {np.count_nonzero(c)}" for name, c in groups.items())
+    return _svg(figure, axes, "map", "Trajectories from above", f"{told}.")
+
+
 def precisions(curve: PrecisionRecall) -> list[tuple[float, float]]:
     """The precision at the highest threshold that reaches each tenth of recall; NaN if none."""
     reached = [np.flatnonzero(curve.recall >= tenth / 10) for tenth in range(1, 11)]
@@ -164,7 +202,7 @@ def _svg(figure: Figure, axes: Axes, name: str, title: str, text: str) -> Markup
     content = io.StringIO()
     nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(content, format="svg", transparent=True, metadata=nothing)
+        figure.savefig(content, format="svg", transparent=True, metadata=nothing, dpi=150)
     drawn = content.getvalue().partition("<svg")[2].partition(">")[2]
     drawn = re.sub(r"<style.*?</style>|<!--.*?-->", "", drawn, flags=re.DOTALL)
     drawn = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", drawn.replace("xlink:href", "href"))

@@ -10,6 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from torch import Tensor
 
+from ...config import AREA_LAYERS, SSRVLADConfig
+from ...stages.boundaries import DIRECTIONS
+from ...taxonomy import CATEGORIES
 from ..curves import PrecisionRecall
 from ..outcomes import Outcomes, Truth
 from .images import Pixels
@@ -45,17 +48,28 @@ Pictures = Callable[[str], Picture]
 
 
 class Descriptors(NamedTuple):
-    """Descriptors that are made of equal blocks, one a category.
+    """Descriptors, and what they are made of.
 
     Attributes:
         queries: ``(Q, D)`` float.
         references: ``(R, D)`` float, as they were matched.
-        categories: names of the blocks.
+        parts: lengths of the parts in their order, by their names; D in all.
     """
 
     queries: Tensor
     references: Tensor
-    categories: Sequence[str]
+    parts: Mapping[str, int]
+
+    @classmethod
+    def of(cls, queries: Tensor, references: Tensor, config: SSRVLADConfig) -> Descriptors:
+        """Descriptors of some settings."""
+        if config.aggregation == "harmonics":
+            areas = dict.fromkeys(CATEGORIES[:AREA_LAYERS], config.harmonics)
+            names = (f"{direction} boundaries" for direction in DIRECTIONS)
+            parts = {**areas, **dict.fromkeys(names, config.boundary_harmonics)}
+        else:
+            parts = dict.fromkeys(CATEGORIES, config.length // len(CATEGORIES))
+        return cls(queries, references, parts)
 
 
 @dataclass(frozen=True)
@@ -73,8 +87,7 @@ class Report:
             to here.
         curve: precision and recall by the convention of the metrics.
         scores: of the pairs of queries and references.
-        descriptors: for the fraction that each category has in a score; ``None`` where descriptors
-            are not made of categories.
+        descriptors: for what each part adds to a cosine; ``None`` where there are none.
         query_pictures, reference_pictures: what is known of how frames look.
         settings: names and values that say how it was done.
         notes: warnings, a line each.

@@ -1,10 +1,12 @@
-"""The matches that are worth a look, and what each category adds to their scores."""
+"""The matches that are worth a look, and what each part of their descriptors adds."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
@@ -21,7 +23,8 @@ class Match(NamedTuple):
         correct: whether the candidate is a true match.
         true_match: row of the true match with the highest score where the candidate is none, else
             -1; also -1 where there is no true match.
-        true_score: its score; NaN where there is none.
+        alone, true_alone: scores of candidate and true match as single frames; NaN where there is
+            no true match. What the sequence adds is not in them.
     """
 
     query: int
@@ -29,7 +32,8 @@ class Match(NamedTuple):
     score: float
     correct: bool
     true_match: int
-    true_score: float
+    alone: float
+    true_alone: float
 
 
 class Chosen(NamedTuple):
@@ -37,7 +41,7 @@ class Chosen(NamedTuple):
 
     Attributes:
         confident: wrong, the highest score first.
-        worst: wrong although there is a true match, which scores furthest below the candidate.
+        worst: wrong although there is a true match; the widest margin between the two alone first.
         best: right, the highest score first.
     """
 
@@ -49,50 +53,42 @@ class Chosen(NamedTuple):
 def choose(scores: Scores, outcomes: Outcomes, truth: Truth, most: int) -> Chosen:
     """At most so many matches of each kind; of equal cases the earlier query comes first."""
     true_match = np.full(len(outcomes), -1, np.int64)
-    true_score = np.full(len(outcomes), np.nan)
+    alone, true_alone = np.full((2, len(outcomes)), np.nan)
     wrong = ~outcomes.correct & (outcomes.candidate >= 0)
     missed = wrong & outcomes.has_match
     for query in np.flatnonzero(missed).tolist():
-        there = scores(np.array([query]), truth[query])[0]
-        true_match[query] = truth[query][there.argmax()]
-        true_score[query] = there.max()
+        rows = np.append(truth[query], outcomes.candidate[query])
+        *there, alone[query] = scores(np.array([query]), rows)[0]
+        true_match[query] = truth[query][int(np.argmax(there))]
+        true_alone[query] = max(there)
 
     def first(kind: Rows, strength: Floats) -> list[Match]:
         ranked = kind[np.argsort(-strength[kind], kind="stable")][:most]
-        columns = (outcomes.candidate, outcomes.score, outcomes.correct, true_match, true_score)
+        columns = (
+            *(outcomes.candidate, outcomes.score, outcomes.correct),
+            *(true_match, alone, true_alone),
+        )
         return [Match(row, *(column[row].item() for column in columns)) for row in ranked.tolist()]
 
     return Chosen(
         confident=first(np.flatnonzero(wrong), outcomes.score),
-        worst=first(np.flatnonzero(missed), outcomes.score - true_score),
+        worst=first(np.flatnonzero(missed), alone - true_alone),
         best=first(np.flatnonzero(outcomes.correct), outcomes.score),
     )
 
 
-class Parts(NamedTuple):
-    """What each block of two descriptors of length 1 adds, ``(N, blocks)`` float64 each.
-
-    Attributes:
-        score: sums to the cosine.
-        difference: sums to the squared Euclidean distance, ``2 - 2 * cosine``.
-    """
-
-    score: Floats
-    difference: Floats
-
-
-def parts(query: Tensor, references: Tensor, blocks: int) -> Parts:
-    """What each of the equal blocks of the descriptors adds, one a category.
+def parts(query: Tensor, references: Tensor, lengths: Sequence[int]) -> Floats:
+    """What each part of two descriptors adds to their cosine.
 
     Args:
         query: ``(D,)`` float.
         references: ``(N, D)`` float.
-        blocks: how many; it divides D.
+        lengths: of the parts in their order, D in all.
+
+    Returns:
+        ``(N, parts)`` float64.
     """
     here, there = F.normalize(query.double(), dim=0), F.normalize(references.double(), dim=1)
-
-    def summed(terms: Tensor) -> Floats:
-        sums: Floats = terms.unflatten(1, (blocks, -1)).sum(2).numpy()
-        return sums
-
-    return Parts(summed(here * there), summed((here - there) ** 2))
+    added = [part.sum(1) for part in (here * there).split(list(lengths), dim=1)]
+    found: Floats = torch.stack(added, 1).numpy()
+    return found

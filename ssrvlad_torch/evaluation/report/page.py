@@ -15,6 +15,7 @@ from ...files import check_output, replacing
 from ..curves import PrecisionRecall
 from ..metrics import FIGURES, precision_recall_curve
 from .charts import (
+    map_chart,
     precision_recall_chart,
     precisions,
     recall_chart,
@@ -120,6 +121,7 @@ def render(report: Report) -> str:
         precision_recall=precision_recall_chart(report.curve, exact, convention, operating),
         recall=recall_chart(rates),
         scores=score_chart(outcomes, points["suggested"]),
+        map=map_chart(report.queries.poses, report.references, outcomes),
         steps=_steps(exact, points, operating),
         matrix=_matrix(report),
         matches=[
@@ -214,11 +216,14 @@ def _card(report: Report, match: Match) -> dict[str, Any]:
     is another."""
     outcomes, query = report.outcomes, report.queries.frames[match.query]
     frames = [_frame("query", query, report.query_pictures(query), "")]
-    frames.append(_reference(report, match, "taken", match.candidate, _score(match.score)))
+    frames.append(_reference(report, match, "taken", match.candidate, f"score {match.score:.4f}"))
     if match.true_match >= 0:
         rank = int(outcomes.rank[match.query])
         place = f"ranked {rank}" if rank else f"not among the first {report.candidates}"
-        text = f"{_score(match.true_score)}, {place}"
+        told = "matches nothing"
+        if math.isfinite(match.true_alone):
+            told = f"alone {match.true_alone:.4f}, what was taken {match.alone:.4f}"
+        text = f"{told}, {place}"
         frames.append(_reference(report, match, "true match", match.true_match, text))
     return {
         "correct": match.correct,
@@ -246,32 +251,26 @@ def _frame(role: str, frame: str, picture: Picture, text: str) -> dict[str, Any]
     return {"role": role, "frame": frame, "images": images, "text": text}
 
 
-def _score(score: float) -> str:
-    return f"score {score:.4f}" if math.isfinite(score) else "matches nothing"
-
-
 def _columns(report: Report, match: Match) -> list[dict[str, Any]]:
-    """What each category adds to the score of what was taken, how much more that is than for the
-    true match, and what it adds to the squared difference of query and taken."""
+    """What each part adds to the cosine of what was taken, and how much more that is than for the
+    true match."""
     if report.descriptors is None:
         return []
-    queries, references, categories = report.descriptors
+    queries, references, names = report.descriptors
     rows = [match.candidate, *([match.true_match] if match.true_match >= 0 else [])]
-    added = parts(queries[match.query], references[rows], len(categories))
-    columns = [("adds to the score", "part", 3, added.score[0])]
-    if match.true_match >= 0:
-        lead = added.score[0] - added.score[1]
-        columns.append(("more than for the true match", "lead", 4, lead))
-    columns.append(("squared difference", "part", 3, added.difference[0]))
+    taken, *true = parts(queries[match.query], references[rows], [*names.values()])
+    columns = [("adds to the cosine", "part", taken)]
+    if true:
+        columns.append(("more than for the true match", "lead", taken - true[0]))
     return [
         {
             "name": name,
             "kind": kind,
-            "told": [_told(value, digits) for value in (*values, values.sum())],
+            "told": [_told(value, 3) for value in (*values, values.sum())],
             "negative": (values < 0).tolist(),
             "percent": (100 * np.abs(values) / max(np.abs(values).max(), 1e-9)).round().tolist(),
         }
-        for name, kind, digits, values in columns
+        for name, kind, values in columns
     ]
 
 
