@@ -58,6 +58,20 @@ def page(run, home):
     return run(home, "--data", home / "data", "--camvid", home / "camvid")
 
 
+def test_a_dry_run_lists_what_is_looked_for_and_found(run, home, capsys):
+    data = home / "data"
+    alone = data / "Synthia-NightToFall"
+    for places in (("--data", data), ("--data", alone, "--data", data)):
+        assert run(home / "dry", "--dry-run", *places) is None
+        told = capsys.readouterr().out.splitlines()
+        assert "found    RobotCar: labels -> labels: 5 queries, 5 references" in told
+        assert "found    SYNTHIA: images -> images: 5 queries, 5 references" in told
+        missing = [line for line in told if line.startswith("missing")]
+        assert any("no folder slice7 in --data; visuallocalization.net" in m for m in missing)
+        assert any("SYNTHIA, labels: no label maps in" in m for m in missing)
+        assert any("Region-VLAD: no weights at" in m for m in missing)
+
+
 @pytest.mark.slow
 def test_ours_stand_beside_the_papers(page):
     robotcar = {cells[0]: cells[1:] for cells in table(page, "### RobotCar")}

@@ -23,7 +23,7 @@ from _problems import (
     image_problem,
     label_problem,
 )
-from _trials import RESAMPLES, UNPROCESSED, Cache, Outcome, Outcomes, Rival, try_all
+from _trials import RESAMPLES, TRAINED, UNPROCESSED, Cache, Outcome, Outcomes, Rival, try_all
 
 from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.evaluation.metrics import Convention
@@ -43,7 +43,6 @@ RIVALS = (
     Rival.ssrvlad(_paper.UNPROCESSED, "paper", REACH, **UNPROCESSED),
     Rival.ssrvlad("SSR-VLAD, paper, t = 0", "paper", 0),
     Rival.ssrvlad("SSR-VLAD, default", "default", REACH),
-    Rival.ssrvlad("SSR-VLAD, default, no pre-processing", "default", REACH, **UNPROCESSED),
     Rival.ssrvlad("SSR-VLAD, default, t = 0", "default", 0),
     Rival("label grid", "label-grid", LABELS),
     Rival("HOG", "hog", IMAGES),
@@ -141,10 +140,9 @@ def open_all(options: argparse.Namespace) -> tuple[list[Problem], Lacking]:
     problems: list[Problem] = []
     lacking: Lacking = {(CITY, IMAGES): "it is made of label maps"}
     for chosen in PAPER_SETS:
-        folder = options.data and options.data / chosen.folder
         for kind in (LABELS, IMAGES):
             try:
-                problems.append(open_one(chosen, folder, kind, options))
+                problems.append(open_one(chosen, kind, options))
             except ValueError as error:
                 lacking[chosen.name, kind] = f"{error}; {chosen.origin}"
     if options.camvid:
@@ -157,16 +155,46 @@ def open_all(options: argparse.Namespace) -> tuple[list[Problem], Lacking]:
     return problems + city_problems(CITY_CONDITIONS), lacking
 
 
-def open_one(
-    chosen: PaperSet, folder: Path | None, kind: str, options: argparse.Namespace
-) -> Problem:
+def looked_for(options: argparse.Namespace) -> Iterator[str]:
+    """What the tables need, and what of it is there."""
+    problems, lacking = open_all(options)
+    for problem in problems:
+        queries, references = (
+            sum(len(getattr(search, part).places[0]) for search in problem.searches)
+            for part in ("queries", "references")
+        )
+        yield f"found    {problem.name}: {queries} queries, {references} references"
+    for (name, kind), reason in lacking.items():
+        yield f"missing  {name}, {kind}: {reason}"
+    for rival in RIVALS:
+        if rival.method in TRAINED:
+            try:
+                rival.make(options.weights)
+                yield f"found    weights of {rival.name}"
+            except (FileNotFoundError, ImportError) as error:
+                yield f"missing  {rival.name}: {error}"
+
+
+def folder_of(chosen: PaperSet, places: Sequence[Path]) -> Path:
+    """The folder of a data set among places that are it or hold it.
+
+    Raises:
+        ValueError: it is not there.
+    """
+    for place in places:
+        for folder in (place, place / chosen.folder):
+            if folder.name == chosen.folder and folder.is_dir():
+                return folder
+    raise ValueError(f"no folder {chosen.folder} in --data")
+
+
+def open_one(chosen: PaperSet, kind: str, options: argparse.Namespace) -> Problem:
     """A data set of the paper as a problem of one kind.
 
     Raises:
         ValueError: it is not there, or lacks this kind.
     """
-    if folder is None or not folder.is_dir():
-        raise ValueError(f"no folder {chosen.folder} in --data")
+    folder = folder_of(chosen, options.data)
     own = folder / "labels"
     labels = own if kind == LABELS and own.is_dir() else None
     whole = open_dataset(folder, chosen.layout, labels, chosen.labels_as)
@@ -190,8 +218,8 @@ def in_short(problems: Sequence[Problem], outcomes: Outcomes) -> Iterator[str]:
     for problem in problems:
         for preset in ("paper", "default") if problem.gives == LABELS else ():
             names = [f"SSR-VLAD, {preset}{end}" for end in ("", ", no pre-processing", ", t = 0")]
-            cells = [_cells(outcomes[problem.name, name])[1] for name in names]
-            yield row(problem.name, preset, *cells)
+            known = [outcomes.get((problem.name, name)) for name in names]
+            yield row(problem.name, preset, *(found and _cells(found)[1] for found in known))
     yield ""
 
 

@@ -23,11 +23,8 @@ from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.loops.config import LoopConfig
 
-SIZES = (1_000, 10_000, 66_000, 100_000)
-"""The last updates up to 66,000 pass 65,536, where what doubles its room doubles it."""
+SIZES = (10_000, 100_000)
 LAST = 500
-SLOW = 5
-"""Updates that are timed of a way that copies or visits the whole map in Python."""
 EXCLUDE = LoopConfig.exclude
 
 Floats = np.ndarray
@@ -44,15 +41,12 @@ def loops_section(sizes: Sequence[int] = SIZES) -> Iterator[str]:
         f"update, one thread: median and slowest of the {LAST} updates up to a size. The frames "
         "before them were taken in at once: the detector is loaded from a database of them. A "
         "plain loop keeps the best score only; the detector standardises, follows the stream "
-        "and remembers the frame. Where the whole map is copied or visited in Python, "
-        f"{SLOW} updates stand for all."
+        "and remembers the frame."
     )
     kinds = [f"{size} frames: {kind}" for size in sizes for kind in ("median", "worst")]
     yield from head_row("way", *kinds)
-    for name, make in {"LoopDetector": detector, "NumPy, array that doubles": doubling}.items():
+    for name, make in {"LoopDetector": detector, "plain loop": doubling}.items():
         yield row(name, *(cell for size in sizes for cell in figures(make, stream[:size])))
-    for name, update in {"NumPy, list stacked": stacked, "NumPy, row by row": row_by_row}.items():
-        yield row(name, *(cell for size in sizes for cell in few(update, stream[:size])))
     yield ""
 
 
@@ -102,24 +96,11 @@ def doubling(seen: Floats) -> Update:
     return update
 
 
-def stacked(seen: list[Floats], descriptor: Floats) -> int:
-    return int((np.stack(seen) @ descriptor).argmax())
-
-
-def row_by_row(seen: list[Floats], descriptor: Floats) -> int:
-    return max(range(len(seen)), key=lambda row: seen[row] @ descriptor)
-
-
 def figures(make: Callable[[Floats], Update], stream: Floats) -> list[str]:
     """Median and worst of the last updates of a stream."""
     first = len(stream) - LAST
     update = make(stream[:first])
     return cells([timed(partial(update, *frame)) for frame in enumerate(stream[first:], first)])
-
-
-def few(update: Callable[[list[Floats], Floats], int], stream: Floats) -> list[str]:
-    seen = list(stream)
-    return cells([timed(partial(update, seen, stream[-1])) for _ in range(SLOW)])
 
 
 def timed(work: Callable[[], object]) -> float:

@@ -24,13 +24,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import _paper_cost
 import cv2
 import numpy as np
 import torch
-from _costs import ENCODED
 from _encoding_rates import encoding_rates
-from _markdown import head_row, largest_mean_smallest, paragraph, row
+from _markdown import head_row, paragraph, row
 from _picture_costs import pictures_section
 from _stage_costs import stage_section
 from bench_loops import loops_section
@@ -44,12 +42,12 @@ from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.taxonomy import label_space
 
-SIZES = [(256, 256), (512, 512), (1024, 1024), (1024, 2048)]
+SIZES = [(512, 512), (1024, 1024)]
 LARGE = (1024, 1024)
 BATCH = 16
 EVERY_BUFFER_GIVEN_BACK = {"MALLOC_MMAP_THRESHOLD_": "65536", "MALLOC_TRIM_THRESHOLD_": "65536"}
 FRAMES_OF_A_RUN = 1000
-SPECKS = [0, 100, 1000, 10_000]
+SPECKS = [0, 1000, 10_000]
 
 
 class Maps:
@@ -150,18 +148,42 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
     return ways
 
 
-def size_section(maps: Maps, repetitions: int) -> Iterator[str]:
+def size_section(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
     yield "## One image, one thread\n"
+    yield "From the label map to the descriptor:\n"
+    yield "![](figures/benchmark.svg)\n"
+    yield from head_row("preset", "size", "way", "ms", "times faster than the reference")
+    drawn = {}
     for preset in ("paper", "default"):
-        yield f"Preset `{preset}`, from the label map to the descriptor:\n"
-        yield from head_row("size", "way", "ms", "times faster than the reference")
         for size in SIZES:
-            slow = 2 if preset == "paper" and size[0] >= LARGE[0] else repetitions
+            slow = 2 if preset == "paper" and size == LARGE else repetitions
             timings = time_in_turn(ways_of(maps, preset, maps.batch(size, 1)), slow, warm_up=False)
             for name, timing in timings.items():
                 ratio = span(timing.times_faster_than(timings["reference"]), 1)
-                yield row(by(size), name, span(timing.milliseconds, 1), ratio)
-        yield ""
+                yield row(preset, by(size), name, span(timing.milliseconds, 1), ratio)
+        drawn[preset] = {name: timing.milliseconds for name, timing in timings.items()}
+    draw(drawn, figure)
+    yield ""
+
+
+def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
+    """Milliseconds of each way at `LARGE`, by preset, on a logarithmic axis."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(8, 2.6), layout="constrained")
+    for axes, (preset, ways) in zip(figure.subplots(1, len(timings)), timings.items(), strict=True):
+        medians = [of["median"] for of in ways.values()]
+        ends = [[of["median"] - of["min"] for of in ways.values()]]
+        ends += [[of["max"] - of["median"] for of in ways.values()]]
+        bars = axes.barh(list(ways), medians, xerr=ends)
+        axes.bar_label(bars, [f" {median:.3g}" for median in medians], padding=4)
+        axes.set_xscale("log")
+        axes.set_xlim(right=max(medians) * 8)
+        axes.invert_yaxis()
+        axes.set_xlabel("ms")
+        axes.set_title(f"{preset}, {by(LARGE)}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, format="svg", metadata={"Date": None})
 
 
 def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
@@ -171,7 +193,7 @@ def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield from head_row("preset", "way", "batch", "one thread", "two threads", "speed-up")
     for preset in ("paper", "default"):
         for name, head in heads(maps.config(preset)).items():
-            for count in (1, 4, BATCH):
+            for count in (1, BATCH):
                 labels = maps.batch(LARGE, count)
                 ways = {n: partial(with_threads, n, head, labels) for n in (1, 2)}
                 timings = time_in_turn(ways, 3 if preset == "paper" else repetitions)
@@ -195,23 +217,21 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield "preset `paper`, one thread; `uncleaned` is without closing, hole filling and region"
     yield "removal, so that every speck is thinned and described. What it costs then are the pairs"
     yield "of keypoints and skeleton pixels: their memory is bounded, their number is not.\n"
-    yield from head_row("specks", "way", "ms", "ms, uncleaned")
+    yield from head_row("specks", "ms", "ms, uncleaned")
     paper = maps.config("paper")
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
-    modules = [heads(config) for config in configs]
     scenes = {count: strewn(maps.batch(LARGE, 1), count) for count in SPECKS}
-    for name in ("torch", "native core"):
-        columns = []
-        for module in modules:
-            ways = {str(count): partial(module[name], scene) for count, scene in scenes.items()}
-            columns.append(time_in_turn(ways, repetitions))
-        for count in SPECKS:
-            cells = []
-            for timings in columns:
-                plain, timing = timings[str(SPECKS[0])], timings[str(count)]
-                cost = plain.times_faster_than(timing)["median"]
-                cells.append(f"{span(timing.milliseconds, 1)}, {cost:.1f} x plain")
-            yield row(str(count), name, *cells)
+    columns = []
+    for config in configs:
+        ways = {str(n): partial(SSRVLAD(config), scene) for n, scene in scenes.items()}
+        columns.append(time_in_turn(ways, repetitions))
+    for count in SPECKS:
+        cells = []
+        for timings in columns:
+            plain, timing = timings[str(SPECKS[0])], timings[str(count)]
+            cost = plain.times_faster_than(timing)["median"]
+            cells.append(f"{span(timing.milliseconds, 1)}, {cost:.1f} x plain")
+        yield row(str(count), *cells)
     yield ""
 
 
@@ -231,7 +251,7 @@ def memory_section(options: argparse.Namespace) -> Iterator[str]:
     yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
     for preset in ("paper", "default"):
         for name in ("torch", "native core"):
-            for size, count in ((LARGE, 1), (LARGE, BATCH), ((360, 480), BATCH)):
+            for size, count in ((LARGE, 1), (LARGE, BATCH)):
                 command = [sys.executable, __file__, "--memory", preset, name, *map(str, size)]
                 command += [
                     str(count),
@@ -263,25 +283,6 @@ def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
 def status_bytes(field: str) -> int:
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
-
-
-def methods_section(options: argparse.Namespace) -> Iterator[str]:
-    yield "## Every method\n"
-    yield paragraph(
-        f"Milliseconds of a frame of {by(_paper_cost.SIZE)}, max/average/min, one thread; all "
-        f"methods take turns on the same frames. Matching is one query against "
-        f"{_paper_cost.REFERENCES} references, divided by them; LoST-X and tiny image are matched "
-        f"with {ENCODED}. What a "
-        "segmentation network costs is not in it."
-    )
-    yield from head_row("method", "bytes a reference", "encoding", "matching a pair")
-    costs = _paper_cost.measure_all(options.camvid, None)
-    for rival in _paper_cost.RIVALS:
-        cost = costs[rival.name]
-        pair = [milliseconds / cost.references for milliseconds in cost.match]
-        times = map(largest_mean_smallest, (cost.encode, pair))
-        yield row(_paper_cost.shown(rival, cost), f"{cost.bytes_a_reference:.0f}", *times)
-    yield ""
 
 
 def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
@@ -373,7 +374,7 @@ def main() -> None:
     arguments.add_argument("--networks", type=Path, default=None)
     arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
-    arguments.add_argument("--references", type=int, default=1_000_000)
+    arguments.add_argument("--references", type=int, default=200_000)
     arguments.add_argument("--memory", nargs=5, default=None, help=argparse.SUPPRESS)
     options = arguments.parse_args()
     maps = Maps(options.camvid)
@@ -386,15 +387,16 @@ def main() -> None:
         "Written by `scripts/pages/benchmark.py` in one run; no number is typed by hand. Cells are",
         "median [min, max]; the ways of a table are timed in turn, ratios are taken repetition by",
         f"repetition. Label maps: {maps.source}. torch {torch.__version__}, Python",
-        f"{platform.python_version()}, {platform.machine()}.\n",
+        f"{platform.python_version()}, {platform.machine()}. [Methods](methods.md) has what the",
+        "others cost, [scale](scale.md) what large databases do.\n",
     ]
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
+    figure = options.output.parent / "figures" / "benchmark.svg"
     sections = [
-        partial(size_section, maps, options.repetitions),
+        partial(size_section, maps, options.repetitions, figure),
         partial(stage_section, maps.batch(LARGE, 1), maps.config("paper"), options.repetitions),
         partial(scene_section, maps, options.repetitions),
         partial(memory_section, options),
-        partial(methods_section, options),
         partial(pictures_section, options.networks, pictures, options.repetitions),
         partial(loops_section),
         partial(batch_section, maps, options.repetitions),

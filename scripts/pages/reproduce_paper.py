@@ -4,7 +4,8 @@
     .venv/bin/python scripts/pages/reproduce_paper.py --camvid ../shared/data/camvid
 
 The paper's data sets are taken from `--data`, each if it is there: `Synthia-NightToFall` and
-`CrossSeason_CoHOG_Dataset` as VPR-Bench lays them out, `slice7` of Extended CMU Seasons. Their
+`CrossSeason_CoHOG_Dataset` as VPR-Bench lays them out, `slice7` of Extended CMU Seasons. Name these
+folders, or those that hold them; `--dry-run` lists what is looked for and what is found. Their
 label maps lie in `labels/<sequence>/<name of the image>.png` of each, or a `--segmenter` makes
 them. CamVid (see `_problems.py`) and the synthetic city are measured beside them. Results are kept
 in `--cache`, and an interrupted run goes on where it was. Needs the extra `eval`.
@@ -34,7 +35,9 @@ of Nie, Feng et al., arXiv 2202.03677.
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, help="folder of the paper's data sets")
+    told = "folder of one of the paper's data sets, or of several; repeatable"
+    arguments.add_argument("--data", type=Path, action="append", default=[], help=told)
+    arguments.add_argument("--dry-run", action="store_true", help="list what is found, and end")
     arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
     arguments.add_argument("--segmenter", type=Path, help="an .onnx file, or a .yaml that names it")
@@ -42,6 +45,9 @@ def main() -> None:
     arguments.add_argument("--only", choices=PARTS, help="print this part and write no page")
     arguments.add_argument("--output", type=Path, default=Path("docs/paper.md"))
     options = arguments.parse_args()
+    if options.dry_run:
+        print("\n".join(_paper_quality.looked_for(options)))
+        return
     kept = Cache(options.cache)
     with threads(1):
         parts = [PARTS[name](options, kept) for name in PARTS if options.only in (None, name)]
