@@ -15,6 +15,7 @@ import pytest
 import torch
 from drawings import SPACE, blobs
 from graphs import session
+from helpers import street
 from networks import CLASSES, PLAIN, Strided, photo, write_graph
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
@@ -22,7 +23,7 @@ from torch import Tensor, nn
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head, head_model
-from ssrvlad_torch.deployment.fuse import NETWORK, OUTPUTS, fuse
+from ssrvlad_torch.deployment.fuse import NETWORK, OUTPUTS, fuse, run_by_name
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.verify import verify
 from ssrvlad_torch.encoding.encoder import encode_to_memory
@@ -225,3 +226,22 @@ def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     for file, descriptor in zip(files, encoded.descriptors, strict=True):
         (found,) = whole.run(["descriptor"], {"image": read_image(file)[None]})
         np.testing.assert_allclose(found[0], descriptor, rtol=0, atol=1e-6)
+
+
+def test_the_two_files_of_a_split_are_the_one(tmp_path, ssrvlad):
+    """The network and the head apart give what they give together."""
+    network = write_graph(tmp_path / "seg.onnx")
+    both = [tmp_path / name for name in ("net.onnx", "head.onnx")]
+    command = ("fuse", network, "-o", both[0], "--split", both[1], "--labels-as", SPACE)
+    assert ssrvlad(*command)[0] == 0
+    fuse(network, CONFIG, tmp_path / "place.onnx")
+    image = photo(street(3, 60, 90))[None]
+    expected = run_by_name(session(tmp_path / "place.onnx"), {"image": image})
+    labels = run_by_name(session(both[0]), {"image": image})
+    assert labels.keys() == {"labels"}
+    got = run_by_name(session(both[1]), labels)
+    for name, array in {**labels, **got}.items():
+        np.testing.assert_array_equal(array, expected[name])
+    for file in both:
+        assert verify(file).passed
+    assert [check.name for check in verify(both[0]).checks] == ["golden image"]

@@ -362,3 +362,51 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     assert (code, out.count("1.0000")) == (0, 3)
     code, _, err = run(*source, "--save-descriptors", tmp_path / "no.npy")
     assert (code, "expected a file without --sweep" in err[0]) == (2, True)
+
+
+def test_network_and_head_in_two_files(tmp_path, run):
+    """The same as in one file, and files that do not belong together are refused."""
+    network = Segmenter(OnnxNetwork(write_graph(tmp_path / "seg.onnx")), CONFIG.labels_as)
+    net, head, place = (tmp_path / f"{name}.onnx" for name in ("net", "head", "place"))
+    fuse(network, CONFIG, net, head)
+    fuse(network, CONFIG, place)
+    pixels = np.stack([photo(street(seed, 60, 90)) for seed in range(2)])
+    for number, image in enumerate(pixels):
+        np.save(tmp_path / f"{number}.npy", image)
+    frames = [tmp_path / "0.npy", tmp_path / "1.npy"]
+    assert run(head, *frames, "--network", net) == run(place, *frames)
+    assert run(head, *frames, "--network", net)[0] == 0
+    one, other = (script.Split(net, head), script.Model(place))
+    for frame in frames:
+        np.testing.assert_array_equal(
+            one.describe(frame).descriptor, other.describe(frame).descriptor
+        )
+    assert run(head, "--network", net, "--check") == (
+        0,
+        "largest difference for the golden pair: 0\n",
+        [],
+    )
+    export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
+    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
+    for wrong, message in (("wide", "takes labels tensor(int64)"), ("default", "fingerprint")):
+        code, _, (line,) = run(tmp_path / f"{wrong}.onnx", *frames, "--network", net)
+        assert code == 2
+        assert message in line
+
+
+def test_a_network_that_labels_otherwise_is_refused(tmp_path, run):
+    network = Segmenter(OnnxNetwork(write_graph(tmp_path / "seg.onnx")), CONFIG.labels_as)
+    fuse(network, CONFIG, tmp_path / "net.onnx", tmp_path / "head.onnx")
+    model = onnx.load(tmp_path / "net.onnx")
+    (bias,) = (t for t in model.graph.initializer if t.name == "network/bias")
+    bias.CopyFrom(
+        onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(bias)[::-1].copy(), bias.name)
+    )
+    onnx.save(model, tmp_path / "net.onnx")
+    np.save(tmp_path / "a.npy", photo(street(3, 60, 90)))
+    code, _, (line,) = run(
+        tmp_path / "head.onnx", tmp_path / "a.npy", "--network", tmp_path / "net.onnx"
+    )
+    assert code == 2
+    assert "net.onnx is computed wrong here" in line
+    assert "% of the labels differ" in line

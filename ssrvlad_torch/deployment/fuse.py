@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
+from ..files import check_output, replacing
 from ..onnx_files import graph_digest, load_model, open_session, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
@@ -61,9 +62,15 @@ class FusedNetwork:
     settings: dict[str, Any]
 
 
-def fuse(network: Segmenter | str | Path, config: SSRVLADConfig, path: str | Path) -> FusedNetwork:
+def fuse(
+    network: Segmenter | str | Path,
+    config: SSRVLADConfig,
+    path: str | Path,
+    head_path: str | Path | None = None,
+) -> FusedNetwork:
     """Joins a segmentation network and the head in one ONNX file that runs on the CPU in ONNX
-    Runtime with nothing else.
+    Runtime with nothing else; or writes the two parts, so that the network can run on an
+    accelerator and the head on the CPU.
 
     Everything is in it: what is done to pictures, the network, the decision which class wins, and
     the head. It labels pictures as `Segmenter` does, and describes label maps as `SSRVLAD`; it is
@@ -72,13 +79,16 @@ def fuse(network: Segmenter | str | Path, config: SSRVLADConfig, path: str | Pat
     Shape:
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
         - outputs: ``descriptor (B, config.length)`` float32, ``keypoints (B, 8)`` int64,
-          ``unknown (B,)`` int64, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
+          ``unknown (B,)`` int64, and ``labels (B, H, W)`` uint8, or int64 for wider ids; of the
+          network's part ``labels`` alone, which is the input of the head's.
 
     Args:
         network: a segmenter, or the name of a network; see `open_network`.
         config: the settings of the head; ``labels_as`` is the label space of the network.
         path: the file; what was there is replaced, whole or not at all. Beyond 2 GB the weights
             go to a file beside it.
+        head_path: the file of the head, if it is to be one of its own: `path` then takes pictures
+            to label maps.
 
     Raises:
         ValueError: the network cannot be traced, run or raised to opset 18, does not fit the
@@ -91,7 +101,7 @@ def fuse(network: Segmenter | str | Path, config: SSRVLADConfig, path: str | Pat
         segmenter = Segmenter.load(segmenter, config.labels_as)
     name = _name(segmenter, network)
     try:
-        return _fuse(segmenter, name, config, Path(path))
+        return _fuse(segmenter, name, config, Path(path), head_path and Path(head_path))
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 
@@ -103,7 +113,9 @@ def _name(segmenter: Segmenter, given: Segmenter | str | Path) -> str:
     return network.path.name if isinstance(network, OnnxNetwork) else type(network).__name__
 
 
-def _fuse(segmenter: Segmenter, name: str, config: SSRVLADConfig, path: Path) -> FusedNetwork:
+def _fuse(
+    segmenter: Segmenter, name: str, config: SSRVLADConfig, path: Path, head_path: Path | None
+) -> FusedNetwork:
     head = SSRVLAD(config)
     if segmenter.label_space != head.label_space:
         raise ValueError(
@@ -114,20 +126,30 @@ def _fuse(segmenter: Segmenter, name: str, config: SSRVLADConfig, path: Path) ->
         if any(entry.key.startswith(PREFIX) for entry in properties):
             raise ValueError("has a head already; expected the network alone")
     images, labels = _golden_image(segmenter)
-    before = label_graph(segmenter.labels)
-    (output,) = before.graph.output
+    model = label_graph(segmenter.labels)
+    (output,) = model.graph.output
     dtype = "uint8" if output.type.tensor_type.elem_type == _UINT8 else "int64"
     head_alone = head_model(config, LABELS, dtype)
-    model = _joined(before, head_alone)
     fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config))
-    graph = graph_digest(model)
+    extra = {NETWORK: json.dumps(asdict(fused))}
+    if head_path is None:
+        model = _joined(model, head_alone)
+        alone = Metadata.from_properties({e.key: e.value for e in head_alone.metadata_props})
+        extra[HEAD_GOLDEN] = json.dumps(alone.golden)
+    graph, interface = graph_digest(model), _interface(model)
 
     def describe(file: Path) -> dict[str, str]:
         golden = _golden(open_session(file, file.name), images, labels, head)
-        properties = _properties(model, head_alone, fused, golden, head)
+        metadata = Metadata.of(head.config, head.label_space, interface, golden)
+        properties = metadata.to_properties() | extra
         return {**properties, SEAL: seal(graph, properties)}
 
+    if head_path:
+        check_output(head_path)
     save_model(model, path, describe)
+    if head_path:
+        with replacing(head_path) as temporary:
+            temporary.write_bytes(head_alone.SerializeToString())
     return fused
 
 
@@ -160,7 +182,8 @@ def _golden_image(segmenter: Segmenter) -> tuple[npt.NDArray[np.uint8], npt.NDAr
 def _golden(
     session: Any, images: npt.NDArray[np.uint8], labels: npt.NDArray[Any], head: SSRVLAD
 ) -> Arrays:
-    """The golden image and what the module makes of the labels that the graph gives it.
+    """The golden image, the labels that the graph gives it, and what the module makes of those if
+    the head is in the graph.
 
     Raises:
         ValueError: the graph does not label it as the segmenter does, or the head disagrees.
@@ -169,11 +192,14 @@ def _golden(
     fraction = float((outputs[LABELS] != labels).mean())
     if fraction > MOST_OTHER_PIXELS:
         raise ValueError(f"labels {fraction:.1%} of a golden image otherwise once it is fused")
+    golden = {IMAGE: images, LABELS: outputs[LABELS]}
+    if len(outputs) == 1:
+        return golden
     result = outputs_of(head, outputs[LABELS])
     for name, array in result.items():
         if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
-    return {IMAGE: images, LABELS: outputs[LABELS], **result}
+    return golden | result
 
 
 def run_by_name(session: Any, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
@@ -182,23 +208,12 @@ def run_by_name(session: Any, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
     return dict(zip(names, session.run(None, dict(inputs)), strict=True))
 
 
-def _properties(
-    model: onnx.ModelProto,
-    head_alone: onnx.ModelProto,
-    fused: FusedNetwork,
-    golden: Arrays,
-    head: SSRVLAD,
-) -> dict[str, str]:
-    """Metadata of the fused file."""
-    alone = Metadata.from_properties({e.key: e.value for e in head_alone.metadata_props})
-    interface = {
+def _interface(model: onnx.ModelProto) -> dict[str, Any]:
+    return {
         "opset": opset(model),
         "inputs": dict(map(_form, model.graph.input)),
         "outputs": dict(map(_form, model.graph.output)),
     }
-    metadata = Metadata.of(head.config, head.label_space, interface, golden)
-    extra = {NETWORK: json.dumps(asdict(fused)), HEAD_GOLDEN: json.dumps(alone.golden)}
-    return metadata.to_properties() | extra
 
 
 def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:

@@ -28,6 +28,13 @@ def fuse(
         str | None, typer.Option(help="FIRST:LAST, the channels to take, as 0:19.")
     ] = None,
     preset: Preset = "default",
+    split: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the head to this file of its own; -o then takes pictures to label maps, so "
+            "that the network can run on an accelerator and the head on the CPU."
+        ),
+    ] = None,
 ) -> None:
     """Join a segmentation network and the head in one ONNX file: pictures to descriptors, with
     all that is done to pictures in it.
@@ -42,8 +49,9 @@ def fuse(
     segmenter = Segmenter.load(network, labels_as, classes=channels(classes) if classes else None)
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
-    join(segmenter, config, path)
+    join(segmenter, config, path, split)
+    written = f"{path} and {split}" if split else str(path)
     say(
-        f"{path}: {network} as {segmenter.label_space.name} to descriptors of fingerprint "
+        f"{written}: {network} as {segmenter.label_space.name} to descriptors of fingerprint "
         f"{config.fingerprint}"
     )
