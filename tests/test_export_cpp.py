@@ -1,50 +1,77 @@
-"""The C++ example against the module; needs CMake and the headers of ONNX Runtime."""
+"""The C++ header and its example against the module; needs CMake, zlib and the headers of ONNX
+Runtime: in the folder that ORT_ROOT names, or as a CMake package."""
 
 from __future__ import annotations
 
+import base64
+import json
 import os
 import shutil
 import subprocess
+import zlib
 from pathlib import Path
 
 import numpy as np
+import onnx
 import pytest
 import torch
 from drives import write_maps
+from helpers import street
+from networks import photo, write_graph
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
+from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.descriptor import SweepHead
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 SOURCE = Path(__file__).parents[1] / "export" / "cpp"
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
+STRICT = "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Werror"
+
+
+def cmake(*arguments) -> subprocess.CompletedProcess:
+    return subprocess.run(["cmake", *arguments], capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    """The program, compiled."""
+def build(tmp_path_factory):
+    """A folder with the program, compiled."""
     if not shutil.which("cmake"):
         pytest.skip("CMake is not installed")
-    build = tmp_path_factory.mktemp("build")
-    configured = subprocess.run(
-        ["cmake", "-S", SOURCE, "-B", build, "-DCMAKE_CXX_FLAGS=-Wall -Wextra -Werror"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    folder = tmp_path_factory.mktemp("build")
+    configured = cmake("-S", SOURCE, "-B", folder, STRICT)
     if configured.returncode:
         assert "ORT_ROOT" not in os.environ, configured.stderr
-        assert "onnxruntime" in configured.stderr, configured.stderr
+        missing = ("onnxruntime", "ZLIB")
+        assert any(name in configured.stderr for name in missing), configured.stderr
         pytest.skip(
-            "the C++ headers of ONNX Runtime are not installed; ORT_ROOT names their folder"
+            "the C++ headers of ONNX Runtime or zlib are not installed; ORT_ROOT names their folder"
         )
-    subprocess.run(["cmake", "--build", build], check=True, capture_output=True)
+    built = cmake("--build", folder)
+    assert built.returncode == 0, built.stdout + built.stderr
+    return folder
 
+
+def runner(program):
     def run(*arguments):
-        command = [build / "place", *map(str, arguments)]
+        command = [program, *map(str, arguments)]
         ran = subprocess.run(command, capture_output=True, text=True, check=False)
         return ran.returncode, ran.stdout.splitlines(), ran.stderr.splitlines()
 
     return run
+
+
+@pytest.fixture(scope="module")
+def place(build):
+    """The program."""
+    return runner(build / "place")
+
+
+def write_database(path, descriptors, names):
+    np.save(path, descriptors)
+    Path(f"{path}.frames.txt").write_text("".join(f"{name}\n" for name in names))
+    Path(f"{path}.fingerprint.txt").write_text(CONFIG.fingerprint)
 
 
 @pytest.fixture
@@ -54,9 +81,7 @@ def town(tmp_path):
     files = sorted(write_maps(tmp_path / "maps", range(6)).iterdir())
     labels = np.stack([np.asarray(Image.open(file)) for file in files])
     view = SSRVLAD(CONFIG).explain(torch.from_numpy(labels))
-    np.save(tmp_path / "town.npy", view.descriptor.numpy())
-    (tmp_path / "town.npy.frames.txt").write_text("".join(f"maps/{n}\n" for n in range(6)))
-    (tmp_path / "town.npy.fingerprint.txt").write_text(CONFIG.fingerprint)
+    write_database(tmp_path / "town.npy", view.descriptor.numpy(), [f"maps/{n}" for n in range(6)])
     np.save(tmp_path / "map.npy", labels[2])
     Image.fromarray(labels[2]).save(tmp_path / "map.pgm")
     return view
@@ -87,8 +112,9 @@ def test_wrong_use_is_one_line(place, town, tmp_path):
         ((head, base), "expected an (H, W) map"),
         ((head, tmp_path / "cut.npy"), "the length does not fit"),
         ((head, tmp_path / "strange.npy"), "20 pixels have an id outside"),
-        ((head, tmp_path / "wide.npy"), "takes uint8 labels, got <i8"),
-        ((head, labels, labels), "expected (R, 480) float32"),
+        ((head, tmp_path / "wide.npy"), "takes uint8, got int64"),
+        ((head, labels, labels), "expected an (R, D) array of float32"),
+        (("--network", head, head, labels), "expected a network and a head"),
         ((head, labels, base, "many"), "TOP"),
     ]:
         code, _, errors = place(*arguments)
@@ -96,3 +122,137 @@ def test_wrong_use_is_one_line(place, town, tmp_path):
         assert message in errors[0]
     (tmp_path / "town.npy.fingerprint.txt").write_text("0123456789abcdef")
     assert "do not compare" in place(head, labels, base)[2][0]
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory):
+    """A network with the head in one file and in two, three photographs, their descriptors."""
+    folder = tmp_path_factory.mktemp("drive")
+    network = write_graph(folder / "seg.onnx")
+    fuse(network, CONFIG, folder / "place.onnx")
+    fuse(network, CONFIG, folder / "net.onnx", folder / "head.onnx")
+    pixels = [photo(street(seed, 60, 90)) for seed in range(3)]
+    np.save(folder / "photo.npy", pixels[1])
+    Image.fromarray(pixels[1]).save(folder / "photo.ppm")
+    labels = np.stack(Segmenter.load(network, CONFIG.labels_as)(pixels))
+    descriptors = SSRVLAD(CONFIG)(labels).numpy()
+    write_database(folder / "town.npy", descriptors, [f"photos/{n}" for n in range(3)])
+    return folder
+
+
+@pytest.mark.parametrize("name", ["photo.npy", "photo.ppm"])
+@pytest.mark.parametrize("model", [["place.onnx"], ["--network", "net.onnx", "head.onnx"]])
+def test_photographs_find_their_place_with_one_file_and_with_two(place, drive, model, name):
+    named = [drive / part if part.endswith(".onnx") else part for part in model]
+    code, lines, errors = place(*named, drive / name, drive / "town.npy")
+    assert (code, errors) == (0, [])
+    best, score = lines[2].split()
+    assert best == "photos/1"
+    assert float(score) == pytest.approx(1, abs=1e-6)
+    assert len(lines) == 5
+
+
+def turned_golden(source, target, name):
+    """A copy of a file whose golden input is upside down: what a runtime that is wrong would make
+    of the right one."""
+    model = onnx.load(source)
+    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
+    golden = json.loads(entry.value)
+    content = zlib.decompress(base64.b64decode(golden[name]["data"]))
+    golden[name]["data"] = base64.b64encode(zlib.compress(content[::-1])).decode()
+    entry.value = json.dumps(golden)
+    onnx.save(model, target)
+    return target
+
+
+def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_path):
+    head = turned_golden(drive / "head.onnx", tmp_path / "head.onnx", "labels")
+    fused = turned_golden(drive / "place.onnx", tmp_path / "place.onnx", "image")
+    net = turned_golden(drive / "net.onnx", tmp_path / "net.onnx", "image")
+    photograph = drive / "photo.npy"
+    for model in (
+        [fused],
+        ["--network", drive / "net.onnx", head],
+        ["--network", net, drive / "head.onnx"],
+    ):
+        code, lines, (line,) = place(*model, photograph)
+        assert (code, lines) == (2, [])
+        assert "is computed wrong here: the golden pair differs by" in line
+        assert place("--unchecked", *model, photograph)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda golden: golden["labels"].update(shape=[1 << 20, 1 << 20]), "than 64 MiB"),
+        (lambda golden: golden["labels"].update(shape=[-1]), "than 64 MiB"),
+        (lambda golden: golden["labels"].update(data="AAAA"), "the golden pair is damaged"),
+        (lambda golden: golden["labels"].update(dtype="text"), "the golden pair is damaged"),
+        (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
+        (lambda golden: golden.update(labels=3), "the golden pair is damaged"),
+    ],
+)
+def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, message):
+    model = onnx.load(drive / "head.onnx")
+    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
+    golden = json.loads(entry.value)
+    change(golden)
+    entry.value = json.dumps(golden)
+    onnx.save(model, tmp_path / "x.onnx")
+    np.save(tmp_path / "map.npy", np.zeros((4, 5), np.uint8))
+    code, _, (line,) = place(tmp_path / "x.onnx", tmp_path / "map.npy")
+    assert code == 2
+    assert message in line
+
+
+def test_of_several_anchors_the_best_counts(place, town, tmp_path):
+    columns, labels = (-20, 0, 20), np.load(tmp_path / "map.npy")
+    export_head(CONFIG, tmp_path / "sweep.onnx", columns=columns)
+    given = (tmp_path / "sweep.onnx", tmp_path / "map.npy", tmp_path / "town.npy")
+    code, lines, _ = place(*given)
+    swept = SweepHead(CONFIG, columns)(labels[None])[0]
+    scores = (town.descriptor @ swept.T).amax(1).sort(descending=True)
+    assert code == 0
+    assert [line.split()[0] for line in lines[2:]] == [f"maps/{n}" for n in scores.indices[:5]]
+    found = [float(line.split()[1]) for line in lines[2:]]
+    assert found == pytest.approx(scores.values[:5].tolist(), abs=1e-5)
+
+
+CONSUMER = r"""
+#include <ssrvlad/place.hpp>
+#include <thread>
+
+int main(int, char** files) {
+  const ssrvlad::Place place(files[1]);
+  const std::vector<std::int64_t> labels(12 * 9, 0);
+  ssrvlad::Described found[2];
+  std::thread other([&] { found[1] = place.describe(labels.data(), 12, 9); });
+  found[0] = place.describe(labels.data(), 12, 9);
+  other.join();
+  for (float number : found[0].descriptor) std::printf("%.9g\n", number);
+  return found[0].descriptor == found[1].descriptor ? 0 : 1;
+}
+"""
+
+
+def test_a_project_finds_the_installed_package(build, tmp_path):
+    """Wide labels, from two threads."""
+    installed, source, made = (tmp_path / name for name in ("installed", "source", "made"))
+    assert cmake("--install", build, "--prefix", installed).returncode == 0
+    source.mkdir()
+    (source / "main.cpp").write_text(CONSUMER)
+    (source / "CMakeLists.txt").write_text(
+        "cmake_minimum_required(VERSION 3.16)\nproject(consumer LANGUAGES CXX)\n"
+        "find_package(ssrvlad_place REQUIRED)\nfind_package(Threads REQUIRED)\n"
+        "add_executable(consumer main.cpp)\n"
+        "target_link_libraries(consumer PRIVATE ssrvlad::place Threads::Threads)\n"
+    )
+    configured = cmake("-S", source, "-B", made, STRICT, f"-DCMAKE_PREFIX_PATH={installed}")
+    assert configured.returncode == 0, configured.stderr
+    built = cmake("--build", made)
+    assert built.returncode == 0, built.stdout + built.stderr
+    export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
+    code, lines, errors = runner(made / "consumer")(tmp_path / "wide.onnx")
+    assert (code, errors) == (0, [])
+    expected = SSRVLAD(CONFIG)(np.zeros((1, 12, 9), np.int64))[0]
+    np.testing.assert_allclose(np.array(lines, float), expected, atol=1e-6)
