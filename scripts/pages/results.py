@@ -23,14 +23,25 @@ from _markdown import head_row, paragraph, row, write
 from conditions import CITY_FRAMES, CITY_SEEDS, METRES, RESAMPLES
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 
+from ssrvlad_torch.cli.pairs import Pair, chosen, draw_pairs
 from ssrvlad_torch.files import replacing
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
+from ssrvlad_torch.taxonomy import label_space
 
 WAYS = {"single frames": AS_PAPER, "with the steps": Steps()}
 DATASETS = ("City", "CamVid", "UofA", "Gardens Point")
 REACHES = (1, 3)
 GRID, OURS = "label grid", "SSR-VLAD, default"
+PICTURED = {
+    "City": ("noise 4", "all together"),
+    "CamVid": ("espnetv2 -> espnetv2", "dicenet -> espnetv2"),
+    "UofA": ("evening -> day, espnetv2", "evening -> day, dabnet"),
+    "Gardens Point": ("right -> left, dabnet", "night -> left, espnetv2"),
+}
+"""Conditions of which some matches are pictured; both drives of each are of one label space."""
+
 SHADES = ("#7f7f7f", "#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e")
 COLOURS = dict(zip(METHODS, SHADES, strict=True))
 
@@ -59,6 +70,9 @@ categories in a 6 x 10 grid. HOG, CoHOG and tiny image see the pictures, which t
 - *UofA*: a campus path, evening against day. *Gardens Point*: a walk on the left side of a path, on
   the right, and at night. Label maps of two networks that were trained elsewhere and are poor here.
   Frames correspond one to one at nearly equal speeds, which favours any sequence filter.
+
+The pictures of each set show single frames of `default`: label maps of queries evenly spread over
+the drive, the last one wrong where those were all right.
 """
 
 
@@ -72,7 +86,7 @@ def main() -> None:
     described = Described(options.data, options.cache)
     measured = measure(described)
     folder = options.output.parent
-    text = "\n".join([HEAD, *page(measured, folder), *sums(described, measured)])
+    text = "\n".join([HEAD, *page(described, measured, folder), *sums(described, measured)])
     write(folder / "results.csv", to_csv(measured))
     write(options.output, text + "\n")
     quote_in_readme(options.output)
@@ -91,7 +105,7 @@ def measure(described: Described) -> Measured:
     return measured
 
 
-def page(measured: Measured, folder: Path) -> Iterator[str]:
+def page(described: Described, measured: Measured, folder: Path) -> Iterator[str]:
     yield "## In short\n"
     yield "RecallRate@1, the mean over the conditions of each data set; in brackets AUC-PR.\n"
     there = [name for name in DATASETS if any(key[0] == name for key in measured)]
@@ -103,9 +117,13 @@ def page(measured: Measured, folder: Path) -> Iterator[str]:
     yield ""
     yield paragraph(against_the_grid(measured))
     for dataset in there:
-        name = f"results-{dataset.lower().replace(' ', '-')}.png"
-        draw(measured, dataset, folder / "figures" / name)
-        yield f"## {dataset}\n\n![](figures/{name})\n"
+        name = f"results-{dataset.lower().replace(' ', '-')}"
+        draw(measured, dataset, folder / "figures" / f"{name}.png")
+        yield f"## {dataset}\n\n![](figures/{name}.png)\n"
+        for number, condition in enumerate(PICTURED[dataset], 1):
+            file = f"{name}-matches-{number}.png"
+            draw_matches(described, dataset, condition, folder / "figures" / file)
+            yield f"![Queries and their best matches: {condition}](figures/{file})\n"
 
 
 def in_short(measured: Measured, dataset: str, method: str, way: str) -> str:
@@ -168,6 +186,31 @@ def _points(
     face = "white" if hollow else colour
     label = None if hollow else name
     axes.plot(rates[:, 0], height, "o", ms=3.5, mfc=face, mec=colour, label=label)
+
+
+def draw_matches(described: Described, dataset: str, name: str, path: Path) -> None:
+    """Single frames of `default` in the first search of a condition: queries evenly spread over the
+    drive, a wrong one among them if there is one, above their best matches."""
+    (condition,) = (c for c in all_conditions(described) if (c.dataset, c.name) == (dataset, name))
+    search = condition.searches[0]
+    found = decide(described, Condition(dataset, name, [search]), OURS, AS_PAPER)
+    rows, there = found.rows[:, 0], np.array([len(truth) > 0 for truth in found.truth])
+    drives = [described.drive(drive) for drive in (search.queries, search.references)]
+    here, others = described.rows(search)
+    pairs = [
+        Pair(
+            drives[0].maps[here[n]],
+            drives[1].maps[others[rows[n]]],
+            drives[0].frames[here[n]],
+            f"{drives[1].frames[others[rows[n]]]}, {found.scores[n, 0]:.2f}",
+            bool(found.right[n]),
+        )
+        for n in chosen(found.right, (rows >= 0) & there, 4)
+    ]
+    headings = f"Queries: {dataset}, {name}", "Best match of each, with its score"
+    sheet = draw_pairs(pairs, label_space(drives[0].labels_as), *headings)
+    with replacing(path) as temporary:
+        sheet.quantize(64, dither=Image.Dither.NONE).save(temporary, format="PNG", optimize=True)
 
 
 def sums(described: Described, measured: Measured) -> Iterator[str]:
