@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from _halves import CAMVID, DRIVES, NETWORKS, ROUTES, rate
 from _markdown import head_row, row, write
 from conditions import BATCH
-from shape import CAMVID, DRIVES, NETWORKS, ROUTES, rate
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, baselines, follow, standardise
