@@ -28,14 +28,17 @@ FORMS = {
 }
 
 
-def write_bag(path, topics, kind=1, padding=0):
+def write_bag(path, topics, kind=1, padding=0, storage=rosbag2.StoragePlugin.SQLITE3):
     """A bag with every photo on each topic, in the encoding that the topic has."""
     store = get_typestore(Stores.ROS1_NOETIC if kind == 1 else Stores.ROS2_HUMBLE)
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](0, 0)
     sequence = {"seq": 0} if kind == 1 else {}
     header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera", **sequence)
-    writer = rosbag1.Writer(path) if kind == 1 else rosbag2.Writer(path, version=9)
+    if kind == 1:
+        writer = rosbag1.Writer(path)
+    else:
+        writer = rosbag2.Writer(path, version=9, storage_plugin=storage)
     with writer as bag:
         for topic, encoding in topics.items():
             name = f"sensor_msgs/msg/{'CompressedImage' if encoding == 'png' else 'Image'}"
@@ -73,9 +76,11 @@ def test_every_encoding(encoding, tmp_path):
         np.testing.assert_array_equal(read_image(files[row]), expected)
 
 
-def test_ros_2(tmp_path):
-    folder = write_bag(tmp_path / "drive", {"/camera": "rgb8"}, kind=2)
-    for source in (folder, next(folder.glob("*.db3"))):
+@pytest.mark.parametrize(("storage", "suffix"), [("SQLITE3", "db3"), ("MCAP", "mcap")])
+def test_ros_2(tmp_path, storage, suffix):
+    plugin = rosbag2.StoragePlugin[storage]
+    folder = write_bag(tmp_path / "drive", {"/camera": "rgb8"}, kind=2, storage=plugin)
+    for source in (folder, next(folder.glob(f"*.{suffix}"))):
         files = find_image_files([str(source)], every=2)
         assert [file.stamp - FIRST * 1e-9 for file in files] == pytest.approx([0, 0.2, 0.4])
         np.testing.assert_array_equal(read_image(files[1]), PHOTOS[2])

@@ -224,6 +224,20 @@ def test_batches_follow_from_their_number(patch, problem):
     assert set(one.targets.unique().tolist()) <= set(range(12))
 
 
+def test_a_label_map_moves_with_its_image(patch, problem):
+    """What is seen narrower is so in both, and what comes from outside is void."""
+    data = load("_train_data", patch)
+    ramp = torch.arange(12).repeat_interleave(5)[None, None].expand(8, 1, 40, 60).float()
+    images, ids = data.augmentation(zoomed=True)(ramp.expand(-1, 3, -1, -1) / 11, ramp - 11)
+    assert not torch.equal(ids, ramp - 11)
+    inside = ids < 0
+    assert 0.3 < inside.float().mean() < 1
+    order = [images[number].mean(0)[inside[number, 0]] for number in range(8)]
+    for number, brightness in enumerate(order):
+        of_pixels = torch.stack([brightness, ids[number, 0][inside[number, 0]]])
+        assert torch.corrcoef(of_pixels)[0, 1] > 0.9
+
+
 def test_mirrored_views_are_mirrored(patch, problem):
     data = load("_train_data", patch)
     batch = data.draw(problem.training, 8, 0, zoomed=False)

@@ -10,9 +10,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import kornia.augmentation as K
 import numpy as np
 import torch
-import torch.nn.functional as F
+from kornia.constants import DataKey, Resample, SamplePadding
+from kornia.enhance import normalize
 from PIL import Image
 from torch import Tensor
 
@@ -79,47 +81,43 @@ def read_drive(root: Path, name: str, size: tuple[int, int]) -> Drive:
 
 def draw(drive: Drive, count: int, number: int, zoomed: bool) -> Batch:
     """A batch of random frames, mirrored or not, in other light, and zoomed if wanted."""
-    generator = torch.Generator().manual_seed(number)
-    rows = torch.randperm(len(drive.frames), generator=generator)[:count]
-    mirrored = torch.rand(len(rows), generator=generator) < 0.5
-    images = drive.images[rows].permute(0, 3, 1, 2).float() / 255
-    targets = drive.targets[rows].long()
-    images, targets = (
-        torch.where(mirrored.view(-1, *[1] * (part.ndim - 1)), part.flip(-1), part)
-        for part in (images, targets)
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(number)
+        rows = torch.randperm(len(drive.frames))[:count]
+        images = drive.images[rows].permute(0, 3, 1, 2).float() / 255
+        ids = (drive.targets[rows, None].long() - VOID).float()  # what comes from outside is void
+        changed = augmentation(zoomed)
+        images, ids = changed(images, ids)
+    mirrored = changed._params[0].data["batch_prob"] > 0
+    targets = ids[:, 0].round().long() + VOID
+    return Batch(normalise(images.clamp(0, 1)), targets, rows, mirrored)
+
+
+def augmentation(zoomed: bool) -> K.AugmentationSequential:
+    """What is done to images and their label maps alike: mirrored, seen wider or narrower and
+    moved, in light of another colour, contrast and exposure, by a noisy sensor."""
+    zoom = K.RandomAffine(
+        0, (ZOOM / 2, ZOOM / 2), (1 - ZOOM, 1 + ZOOM), p=1, padding_mode="reflection"
     )
-    if zoomed:
-        images, targets = _zoom(images, targets, generator)
-    return Batch(normalise(_relight(images, generator)), targets, rows, mirrored)
+    light = (
+        K.ColorJiggle(0.3, 0.3, 0.3, 0.02, p=1),
+        K.RandomGamma((0.6, 1.7), (0.8, 1.2), p=1),
+        K.RandomGaussianNoise(0, 0.02, p=1),
+    )
+    of_masks = {
+        "resample": Resample.NEAREST,
+        "padding_mode": SamplePadding.ZEROS,
+        "align_corners": False,
+    }
+    return K.AugmentationSequential(
+        K.RandomHorizontalFlip(p=0.5),
+        *([zoom] if zoomed else []),
+        *light,
+        data_keys=["input", "mask"],
+        extra_args={DataKey.MASK: of_masks},
+    )
 
 
 def normalise(images: Tensor) -> Tensor:
     """Images from 0 to 1 as the network wants them."""
-    mean, std = (torch.tensor(three).view(3, 1, 1) for three in (MEAN, STD))
-    return (images - mean) / std
-
-
-def _relight(images: Tensor, generator: torch.Generator) -> Tensor:
-    """Another exposure, contrast and colour of the light for each image, and a noisy sensor."""
-
-    def factors(spread: float, channels: int = 1) -> Tensor:
-        drawn = torch.rand(len(images), channels, 1, 1, generator=generator) * 2 - 1
-        return (drawn * spread).exp()
-
-    exposed = images.clamp(min=1e-3) ** factors(0.6) * factors(0.4) * factors(0.15, 3)
-    middle = exposed.mean((1, 2, 3), keepdim=True)
-    noise = torch.randn(images.shape, generator=generator) * 0.02
-    return (middle + (exposed - middle) * factors(0.3) + noise).clamp(0, 1)
-
-
-def _zoom(images: Tensor, targets: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-    """Each image seen wider or narrower and moved; what comes from outside is void."""
-    drawn = (torch.rand(3, len(images), generator=generator) * 2 - 1) * ZOOM
-    scale = drawn[0].exp()
-    zero = torch.zeros_like(scale)
-    rows = (torch.stack([scale, zero, drawn[1]], 1), torch.stack([zero, scale, drawn[2]], 1))
-    view = F.affine_grid(torch.stack(rows, 1), list(images.shape), align_corners=False)
-    moved = F.grid_sample(images, view, padding_mode="reflection", align_corners=False)
-    ids = (targets[:, None] - VOID).float()
-    sampled = F.grid_sample(ids, view, mode="nearest", align_corners=False)
-    return moved, sampled[:, 0].long() + VOID
+    return normalize(images, torch.tensor(MEAN), torch.tensor(STD))
