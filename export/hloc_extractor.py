@@ -26,7 +26,8 @@ class SSRVLAD(BaseModel):
 
     def _init(self, conf):
         self.session = onnxruntime.InferenceSession(
-            conf["file"], providers=["CPUExecutionProvider"]  # others may compute the head wrong
+            conf["file"],
+            providers=["CPUExecutionProvider"],  # others may compute the head wrong
         )
         names = [each.name for each in self.session.get_inputs()]
         if names != ["image"]:
