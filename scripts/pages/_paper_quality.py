@@ -219,7 +219,7 @@ def in_short(problems: Sequence[Problem], outcomes: Outcomes) -> Iterator[str]:
         for preset in ("paper", "default") if problem.gives == LABELS else ():
             names = [f"SSR-VLAD, {preset}{end}" for end in ("", ", no pre-processing", ", t = 0")]
             known = [outcomes.get((problem.name, name)) for name in names]
-            yield row(problem.name, preset, *(found and _cells(found)[1] for found in known))
+            yield row(problem.name, preset, *(_cells(found)[1] if found else "" for found in known))
     yield ""
 
 
