@@ -323,7 +323,7 @@ def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
     picture = tmp_path / "loops.png"
     assert loops(drive, "--picture", picture)[0] == 0
     with Image.open(picture) as image:
-        assert image.width == (1430 if poses else 715)
+        assert image.width == (1100 if poses else 550)
 
 
 @pytest.mark.parametrize(
