@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from helpers import street
 
-from ssrvlad_torch import SSRVLAD, Database, LoopDetector
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.taxonomy import CATEGORIES, label_space, label_space_names
@@ -190,6 +190,23 @@ def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
     with pytest.raises(ValueError, match="unknown meaning: 'x'"):
         core.learn_labels([(1, "x")])
     assert seen(core, [1])[0].reason == "no_candidate"
+
+
+def test_a_machine_that_describes_otherwise_is_refused(tmp_path, monkeypatch):
+    recorded = {name: array.copy() for name, array in np.load(live_loops.GOLDEN).items()}
+    for preset in ("default", "paper"):
+        head = SSRVLAD.from_preset(preset, labels_as=label_table.LABELS_AS)
+        assert f"{head.config.fingerprint} labels" in recorded, "scripts/pages/ros_golden.py"
+        live_loops.check_head(head)
+    for name, numbers in recorded.items():
+        if name.endswith("descriptor"):
+            numbers[0, 3] += 1e-4
+    np.savez(tmp_path / "golden.npz", **recorded)
+    monkeypatch.setattr(live_loops, "GOLDEN", tmp_path / "golden.npz")
+    with pytest.raises(ValueError, match=r"wrong on this machine.* differ by 0\.0001"):
+        live_loops.LiveLoops(CONFIG)
+    live_loops.LiveLoops(CONFIG, check=False)
+    live_loops.check_head(SSRVLAD(SSRVLADConfig(labels_as="camvid-11", working_size=50)))
 
 
 def test_time_must_not_go_back():

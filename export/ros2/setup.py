@@ -6,6 +6,7 @@ setup(
     name="ssrvlad_ros",
     version="0.1.0",
     packages=["ssrvlad_ros"],
+    package_data={"ssrvlad_ros": ["golden.npz"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ssrvlad_ros"]),
         ("share/ssrvlad_ros", ["package.xml"]),

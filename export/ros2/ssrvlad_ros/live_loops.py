@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.result import LoopResult
 from ssrvlad_torch.loops.stream import CHECKPOINT_FRAMES, open_detector
@@ -21,6 +22,11 @@ DTYPES = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
 """The encodings that a label image can have."""
 
 _OPENCV_FLOAT32 = 5
+
+
+GOLDEN = Path(__file__).with_name("golden.npz")
+"""Label maps and what the reference makes of them, by the fingerprint of a preset."""
+TOLERANCE = 1e-6
 
 
 class LabelImage(Protocol):
@@ -64,9 +70,11 @@ class LiveLoops:
         meanings: see `LabelTable`.
         memory: database that keeps the frames: new, or gone on from; ``None`` for none.
         preset: of the descriptors; without, the memory's, or ``default``.
+        check: whether to refuse a machine that describes the golden label maps otherwise.
 
     Raises:
-        ValueError: the memory is damaged, was made with another preset, or has other frames.
+        ValueError: the memory is damaged, was made with another preset, or has other frames; or
+            see `check_head`.
     """
 
     def __init__(
@@ -76,10 +84,13 @@ class LiveLoops:
         meanings: Mapping[str, str] | None = None,
         memory: Path | None = None,
         preset: str | None = None,
+        check: bool = True,
     ) -> None:
         self.sequence = sequence
         self._meanings = dict(meanings or {})
         self._detector, self._database = open_detector(config, memory, preset, LABELS_AS)
+        if check:
+            check_head(self._detector.head)
         for frame in self._detector.frames:
             nanoseconds_of(frame)
         self._saved = len(self._detector)
@@ -125,6 +136,26 @@ class LiveLoops:
         if self._database is not None:
             self._detector.save(self._database)
         self._saved = len(self._detector)
+
+
+def check_head(head: SSRVLAD) -> None:
+    """Refuses a machine that computes descriptors otherwise than they were recorded.
+
+    Raises:
+        ValueError: a number differs by more than `TOLERANCE`. Settings of one's own pass: nothing
+            is recorded of them.
+    """
+    fingerprint = head.config.fingerprint
+    with np.load(GOLDEN) as recorded:
+        if f"{fingerprint} labels" not in recorded:
+            return
+        labels, expected = (recorded[f"{fingerprint} {name}"] for name in ("labels", "descriptor"))
+    difference = np.abs(head(labels).numpy() - expected).max()
+    if not difference <= TOLERANCE:
+        raise ValueError(
+            f"descriptors are computed wrong on this machine: those of the golden label maps "
+            f"differ by {difference:.2g}; expected at most {TOLERANCE}"
+        )
 
 
 def decode(image: LabelImage) -> npt.NDArray[Any]:

@@ -31,8 +31,8 @@ class LoopNode(Node):
     """Hears ``labels``, ``label_info`` and ``odom``; publishes ``descriptor`` and ``loops``.
 
     Its parameters are the settings of `LoopConfig`, and ``sequence``, ``memory``, ``preset``,
-    ``meanings`` (see `LiveLoops`) and ``latched``: whether ``label_info`` is published once, with
-    durability "transient local".
+    ``meanings``, ``check`` (see `LiveLoops`) and ``latched``: whether ``label_info`` is published
+    once, with durability "transient local".
     """
 
     def __init__(self) -> None:
@@ -46,6 +46,7 @@ class LoopNode(Node):
             meanings_of(self._given("meanings", [""])),
             Path(memory) if memory else None,
             preset or None,
+            self._given("check", True),
         )
         self._pose = None
         once = DurabilityPolicy.TRANSIENT_LOCAL
