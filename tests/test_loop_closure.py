@@ -91,6 +91,17 @@ def test_the_excluded_frames_are_no_candidates():
     assert accepted(drive(detector(exclude=50), views([*range(120), *range(60, 90)])))
 
 
+def test_the_descriptor_of_the_last_frame():
+    """That of the usual anchor, though it was seen from several."""
+    loops = detector()
+    with pytest.raises(IndexError, match="no frame was seen yet"):
+        _ = loops.descriptor
+    for seed in range(2):
+        labels = torch.from_numpy(street(seed))
+        loops.update(labels, f"drive/{seed}")
+        np.testing.assert_allclose(loops.descriptor, HEAD(labels[None])[0], atol=1e-6)
+
+
 def test_an_empty_frame_matches_nothing_and_the_stream_goes_on():
     vectors = views([*range(100), *range(20, 50)])
     vectors[[30, 115]] = 0
