@@ -7,6 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import onnxruntime
 import torch
 from hypothesis import settings
@@ -19,6 +20,8 @@ settings.register_profile("untimed", deadline=None)  # the first run of a graph 
 settings.load_profile("untimed")
 
 Build = Callable[..., Sequence[Symbol | Words]]
+_SHIFTS = 8 * torch.arange(PIXELS)
+
 Forms = tuple[tuple[str, int], ...]
 
 
@@ -33,7 +36,10 @@ def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
 
 
 def run(build: Build, *given: Tensor | int) -> list[Tensor]:
-    """What ``build(graph, *symbols)`` gives for these tensors; a graph is made once."""
+    """What ``build(graph, *symbols)`` gives for these tensors; a graph is made once.
+
+    Integers that are int32 in a graph are int64 here.
+    """
     return [result for result, _ in _results(build, given)]
 
 
@@ -48,16 +54,16 @@ def run_on_planes(build: Build, planes: Tensor, *given: Tensor | int) -> list[Te
 def to_line(planes: Tensor) -> Tensor:
     """``(B, H, W)`` bit-planes -> the line of `words.Words`."""
     count, height, width = planes.shape
-    rows = torch.zeros(count, height + 1, (width // PIXELS + 1) * PIXELS, dtype=torch.uint8)
+    rows = torch.zeros(count, height + 1, (width // PIXELS + 1) * PIXELS, dtype=torch.int64)
     rows[:, :height, :width] = planes
-    return rows.flatten().view(torch.int64)
+    return (rows.view(-1, PIXELS) << _SHIFTS).sum(1)
 
 
 def to_planes(line: Tensor, shape: Sequence[int]) -> Tensor:
     """The inverse of `to_line`; the margins must be background."""
     count, height, width = shape
-    rows = line.view(torch.uint8).view(count, height + 1, -1)
-    planes = rows[:, :height, :width].contiguous()
+    rows = (line[:, None] >> _SHIFTS & 255).view(count, height + 1, -1)
+    planes = rows[:, :height, :width].to(torch.uint8)
     assert torch.equal(to_line(planes), line), "pixels in the margins"
     return planes
 
@@ -74,13 +80,22 @@ def _with_words(build: Build) -> Build:
 
 def _results(build: Build, given: Sequence[Tensor | int]) -> list[tuple[Tensor, bool]]:
     """Every result, and whether it is a line of words."""
-    arrays = [np.asarray(one) for one in given]
+    arrays = [_narrow(np.asarray(one)) for one in given]
     session, are_words = _session(build, tuple((one.dtype.name, one.ndim) for one in arrays))
     used = {node.name for node in session.get_inputs()}
     fed = {f"in_{number}": array for number, array in enumerate(arrays)}
     found = session.run(None, {name: array for name, array in fed.items() if name in used})
     results = zip(found[::2], found[1::2], are_words, strict=True)
-    return [(torch.from_numpy(flat.reshape(shape)), is_words) for flat, shape, is_words in results]
+    return [(_wide(flat.reshape(shape)), is_words) for flat, shape, is_words in results]
+
+
+def _narrow(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    fits = array.dtype == np.int64 and np.array_equal(array, array.astype(np.int32))
+    return array.astype(np.int32) if fits else array
+
+
+def _wide(array: npt.NDArray[Any]) -> Tensor:
+    return torch.from_numpy(array.astype(np.int64) if array.dtype == np.int32 else array)
 
 
 @cache

@@ -119,10 +119,9 @@ def described(page, site, preset, file):
 @presets
 def test_the_golden_pair_and_the_matches(page, site, preset):
     labels = files_of(site)[2]
-    query = f"?model={preset}.onnx&database={preset}.npy&labels=maps/{labels.name}&pictures=."
+    query = f"?model={preset}.onnx&database={preset}.npy&labels=maps/{labels.name}"
     open_page(page, query, f"{SHOWN} || {FAILED}")
     assert page.run(FAILED) is None
-    assert page.run("document.querySelectorAll('#matches td canvas').length") == 5
     verdict = page.run("document.getElementById('golden').value")
     print(f"{preset} preset in onnxruntime-web: {verdict}")
     assert verdict.startswith("golden pair: largest difference ")

@@ -1,9 +1,7 @@
 from functools import cache
 
-import pytest
-import torch
 from graphs import run
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import SSRVLADConfig
@@ -26,35 +24,25 @@ def test_the_working_grid_is_the_configs(height, width, size):
 
 
 def lengths(graph, height, width):
-    grid = grid_of(graph.full([], 1, "int64"), height, width)
+    grid = grid_of(graph.full([], 1, "int32"), height, width)
+    found = geometry.lengths(graph, CONFIG, grid)
+    assert found.opening == 0, "a radius that is always zero costs nothing"
+    return found[1:]
+
+
+def expected_lengths(height, width):
     return [
-        geometry.radius_pixels(graph, CONFIG, CONFIG.closing, grid),
-        geometry.area_pixels(CONFIG, CONFIG.hole_area, grid),
-        *geometry.ring_limits(CONFIG, grid),
+        CONFIG.radius_pixels(CONFIG.closing, height, width),
+        CONFIG.area_pixels(CONFIG.hole_area, height, width),
+        CONFIG.area_pixels(CONFIG.region_area, height, width),
+        list(CONFIG.ring_limits(height, width)),
     ]
 
 
 @given(**SIZES)
+@example(height=1 << 14, width=1 << 14)
+@example(height=1, width=1 << 15)
+@example(height=1000, width=1000)
 def test_lengths_and_areas_are_the_configs(height, width):
-    expected = [
-        CONFIG.radius_pixels(CONFIG.closing, height, width),
-        CONFIG.area_pixels(CONFIG.hole_area, height, width),
-        *CONFIG.ring_limits(height, width),
-    ]
-    assert [x.item() for x in run(lengths, height, width)] == expected
-
-
-@pytest.mark.parametrize("size", [(1 << 14, 1 << 14), (1, 1 << 15)])
-def test_large_images_overflow_nothing(size):
-    expected = CONFIG.ring_limits(*size)
-    assert [x.item() for x in run(lengths, *size)][2:] == list(expected)
-    assert run(lengths, *size)[1].dtype == torch.int64
-
-
-def test_a_radius_that_is_always_zero_costs_nothing():
-    def build(graph, height, width):
-        radius = geometry.radius_pixels(graph, CONFIG, 0.0, grid_of(height, height, width))
-        assert radius == 0
-        return [height]
-
-    run(build, 5, 7)
+    found = [x.tolist() for x in run(lengths, height, width)]
+    assert found == expected_lengths(height, width)

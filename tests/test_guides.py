@@ -36,11 +36,3 @@ def test_the_pages_name_files_that_are_there():
     for page in (*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text("utf-8")):
             assert (page.parent / target).exists(), (page.name, target)
-
-
-def test_how_it_works_names_modules_that_are_there():
-    text = (ROOT / "docs" / "guides" / "how-it-works.md").read_text("utf-8")
-    named = re.findall(r"`([\w/]+(?:\.py|\.cpp|/))`", text)
-    assert len(named) > 10
-    for name in named:
-        assert (ROOT / "ssrvlad_torch" / name).exists(), name

@@ -84,8 +84,7 @@ def categorised_as(name):
 
     def build(graph, labels):
         entries, own_table = entries_in_graph(graph, labels, table, origin)
-        size = (graph.Shape(labels)[0], graph.Shape(labels)[1])
-        return categorise_in_graph(graph, entries, own_table, size)
+        return categorise_in_graph(graph, entries, own_table)
 
     return build
 
@@ -104,7 +103,7 @@ def test_categories_in_a_graph(name):
 
 
 def split_categories(graph, categories):
-    grid = grid_of(*(graph.Shape(categories)[axis] for axis in range(3)))
+    grid = grid_of(*graph.sizes(categories, 3))
     return [split_in_graph(graph, categories, grid).line]
 
 

@@ -16,11 +16,8 @@ UNKNOWN = NO_LAYER + 1
 def in_graph(graph, image, size):
     """The categories themselves are the entries of a table of all of them."""
     table = np.arange(UNKNOWN + 1, dtype=np.uint8)
-    entries = image.to("int32").reshape(-1)
-    grid = (size[0], size[1])
-    return reduce_by_majority_in_graph(
-        graph, entries, table, (graph.Shape(image)[0], graph.Shape(image)[1]), grid
-    )
+    height, width = graph.sizes(image, 2)
+    return reduce_by_majority_in_graph(graph, image, table, (height, width), (size[0], size[1]))
 
 
 def reduce_by_majority(categories, grid):

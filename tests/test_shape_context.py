@@ -15,7 +15,7 @@ from ssrvlad_torch.deployment.stages.shape_context import (
     log_polar_bins_in_graph,
     shape_contexts_in_graph,
 )
-from ssrvlad_torch.deployment.words import points_of
+from ssrvlad_torch.deployment.words import grid_of, points_of
 from ssrvlad_torch.stages import shape_context
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 
@@ -32,7 +32,10 @@ def plain_sum(references: np.ndarray, context: np.ndarray, limits, sectors) -> n
 @cache
 def table_of(sectors):
     def build(graph, height, width, *limits):
-        bins = log_polar_bins_in_graph(graph, height, width, limits, sectors)
+        one = graph.full([], 1, "int32")
+        listed = graph.Concat(*(limit.reshape(1) for limit in limits), axis=0)
+        grid = grid_of(one, height, width)
+        bins = log_polar_bins_in_graph(graph, grid, listed, len(limits), sectors)
         return [bins.table, bins.pitch, bins.centre]
 
     return build
@@ -47,16 +50,18 @@ def test_the_table_in_a_graph_is_the_same(size, sectors):
         ).ring_limits(*size)
         expected = log_polar_bins(*size, limits, sectors, CPU).table
         table, pitch, centre = run(table_of(sectors), *size, *limits)
-        assert torch.equal(table[: expected.numel()].view_as(expected), expected.int())
-        assert pitch == expected.shape[1]
-        assert centre == expected.numel() // 2
+        assert pitch == expected.shape[0]
+        rows = table.view(-1, pitch).T[:, : expected.shape[1]]
+        assert torch.equal(rows, expected.long())
+        assert table[centre] == len(limits) * sectors
 
 
 @cache
 def sums_with(sectors):
     def build(graph, words, some, *limits):
         grid = words.grid
-        bins = log_polar_bins_in_graph(graph, grid.height, grid.width, limits, sectors)
+        listed = graph.Concat(*(limit.reshape(1) for limit in limits), axis=0)
+        bins = log_polar_bins_in_graph(graph, grid, listed, len(limits), sectors)
         references, context = points_of(graph, words.with_line(some)), points_of(graph, words)
         return [shape_contexts_in_graph(graph, references, context, bins, grid.images)]
 

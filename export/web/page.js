@@ -1,5 +1,5 @@
 // The page: files in, pictures and a table out. `?model=&database=&labels=` opens files by address,
-// `?pictures=` is the folder of the frames, `?unchecked` does not run the golden pair.
+// `?unchecked` does not run the golden pair.
 
 import { Database } from "./database.js";
 import { readLabels } from "./label_png.js";
@@ -22,7 +22,7 @@ const TOP = 5;
 const PHOTOS = [".png", ".jpg", ".jpeg", ".webp"];
 
 const query = new URLSearchParams(location.search);
-const open = { model: null, database: null, frame: null, pictures: {} };
+const open = { model: null, database: null, frame: null };
 const element = (id) => document.getElementById(id);
 const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
 
@@ -73,27 +73,17 @@ async function describe() {
   const start = performance.now();
   const described = model.takesPhotos ? await model.describePhoto(given) : await model.describe(given);
   const taken = Math.round(performance.now() - start);
+  element("result").hidden = false;
   drawMap(model, { ...given, labels: described.labels ?? given.labels }, described);
   drawTargets(model, described);
-  await listMatches(database?.search(described.descriptor, TOP) ?? []);
-  element("result").hidden = false;
+  listMatches(database?.search(described.descriptor, TOP) ?? []);
   const unchecked = database && !own ? " The database carries no fingerprint." : "";
   say(`${frame.name}: ${given.height} x ${given.width}, ${taken} ms.${unchecked}`);
 }
 
-function drawMap({ space }, given, { skeleton, rows, columns }) {
-  const context = paint(element("map"), space, given);
-  context.fillStyle = "#000";
-  const [tall, wide] = [given.height / rows, given.width / columns];
-  skeleton?.forEach((layers, at) => {
-    const [y, x] = [Math.floor(at / columns), at % columns];
-    if (layers) context.fillRect(x * wide + wide / 4, y * tall + tall / 4, wide / 2, tall / 2);
-  });
-}
-
-/** Draws a label map in the colours of its categories. */
-function paint(canvas, space, { labels, height, width }) {
+function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
   const colours = Object.fromEntries(space.classes.map(({ id, category }) => [id, CATEGORIES[category]]));
+  const canvas = element("map");
   [canvas.height, canvas.width] = [height, width];
   const context = canvas.getContext("2d");
   const picture = context.createImageData(width, height);
@@ -104,30 +94,12 @@ function paint(canvas, space, { labels, height, width }) {
   };
   labels.forEach((id, at) => (pixels[at] = packed(colours[id] ?? NO_LAYER)));
   context.putImageData(picture, 0, 0);
-  return context;
-}
-
-/** The bytes of a frame's picture, of the folder that was chosen or of `?pictures=`, if it is there. */
-async function pictureOf(frame) {
-  const folder = query.get("pictures");
-  for (const ending of PHOTOS) {
-    const file = open.pictures[frame + ending];
-    if (file) return new Uint8Array(await file.arrayBuffer());
-    const response = folder && (await fetch(`${folder}/${frame}${ending}`));
-    if (response?.ok) return new Uint8Array(await response.arrayBuffer());
-  }
-  return null;
-}
-
-/** A small picture of a frame: a label map in colours, or a photograph. */
-async function thumbnail({ space, takesPhotos }, bytes) {
-  const canvas = document.createElement("canvas");
-  if (takesPhotos) {
-    const bitmap = await createImageBitmap(new Blob([bytes]));
-    [canvas.height, canvas.width] = [bitmap.height, bitmap.width];
-    canvas.getContext("2d").drawImage(bitmap, 0, 0);
-  } else paint(canvas, space, await readLabels(bytes));
-  return canvas;
+  context.fillStyle = "#000";
+  const [tall, wide] = [height / rows, width / columns];
+  skeleton?.forEach((layers, at) => {
+    const [y, x] = [Math.floor(at / columns), at % columns];
+    if (layers) context.fillRect(x * wide + wide / 4, y * tall + tall / 4, wide / 2, tall / 2);
+  });
 }
 
 function drawTargets({ config }, { descriptor, keypoints }) {
@@ -154,22 +126,15 @@ function drawTargets({ config }, { descriptor, keypoints }) {
   element("targets").replaceChildren(...targets);
 }
 
-async function listMatches(candidates) {
+function listMatches(candidates) {
+  const body = element("matches").tBodies[0];
+  body.replaceChildren();
   if (!candidates.length) {
     const nothing = open.database ? "nothing is like it" : "choose a database";
     candidates = [{ frame: nothing, score: null }];
   }
-  const pictures = await Promise.all(
-    candidates.map(async ({ frame, score }) => {
-      const bytes = score === null ? null : await pictureOf(frame);
-      return bytes ? thumbnail(open.model, bytes) : "";
-    }),
-  );
-  const body = element("matches").tBodies[0];
-  body.replaceChildren();
-  for (const [place, { frame, score }] of candidates.entries()) {
+  for (const { frame, score } of candidates) {
     const row = body.insertRow();
-    row.insertCell().append(pictures[place]);
     row.insertCell().textContent = frame;
     row.insertCell().textContent = score === null ? "" : score.toFixed(4);
   }
@@ -213,11 +178,6 @@ for (const name of ["model", "database", "labels"]) {
   const address = query.get(name);
   if (address) attempt(async () => openFiles(await fetched(address)));
 }
-element("pictures-folder").addEventListener("change", ({ target }) => {
-  const named = (file) => file.webkitRelativePath.split("/").slice(-2).join("/");
-  open.pictures = Object.fromEntries(Array.from(target.files, (file) => [named(file), file]));
-  attempt(describe);
-});
 for (const kind of ["dragover", "dragleave", "drop"])
   document.addEventListener(kind, (event) => {
     event.preventDefault();

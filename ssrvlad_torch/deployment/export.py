@@ -32,8 +32,12 @@ def export_head(
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
-    The file runs on the CPU in ONNX Runtime 1.15 or newer, with nothing else. Keypoint counts
-    are those of `SSRVLAD`, descriptors differ by less than 1e-6. A graph cannot raise an error:
+    The file holds standard operators only and computes in int32 and float32: ONNX Runtime and
+    OpenVINO on a CPU run it. Keypoint counts are those of `SSRVLAD`, descriptors differ by less
+    than 1e-6. OpenVINO divides int32 in float32 and is exact for batches of up to 16 million pixels
+    of the working grid, and it cuts int64 labels to 32 bits. A descriptor of more than the graph
+    can count is NaN: of a grid wider than 960 columns (harmonics around the vanishing column), or
+    of 2 ** 31 pairs of points in a layer (residuals). A graph cannot raise an error:
     pixels with an id outside the label space belong to no layer, and the output ``unknown``
     counts them. It does not notice NaN scores.
 

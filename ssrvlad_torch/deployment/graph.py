@@ -28,8 +28,8 @@ OPSET = 18
 
 
 class Symbol:
-    """A tensor of a `Graph`. Numbers beside it take its dtype; ``//`` and ``%`` are those of C, so
-    numerators must not be negative, and ``>>`` moves in zeros. ``depth`` is the number of loops
+    """A tensor of a `Graph`. Numbers beside it take its dtype; ``//`` and ``%`` are those of C and
+    ``>>`` is a division, so their numerators must not be negative. ``depth`` is the number of loops
     that it is inside of."""
 
     __slots__ = ("depth", "graph", "value")
@@ -80,12 +80,11 @@ class Symbol:
         return self._bitwise("Not")
 
     def __lshift__(self, bits: Symbol | int) -> Symbol:
-        if self.dtype == "int64" and isinstance(bits, int):
-            return self * (1 << bits)
-        return self._shifted(bits, "LEFT")
+        powers = self.graph.constant(1 << np.arange(31, dtype=np.int32))
+        return self * (1 << bits if isinstance(bits, int) else powers.take(bits))
 
-    def __rshift__(self, bits: Symbol | int) -> Symbol:
-        return self._shifted(bits, "RIGHT")
+    def __rshift__(self, bits: int | npt.NDArray[np.int64]) -> Symbol:
+        return self // self.graph.constant(np.left_shift(1, bits).astype(np.int32))
 
     def __add__(self, other: Symbol | float) -> Symbol:
         return self.graph.Add(self, other)
@@ -132,12 +131,6 @@ class Symbol:
     def equals(self, other: Symbol | int) -> Symbol:
         """Where both are equal, bool."""
         return self.graph.Equal(self, other)
-
-    def _shifted(self, bits: Symbol | int, direction: str) -> Symbol:
-        if self.dtype != "int64":
-            return self.graph.BitShift(self, bits, direction=direction)
-        amount = bits.to("uint64") if isinstance(bits, Symbol) else bits
-        return self.graph.BitShift(self.to("uint64"), amount, direction=direction).to("int64")
 
     def _bitwise(self, operator: str, *others: Symbol | int) -> Symbol:
         prefix = "" if self.dtype == "bool" else "Bitwise"
@@ -214,17 +207,33 @@ class Graph:
         return self.ScatterElements(zeros, *entries, axis=0).reshape(*table.shape)
 
     def vector(self, *numbers: Symbol | int) -> Symbol:
-        """``(n,)`` int64 of numbers and of ``()`` or ``(m,)`` symbols, one after another."""
+        """``(n,)`` int64, which shapes are: numbers and ``()`` or ``(m,)`` symbols, one after
+        another."""
         if all(isinstance(number, int) for number in numbers):
             return self.constant(np.array(numbers, np.int64))
         parts = [
-            self.vector(number) if isinstance(number, int) else self.Reshape(number, [-1])
+            self.vector(number)
+            if isinstance(number, int)
+            else self.Reshape(number.to("int64"), [-1])
             for number in numbers
         ]
         return parts[0] if len(parts) == 1 else self.Concat(*parts, axis=0)
 
-    def arange(self, stop: Symbol | int) -> Symbol:
-        """``(stop,)`` int64, 0, 1, ..."""
+    def sizes(self, symbol: Symbol, rank: int) -> list[Symbol]:
+        """``()`` int32 each, the lengths of the axes."""
+        shape = self.Shape(symbol).to("int32")
+        return [shape[axis] for axis in range(rank)]
+
+    def length(self, entries: Symbol) -> Symbol:
+        """``()`` int32, how many entries there are."""
+        return self.Size(entries).to("int32")
+
+    def places(self, flags: Symbol) -> Symbol:
+        """``(n,)`` int32, the places of an ``(m,)`` tensor that are not zero."""
+        return self.NonZero(flags).reshape(-1).to("int32")
+
+    def arange(self, stop: Symbol) -> Symbol:
+        """``(stop,)`` int32, 0, 1, ..."""
         return self.Range(0, stop, 1)
 
     def full(self, sizes: Sequence[Symbol | int], number: int, dtype: str) -> Symbol:
@@ -240,8 +249,7 @@ class Graph:
 
     def any(self, flags: Symbol) -> Symbol:
         """``()`` bool, whether any of the ``(n,)`` flags is set, of which there may be none."""
-        padded = self.Pad(flags.to("float32"), [0, 1])
-        return self.ReduceSum(padded, keepdims=0) > 0
+        return self.ReduceMax(self.Pad(flags.to("int32"), [0, 1]), keepdims=0) > 0
 
     def normalised(self, vectors: Symbol) -> Symbol:
         """Vectors along the last axis divided by their L2 norm; zeros stay zeros."""
@@ -254,20 +262,20 @@ class Graph:
         return self.ScatterElements(zeros, index, amounts, axis=0, reduction="add")
 
     def counts(self, index: Symbol, count: Symbol | int) -> Symbol:
-        """``(count,)`` int64, how often each number is in the index."""
-        return self.sums(index, self.like(index, 1, "int64"), count)
+        """``(count,)`` int32, how often each number is in the index."""
+        return self.sums(index, self.like(index, 1, "int32"), count)
 
     def before(self, amounts: Symbol) -> Symbol:
-        """``(n,)`` int64, the sum of all amounts before each."""
+        """``(n,)``, the sum of all amounts before each."""
         return self.CumSum(amounts, 0, exclusive=1)
 
     def repeated(self, times: Symbol) -> tuple[Symbol, Symbol]:
-        """``(m,)`` int64 each: the numbers from 0, each as often as ``times`` says, and for each
+        """``(m,)`` int32 each: the numbers from 0, each as often as ``times`` says, and for each
         entry how many entries of its number are before it."""
         begin = self.before(self.Pad(times, [0, 1]))
         begin, total = begin[:-1], begin[-1]
         later = begin[1:]
-        starts = self.sums(later, self.like(later, 1, "int64"), total + 1)
+        starts = self.sums(later, self.like(later, 1, "int32"), total + 1)
         number = self.CumSum(starts[:total], 0)
         return number, self.arange(total) - begin.take(number)
 
@@ -281,20 +289,25 @@ class Graph:
             builder.pop_module()
 
     def repeat(
-        self, trips: Symbol | int, body: Callable[..., Sequence[Symbol]], *carried: Symbol
+        self,
+        trips: Symbol | int,
+        body: Callable[..., Sequence[Symbol]],
+        *carried: Symbol,
+        rank: int = 1,
     ) -> list[Symbol]:
-        """``carried = body(step, *carried)`` so many times."""
-        return self._loop(trips, body, carried, len(carried), going=False)
+        """``carried = body(step, *carried)`` so many times, all of one rank."""
+        return self._loop(trips, body, carried, len(carried), False, rank)
 
     def repeat_while(self, body: Callable[..., Sequence[Symbol]], *carried: Symbol) -> list[Symbol]:
-        """``going, *carried = body(step, *carried)`` once, and as long as ``going`` is true."""
-        return self._loop(None, body, carried, len(carried), going=True)
+        """``going, *carried = body(step, *carried)`` once, and as long as ``going`` is true; all
+        are lists."""
+        return self._loop(None, body, carried, len(carried), True)
 
     def stacked(
         self, trips: Symbol | int, body: Callable[[Symbol], Sequence[Symbol]], outputs: int = 1
     ) -> list[Symbol]:
         """What ``body(step)`` gives, step after step, stacked along a new first axis."""
-        return self._loop(trips, body, (), outputs, going=False)
+        return self._loop(trips, body, (), outputs, False)
 
     def model(self, outputs: Mapping[str, tuple[Symbol, Form]]) -> onnx.ModelProto:
         """The finished graph.
@@ -326,6 +339,7 @@ class Graph:
         carried: Sequence[Symbol],
         outputs: int,
         going: bool,
+        rank: int = 1,
     ) -> list[Symbol]:
         import onnx_ir as ir
         import onnxscript
@@ -336,13 +350,16 @@ class Graph:
         declared = [
             ir.val(f"{name}.step", ir.DataType.INT64, []),
             ir.val(f"{name}.going", ir.DataType.BOOL, []),
-            *(ir.val(f"{name}.carried_{number}", dtype) for number, dtype in enumerate(kept)),
+            *(
+                ir.val(f"{name}.carried_{number}", dtype, ir.Shape([None] * rank))
+                for number, dtype in enumerate(kept)
+            ),
         ]
         inside = ir.Graph(declared, [], nodes=[], opset_imports={"": OPSET}, name=name)
         self._builders.append(onnxscript.GraphBuilder(inside, parent=self._builders[-1]))
         self._builders[-1].push_module(name)
         step, on, *state = (Symbol(self, value, depth) for value in declared)
-        results = list(body(step, *state))
+        results = list(body(step.to("int32"), *state))
         if not going:
             results.insert(0, on)
         for result in results:
@@ -350,7 +367,8 @@ class Graph:
             output = result if made_here else self._nodes(depth, "Identity", 1, result)[0]
             inside.outputs.append(output.value)
         self._builders.pop()
-        symbols = self._nodes(depth - 1, "Loop", outputs, trips, True, *carried, body=inside)
+        times = trips.to("int64") if isinstance(trips, Symbol) else trips
+        symbols = self._nodes(depth - 1, "Loop", outputs, times, True, *carried, body=inside)
         for symbol, result in zip(symbols, results[1:], strict=True):
             symbol.value.dtype = _data_type(result.dtype)
         return symbols

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
+
 from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig
 from ..stages.boundaries import WIDTH
 from ..stages.grid_pooling import ROWS
@@ -12,16 +14,13 @@ from ..stages.harmonics import harmonic_tables
 from ..stages.layers import category_table
 from ..stages.skeleton import RULES
 from ..taxonomy import label_space
-from .geometry import area_pixels, radius_pixels, ring_limits, working_grid
+from .geometry import Lengths, lengths, working_grid
 from .graph import Graph, Symbol
 from .stages.boundaries import boundaries_in_graph
 from .stages.centroid import centroids_in_graph
 from .stages.components import drop_regions_in_graph, fill_holes_in_graph
 from .stages.grid_pooling import pool_in_graph
-from .stages.harmonics import (
-    coefficients_in_graph,
-    soft_histograms_in_graph,
-)
+from .stages.harmonics import coefficients_in_graph, harmonics_in_graph
 from .stages.keypoints import end_points_in_graph, intersections_in_graph
 from .stages.layers import (
     categorise_in_graph,
@@ -32,14 +31,18 @@ from .stages.layers import (
 from .stages.morphology import open_and_close_in_graph
 from .stages.reduction import reduce_by_majority_in_graph
 from .stages.residuals import aggregate_in_graph
-from .stages.shape_context import log_polar_bins_in_graph, shape_contexts_in_graph
+from .stages.shape_context import (
+    log_polar_bins_in_graph,
+    shape_contexts_in_graph,
+    too_many_in_graph,
+)
 from .stages.skeleton import thin_in_graph
-from .stages.vanishing_column import vanishing_columns_in_graph
+from .stages.vanishing_column import WIDEST, vanishing_columns_in_graph
 from .words import GraphPoints, Words, count_points_in_graph, grid_of, points_of
 
 
 class Described(NamedTuple):
-    """What the graph gives for a batch: ``(B, 480)`` float32, ``(B, 8)`` int64, ``(B,)`` int64."""
+    """What the graph gives for a batch: ``(B, 480)`` float32, ``(B, 8)`` int32, ``(B,)`` int32."""
 
     descriptor: Symbol
     keypoints: Symbol
@@ -59,61 +62,60 @@ def describe_in_graph(
     """
     with graph.stage("layers"):
         categories, unknown = _categories(graph, labels, config)
-        images, height, width = (graph.Shape(categories)[axis] for axis in range(3))
-        grid = grid_of(images, height, width)
+        grid = grid_of(*graph.sizes(categories, 3))
         layers = split_in_graph(graph, categories, grid)  # Table II
-    clean = _cleaned(graph, config, layers)
+    with graph.stage("geometry"):
+        sizes = lengths(graph, config, grid)
+    clean = _cleaned(graph, config, layers, sizes)
     with graph.stage("skeleton"):
-        skeleton = thin_in_graph(graph, clean, RULES[config.thinning])
+        skeleton = thin_in_graph(graph, clean, RULES[config.thinning], not config.working_size)
     with graph.stage("keypoints"):
         ends = end_points_in_graph(graph, skeleton)
         crossings = intersections_in_graph(graph, skeleton)
         keypoints = points_of(graph, skeleton.with_line(ends.line | crossings.line))
-        counts = count_points_in_graph(graph, keypoints, images)
+        counts = count_points_in_graph(graph, keypoints, grid.images)
     if config.aggregation == "residuals":
-        descriptor = _residuals(graph, config, clean, skeleton, keypoints, counts)
+        masks = clean, skeleton
+        descriptor = _residuals(graph, config, masks, keypoints, counts, sizes.ring_limits)
     else:
         descriptor = _harmonics(graph, config, merge_in_graph(layers), columns)
     return Described(descriptor, counts, unknown)
 
 
-def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words) -> Words:
+def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths) -> Words:
     """The layers after morphology, without small holes and regions."""
-    grid = layers.grid
     with graph.stage("morphology"):
-        opening = radius_pixels(graph, config, config.opening, grid)
-        closing = radius_pixels(graph, config, config.closing, grid)
-        clean = open_and_close_in_graph(graph, layers, opening, closing)
+        clean = open_and_close_in_graph(graph, layers, sizes.opening, sizes.closing)
     with graph.stage("holes"):
         if config.hole_area:
-            clean = fill_holes_in_graph(graph, clean, area_pixels(config, config.hole_area, grid))
+            clean = fill_holes_in_graph(graph, clean, sizes.hole_area)
     with graph.stage("regions"):
         if config.region_area:
-            area = area_pixels(config, config.region_area, grid)
-            clean = drop_regions_in_graph(graph, clean, area)
+            clean = drop_regions_in_graph(graph, clean, sizes.region_area)
     return clean
 
 
 def _residuals(
     graph: Graph,
     config: SSRVLADConfig,
-    clean: Words,
-    skeleton: Words,
+    masks: tuple[Words, Words],
     keypoints: GraphPoints,
     counts: Symbol,
+    ring_limits: Symbol,
 ) -> Symbol:
-    """The paper's descriptor."""
-    grid = clean.grid
+    """The paper's descriptor, from the clean layers and their skeletons."""
+    (clean, skeleton), grid = masks, masks[0].grid
     with graph.stage("centroid"):
         centres = centroids_in_graph(graph, clean)  # Eq. 1
     with graph.stage("shape_context"):
         context = points_of(graph, skeleton) if config.context == "skeleton" else keypoints
-        limits = ring_limits(config, grid)
-        bins = log_polar_bins_in_graph(graph, grid.height, grid.width, limits, config.sectors)
+        bins = log_polar_bins_in_graph(graph, grid, ring_limits, config.rings, config.sectors)
         point_sums = shape_contexts_in_graph(graph, keypoints, context, bins, grid.images)
         centre_counts = shape_contexts_in_graph(graph, centres, context, bins, grid.images)
     with graph.stage("aggregation"):
-        return aggregate_in_graph(graph, point_sums, centre_counts, counts)  # Eq. 2
+        descriptor = aggregate_in_graph(graph, point_sums, centre_counts, counts)  # Eq. 2
+        too_many = too_many_in_graph(graph, keypoints, context, grid.images)
+        return graph.Where(too_many, np.nan, descriptor)
 
 
 def _harmonics(
@@ -124,7 +126,7 @@ def _harmonics(
     with graph.stage("boundaries"):
         edges = boundaries_in_graph(graph, layers)
     with graph.stage("vanishing_column"):
-        column = graph.full([grid.images], 0, "int64")
+        column = graph.full([grid.images], 0, "int32")
         if config.anchor == "vanishing-column":
             column = vanishing_columns_in_graph(graph, layers)
     if not columns:
@@ -139,27 +141,39 @@ def _around(
     """The coefficients of the soft histograms around one anchor."""
     grid = layers.grid
     with graph.stage("grid_pooling"):
-        unit = graph.Min(grid.height, grid.width).to("float64") / (ROWS * WIDTH)
         area = graph.Slice(pool_in_graph(graph, layers, column), [0], [AREA_LAYERS], [1])
         pooled = pool_in_graph(graph, edges, column)
-        lengths = graph.Slice(pooled, [0], [BOUNDARY_DIRECTIONS], [1]) * unit
-        cells = graph.Concat(area, lengths, axis=1)
+        length = graph.Slice(pooled, [0], [BOUNDARY_DIRECTIONS], [1])
+        sums = graph.Concat(area, length, axis=1).reshape(0, 0, -1)
     with graph.stage("harmonics"):
         tables, numbers = harmonic_tables(config), (config.harmonics, config.boundary_harmonics)
-        histogram = soft_histograms_in_graph(graph, cells, tables.bins)
-        return coefficients_in_graph(graph, histogram, tables.basis, numbers, config.power)
+        whole = grid.height * grid.width
+        found = harmonics_in_graph(graph, sums, whole, tables)
+        side = graph.Min(grid.height, grid.width)
+        found = found * _scales(graph, whole.to("float32"), side.to("float32"))
+        descriptor = coefficients_in_graph(graph, found, numbers, config.power)
+        return graph.Where(grid.width > WIDEST, np.nan, descriptor)
+
+
+def _scales(graph: Graph, area: Symbol, side: Symbol) -> Symbol:
+    """``(1, 10, 1)``, the square roots of what makes fractions of whole numbers of pixels, and
+    lengths in sides of a cell of those of boundaries."""
+    is_length = np.arange(AREA_LAYERS + BOUNDARY_DIRECTIONS) >= AREA_LAYERS
+    per_side = graph.constant((is_length / (ROWS * WIDTH)).astype(np.float32))
+    without = graph.constant((~is_length).astype(np.float32))
+    return graph.Sqrt((per_side * side + without) / area).reshape(1, -1, 1)
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:
-    """``(B, h, w)`` uint8 categories on the working grid and ``(B,)`` int64 unknown ids, an image
+    """``(B, h, w)`` uint8 categories on the working grid and ``(B,)`` int32 unknown ids, an image
     at a time so that memory stays bounded."""
     table, origin = category_table(label_space(config.labels_as))
-    images, height, width = (graph.Shape(labels)[axis] for axis in range(3))
+    images, height, width = graph.sizes(labels, 3)
 
     def one_image(step: Symbol) -> tuple[Symbol, Symbol]:
         entries, own_table = entries_in_graph(graph, labels[step], table, origin)
         if config.working_size is None:
-            return categorise_in_graph(graph, entries, own_table, (height, width))
+            return categorise_in_graph(graph, entries, own_table)
         grid = working_grid(graph, config.working_size, height, width)
         return reduce_by_majority_in_graph(graph, entries, own_table, (height, width), grid)
 

@@ -1,38 +1,44 @@
-"""Bit-planes in a graph: the layers of a batch as one line of 64-bit words.
+"""Bit-planes in a graph: the layers of a batch as one line of words.
 
-ONNX Runtime takes as long for a bitwise operation on a byte as on a word, so a word holds eight
+ONNX Runtime takes as long for a bitwise operation on a byte as on a word, so a word holds three
 pixels of a row times eight layers: bit ``8 * p + k`` is layer ``k`` of pixel ``p``. Each row ends
 with at least one background pixel and each image with a background row, so the neighbours of a
 word are the words a pitch before and after it on the line, and nothing touches around an edge.
-Words are int64, for which old versions have the operators, too. `bitplanes` is the same for
-tensors, a byte a pixel.
+`bitplanes` is the same for tensors, a byte a pixel.
 
-A pixel's place is its number on the line, margins counted: ``8 * word + p``.
+Words, lists and sizes are int32: some runtimes cut int64 to that and say nothing. The 24 bits of a
+word are never negative, are moved by products and quotients only, and are exact in float32, in
+which some runtimes divide and compare int32.
+
+A pixel's place is its number on the line, margins counted: ``3 * word + p``.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ..bitplanes import LAYERS, line_neighbours
 from .graph import Graph, Symbol
 
-PIXELS = 8
+PIXELS = 3
 """Pixels in a word."""
 
-EACH_PIXEL = 0x0101010101010101
+EACH_PIXEL = 0x010101
 """Layer 0 of all pixels of a word."""
+
+ALL = 0xFF * EACH_PIXEL
+"""All layers of all pixels of a word."""
+
+_LAST = 8 * (PIXELS - 1)
 
 Ring = tuple[Symbol, ...]
 """N, NE, E, SE, S, SW, W, NW of every pixel, as words."""
 
 
 class Grid(NamedTuple):
-    """Size of a batch, ``()`` int64 symbols: images, rows, columns, words a row on the line."""
+    """Size of a batch, ``()`` int32 symbols: images, rows, columns, words a row on the line."""
 
     images: Symbol
     height: Symbol
@@ -58,7 +64,7 @@ class Grid(NamedTuple):
 
 
 class Words(NamedTuple):
-    """The layers of a batch: ``line`` is ``(grid.words,)`` int64."""
+    """The layers of a batch: ``line`` is ``(grid.words,)`` int32."""
 
     line: Symbol
     grid: Grid
@@ -69,14 +75,14 @@ class Words(NamedTuple):
 
 
 class Pixels(NamedTuple):
-    """Pixels of the layers, sorted by layer, then by place; ``(n,)`` int64 each."""
+    """Pixels of the layers, sorted by layer, then by place; ``(n,)`` int32 each."""
 
     layer: Symbol
     place: Symbol
 
 
 class GraphPoints(NamedTuple):
-    """`bitplanes.Points` in a graph: group ``k * B + b``, row and column, ``(n,)`` int64 each."""
+    """`bitplanes.Points` in a graph: group ``k * B + b``, row and column, ``(n,)`` int32 each."""
 
     group: Symbol
     y: Symbol
@@ -84,7 +90,7 @@ class GraphPoints(NamedTuple):
 
 
 class Runs(NamedTuple):
-    """Maximal horizontal runs of the layers, sorted by layer, then by place; ``(n,)`` int64 each.
+    """Maximal horizontal runs of the layers, sorted by layer, then by place; ``(n,)`` int32 each.
 
     ``first`` and ``last`` are the places of the first and the last pixel.
     """
@@ -100,7 +106,7 @@ class Runs(NamedTuple):
 
     def where(self, chosen: Symbol) -> Runs:
         """The runs at which ``(n,)`` bool is true."""
-        number = chosen.graph.NonZero(chosen).reshape(-1)
+        number = chosen.graph.places(chosen)
         return Runs(*(column.take(number) for column in self))
 
 
@@ -110,8 +116,8 @@ def grid_of(images: Symbol, height: Symbol, width: Symbol) -> Grid:
 
 
 def inside(graph: Graph, grid: Grid) -> Symbol:
-    """``(grid.words,)`` int64, all bits of all pixels that are not margin."""
-    masks = _words([(1 << 8 * p) - 1 for p in range(PIXELS + 1)])
+    """``(grid.words,)`` int32, all bits of all pixels that are not margin."""
+    masks = np.array([(1 << 8 * p) - 1 for p in range(PIXELS + 1)], np.int32)
     left = grid.width - graph.arange(grid.pitch) * PIXELS
     row = graph.constant(masks).take(graph.Min(left, PIXELS)).reshape(1, -1)
     image = graph.Pad(graph.Expand(row, graph.vector(grid.height, 1)), [0, 0, 1, 0])
@@ -127,24 +133,32 @@ def neighbourhood(graph: Graph, words: Words) -> tuple[Symbol, Ring]:
 
 def west_of(graph: Graph, line: Symbol) -> Symbol:
     """The west neighbours of all pixels."""
-    return (line << 8) + graph.Pad(line[:-1] >> 56, [1, 0])
+    return up(line, 8) + graph.Pad(line[:-1] >> _LAST, [1, 0])
 
 
 def east_of(graph: Graph, line: Symbol) -> Symbol:
     """The east neighbours of all pixels."""
-    return (line >> 8) + graph.Pad(line[1:] << 56, [0, 1])
+    return (line >> 8) + graph.Pad(up(line[1:], _LAST), [0, 1])
+
+
+def shifted(before: Symbol, here: Symbol, after: Symbol) -> tuple[Symbol, Symbol]:
+    """Words whose pixels are the west, and the east, neighbours of the pixels of the words."""
+    return up(here, 8) + (before >> _LAST), (here >> 8) + up(after, _LAST)
+
+
+def up(line: Symbol, bits: Symbol | int) -> Symbol:
+    """Words with all bits moved to higher places; those that leave their word are lost."""
+    return line << bits & ALL
 
 
 def pixels_of(graph: Graph, line: Symbol) -> Pixels:
     """The pixels of every layer. Words without any are passed over, then pixels without any."""
-    word = graph.NonZero(line).reshape(-1)
-    pixels = _bytes(graph, line.take(word))
-    entry, pixel = graph.split(graph.NonZero(pixels), 2, axis=0)
-    entry, pixel = entry.reshape(-1), pixel.reshape(-1)
-    place = word.take(entry) * PIXELS + pixel
+    word = graph.places(line)
+    pixels = _bytes(graph, line.take(word)).reshape(-1)
+    entry = graph.places(pixels)
+    place = word.take(entry // PIXELS) * PIXELS + entry % PIXELS
     bits = graph.constant((1 << np.arange(LAYERS)).astype(np.uint8)[:, None])
-    layers = pixels.reshape(-1).take(entry * PIXELS + pixel) & bits
-    layer, entry = graph.split(graph.NonZero(layers), 2, axis=0)
+    layer, entry = graph.split(graph.NonZero(pixels.take(entry) & bits).to("int32"), 2, axis=0)
     return Pixels(layer.reshape(-1), place.take(entry.reshape(-1)))
 
 
@@ -163,14 +177,15 @@ def first_of_runs(graph: Graph, line: Symbol) -> Symbol:
 
 def paint_in_graph(graph: Graph, runs: Runs, grid: Grid) -> Symbol:
     """The line that holds exactly the given runs; each writes the words that it reaches into."""
-    ends = np.ndindex(PIXELS, PIXELS)
-    spans = _words([sum(1 << 8 * p for p in range(first, last + 1)) for first, last in ends])
+    spans = np.zeros((PIXELS, PIXELS), np.int32)
+    for first, last in np.ndindex(spans.shape):
+        spans[first, last] = sum(1 << 8 * p for p in range(first, last + 1))
     begin, end = runs.first // PIXELS, runs.last // PIXELS
     run, step = graph.repeated(end - begin + 1)
     word = begin.take(run) + step
     first = graph.Max(runs.first.take(run) - word * PIXELS, 0)
     last = graph.Min(runs.last.take(run) - word * PIXELS, PIXELS - 1)
-    span = graph.constant(spans).take(first * PIXELS + last)
+    span = graph.constant(spans.ravel()).take(first * PIXELS + last)
     bits = span << runs.layer.take(run)
     return graph.sums(word, bits, grid.words)
 
@@ -190,7 +205,7 @@ def points_of(graph: Graph, words: Words) -> GraphPoints:
 
 
 def count_points_in_graph(graph: Graph, listed: GraphPoints, images: Symbol) -> Symbol:
-    """``(B, 8)`` int64, how many of the points each layer of each image has."""
+    """``(B, 8)`` int32, how many of the points each layer of each image has."""
     counts = graph.counts(listed.group, images * LAYERS).reshape(-1, 1)
     return by_image_in_graph(graph, counts, images).reshape(images, LAYERS)
 
@@ -202,15 +217,5 @@ def by_image_in_graph(graph: Graph, values: Symbol, images: Symbol) -> Symbol:
 
 
 def _bytes(graph: Graph, line: Symbol) -> Symbol:
-    """``(n, 8)`` uint8, the eight pixels of each word."""
-    shifts = graph.constant(8 * np.arange(PIXELS, dtype=np.uint64))
-    return (line.to("uint64").reshape(-1, 1) >> shifts & 255).to("uint8")
-
-
-def shifted(before: Symbol, here: Symbol, after: Symbol) -> tuple[Symbol, Symbol]:
-    """Words whose pixels are the west, and the east, neighbours of the pixels of the words."""
-    return (here << 8) + (before >> 56), (here >> 8) + (after << 56)
-
-
-def _words(numbers: Sequence[int]) -> npt.NDArray[np.int64]:
-    return np.array(numbers, np.uint64).view(np.int64)
+    """``(n, 3)`` uint8, the pixels of each word."""
+    return (line.reshape(-1, 1) >> 8 * np.arange(PIXELS) & 255).to("uint8")

@@ -76,7 +76,8 @@ def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     are on), and two products that are zero. Given A = 1 the neighbours that are on form one arc,
     in which corners and others alternate, and B need not be counted: B >= 2 if the arc has one
     of either kind. B = 7, given the products too, leaves two places for the neighbour that is off:
-    E or S in the first sub-iteration, W or N in the second, with both its corners on.
+    E or S in the first sub-iteration, W or N in the second, with both its corners on. What a set
+    leaves of a larger one is their difference.
 
     Args:
         pixels: `Bits`, tensors or symbols of a graph.
@@ -91,11 +92,11 @@ def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     two_on = (north_west | south_east) & (ne | se | sw | nw)
     if first:
         kept = e & s & north_west  # p2 p4 p6 or p4 p6 p8
-        seven_on = se & (ne & ~e | sw & ~s)
+        seven_on = se & ((ne | e) - e | sw - (s & sw))
     else:
         kept = n & w & south_east  # p2 p4 p8 or p2 p6 p8
-        seven_on = nw & (sw & ~w | ne & ~n)
-    return pixels & ~(_exactly_one(steps_around(ring)) & two_on & ~(kept | seven_on))
+        seven_on = nw & ((sw | w) - w | ne - (n & ne))
+    return pixels - (pixels & _exactly_one(steps_around(ring)) & two_on & ~(kept | seven_on))
 
 
 def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
@@ -174,9 +175,10 @@ def _around(changed: Tensor, line: Tensor, pitch: int) -> Tensor:
 
 
 def _exactly_one(planes: Sequence[Bits]) -> Bits:
-    """Bits that are set in exactly one of four planes."""
+    """Bits that are set in exactly one of four planes: in one of a pair and none of the other."""
     a, b, c, d = planes
-    return (a | b | c | d) & ~(a & b | c & d | (a | b) & (c | d))
+    one, other = a ^ b, c ^ d
+    return (one - (one & (c | d))) | (other - (other & (a | b)))
 
 
 def _any(planes: Sequence[Bits]) -> Bits:

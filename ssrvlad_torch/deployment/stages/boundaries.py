@@ -12,7 +12,7 @@ def boundaries_in_graph(graph: Graph, words: Words) -> Words:
     within = inside(graph, words.grid)
     nw, ne, sw, se = _diagonals(graph, words.with_line(within))
     seen = nw & ne & sw & se & within
-    found = graph.like(words.line, 0, "int64")
+    found = graph.like(words.line, 0, "int32")
     for bit, layers in enumerate(directions(*_diagonals(graph, words))):
         found = found | (_any_layer(layers & seen) << bit)
     return words.with_line(found)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from ...bitplanes import LAYERS
 from ..graph import Graph, Symbol
 from ..words import (
+    ALL,
     EACH_PIXEL,
     PIXELS,
     Words,
@@ -16,11 +19,12 @@ from ..words import (
     paint_in_graph,
     pixels_of,
     runs_of,
+    up,
 )
 
 
 def fill_holes_in_graph(graph: Graph, words: Words, area: Symbol) -> Words:
-    """`fill_holes` in a graph. A gap at the border counts as larger than any hole to fill."""
+    """`fill_holes` in a graph."""
     grid = words.grid
     background = words.with_line(inside(graph, grid) - words.line)
     gaps = runs_of(graph, background.line)
@@ -28,21 +32,24 @@ def fill_holes_in_graph(graph: Graph, words: Words, area: Symbol) -> Words:
     border = (
         row.equals(0) | row.equals(grid.height - 1) | first.equals(0) | last.equals(grid.width - 1)
     )
-    sizes = _region_sizes(graph, background, gaps.length + border.to("int64") * area, False)
-    return words.with_line(words.line + paint_in_graph(graph, gaps.where(sizes < area), grid))
+    small, open_ends = _over_regions(graph, background, (gaps.length, border.to("int32")), False)
+    holes = (small < area) & open_ends.equals(0)
+    return words.with_line(words.line + paint_in_graph(graph, gaps.where(holes), grid))
 
 
 def drop_regions_in_graph(graph: Graph, words: Words, area: Symbol) -> Words:
     """`drop_regions` in a graph."""
     segments = runs_of(graph, words.line)
-    sizes = _region_sizes(graph, words, segments.length, True)
+    (sizes,) = _over_regions(graph, words, (segments.length,), True)
     return words.with_line(
         words.line - paint_in_graph(graph, segments.where(sizes < area), words.grid)
     )
 
 
-def _region_sizes(graph: Graph, words: Words, amounts: Symbol, diagonal: bool) -> Symbol:
-    """Sum of the runs' amounts over the region of each run; the regions as by `_regions`."""
+def _over_regions(
+    graph: Graph, words: Words, amounts: Sequence[Symbol], diagonal: bool
+) -> list[Symbol]:
+    """Sums of amounts of the runs over the region of each run; the regions as by `_regions`."""
     upper, lower = _touching_in_graph(graph, words, diagonal)
 
     def pass_on(_: Symbol, region: Symbol) -> tuple[Symbol, Symbol]:
@@ -53,9 +60,9 @@ def _region_sizes(graph: Graph, words: Words, amounts: Symbol, diagonal: bool) -
         jumped = hooked.take(hooked)
         return graph.any(~jumped.equals(region)), jumped
 
-    count = graph.Size(amounts)
+    count = graph.length(amounts[0])
     (region,) = graph.repeat_while(pass_on, graph.arange(count))
-    return graph.sums(region, amounts, count).take(region)
+    return [graph.sums(region, each, count).take(region) for each in amounts]
 
 
 def _touching_in_graph(graph: Graph, words: Words, diagonal: bool) -> tuple[Symbol, Symbol]:
@@ -69,7 +76,7 @@ def _touching_in_graph(graph: Graph, words: Words, diagonal: bool) -> tuple[Symb
         links.append(line & north_east & ~(north | east))
     found = pixels_of(graph, graph.Concat(*links, axis=0))
     line_length = grid.words * PIXELS
-    step = graph.constant(np.array([0, -1, 1])).take(found.place // line_length)
+    step = graph.constant(np.array([0, -1, 1], np.int32)).take(found.place // line_length)
     lower = found.place % line_length
     upper = lower - grid.pitch * PIXELS + step
     return _run_at(graph, line, found.layer, upper), _run_at(graph, line, found.layer, lower)
@@ -78,13 +85,12 @@ def _touching_in_graph(graph: Graph, words: Words, diagonal: bool) -> tuple[Symb
 def _run_at(graph: Graph, line: Symbol, layer: Symbol, place: Symbol) -> Symbol:
     """Number of the run that has each of the pixels: how many runs begin up to there, less one.
 
-    A product with `EACH_PIXEL` sums the bytes of a word into its highest.
+    A product with `EACH_PIXEL` sums the pixels of a word into its last.
     """
-    shifts = graph.constant(np.arange(LAYERS, dtype=np.uint64)[:, None])
-    firsts = first_of_runs(graph, line).to("uint64").reshape(1, -1) >> shifts & EACH_PIXEL
-    firsts = firsts.to("int64").reshape(-1)
-    before = graph.before(firsts * EACH_PIXEL >> 56)
-    word = layer * graph.Size(line) + place // PIXELS
-    later = (PIXELS - 1 - place % PIXELS) * LAYERS
-    up_to = (firsts.take(word) << later) * EACH_PIXEL >> 56
-    return before.take(word) + up_to - 1
+    highest = LAYERS * (PIXELS - 1)
+    shifts = np.arange(LAYERS)[:, None]
+    firsts = (first_of_runs(graph, line).reshape(1, -1) >> shifts & EACH_PIXEL).reshape(-1)
+    before = graph.before((firsts * EACH_PIXEL & ALL) >> highest)
+    word = layer * graph.length(line) + place // PIXELS
+    up_to = up(firsts.take(word), highest - place % PIXELS * LAYERS)
+    return before.take(word) + ((up_to * EACH_PIXEL & ALL) >> highest) - 1

@@ -2,23 +2,40 @@
 
 from __future__ import annotations
 
-from torch import Tensor
+import numpy as np
 
 from ...config import AREA_LAYERS, BOUNDARY_DIRECTIONS
+from ...stages.harmonics import Tables
 from ..graph import Graph, Symbol
+from ..pairs import Pair, product, root, weighted_means
 
 
-def soft_histograms_in_graph(graph: Graph, cells: Symbol, bins: Tensor) -> Symbol:
-    """`soft_histograms` in a graph."""
-    table = graph.sparse_constant(bins.T.numpy())
-    return graph.Sqrt(graph.MatMul(cells.reshape(0, 0, -1), table))
+def harmonics_in_graph(graph: Graph, sums: Symbol, largest: Symbol, tables: Tables) -> Symbol:
+    """`soft_histograms` and the products of `coefficients` in a graph, but for the scale of the
+    cells, which the root and the products let through.
+
+    Args:
+        graph: where the nodes go.
+        sums: ``(B, 10, cells)`` float32, the cells as whole numbers.
+        largest: ``()`` int32, the largest that a cell can be.
+        tables: of `harmonic_tables`.
+
+    Returns:
+        ``(B, 10, harmonics)`` float32.
+    """
+    bins, basis = (table.T.numpy() for table in tables)
+    powers = graph.constant(4 ** np.arange(13, dtype=np.int32))
+    place = graph.ReduceSum((powers < largest).to("int32"), [0])
+    shrink = graph.constant(0.25 ** np.arange(14, dtype=np.float32)).take(place)
+    means = weighted_means(graph, sums, bins)
+    roots = root(graph, Pair(means.high * shrink, means.low * shrink))
+    return product(graph, roots, basis) / graph.Sqrt(shrink)
 
 
 def coefficients_in_graph(
-    graph: Graph, histogram: Symbol, basis: Tensor, numbers: tuple[int, int], power: float
+    graph: Graph, found: Symbol, numbers: tuple[int, int], power: float
 ) -> Symbol:
-    """`coefficients` in a graph."""
-    found = graph.MatMul(histogram, graph.constant(basis.T.numpy().copy()))
+    """`coefficients` in a graph, but for the products."""
     area = graph.Slice(found, [0, 0], [AREA_LAYERS, numbers[0]], [1, 2])
     blocks = AREA_LAYERS + BOUNDARY_DIRECTIONS
     length = graph.Slice(found, [AREA_LAYERS, 0], [blocks, numbers[1]], [1, 2])

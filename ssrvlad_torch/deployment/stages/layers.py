@@ -23,32 +23,32 @@ def entries_in_graph(
         table, origin: from `category_table`.
 
     Returns:
-        ``(n,)`` int32, for each of the n pixels its entry in the table, and the table for this
-        dtype, ``(T,)`` uint8.
+        uint8 or int32 of the same shape, for each pixel its entry in the table, and the table for
+        this dtype, ``(T,)`` uint8.
     """
     if labels.dtype == "uint8":
-        return labels.to("int32").reshape(-1), table[origin : origin + 256].numpy()
+        return labels, table[origin : origin + 256].numpy()
     entries = graph.Min(graph.Max(labels, -origin), len(table) - 1 - origin) + origin
-    return entries.to("int32").reshape(-1), table.numpy()
+    return entries.to("int32"), table.numpy()
 
 
 def categorise_in_graph(
-    graph: Graph, entries: Symbol, table: npt.NDArray[np.uint8], size: tuple[Symbol, Symbol]
+    graph: Graph, entries: Symbol, table: npt.NDArray[np.uint8]
 ) -> tuple[Symbol, Symbol]:
     """The look-up of `categorise` in a graph, for one image.
 
     Args:
         graph: where the nodes go.
-        entries, table: from `entries_in_graph`.
-        size: H and W, ``()`` int64.
+        entries, table: from `entries_in_graph`, ``(H, W)``.
 
     Returns:
-        ``(H, W)`` uint8, and ``()`` int64, the number of unknown ids.
+        ``(H, W)`` uint8, and ``()`` int32, the number of unknown ids.
     """
-    categories = graph.constant(table).take(entries).reshape(*size)
+    found = graph.constant(table).take(entries.to("int32").reshape(-1))
+    categories = graph.Reshape(found, graph.Shape(entries))
     is_unknown = categories.to("int32").equals(UNKNOWN).to("float32")
     by_row = graph.ReduceSum(is_unknown, [1], keepdims=0)  # exact: a row has no 2 ** 24 pixels
-    return categories, graph.ReduceSum(by_row.to("int64"), keepdims=0)
+    return categories, graph.ReduceSum(by_row.to("int32"), keepdims=0)
 
 
 def merge_in_graph(words: Words) -> Words:
@@ -59,27 +59,23 @@ def merge_in_graph(words: Words) -> Words:
 
 
 def split_in_graph(graph: Graph, categories: Symbol, grid: Grid) -> Words:
-    """`split` in a graph: the bits of each eight pixels of a row make a word.
-
-    They are added up by halves: ONNX Runtime's ``ReduceSum`` is exact to 53 bits only.
+    """`split` in a graph: the bits of each three pixels of a row make a word.
 
     Args:
         graph: where the nodes go.
         categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER` or `UNKNOWN`.
         grid: of that size.
     """
+    kinds = NO_LAYER + 1
     right = grid.pitch * PIXELS - grid.width
     padded = graph.Pad(categories, graph.vector(0, 0, 0, 0, 1, right), NO_LAYER)
-    kinds = NO_LAYER + 1
-    bits = np.zeros((PIXELS, kinds), np.uint64)
+    bits = np.zeros((PIXELS, kinds), np.int32)
     for pixel, kind in np.ndindex(PIXELS, NO_LAYER):
         bits[pixel, kind] = 1 << 8 * pixel + kind
-    pixels = graph.Transpose(padded.reshape(-1, PIXELS), perm=[1, 0])
+    by_pixel = graph.Transpose(padded.reshape(-1, PIXELS), perm=[1, 0])
     first = graph.constant(np.arange(PIXELS, dtype=np.int32)[:, None] * kinds)
-    words = graph.constant(bits.view(np.int64).ravel()).take(
-        (graph.Min(pixels.to("int32"), NO_LAYER) + first).reshape(-1)
+    words = graph.constant(bits.ravel()).take(
+        (graph.Min(by_pixel.to("int32"), NO_LAYER) + first).reshape(-1)
     )
-    for _ in range(3):
-        left, right = graph.split(words, 2)
-        words = left + right
-    return Words(words, grid)
+    first, second, third = graph.split(words, PIXELS)
+    return Words(first + second + third, grid)

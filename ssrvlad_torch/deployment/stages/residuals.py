@@ -10,5 +10,5 @@ def aggregate_in_graph(
 ) -> Symbol:
     """`aggregate` in a graph."""
     residuals = point_sums - point_counts.reshape(0, 0, 1) * centres  # Eq. 2, numerator
-    layers = graph.normalised(residuals.to("float64"))  # Eq. 2; zeros stay zeros
+    layers = graph.normalised(residuals.to("float32"))  # Eq. 2; zeros stay zeros
     return graph.normalised(graph.Flatten(layers)).to("float32")

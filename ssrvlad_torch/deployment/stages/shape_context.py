@@ -3,30 +3,32 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ...bitplanes import LAYERS
 from ...stages.shape_context import PAIRS_AT_ONCE
 from ..graph import Graph, Symbol
-from ..words import GraphPoints, by_image_in_graph
+from ..words import GraphPoints, Grid, by_image_in_graph
 
-OFFSETS_AT_ONCE = 1 << 14
-"""Entries of the table of bins that are made at a time, and those of one row more."""
+Step = tuple[Symbol, Symbol, Symbol]
+"""Columns and rows from the reference point, and by how much the bin changes there, int32."""
 
-_STEPS = 512
-"""Steps of a quarter of a turn, finer than 360 sectors a turn are."""
+_BASE = 512
+_DIGITS = 5
+"""Of a slope after the point: 45 bits, and products with a row that are exact in float32."""
+
+_FAR = 1 << 20
 
 
 class GraphBins(NamedTuple):
     """`Bins` in a graph, for any number of sectors.
 
     Attributes:
-        table: ``(n,)`` int32, the table row after row, and perhaps some more.
-        pitch: ``()`` int64, 2W - 1.
-        centre: ``()`` int64, the place of the reference point.
+        table: ``(n,)`` int32, the table column after column.
+        pitch: ``()`` int32, 2H - 1.
+        centre: ``()`` int32, the place of the reference point.
         total: N * M.
     """
 
@@ -42,8 +44,8 @@ def shape_contexts_in_graph(
     """`shape_contexts` in a graph: a block of one layer's references at a time, each of them with
     all its context points."""
     groups, stride = images * LAYERS, bins.total + 1
-    context_place = context.y * bins.pitch + context.x
-    reference_place = references.y * bins.pitch + references.x - bins.centre
+    context_place = context.x * bins.pitch + context.y
+    reference_place = references.x * bins.pitch + references.y - bins.centre
     population, members = (graph.counts(listed.group, groups) for listed in (context, references))
     at_once = PAIRS_AT_ONCE // graph.Max(population, 1) + 1
     group, step = graph.repeated((members + at_once - 1) // at_once)
@@ -59,58 +61,102 @@ def shape_contexts_in_graph(
         seen = context_place[context_begin[own] : context_end[own]]
         found = bins.table.take((seen - around).reshape(-1))
         row = graph.counts(found, stride).reshape(1, -1)
-        return [graph.ScatterND(counts, own.reshape(1, 1), row, reduction="add")]
+        place = own.to("int64").reshape(1, 1)
+        return [graph.ScatterND(counts, place, row, reduction="add")]
 
-    zeros = graph.full([groups, stride], 0, "int64")
-    (counts,) = graph.repeat(graph.Size(group), count, zeros)
+    zeros = graph.full([groups, stride], 0, "int32")
+    (counts,) = graph.repeat(graph.length(group), count, zeros, rank=2)
     return by_image_in_graph(graph, graph.Slice(counts, [0], [bins.total], [1]), images)
 
 
+def too_many_in_graph(
+    graph: Graph, references: GraphPoints, context: GraphPoints, images: Symbol
+) -> Symbol:
+    """``()`` bool, whether a count of `shape_contexts_in_graph` could pass 2 ** 31."""
+    pairs = [
+        graph.counts(listed.group, images * LAYERS).to("float32")
+        for listed in (references, context)
+    ]
+    return graph.any(pairs[0] * pairs[1] >= float(1 << 31))
+
+
 def log_polar_bins_in_graph(
-    graph: Graph, height: Symbol, width: Symbol, limits: Sequence[Symbol], sectors: int
+    graph: Graph, grid: Grid, limits: Symbol, rings: int, sectors: int
 ) -> GraphBins:
-    """`log_polar_bins` in a graph, some rows of the table at a time.
+    """`log_polar_bins` in a graph.
 
-    The angle itself is not computed: y / (|x| + |y|) grows with it through each quarter, and its
-    rounding error is as far below the nudge.
+    Along a line of one dy the bin changes at a few places only: where a ring ends and where a
+    sector begins. These are found in whole numbers, and the changes are added up along the line.
     """
-    pitch, total = width * 2 - 1, len(limits) * sectors
-    rows = OFFSETS_AT_ONCE // pitch + 1
-    dx = graph.arange(pitch) - (width - 1)
-    left = (dx < 0).to("float64")
-    starts, guess = (graph.constant(table) for table in _sector_tables(sectors))
-
-    def some_rows(step: Symbol) -> list[Symbol]:
-        dy = (graph.arange(rows) + step * rows - (height - 1)).reshape(-1, 1)
-        squared = dy * dy + dx * dx
-        ring = (squared > limits[0]).to("int32")
-        for limit in limits[1:]:
-            ring = ring + (squared > limit).to("int32")
-        length = graph.Max(graph.Abs(dy) + graph.Abs(dx), 1)
-        turn = _turn(dy.to("float64") / length.to("float64"), left, (dy < 0).to("float64"))
-        sector = guess.take((turn * _STEPS).to("int32").reshape(-1))
-        next_start = starts.take(sector + 1).reshape(rows, -1)
-        sector = sector.reshape(rows, -1) + (turn >= next_start).to("int32")
-        inside = (squared > 0) & (squared <= limits[-1])
-        return [graph.Where(inside, ring * sectors + sector, total)]
-
-    (table,) = graph.stacked((height * 2 - 1 + rows - 1) // rows, some_rows)
-    return GraphBins(table.reshape(-1), pitch, (height - 1) * pitch + width - 1, total)
+    height, width = grid.height, grid.width
+    pitch, middle, total = height * 2 - 1, width - 1, rings * sectors
+    steps = [
+        *_ring_steps(graph, height, limits, rings, sectors),
+        *_sector_steps(graph, height, sectors),
+    ]
+    at, changes = [], []
+    for x, y, change in steps:
+        column = graph.Max(graph.Min(x + middle, width * 2 - 1), 0)
+        place = column * pitch + y + (height - 1)
+        at.append(place.reshape(-1))
+        changes.append(graph.Expand(change, graph.Shape(place)).reshape(-1))
+    index, amounts = graph.Concat(*at, axis=0), graph.Concat(*changes, axis=0)
+    changed = graph.sums(index, amounts, pitch * width * 2).reshape(-1, pitch)
+    table = graph.Min(graph.CumSum(changed, 0), total)
+    return GraphBins(table.reshape(-1), pitch, middle * pitch + height - 1, total)
 
 
-def _sector_tables(sectors: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.int32]]:
-    """The turn at which each sector starts, and the sector at each of the steps of a turn.
+def _ring_steps(
+    graph: Graph, height: Symbol, limits: Symbol, rings: int, sectors: int
+) -> list[Step]:
+    """Far left is outside all rings. The reference point itself counts as outside of them."""
+    dy = (graph.arange(height * 2 - 1) - (height - 1)).reshape(-1, 1)
+    squared = limits - dy * dy
+    reach = graph.Sqrt(graph.Max(squared, 0).to("float32")).to("int32")
+    reach = reach + (squared - (reach + 1) * (reach + 1) >= 0).to("int32")
+    reach = reach - (squared - reach * reach < 0).to("int32")
+    change = (squared >= 0).to("int32") * sectors
+    origin = graph.full([1, 1], 0, "int32")
+    total = graph.full([1, 1], rings * sectors, "int32")
+    return [
+        (origin - _FAR, dy, total),
+        (reach * -1, dy, change * -1),
+        (reach + 1, dy, change),
+        (origin, origin, total),
+        (origin + 1, origin, total * -1),
+    ]
 
-    Sectors are wider than steps, so there is at most one start between two steps.
-    """
-    angles = 2 * np.pi * np.arange(1, sectors) / sectors
-    y, x = np.sin(angles), np.cos(angles)
-    starts = _turn(y / (abs(y) + abs(x)), (x < 0) * 1.0, (y < 0) * 1.0) - 1e-12
-    starts = np.concatenate(([0.0], starts, [np.inf]))
-    steps = np.arange(4 * _STEPS) / _STEPS
-    return starts, (np.searchsorted(starts, steps, side="right") - 1).astype(np.int32)
+
+def _sector_steps(graph: Graph, height: Symbol, sectors: int) -> list[Step]:
+    """A boundary at an angle a is passed at dx = dy / tan(a); what is on it is in the sector that
+    begins there."""
+    half, odd = divmod(sectors, 2)
+    lines = half + odd - 1
+    dy = graph.arange(height).reshape(-1, 1)
+    origin = graph.full([1, 1], 0, "int32")
+    one = graph.full([1, 1], 1, "int32")
+    steps: list[Step] = [
+        (origin - _FAR, dy, one * lines),
+        (origin - _FAR, dy[1:] * -1, one * half),
+        (origin - _FAR, origin, one * (half - lines)),
+        (origin + 1, origin, one * (lines - half)),
+    ]
+    if lines:
+        below = _passed(graph, dy, [2 * np.pi * b / sectors for b in range(1, lines + 1)])
+        above = _passed(
+            graph, dy[1:], [2 * np.pi * (b + half) / sectors - np.pi for b in range(1, lines + 1)]
+        )
+        steps += [(below + 1, dy, one * -1), (above * -1, dy[1:] * -1, one)]
+    return steps
 
 
-def _turn(rise: Any, left: Any, up: Any) -> Any:
-    """0 to 4 once around, from y / (|x| + |y|) and from 1.0 where x, and y, are negative."""
-    return rise * (1.0 - 2.0 * left) + 2.0 * left + 4.0 * (1.0 - left) * up
+def _passed(graph: Graph, dy: Symbol, angles: Sequence[float]) -> Symbol:
+    """``(n, angles)`` int32, dy / tan(angle) rounded down, by digits to the base 512."""
+    slopes = np.round(np.cos(angles) / np.sin(angles) * _BASE**_DIGITS).astype(np.int64)
+    digits = [slopes // _BASE**_DIGITS]
+    digits += [slopes // _BASE**place % _BASE for place in reversed(range(_DIGITS))]
+    whole, *parts = (graph.constant(digit.astype(np.int32)) * dy for digit in digits)
+    found = parts[-1] // _BASE
+    for part in reversed(parts[:-1]):
+        found = (part + found) // _BASE
+    return whole + found
