@@ -59,7 +59,7 @@ LOOPS = """
 
 References and then queries as one stream, `LoopDetector` with its defaults: the fraction of the
 queries that close a right loop, and in brackets the precision. Through a change of light, from the
-other side of a path, or over sixty frames, neither way is sure enough to say anything.
+other side of a path, or over sixty frames, little or nothing is sure enough.
 """
 DETECTORS = (("labels", False), ("pictures", False), ("labels", True))
 
