@@ -40,7 +40,8 @@ PICTURED = {
     "UofA": ("evening -> day, espnetv2", "evening -> day, dabnet"),
     "Gardens Point": ("right -> left, dabnet", "night -> left, espnetv2"),
 }
-"""Conditions of which some matches are pictured; both drives of each are of one label space."""
+"""Conditions of which some matches are pictured; both drives of each are of one label space. Those
+of real data are written beside the cache: they may not be passed on."""
 
 SHADES = ("#7f7f7f", "#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e")
 COLOURS = dict(zip(METHODS, SHADES, strict=True))
@@ -121,9 +122,12 @@ def page(described: Described, measured: Measured, folder: Path) -> Iterator[str
         draw(measured, dataset, folder / "figures" / f"{name}.png")
         yield f"## {dataset}\n\n![](figures/{name}.png)\n"
         for number, condition in enumerate(PICTURED[dataset], 1):
-            file = f"{name}-matches-{number}.png"
-            draw_matches(described, dataset, condition, folder / "figures" / file)
-            yield f"![Queries and their best matches: {condition}](figures/{file})\n"
+            file, ours = f"{name}-matches-{number}.png", dataset == "City"
+            place = folder / "figures" if ours else described.cache / "matches"
+            place.mkdir(parents=True, exist_ok=True)
+            draw_matches(described, dataset, condition, place / file)
+            if ours:
+                yield f"![Queries and their best matches: {condition}](figures/{file})\n"
 
 
 def in_short(measured: Measured, dataset: str, method: str, way: str) -> str:
