@@ -45,12 +45,14 @@ of single frames, standardised, on the second half of each route, and the mean o
 on the first half, by which one would choose; then the same, followed online. The city has no
 pictures.
 
-What one would choose by the first halves, soft votes of scores evened per picture, is also the best
-on the second halves of UofA and Gardens Point, by far. On CamVid, where the labels are good, it
-loses. So it is no preset: it does not gain everywhere, and it takes the class scores of every
-picture, which label maps and exact graphs have not. Who has them, and a network far from home, can
-do it with `SoftSSRVLAD`, as this script does. Weights by the mirror image or by entropy gain
-little, and labels that are void where they are unsure are hardly better than labels.
+*Evened* are the scores of each class less their mean over the picture, in parts of their
+deviation. What one would choose by the first halves, soft votes of them, is also the best on the
+second half of three of the four routes of UofA and Gardens Point, by far. On CamVid, where the
+labels are good, it loses. So it is no preset: it does not gain everywhere, and it takes the class
+scores of every picture, which label maps and exact graphs have not. Who has them, and a network
+far from home, can do it with `SoftSSRVLAD`, as this script does. Weights by the mirror image or
+by entropy gain little, and labels that are void where they are unsure are hardly better than
+labels.
 """
 
 
