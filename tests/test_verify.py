@@ -72,10 +72,14 @@ def with_property(name: str, value: Callable[[str], str]) -> Callable[[onnx.Mode
     return change
 
 
+def float_tables(model: onnx.ModelProto) -> list[onnx.TensorProto]:
+    kinds = (onnx.TensorProto.FLOAT, onnx.TensorProto.DOUBLE)
+    return [table for table in model.graph.initializer if table.data_type in kinds]
+
+
 def edit_table(model: onnx.ModelProto) -> None:
     """Doubles the harmonics' basis: the largest table of floats."""
-    tables = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.DOUBLE]
-    table = max(tables, key=lambda one: np.prod(one.dims))
+    table = max(float_tables(model), key=lambda one: np.prod(one.dims))
     array = numpy_helper.to_array(table).copy()
     array.flat[::2] *= 2
     table.CopyFrom(numpy_helper.from_array(array, table.name))
@@ -119,10 +123,12 @@ def test_an_edited_network_is_found_by_its_digest(files, tmp_path):
 
 def nudge_tables(model: onnx.ModelProto) -> None:
     """By less than the golden pair can show."""
-    tables = [t for t in model.graph.initializer if t.data_type == onnx.TensorProto.DOUBLE]
+    tables = float_tables(model)
     assert len(tables) > 1
     for table in tables:
-        table.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(table) + 1e-12, table.name))
+        array = numpy_helper.to_array(table)
+        above = np.nextafter(array, array.dtype.type(np.inf))
+        table.CopyFrom(numpy_helper.from_array(above, table.name))
 
 
 @pytest.mark.parametrize(
