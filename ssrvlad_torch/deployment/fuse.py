@@ -100,8 +100,9 @@ def fuse(
     if not isinstance(segmenter, Segmenter):
         segmenter = Segmenter.load(segmenter, config.labels_as)
     name = _name(segmenter, network)
+    apart = Path(head_path) if head_path else None
     try:
-        return _fuse(segmenter, name, config, Path(path), head_path and Path(head_path))
+        return _fuse(segmenter, name, config, Path(path), apart)
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 

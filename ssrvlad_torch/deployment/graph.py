@@ -116,16 +116,16 @@ class Symbol:
     def __mod__(self, other: Symbol | int) -> Symbol:
         return self.graph.Mod(self, other)
 
-    def __lt__(self, other: Symbol | int) -> Symbol:
+    def __lt__(self, other: Symbol | float) -> Symbol:
         return self.graph.Less(self, other)
 
-    def __le__(self, other: Symbol | int) -> Symbol:
+    def __le__(self, other: Symbol | float) -> Symbol:
         return self.graph.LessOrEqual(self, other)
 
-    def __gt__(self, other: Symbol | int) -> Symbol:
+    def __gt__(self, other: Symbol | float) -> Symbol:
         return self.graph.Greater(self, other)
 
-    def __ge__(self, other: Symbol | int) -> Symbol:
+    def __ge__(self, other: Symbol | float) -> Symbol:
         return self.graph.GreaterOrEqual(self, other)
 
     def equals(self, other: Symbol | int) -> Symbol:
