@@ -163,16 +163,20 @@ function workingGrid(size, height, width) {
 }
 
 /**
- * ``rows * columns`` bytes, bit k is layer k. In the graph a row is ``pitch`` words of eight pixels,
+ * ``rows * columns`` bytes, bit k is layer k. In the graph a row is ``pitch`` words of three pixels
+ * (int32, in older files of eight, int64),
  * and the line begins with a margin of ``pitch + 1`` words.
  */
 function unpackedSkeleton(line, { rows, columns }) {
-  const pitch = Math.floor(columns / 8) + 1;
-  if (line.length !== (rows + 1) * pitch + 2 * (pitch + 1))
+  const bytesOfWord = line.BYTES_PER_ELEMENT;
+  const pixels = bytesOfWord === 8 ? 8 : 3;
+  const pitch = Math.floor(columns / pixels) + 1;
+  if (line.length < (rows + 1) * pitch + 2 * (pitch + 1))
     throw new Error("the skeleton in the graph is of another layout");
   const bytes = new Uint8Array(line.buffer, line.byteOffset, line.byteLength);
   return Uint8Array.from({ length: rows * columns }, (_, at) => {
     const [y, x] = [Math.floor(at / columns), at % columns];
-    return bytes[8 * (pitch + 1 + y * pitch) + x];
+    const word = pitch + 1 + y * pitch + Math.floor(x / pixels);
+    return bytes[bytesOfWord * word + (x % pixels)];
   });
 }
