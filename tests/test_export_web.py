@@ -197,9 +197,9 @@ def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):
     entry.value = json.dumps(golden)
     onnx.save(model, site / "wrong.onnx")
     query = f"?model=wrong.onnx&labels=maps/{files_of(site)[0].name}"
-    open_page(page, query, f"{SHOWN} || {FAILED}")
+    open_page(page, query, FAILED)
     assert "computed wrong in this browser: golden pair" in page.run(f"{FAILED}.textContent")
-    open_page(page, f"{query}&unchecked", f"{SHOWN} || {FAILED}")
+    open_page(page, f"{query}&unchecked", SHOWN)
     assert page.run(FAILED) is None
     assert page.run("document.getElementById('golden').value") == "The golden pair was not run."
 

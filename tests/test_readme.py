@@ -84,7 +84,7 @@ def run(maps, monkeypatch, capsys):
         with pytest.raises(SystemExit) as end:
             cli.main()
         out, err = capsys.readouterr()
-        assert end.value.code in (0, None), err
+        assert end.value.code in (0, None), f"{out}{err}"
         return out
 
     return command_line

@@ -42,7 +42,9 @@ def weighted_means(graph: Graph, whole: Symbol, weights: Table) -> Pair:
     middle = graph.Floor((whole - high * 65536) / 256)
     low = whole - high * 65536 - middle * 256
     bits = _BITS - 8 - int(np.count_nonzero(weights, axis=0).max(initial=1) - 1).bit_length()
-    slices, units = _cut_down(weights, [_BITS - 8, bits, bits])
+    slices, units = _cut_down(weights, [_BITS - 8, bits])
+    held = sum(part * unit for part, unit in zip(slices, units, strict=True))
+    slices, units = [*slices, (weights - held) / units[-1]], [*units, units[-1]]
     blocks = _blocks(graph, [high, middle, low], slices)
     terms = [
         blocks[byte][part] * (256.0 ** (2 - byte) * unit)

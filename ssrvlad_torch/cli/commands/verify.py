@@ -33,7 +33,7 @@ def verify(
     a corpus of drawn maps, and label maps. Where they differ the exit code is 1, and the stage of
     the graph that differs first is named, or the node that cannot be run.
 
-    Example: ssrvlad verify place.onnx --labels maps/monday --provider openvino
+    Example: ssrvlad verify place.onnx --provider CPUExecutionProvider
     """
     from ...datasets.label_files import find_label_files
     from ...deployment.verify import verify as check
