@@ -47,7 +47,7 @@ GAP = 5
 """Empty cells between two sequences: no step is longer."""
 CHANGE, JUMP, UNMAPPED, STAY = 0.05, 0.05, 0.9, 0.97
 """Chances to change the speed, to jump, to jump to a new place, and to stay at new places."""
-WEIGHT, LEVEL, MOST = 0.3, 3.0, 50.0
+WEIGHT, LEVEL, MOST = 0.3, 2.5, 50.0
 """The evidence for a row of z-score z is exp(WEIGHT * (z - LEVEL)), or at most exp(MOST)."""
 NEAR, RECENT = 5, 10
 """Rows around one that show its place, and how old a row is that can be the present place."""

@@ -30,7 +30,7 @@ from .result import LoopResult, Reason
 COLUMNS = (-4, 0, 4)
 """Anchors of a frame, see `recognition.sweep`."""
 
-MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.3, level=3.0)
+MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.3, level=2.5)
 """A stream comes to new places more often than a query of a map does. Weight and level are chosen
 on the cities that docs/loops.md learns thresholds on, not on those that it measures."""
 
