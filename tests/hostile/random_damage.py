@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import faulthandler
 import json
+import os
 import random
 import sys
 import time
@@ -23,6 +24,8 @@ LONGEST = 10.0
 """Seconds of computing: another program may have its turn."""
 LONGEST_WAIT = 120.0
 MOST_MEMORY = 300
+MOST_PIXELS = 10_000_000
+"""A picture of more is refused here: one of the package's limit may take more memory when read."""
 
 ODD = (b"\0", b"\xff", b"\x7f", b"-1", b"1e999", b"nan", b"[" * 2000, b"\n", b"&a ", b"*a", b"!!")
 
@@ -169,6 +172,7 @@ DOORS = {
 def main() -> None:
     door, seconds, seed, findings = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     faulthandler.enable()
+    os.environ["SSRVLAD_PIXEL_LIMIT"] = str(MOST_PIXELS)
     warnings.simplefilter("ignore")
     counts = {"tried": 0, "refused": 0, "found": 0}
     random_ = random.Random(seed)
