@@ -22,7 +22,7 @@ const TOP = 5;
 const PHOTOS = [".png", ".jpg", ".jpeg", ".webp"];
 
 const query = new URLSearchParams(location.search);
-const open = { model: null, database: null, frame: null };
+const open = { model: null, refusal: null, database: null, frame: null };
 const element = (id) => document.getElementById(id);
 const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
 
@@ -33,9 +33,11 @@ async function openFiles(files) {
   const frame = PHOTOS.map(named).find((name) => name);
   if (model) {
     say("Loading the model …");
-    open.model = null;
+    Object.assign(open, { model: null, refusal: null });
     element("golden").value = "";
-    open.model = await Model.load(files[model], !query.has("unchecked"));
+    open.model = await Model.load(files[model], !query.has("unchecked")).catch((error) => {
+      throw (open.refusal = error);
+    });
     element("golden").value = open.model.checked?.text ?? "The golden pair was not run.";
   }
   if (array) {
@@ -63,6 +65,7 @@ async function readPhoto(bytes) {
 async function describe() {
   const { model, database, frame } = open;
   element("result").hidden = true;
+  if (open.refusal) throw open.refusal;
   if (!model) return say("Choose a model.");
   const own = database?.fingerprint;
   if (own && own !== model.fingerprint)
