@@ -375,6 +375,7 @@ def main() -> None:
     arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
     arguments.add_argument("--references", type=int, default=200_000)
+    arguments.add_argument("--only", nargs="+", help="sections of the page; without, all")
     arguments.add_argument("--memory", nargs=5, default=None, help=argparse.SUPPRESS)
     options = arguments.parse_args()
     maps = Maps(options.camvid)
@@ -403,12 +404,13 @@ def main() -> None:
         partial(encoding_section, maps, options.repetitions),
         partial(matching_section, options.references),
     ]
+    options.output.parent.mkdir(exist_ok=True)
     with threads(1):
         for section in sections:
-            text += section()
-            print(section.func.__name__, "done", flush=True)
-    options.output.parent.mkdir(exist_ok=True)
-    options.output.write_text("\n".join(text), encoding="utf-8")
+            if not options.only or section.func.__name__.removesuffix("_section") in options.only:
+                text += section()
+                options.output.write_text("\n".join(text), encoding="utf-8")
+                print(section.func.__name__, "done", flush=True)
     print(options.output)
 
 
