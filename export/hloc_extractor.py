@@ -12,6 +12,7 @@ A global descriptor for hloc. Copy this file to ``hloc/extractors/ssrvlad.py`` a
 The file is one of `ssrvlad fuse`. It needs onnxruntime beside what hloc needs.
 """
 
+import numpy as np
 import onnxruntime
 import torch
 
@@ -39,4 +40,6 @@ class SSRVLAD(BaseModel):
         image = data["image"]
         pixels = (image * 255).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1)
         (descriptor,) = self.session.run(["descriptor"], {"image": pixels.cpu().numpy()})
+        if not np.isfinite(descriptor).all():
+            raise ValueError("the image is too wide, or has too many keypoints, for such a file")
         return {"global_descriptor": torch.from_numpy(descriptor).to(image.device)}

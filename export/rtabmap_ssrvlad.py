@@ -70,7 +70,8 @@ class Extractor:
             ``(1, D)`` float32 of length 1.
 
         Raises:
-            ValueError: the image has another form, or ids come out that the label space lacks.
+            ValueError: the image has another form, ids come out that the label space
+                lacks, or it is too wide.
         """
         pixels = np.ascontiguousarray(image)
         if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.itemsize != 1:
@@ -78,14 +79,8 @@ class Extractor:
                 f"expected (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
             )
         blue_first = np.broadcast_to(pixels.view(np.uint8), (*pixels.shape[:2], 3))
-        pixels = np.ascontiguousarray(blue_first[None, ..., ::-1])
-        descriptor, unknown = self.model.session.run(
-            ["descriptor", "unknown"],
-            {self.model.input.name: np.ascontiguousarray(blue_first[None, ..., ::-1])},
-        )
-        if unknown[0]:
-            raise ValueError(f"{unknown[0]} pixels have an id outside the label space")
-        return np.ascontiguousarray(descriptor, np.float32)
+        found = self.model.describe_array(np.ascontiguousarray(blue_first[..., ::-1]))
+        return np.ascontiguousarray(found.descriptor[None], np.float32)
 
 
 def init(descriptor_dimension: int) -> None:

@@ -119,17 +119,29 @@ class Model:
         else:
             read = self._scores if self.input.name == "logits" else self._image
         try:
-            given = read(path)
-            descriptor, keypoints, unknown = self._run(given[None])
+            return self.describe_array(read(path))
         except ImportError:
             raise
         except Exception as error:  # what decoders raise on damaged bytes has no bounds
             raise ValueError(one_line(error)) from error
+
+    def describe_array(self, given: Array) -> Described:
+        """A frame in memory, as the file takes it, without the axis of the batch.
+
+        Raises:
+            ValueError: it has ids outside the label space, or more than the file can count.
+        """
+        descriptor, keypoints, unknown = self._run(given[None])
         if unknown[0]:
             space = json.loads(self.properties["ssrvlad.label_space"])["name"]
+            channels = {"labels": 1, "logits": given.shape[0]}.get(self.input.name, 3)
             raise ValueError(
-                f"{unknown[0]} of {given.shape[-2] * given.shape[-1]} pixels have an id outside "
-                f"label space {space}"
+                f"{unknown[0]} of {given.size // channels} pixels have an id outside label space "
+                f"{space}"
+            )
+        if not np.isfinite(descriptor).all():
+            raise ValueError(
+                "the frame is too wide, or has too many keypoints, for an exported file"
             )
         return Described(descriptor[0], keypoints[0])
 

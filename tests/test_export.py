@@ -23,6 +23,7 @@ from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.deployment.export import export_head, head_model
 from ssrvlad_torch.deployment.graph import OPSET
 from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.deployment.stages.vanishing_column import WIDEST
 from ssrvlad_torch.deployment.verify import verify
 
 Maps = npt.NDArray[Any]
@@ -182,6 +183,16 @@ def test_a_sweep_is_that_of_the_module(given, tmp_path):
         np.testing.assert_allclose(swept, expected, atol=1e-6)
     with pytest.raises(ValueError, match="a sweep is of the aggregation harmonics"):
         head_model(of_preset("paper", labels_as="camvid-11"), columns=columns)
+
+
+def test_a_grid_too_wide_to_count_gives_no_number():
+    """The widest one still gives those of the module; the next is NaN, which programs refuse."""
+    config = of_preset("default", labels_as="cityscapes-trainids")
+    (street,) = city(1, 0, (120, 160))
+    assert_parity(np.tile(street, (1, 1, WIDEST // 160)).reshape(1, 120, WIDEST), config)
+    wider = np.zeros((1, config.working_size, WIDEST + 1), np.uint8)
+    descriptor, *_ = run_of(config)(wider)
+    assert np.isnan(descriptor).all()
 
 
 def test_wide_ids_and_ids_below_zero():

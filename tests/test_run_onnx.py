@@ -132,6 +132,14 @@ def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
     assert "carries no fingerprint" in warning
 
 
+def test_a_frame_of_more_than_the_file_can_count_is_skipped(tmp_path, run):
+    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
+    np.save(tmp_path / "panorama.npy", np.zeros((120, 1000), np.uint8))
+    code, out, errors = run(tmp_path / "default.onnx", tmp_path / "panorama.npy")
+    assert (code, out) == (3, "")
+    assert "panorama.npy: the frame is too wide" in errors[0]
+
+
 def test_unknown_ids_are_counted_and_skipped(head, maps, tmp_path, run):
     labels = np.zeros((20, 30), np.uint8)
     labels[3, :7] = 200

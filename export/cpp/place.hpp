@@ -406,6 +406,9 @@ class Place {
     const auto form = found[0].GetTensorTypeAndShapeInfo();
     const float* numbers = found[0].GetTensorData<float>();
     described.descriptor.assign(numbers, numbers + form.GetElementCount());
+    for (const float number : described.descriptor)
+      if (!std::isfinite(number))
+        throw std::runtime_error("the frame is too wide, or has too many keypoints, for such a file");
     described.length = static_cast<std::size_t>(form.GetShape().back());
     std::copy_n(found[1].GetTensorData<std::int64_t>(), 8, described.keypoints.begin());
     return described;

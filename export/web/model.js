@@ -58,8 +58,7 @@ export class Model {
   /** Of a photograph, RGB bytes: what `describe` gives, and the `labels` that the network saw. */
   async describePhoto({ pixels, height, width }) {
     const found = await this.#run(new ort.Tensor("uint8", pixels, [1, height, width, 3]));
-    const grid = workingGrid(this.config.working_size, height, width);
-    return { ...found, ...grid, skeleton: found.skeleton && unpackedSkeleton(found.skeleton, grid) };
+    return this.#described(found, height, width);
   }
 
   /** Of an image of ids: descriptor, keypoint counts and `skeleton`, see `unpackedSkeleton`. */
@@ -69,8 +68,14 @@ export class Model {
     if (this.dtype === "uint8" && labels.some((id) => id > 255))
       throw new Error("the file takes ids up to 255");
     const found = await this.#run(new ort.Tensor(this.dtype, ids, [1, height, width]));
+    return this.#described(found, height, width);
+  }
+
+  #described(found, height, width) {
     if (found.unknown[0])
       throw new Error(`${found.unknown[0]} pixels have an id outside label space ${this.space.name}`);
+    if (!found.descriptor.every(Number.isFinite))
+      throw new Error("the picture is too wide, or has too many keypoints, for such a file");
     const grid = workingGrid(this.config.working_size, height, width);
     return { ...found, ...grid, skeleton: found.skeleton && unpackedSkeleton(found.skeleton, grid) };
   }

@@ -6,8 +6,8 @@ import numpy as np
 
 from ...config import AREA_LAYERS, BOUNDARY_DIRECTIONS
 from ...stages.harmonics import Tables
+from ..double_float import DoubleFloat, product, root, weighted_means
 from ..graph import Graph, Symbol
-from ..pairs import Pair, product, root, weighted_means
 
 
 def harmonics_in_graph(graph: Graph, sums: Symbol, largest: Symbol, tables: Tables) -> Symbol:
@@ -28,7 +28,7 @@ def harmonics_in_graph(graph: Graph, sums: Symbol, largest: Symbol, tables: Tabl
     place = graph.ReduceSum((powers < largest).to("int32"), [0])
     shrink = graph.constant(0.25 ** np.arange(14, dtype=np.float32)).take(place)
     means = weighted_means(graph, sums, bins)
-    roots = root(graph, Pair(means.high * shrink, means.low * shrink))
+    roots = root(graph, DoubleFloat(means.high * shrink, means.low * shrink))
     return product(graph, roots, basis) / graph.Sqrt(shrink)
 
 

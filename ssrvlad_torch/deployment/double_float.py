@@ -20,14 +20,14 @@ _BYTES = 3
 Table = npt.NDArray[Any]
 
 
-class Pair(NamedTuple):
+class DoubleFloat(NamedTuple):
     """``high + low``, float32 both, ``low`` less than the last digit of ``high``."""
 
     high: Symbol
     low: Symbol
 
 
-def weighted_means(graph: Graph, whole: Symbol, weights: Table) -> Pair:
+def weighted_means(graph: Graph, whole: Symbol, weights: Table) -> DoubleFloat:
     """Whole numbers times a table.
 
     Args:
@@ -51,22 +51,22 @@ def weighted_means(graph: Graph, whole: Symbol, weights: Table) -> Pair:
         for byte in range(_BYTES)
         for part, unit in enumerate(units)
     ]
-    total = Pair(terms[0], graph.like(terms[0], 0, "float32"))
+    total = DoubleFloat(terms[0], graph.like(terms[0], 0, "float32"))
     for term in terms[1:]:
         total = _plus(total, term)
-    return Pair(*_two_sum(total.high, total.low))
+    return DoubleFloat(*_two_sum(total.high, total.low))
 
 
-def root(graph: Graph, number: Pair) -> Pair:
+def root(graph: Graph, number: DoubleFloat) -> DoubleFloat:
     """The square root of what is not negative, from 0 to 1."""
     near = graph.Sqrt(number.high)
     coarse = graph.Floor(near * 4096) / 4096
     fine = near - coarse
     left = number.high - coarse * coarse - coarse * fine * 2 - fine * fine + number.low
-    return Pair(near, left / graph.Max(near * 2, 1e-30))
+    return DoubleFloat(near, left / graph.Max(near * 2, 1e-30))
 
 
-def product(graph: Graph, numbers: Pair, table: Table) -> Symbol:
+def product(graph: Graph, numbers: DoubleFloat, table: Table) -> Symbol:
     """``(B, R, n)`` numbers from 0 to 1 times an ``(n, m)`` float64 table; ``(B, R, m)`` float32,
     right to about 1e-9 of the largest."""
     coarse = graph.Floor(numbers.high * 512) / 512
@@ -104,9 +104,9 @@ def _blocks(graph: Graph, rows: list[Symbol], columns: list[Table]) -> list[list
     return [graph.split(row, len(columns), axis=2) for row in graph.split(found, len(rows), axis=1)]
 
 
-def _plus(pair: Pair, term: Symbol) -> Pair:
+def _plus(pair: DoubleFloat, term: Symbol) -> DoubleFloat:
     total, error = _two_sum(pair.high, term)
-    return Pair(total, pair.low + error)
+    return DoubleFloat(total, pair.low + error)
 
 
 def _two_sum(one: Symbol, other: Symbol) -> tuple[Symbol, Symbol]:
