@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
-from ssrvlad_torch.database.database import _order
+from ssrvlad_torch.database.frame_sets import order_of
 from ssrvlad_torch.database.frames import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
 
@@ -127,7 +127,7 @@ def test_frames_of_one_shape_of_name_stand_in_natural_order_too(form, numbers):
     table = pa.table({"frame": sorted(names, reverse=True)})
     table = table.append_column("sequence", pc.utf8_slice_codeunits(table["frame"], 0, 1))
     expected = sorted(names, key=lambda frame: (frame[0], natural_key(frame[2:])))
-    assert table["frame"].take(_order(table)).to_pylist() == expected
+    assert table["frame"].take(order_of(table)).to_pylist() == expected
 
 
 # ---- settings and origins

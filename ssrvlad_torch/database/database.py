@@ -25,17 +25,24 @@ from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace, label_space_names
 from ..taxonomy import label_space as label_space_of
 from . import engine
-from .frames import FrameRecord, FrameSet, Vectors, natural_key
+from .frame_sets import OF_A_SET, frame_set, in_order, order_of
+from .frames import FrameRecord, FrameSet, Vectors
 from .metadata import Beside, Meta, Origin
 from .reading import Damage, read_intact, read_rows
-from .rows import DESCRIPTOR, OF_A_RECORD, POSE, Arrays, KnownFrames, matrix, schema, to_table
+from .rows import (
+    DESCRIPTOR,
+    OF_A_RECORD,
+    Arrays,
+    KnownFrames,
+    fitting,
+    matrix,
+    schema,
+    to_table,
+)
 
 if TYPE_CHECKING:
     from lance import LanceDataset
     from lance.fragment import LanceFragment
-
-_OF_A_SET = ["frame", "sequence", *POSE, "stamp", "empty"]
-_COLUMNS_AT_ONCE = 16
 
 
 class Version(NamedTuple):
@@ -410,7 +417,7 @@ class Database:
             names, got = ", ".join(self._widths), ", ".join(descriptors)
             raise ValueError(f"{self.path} holds {names} of every frame, got {got}")
         arrays = {
-            name: _fitting(name, descriptors[name], (len(records), width))
+            name: fitting(name, descriptors[name], (len(records), width))
             for name, width in self._widths.items()
         }
         often = Counter(record.frame for record in records).most_common(1)
@@ -428,9 +435,9 @@ class Database:
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
         place of each among the rows as they are stored."""
-        table = self._columns(_OF_A_SET)
-        order = _order(table)
-        return _frame_set(
+        table = self._columns(OF_A_SET)
+        order = order_of(table)
+        return frame_set(
             table.take(order), {DESCRIPTOR: np.empty((len(order), 0), np.float32)}
         ), order
 
@@ -444,20 +451,20 @@ class Database:
             ValueError: a row or a file is missing or damaged; the message names it.
         """
         arrays = {n: np.empty((len(self), width), np.float32) for n, width in self._widths.items()}
-        tables, done = [schema({}).empty_table().select(_OF_A_SET)], 0
+        tables, done = [schema({}).empty_table().select(OF_A_SET)], 0
         for batch in read_rows(self._table, damage):
             for name, values in arrays.items():
                 values[done : done + len(batch)] = matrix(batch[name])
             done += len(batch)
-            few = batch.select(_OF_A_SET).take(pa.array(np.arange(len(batch))))
+            few = batch.select(OF_A_SET).take(pa.array(np.arange(len(batch))))
             tables.append(pa.table(few))  # a copy: as long as a part lives, so does the batch
         table = pa.concat_tables(tables)
-        order = _order(table)
+        order = order_of(table)
         twice = table.num_rows - len(pc.unique(table["frame"]))
         if twice:
             raise ValueError(f"{self.path} is damaged: it holds {twice} frames twice")
-        arrays = {name: _sorted(values[:done], order) for name, values in arrays.items()}
-        return _frame_set(table.take(order), arrays)
+        arrays = {name: in_order(values[:done], order) for name, values in arrays.items()}
+        return frame_set(table.take(order), arrays)
 
     def _columns(self, names: list[str]) -> pa.Table:
         try:
@@ -581,65 +588,9 @@ def _there(table: LanceDataset, rows: pa.Table) -> list[str]:
     return ids
 
 
-def _fitting(name: str, descriptors: Vectors, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """Descriptors as an array, if they are finite and of this shape."""
-    detached = getattr(descriptors, "detach", None)
-    values = np.asarray(detached().cpu() if detached else descriptors, np.float32)
-    if values.shape != shape:
-        raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: values that are not finite")
-    return values
-
-
 def _tell(fragment: LanceFragment, damage: list[Damage]) -> bool:
     """Whether a fragment is damaged, and how."""
     before = len(damage)
     for _ in read_intact(fragment, damage):
         pass
     return len(damage) > before
-
-
-def _order(table: pa.Table) -> npt.NDArray[np.int64]:
-    """Rows by sequence and name as a person would sort them."""
-    coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
-    sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
-    rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
-    ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
-    by_name = _by_name(pc.replace_substring_regex(table["frame"], "(?s)^.*/", ""))
-    return by_name[np.argsort(ranks[by_name], kind="stable")]
-
-
-def _by_name(names: pa.ChunkedArray) -> npt.NDArray[np.int64]:
-    """Names in natural order. Where they differ in digits only, that is the order of characters."""
-    if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:
-        return np.asarray(pc.sort_indices(names)).astype(np.int64)
-    keys = [natural_key(name) for name in names.to_pylist()]
-    return np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
-
-
-def _sorted(
-    descriptors: npt.NDArray[np.float32], order: npt.NDArray[np.int64]
-) -> npt.NDArray[np.float32]:
-    """Rows in another order, in place: a million of them need no second place."""
-    if (order[1:] > order[:-1]).all():
-        return descriptors
-    for first in range(0, descriptors.shape[1], _COLUMNS_AT_ONCE):
-        some = slice(first, first + _COLUMNS_AT_ONCE)
-        descriptors[:, some] = descriptors[order, some]
-    return descriptors
-
-
-def _frame_set(table: pa.Table, descriptors: Arrays) -> FrameSet:
-    import torch
-
-    beside = {name: torch.from_numpy(values) for name, values in descriptors.items()}
-    return FrameSet(
-        frames=tuple(table["frame"].to_pylist()),
-        sequences=tuple(pc.dictionary_encode(table["sequence"]).to_pylist()),
-        descriptors=beside.pop(DESCRIPTOR),
-        poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
-        stamps=table["stamp"].to_numpy(),
-        empty=table["empty"].to_numpy(),
-        beside=beside,
-    )

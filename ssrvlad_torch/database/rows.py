@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from .frames import FrameRecord
+from .frames import FrameRecord, Vectors
 
 POSE = ["x", "y", "heading"]
 OF_A_RECORD = ["frame", "sequence", *POSE, "stamp", "signature", "digest", "height", "width"]
@@ -19,7 +19,6 @@ OF_A_RECORD += ["origin"]
 Words = npt.NDArray[np.uint64]
 
 _MULTIPLIER = 0x9E3779B97F4A7C15
-
 
 DESCRIPTOR = "descriptor"
 """The column of the method itself."""
@@ -154,3 +153,18 @@ def _hashed_text(column: pa.StringArray) -> Words:
 @cache
 def _powers(count: int) -> Words:
     return np.cumprod(np.full(count, _MULTIPLIER, np.uint64), dtype=np.uint64)
+
+
+def fitting(name: str, descriptors: Vectors, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
+    """Descriptors as an array, if they are finite and of this shape.
+
+    Raises:
+        ValueError: they are not.
+    """
+    detached = getattr(descriptors, "detach", None)
+    values = np.asarray(detached().cpu() if detached else descriptors, np.float32)
+    if values.shape != shape:
+        raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
+    if not np.isfinite(values).all():
+        raise ValueError(f"{name}: values that are not finite")
+    return values
