@@ -1,0 +1,127 @@
+"""Networks by name: files of settings, functions, published models."""
+
+import pytest
+import torch
+from drawings import SPACE
+from networks import PLAIN, write_graph, write_published, write_segformer
+from segmenting import NOISE, PHOTOS, assert_right
+
+from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+
+def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
+    (tmp_path / "nets").mkdir()
+    write_graph(tmp_path / "nets" / "net.onnx", aux=True)
+    (tmp_path / "nets" / "net.yaml").write_text(
+        "network: net.onnx\nsize: [24, 32]\nmean: [0, 0, 0]\nstd: [1, 1, 1]\noutput: found\n"
+        f"classes: 0:12\nlabels_as: {SPACE}\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    segmenter = Segmenter.load("nets/net.yaml")
+    assert segmenter.config == SegmenterConfig(
+        size=(24, 32), mean=(0, 0, 0), std=(1, 1, 1), output="found", classes=(0, 12)
+    )
+    assert_right(segmenter)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (None, r"cannot read the settings .*net\.yaml: No such file"),
+        ("network: [", r"^\S*net\.yaml is no plain YAML: while parsing"),
+        ("size: [4, 4]", r"net\.yaml names no network; expected network: NAME"),
+        ("network: net.onnx\nmeans: 3", r"unknown setting 'means'; expected network, labels_as"),
+        ("network: net.onnx\nmean: 3", r"net\.yaml: mean must be three numbers, got 3"),
+        ("network: net.onnx\nclasses: 3-4", r"classes must be FIRST:LAST"),
+        ("network: none.onnx", r"none\.onnx does not exist"),
+        ("network: none", r"no network 'none'; expected FILE.onnx"),
+    ],
+)
+def test_a_bad_settings_file_is_an_error_in_one_line(tmp_path, text, message):
+    if text is not None:
+        (tmp_path / "net.yaml").write_text(text)
+    with pytest.raises(ValueError, match=message) as error:
+        Segmenter.load(tmp_path / "net.yaml", SPACE)
+    assert "\n" not in str(error.value)
+
+
+def test_functions_that_make_a_network(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mynets.py").write_text("from networks import colour_network as mine\n")
+    (tmp_path / "hubconf.py").write_text("from networks import Strided as strided\n")
+    (tmp_path / "net.yaml").write_text(
+        f"network: torchhub:{tmp_path}/strided\narguments: {{stride: 1}}\n"
+        "mean: [0, 0, 0]\nstd: [1, 1, 1]\n"
+    )
+    assert_right(Segmenter(open_network("mynets:mine").network, SPACE, PLAIN))
+    assert_right(Segmenter.load("net.yaml", SPACE))
+    with pytest.raises(ValueError, match="does not say what its classes are; give --labels-as"):
+        Segmenter.load("mynets:mine")
+    for name in ("mynets:none", "nothing:mine", "torchhub:strided"):
+        with pytest.raises(ValueError, match=name):
+            open_network(name)
+    with pytest.raises(ValueError, match="gives a list; expected an nn"):
+        open_network("builtins:list")
+
+
+@pytest.fixture(scope="module")
+def hub_folder(tmp_path_factory):
+    """A tiny SegFormer with random weights, as transformers saves it."""
+    return write_segformer(tmp_path_factory.mktemp("hub") / "tiny")
+
+
+def test_a_published_model_comes_with_its_own_settings_and_class_names(hub_folder):
+    from transformers import AutoImageProcessor
+
+    segmenter = Segmenter.load(f"hf:{hub_folder}")
+    assert segmenter.config == SegmenterConfig(size=(64, 96))
+    kinds = [label.category for label in segmenter.label_space.classes]
+    assert kinds == [
+        "ground",
+        "sidewalk",
+        "building",
+        "pole",
+        "vegetation",
+        "sky",
+        "dynamic",
+        "void",
+    ]
+    processor = AutoImageProcessor.from_pretrained(hub_folder, backend="pil")
+    theirs = processor(PHOTOS[0], return_tensors="pt")["pixel_values"]
+    ours = segmenter.labels.preparation(torch.from_numpy(PHOTOS[0])[None])
+    assert (ours - theirs).abs().max() < 1.01 / 255 / 0.224, "they round to bytes"
+    assert segmenter([NOISE])[0].shape == (17, 23)
+
+
+@pytest.mark.parametrize(
+    "family",
+    [
+        "Mask2Former",
+        "OneFormer",
+        *(pytest.param(each, marks=pytest.mark.slow) for each in ("Beit", "DPT", "UperNet")),
+    ],
+)
+def test_published_families(family, tmp_path):
+    segmenter = Segmenter.load(write_published(tmp_path / "tiny", family))
+    labels = segmenter([PHOTOS[0], NOISE])
+    assert [each.shape for each in labels] == [(24, 32), (17, 23)]
+    assert len(segmenter.label_space.classes) == 8
+    assert segmenter.config.network_size(90, 160) == {
+        "Mask2Former": (64, 128), "OneFormer": (64, 113),
+    }.get(family, (64, 64))  # fmt: skip
+
+
+def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch, capfd):
+    pytest.importorskip("transformers")
+    import huggingface_hub.constants
+
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
+    with pytest.raises(OSError, match=r"^hf:nobody/nothing@1 cannot be had: ") as error:
+        open_network("hf:nobody/nothing@1")
+    assert "\n" not in str(error.value)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="empty cannot be used: Unrecognized model"):
+        open_network(tmp_path / "empty")
+    assert capfd.readouterr() == ("", "")

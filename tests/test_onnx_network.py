@@ -1,0 +1,135 @@
+"""ONNX graphs as networks."""
+
+import subprocess
+import sys
+
+import onnx
+import pytest
+from drawings import SPACE
+from helpers import street
+from networks import PLAIN, photo, write_graph
+from segmenting import (
+    BYTES,
+    assert_right,
+)
+
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+GRAPHS = {
+    "dynamic": {},
+    "all fixed": {"shape": (1, 3, 24, 32)},
+    "a batch of three": {"shape": (3, 3, 24, 32)},
+    "channels free": {"shape": ("b", "c", "h", "w")},
+    "labels inside": {"labels": True},
+    "external weights": {"external": True},
+    "double input": {"dtype": "double"},
+    "channels last": {"shape": ("b", "h", "w", 3), "channels_last": True},
+    "channels last, labels inside": {
+        "shape": (1, 24, 32, 3),
+        "channels_last": True,
+        "labels": True,
+    },
+}
+
+
+@pytest.mark.parametrize("form", GRAPHS)
+def test_a_graph_gives_what_the_network_gives(tmp_path, form):
+    path = write_graph(tmp_path / "net.onnx", **GRAPHS[form])
+    assert_right(Segmenter(OnnxNetwork(path), SPACE, PLAIN))
+
+
+def test_a_graph_that_takes_bytes(tmp_path):
+    shape = (1, 24, 32, 3)
+    path = write_graph(tmp_path / "net.onnx", shape, "bytes", channels_last=True, white=255)
+    assert_right(Segmenter(OnnxNetwork(path), SPACE, BYTES))
+    with pytest.raises(ValueError, match=r"net\.onnx: takes bytes: expected white 255, got 1"):
+        Segmenter(OnnxNetwork(path), SPACE)
+
+
+def test_classes_that_are_as_many_as_columns_are_told_apart(tmp_path):
+    """(1, 12, 16, 12) is read by the layout of the input."""
+    labels = [street(seed, 12, 16) for seed in range(2)]
+    path = write_graph(tmp_path / "net.onnx", (1, 12, 16, 3), channels_last=True)
+    segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
+    assert_right(segmenter, [photo(one) for one in labels], labels)
+
+
+def test_a_fixed_size_is_the_size_of_the_settings(tmp_path):
+    path = write_graph(tmp_path / "net.onnx", (1, 3, 24, 32))
+    segmenter = Segmenter(OnnxNetwork(path), SPACE)
+    assert segmenter.config.size == (24, 32)
+    assert segmenter([photo(street(0, 50, 70))])[0].shape == (50, 70)
+    with pytest.raises(ValueError, match="takes images of 24x32, the settings say 32x32"):
+        Segmenter(OnnxNetwork(path), SPACE, SegmenterConfig(size=(32, 32)))
+    path = write_graph(tmp_path / "net.onnx", (1, 3, 24, "w"))
+    with pytest.raises(ValueError, match="takes images of 24xany; expected a size"):
+        Segmenter(OnnxNetwork(path), SPACE)
+
+
+def test_an_ambiguous_graph_names_its_candidates(tmp_path):
+    path = write_graph(tmp_path / "net.onnx", aux=True)
+    expected = r"net\.onnx: several outputs could be labels: found \(\?, 12, \?, \?\) tensor"
+    with pytest.raises(ValueError, match=expected):
+        Segmenter(OnnxNetwork(path), SPACE)
+    with pytest.raises(ValueError, match=r"no output fits .*cityscapes-trainids.* = 19"):
+        Segmenter(OnnxNetwork(path), "cityscapes-trainids")
+
+
+def graph_of(inputs, path):
+    """A graph that only passes on its inputs."""
+    nodes = [onnx.helper.make_node("Identity", [one.name], [f"{one.name}2"]) for one in inputs]
+    outputs = [
+        onnx.helper.make_tensor_value_info(f"{one.name}2", one.type.tensor_type.elem_type, None)
+        for one in inputs
+    ]
+    graph = onnx.helper.make_graph(nodes, "none", inputs, outputs)
+    opset = [onnx.helper.make_opsetid("", 17)]
+    onnx.save(onnx.helper.make_model(graph, opset_imports=opset, ir_version=8), path)
+    return path
+
+
+def value(name, shape, dtype=onnx.TensorProto.FLOAT):
+    return onnx.helper.make_tensor_value_info(name, dtype, shape)
+
+
+@pytest.mark.parametrize(
+    ("inputs", "message"),
+    [
+        ([value("a", [1, 3, 4, 4]), value("b", [1])], "has inputs a, b; expected one"),
+        ([value("a", [1, 3, 4])], r"takes \(1, 3, 4\) tensor\(float\); expected \(B, 3, H, W\)"),
+        ([value("a", [1, 1, 4, 4])], r"takes \(1, 1, 4, 4\) .*; expected images of 3 channels"),
+        ([value("a", [1, 3, 4, 4], onnx.TensorProto.INT64)], r"tensor\(int64\); expected"),
+    ],
+)
+def test_a_graph_that_takes_no_image(tmp_path, inputs, message):
+    with pytest.raises(ValueError, match=message):
+        OnnxNetwork(graph_of(inputs, tmp_path / "net.onnx"))
+
+
+@pytest.mark.parametrize("damage", ["text", "truncated", "weights gone", "missing"])
+def test_a_damaged_graph_is_an_error_in_one_line(tmp_path, damage, capfd):
+    path = write_graph(tmp_path / "net.onnx", external=damage == "weights gone")
+    whole = path.read_bytes()
+    if damage == "missing":
+        path.unlink()
+    elif damage == "weights gone":
+        (tmp_path / "net.data").unlink()
+    else:
+        path.write_bytes({"text": b"hello", "truncated": whole[:-40]}[damage])
+    with pytest.raises(ValueError, match=r"net\.onnx (does not exist|cannot run)") as error:
+        OnnxNetwork(path)
+    assert "\n" not in str(error.value)
+    assert capfd.readouterr() == ("", ""), "the runtime keeps its log to itself"
+
+
+def test_a_missing_extra_is_named(tmp_path):
+    path = write_graph(tmp_path / "net.onnx")
+    code = (
+        "import sys; sys.modules['onnxruntime'] = None\n"
+        "from ssrvlad_torch import Segmenter\n"
+        f"Segmenter.load({str(path)!r}, {SPACE!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert "pip install ssrvlad-torch[onnx]" in done.stderr

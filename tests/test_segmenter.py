@@ -1,0 +1,67 @@
+"""From images to descriptors."""
+
+import numpy as np
+import pytest
+import torch
+from drawings import SIGN, SKY, SPACE
+from helpers import street
+from kornia.enhance import Denormalize, Normalize
+from kornia.geometry import Resize
+from networks import PLAIN, Then, colour_network, photo
+from segmenting import LABELS, PHOTOS, write_image, write_photos
+from torch import nn
+
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.datasets.label_files import find_label_files
+from ssrvlad_torch.encoding.encoder import encode_to_memory
+from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+
+def test_kornia_a_network_and_the_head_are_one_module():
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    whole = nn.Sequential(Resize((24, 32)), Normalize(0.5, 0.5), Denormalize(0.5, 0.5),
+                          colour_network(), head)  # fmt: skip
+    images = torch.from_numpy(np.stack(PHOTOS)).permute(0, 3, 1, 2) / 255
+    assert torch.equal(whole(images), head(torch.from_numpy(np.stack(LABELS))))
+
+
+def test_progress_moves_while_the_network_works(tmp_path):
+    """A frame is told before the network sees the one that is some fifty further."""
+    files = find_image_files([str(write_photos(tmp_path / "a", range(80)))])
+    network, behind, done = colour_network(), [], [0]
+    network.register_forward_pre_hook(
+        lambda module, given: behind.append(len(behind) - sum(done)) or None
+    )
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
+        encode_to_memory(head, files, 1, done.append, Segmenter(network, SPACE, PLAIN))
+    assert len(behind) == sum(done) == 80
+    assert max(behind) <= 50
+
+
+def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
+    """Of an image that is cut off, and one whose ids are unknown, the reason is told."""
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    for seed in range(20):
+        labels = street(seed) % SIGN
+        labels[2:4, 5:8] = SIGN if seed == 7 else SKY
+        write_image(tmp_path / "a" / f"{seed}.png", photo(labels))
+        if seed not in (4, 7):
+            write_image(tmp_path / "maps" / "a" / f"{seed}.png", labels)
+    cut = tmp_path / "a" / "4.png"
+    cut.write_bytes(cut.read_bytes()[:60])
+    network = Then(lambda scores: scores.argmax(1).masked_fill_(scores.argmax(1) == SIGN, 99))
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    files = find_image_files([str(tmp_path / "a")])
+    frames, skipped = encode_to_memory(head, files, segmenter=segmenter)
+    by_maps, _ = encode_to_memory(head, find_label_files([str(tmp_path / "maps" / "a")]))
+    assert frames.frames == by_maps.frames
+    assert torch.equal(frames.descriptors, by_maps.descriptors)
+    assert [each.frame for each in skipped] == ["a/4", "a/7"]
+    assert "label id 99 (6 pixels) is not in" in skipped[1].reason
+    other = Segmenter(colour_network(), "synthia", PLAIN)
+    with pytest.raises(ValueError, match="gives labels of synthia, the head reads camvid-11"):
+        encode_to_memory(head, files, segmenter=other)

@@ -1,0 +1,158 @@
+"""The cache of label maps."""
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE
+from helpers import flip_byte
+from networks import CLASSES, PLAIN, Strided, Then, colour_network, write_graph
+from segmenting import LABELS, counted, write_photos
+from torch import nn
+
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.onnx_files import external_files
+from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+
+def run(segmenter, folder):
+    """Label maps of a folder by name."""
+    return {file.name: labels for file, labels in segmenter.label_maps(find_image_files([folder]))}
+
+
+@pytest.fixture
+def photos(tmp_path):
+    return str(write_photos(tmp_path / "photos"))
+
+
+@pytest.fixture
+def cache(tmp_path):
+    return tmp_path / "deep" / "cache"
+
+
+def entries(cache):
+    return sorted(cache.rglob("*.png"))
+
+
+def test_a_label_map_is_made_once_and_found_by_the_content_of_the_image(photos, cache, tmp_path):
+    network = counted(colour_network())
+    first = run(Segmenter(network, SPACE, PLAIN, cache), photos)
+    assert len(entries(cache)) == 5
+    made = int(network.images)
+    write_photos(tmp_path / "others", [3])
+    (tmp_path / "others" / "3.png").rename(tmp_path / "others" / "300.png")
+    told = []
+    segmenter = Segmenter(network, SPACE, PLAIN, cache)
+    network._forward_pre_hooks.clear()
+    found = run(segmenter, str(tmp_path / "others"))
+    np.testing.assert_array_equal(found["300"], LABELS[3])
+    list(segmenter.label_maps(find_image_files([photos]), progress=told.append))
+    assert int(network.images) == made
+    assert sum(told) == len(first) == 5
+
+
+def test_what_computes_something_else_has_another_key():
+    other = colour_network()
+    other.bias.data[3] += 1e-3
+
+    def program(add):
+        torch.manual_seed(add)
+        return torch.jit.freeze(torch.jit.script(nn.Conv2d(3, CLASSES, 1).eval()))
+
+    segmenters = [
+        Segmenter(colour_network(), SPACE, PLAIN),
+        Segmenter(other, SPACE, PLAIN),
+        Segmenter(nn.Sequential(colour_network()), SPACE, PLAIN),
+        Segmenter(Strided(1), SPACE, PLAIN),
+        Segmenter(Strided(2), SPACE, PLAIN),
+        Segmenter(Then(lambda scores: scores), SPACE, PLAIN),
+        Segmenter(Then(lambda scores: -scores), SPACE, PLAIN),
+        Segmenter(program(0), SPACE, PLAIN),
+        Segmenter(program(1), SPACE, PLAIN),
+        Segmenter(colour_network(), SPACE, SegmenterConfig()),
+        Segmenter(colour_network(), SPACE, SegmenterConfig(colour_order="bgr")),
+        Segmenter(colour_network(), SPACE, SegmenterConfig(classes=(0, 11))),
+    ]
+    assert len({segmenter.key() for segmenter in segmenters}) == len(segmenters)
+    assert segmenters[0].key() == Segmenter(colour_network(), SPACE, PLAIN).key()
+
+
+@pytest.mark.parametrize("external", [False, True])
+def test_a_graph_is_known_by_its_file_and_its_weights(tmp_path, external):
+    def key(white):
+        path = write_graph(tmp_path / "net.onnx", external=external, white=white)
+        return Segmenter(OnnxNetwork(path), SPACE, PLAIN).key()
+
+    first, second, third = key(1.0), key(1.5), key(1.0)
+    assert first == third != second
+    assert external_files(tmp_path / "net.onnx") == [tmp_path / "net.data"] * external
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "empty", "dangling link"])
+def test_a_damaged_entry_is_made_anew(photos, cache, damage):
+    segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
+    run(segmenter, photos)
+    entry = entries(cache)[2]
+    whole = entry.read_bytes()
+    if damage == "flip":
+        flip_byte(entry, len(whole) // 2)
+    elif damage == "dangling link":
+        entry.unlink()
+        entry.symlink_to("nowhere")
+    else:
+        entry.write_bytes({"cut": whole[:-20], "empty": b""}[damage])
+    for name, labels in run(segmenter, photos).items():
+        np.testing.assert_array_equal(labels, LABELS[int(name)])
+    assert entry.read_bytes() == whole
+
+
+def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_path):
+    segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
+    run(segmenter, photos)
+    size = max(entry.stat().st_size for entry in entries(cache))
+    first = {entry.name for entry in entries(cache)}
+    kept = write_photos(tmp_path / "kept", [2])
+    run(segmenter, str(kept))
+    (used,) = {e.name for e in entries(cache) if e.stat().st_mtime_ns == max(
+        each.stat().st_mtime_ns for each in entries(cache))}  # fmt: skip
+    segmenter.cache_bytes = 4 * size
+    run(segmenter, str(write_photos(tmp_path / "more", [20])))
+    left = {entry.name for entry in entries(cache)}
+    assert sum(entry.stat().st_size for entry in entries(cache)) <= 4 * size
+    assert used in left
+    assert first - left
+    assert left - first, "the new one is there"
+
+
+def test_wide_ids_are_kept_and_those_that_no_png_can_hold_are_made_each_time(photos, cache):
+    wide = Segmenter(Then(lambda scores: scores.argmax(1) + 1000), SPACE, PLAIN, cache)
+    for _ in range(2):
+        np.testing.assert_array_equal(run(wide, photos)["0"], LABELS[0].astype(int) + 1000)
+    negative = Segmenter(Then(lambda scores: scores.argmax(1) - 20), SPACE, PLAIN, cache)
+    np.testing.assert_array_equal(run(negative, photos)["0"], LABELS[0].astype(int) - 20)
+    assert len(entries(cache)) == 5
+
+
+def test_ctrl_c_keeps_what_was_made(photos, cache, monkeypatch):
+    monkeypatch.setattr(segmentation, "PIXELS_AT_ONCE", 1)
+    segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
+    segmenter.key()
+    left = iter([None, None, None])
+
+    def interrupt(module, arguments):
+        if next(left, "end") == "end":
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(segmenter, "key", lambda: "key")
+    segmenter.network.register_forward_pre_hook(interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        run(segmenter, photos)
+    assert len(entries(cache)) == 3
+
+
+def test_a_cache_that_cannot_be_written_is_an_error(photos, tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(OSError, match="file"):
+        run(Segmenter(colour_network(), SPACE, PLAIN, tmp_path / "file"), photos)
