@@ -26,12 +26,14 @@ from typing import Any
 
 import cv2
 import numpy as np
+import scipy.fft
 import torch
 from _encoding_rates import encoding_rates
 from _markdown import head_row, paragraph, row
 from _picture_costs import pictures_section
 from _stage_costs import stage_section
 from bench_loops import loops_section
+from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
@@ -232,7 +234,19 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
             cost = plain.times_faster_than(timing)["median"]
             cells.append(f"{span(timing.milliseconds, 1)}, {cost:.1f} x plain")
         yield row(str(count), *cells)
-    yield ""
+    layer = np.zeros(LARGE, np.float32)
+    with threads(1):
+        transform = time_in_turn({"fft": partial(correlate, layer, layer)}, repetitions)["fft"]
+    yield "\nAll pairs of one of the eight layers, however many, by Fourier transforms of twice the"
+    yield f"size (scipy): {span(transform.milliseconds, 0)} ms.\n"
+
+
+def correlate(points: NDArray[np.float32], context: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The number of pairs of points at every distance and direction."""
+    shape = 2 * points.shape[0], 2 * points.shape[1]
+    product = scipy.fft.rfft2(points, shape).conj() * scipy.fft.rfft2(context, shape)
+    found: NDArray[np.float32] = scipy.fft.irfft2(product, shape)
+    return found
 
 
 def strewn(labels: Tensor, count: int) -> Tensor:
