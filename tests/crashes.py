@@ -1,6 +1,7 @@
-"""A writer that is killed at every call that changes its database, or at random moments; see
-`test_crashes.py`. To be run with ``crashing.c`` preloaded: ``crashes.py SHIM FOLDER every N`` for
-every N-th call, ``random N`` for N moments, ``record`` to print the calls of one `append`.
+"""A writer that is killed at every call that changes its database or at random moments, or whose
+calls fail; see `test_crashes.py`. To be run with ``crashing.c`` preloaded: ``crashes.py SHIM FOLDER
+every N`` for every N-th call, ``random N`` for N moments, ``fail N`` to let every N-th call fail,
+``record 0`` to print the calls of one `append`. It prints how many writers were disturbed.
 
 Every writer and every look at what it left is a fork of this process, which imports Lance but never
 uses it: its threads would not survive the fork.
@@ -9,12 +10,14 @@ uses it: its threads would not survive the fork.
 from __future__ import annotations
 
 import ctypes
+import errno
 import os
 import random
 import shutil
 import signal
 import sys
 import time
+import traceback
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +31,8 @@ from ssrvlad_torch import Database
 WIDTH = 6
 KEPT, OLD, NEW = ["a/0", "a/1", "a/2"], descriptors(0, 3, WIDTH), descriptors(1, 3, WIDTH)
 MORE = [f"b/{number}" for number in range(3)]
+NOT_REACHED = 3
+ERRORS = (errno.ENOSPC, errno.EIO, errno.EMFILE)
 
 
 def work(path: Path, told: int) -> None:
@@ -80,20 +85,28 @@ def forked(action: Callable[[], None]) -> int:
         try:
             action()
             status = 0
+        except Exception:
+            traceback.print_exc()
         finally:
             sys.stderr.flush()
             os._exit(status)
     return child
 
 
-def crash(path: Path, shim: ctypes.CDLL, at: int, after: float) -> bool:
-    """One writer, killed at a call or after some seconds; whether it was killed."""
+def crash(path: Path, shim: ctypes.CDLL, at: int, after: float = 0, error: int = 0) -> bool:
+    """One writer, disturbed at a call or killed after some seconds; whether it was disturbed."""
     shutil.rmtree(path, ignore_errors=True)
     reading, telling = os.pipe()
 
     def write() -> None:
+        shim.fail_with(error)
         shim.crash_at(at, str(path).encode())
-        work(path, telling)
+        try:
+            work(path, telling)
+        except OSError as refusal:
+            assert error and "\n" not in str(refusal), refusal
+        if error and shim.calls_left() > 0:
+            os._exit(NOT_REACHED)
 
     child = forked(write)
     os.close(telling)
@@ -103,25 +116,32 @@ def crash(path: Path, shim: ctypes.CDLL, at: int, after: float) -> bool:
     status = os.waitpid(child, 0)[1]
     with os.fdopen(reading, "rb") as told:
         steps = len(told.read())
-    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0, "the writer failed"
-    assert os.waitpid(forked(lambda: check(path, steps)), 0)[1] == 0, (at, after, steps)
-    return os.WIFSIGNALED(status)
+    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) in (0, NOT_REACHED), "the writer failed"
+    assert os.waitpid(forked(lambda: check(path, steps)), 0)[1] == 0, (at, after, error, steps)
+    return os.WIFSIGNALED(status) or (error > 0 and os.WEXITSTATUS(status) != NOT_REACHED)
 
 
 def every(path: Path, shim: ctypes.CDLL, step: int) -> None:
     at, killed = 1, 0
-    while crash(path, shim, at, 0):
+    while crash(path, shim, at):
         at, killed = at + step, killed + 1
     print(killed)
 
 
 def at_random(path: Path, shim: ctypes.CDLL, count: int) -> None:
     generator, began = random.Random(0), time.perf_counter()
-    crash(path, shim, 0, 0)
+    crash(path, shim, 0)
     whole, killed = time.perf_counter() - began, 0
     while killed < count:
         killed += crash(path, shim, 0, generator.uniform(0.001, whole))
     print(killed)
+
+
+def fail(path: Path, shim: ctypes.CDLL, step: int) -> None:
+    at, failed = 1, 0
+    while crash(path, shim, at, error=ERRORS[failed % len(ERRORS)]):
+        at, failed = at + step, failed + 1
+    print(failed)
 
 
 def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
@@ -137,5 +157,5 @@ def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
 
 if __name__ == "__main__":
     library, folder, kind, number = ctypes.CDLL(sys.argv[1]), sys.argv[2], *sys.argv[3:]
-    act = {"every": every, "random": at_random, "record": record}[kind]
+    act = {"every": every, "random": at_random, "fail": fail, "record": record}[kind]
     act(Path(folder, "db"), library, int(number))

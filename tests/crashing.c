@@ -1,8 +1,9 @@
-/* Preloaded into a writer: ends it with SIGKILL at the n-th call that changes a folder, or writes
-   down the calls. Threads may call at once. */
+/* Preloaded into a writer: ends it with SIGKILL at the n-th call that changes a folder, lets that
+   call fail, or writes down the calls. Threads may call at once. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
+#include <errno.h>
 #include <limits.h>
 #include <signal.h>
 #include <stdio.h>
@@ -12,6 +13,7 @@
 
 static long left = -1;
 static int record = -1;
+static int fault = 0;
 static char folder[PATH_MAX];
 
 #define REAL(name) ((__typeof__(&name))dlsym(RTLD_NEXT, #name))
@@ -21,6 +23,12 @@ void crash_at(long at, const char *where) {
     strncpy(folder, where, sizeof folder - 1);
     left = at;
 }
+
+/* That call then fails with this error number, and the writer goes on. */
+void fail_with(int error) { fault = error; }
+
+/* Calls before the last one; below one if it has come. */
+long calls_left(void) { return __atomic_load_n(&left, __ATOMIC_SEQ_CST); }
 
 /* Writes a line for every call from here to an open file. */
 void record_to(int descriptor) { record = descriptor; }
@@ -42,9 +50,14 @@ static void note(const char *call, const char *path) {
     if (record >= 0) dprintf(record, "%s %s\n", call, path + strlen(folder));
 }
 
-static void end(void) {
-    kill(getpid(), SIGKILL);
-    pause();
+/* What the last call gives if the writer lives: always -1. */
+static int end(void) {
+    if (!fault) {
+        kill(getpid(), SIGKILL);
+        pause();
+    }
+    errno = fault;
+    return -1;
 }
 
 static int is_last(void) {
@@ -56,10 +69,10 @@ ssize_t write(int descriptor, const void *content, size_t size) {
     char path[PATH_MAX];
     if (descriptor != record && path_of(descriptor, path)) {
         note("write", path);
-        if (is_last()) end();
+        if (is_last()) return end();
         if (is_last()) {
-            REAL(write)(descriptor, content, size / 2);
-            end();
+            ssize_t half = REAL(write)(descriptor, content, size / 2);
+            return fault ? half : end();
         }
     }
     return REAL(write)(descriptor, content, size);
@@ -69,33 +82,33 @@ int fsync(int descriptor) {
     char path[PATH_MAX];
     if (path_of(descriptor, path)) {
         note("fsync", path);
-        if (is_last()) end();
+        if (is_last()) return end();
     }
     return REAL(fsync)(descriptor);
 }
 
-static void change(const char *call, const char *path) {
-    if (!is_inside(path)) return;
+static int change(const char *call, const char *path) {
+    if (!is_inside(path)) return 0;
     note(call, path);
-    if (is_last()) end();
+    return is_last() ? end() : 0;
 }
 
 int rename(const char *from, const char *to) {
-    change("rename", to);
+    if (change("rename", to)) return -1;
     return REAL(rename)(from, to);
 }
 
 int link(const char *from, const char *to) {
-    change("link", to);
+    if (change("link", to)) return -1;
     return REAL(link)(from, to);
 }
 
 int linkat(int there, const char *from, int here, const char *to, int flags) {
-    change("link", to);
+    if (change("link", to)) return -1;
     return REAL(linkat)(there, from, here, to, flags);
 }
 
 int unlink(const char *path) {
-    change("unlink", path);
+    if (change("unlink", path)) return -1;
     return REAL(unlink)(path);
 }

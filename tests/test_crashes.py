@@ -59,6 +59,12 @@ def test_a_writer_that_is_killed_at_any_moment_loses_nothing(shim, tmp_path):
     assert crashes(shim, tmp_path, "random", "50") == ["50"]
 
 
+@pytest.mark.parametrize("step", [23, pytest.param(1, marks=pytest.mark.slow)])
+def test_a_call_that_fails_loses_nothing(shim, tmp_path, step):
+    """A full disk, a broken one, no file handles: also where Lance does not say so."""
+    assert int(crashes(shim, tmp_path, "fail", str(step))[0]) >= 100 // step
+
+
 def test_files_reach_the_disk_before_the_version_that_names_them_and_it_before_the_end(
     shim, tmp_path
 ):

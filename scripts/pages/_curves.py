@@ -41,7 +41,7 @@ def draw(
         path: a PNG.
     """
     panels = _panels(problems, outcomes, names)
-    colours = dict(zip(names, COLOURS, strict=True))
+    colours = dict(zip(names, COLOURS, strict=False))
     figure = Figure(figsize=(4 * len(panels), 6.6), layout="constrained")
     axes = figure.subplots(2, len(panels), squeeze=False, height_ratios=(3, 2))
     for (title, found), (above, below) in zip(panels, axes.T, strict=True):

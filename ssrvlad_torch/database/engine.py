@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from ..files import flush
+from .written import check_data, check_deletions
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -266,12 +267,16 @@ def _exclusive(table: LanceDataset, operation: Any) -> Any:
     )
 
 
-def file_names(fragment: FragmentMetadata) -> list[str]:
-    """The files of a fragment, below the table's folder."""
-    names = [f"data/{file.path}" for file in fragment.files]
-    if fragment.deletion_file is not None:
-        names.append(str(fragment.deletion_file.path(fragment.id)))
-    return names
+def check_written(uri: str, fragment: FragmentMetadata) -> list[Path]:
+    """The files of a fragment, which are whole."""
+    paths = []
+    for file in fragment.files:
+        paths.append(Path(uri, "data", file.path))
+        check_data(paths[-1], file)
+    if deletions := fragment.deletion_file:
+        paths.append(Path(uri, deletions.path(fragment.id)))
+        check_deletions(paths[-1], deletions)
+    return paths
 
 
 def sync_version(table: LanceDataset, transaction: Any = None) -> None:
@@ -284,10 +289,17 @@ def sync_version(table: LanceDataset, transaction: Any = None) -> None:
 
 
 def sync(uri: str, fragments: Iterable[FragmentMetadata], names: Iterable[str] = ()) -> None:
-    """Flushes files of a table and the folders that they are in; an object store needs it not."""
+    """Puts files of a table and the folders that they are in on the disk, and sees that they are
+    whole; an object store needs it not.
+
+    Raises:
+        OSError: the disk refused, now or while Lance wrote them.
+    """
     if not is_local(uri):
         return
-    files = [Path(uri, n) for n in (*(n for f in fragments for n in file_names(f)), *names)]
+    files = [Path(uri, name) for name in names]
+    for fragment in fragments:
+        files += check_written(uri, fragment)
     for file in files:
         flush(file)
     for folder in {parent for file in files for parent in (file.parent, Path(uri))}:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from .engine import file_names, one_line
+from .engine import one_line
 from .rows import intact
 
 if TYPE_CHECKING:
@@ -70,7 +70,8 @@ def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.Re
             rows = fragment.count_rows()
         except _ERRORS:
             rows = fragment.physical_rows
-        damage.append(Damage(file_names(fragment.metadata)[0], rows - kept, reason))
+        file = f"data/{fragment.metadata.files[0].path}"
+        damage.append(Damage(file, rows - kept, reason))
 
 
 def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
