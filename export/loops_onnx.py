@@ -269,13 +269,13 @@ def run(given: argparse.Namespace) -> int:
         try:
             if frame in seen:
                 raise ValueError(f"frame {frame} was there before")
-            described = model.describe(path)
+            descriptor = model.describe(path)
         except ValueError as error:
             note(f"{path}: {one_line(error)}")
             skipped += 1
             continue
         seen.add(frame)
-        result = detector.update(frame, described.descriptor)
+        result = detector.update(frame, descriptor)
         print(json.dumps(result._asdict()), flush=True)
     if skipped:
         note(f"skipped {skipped} of {skipped + len(seen)} frames")

@@ -79,8 +79,8 @@ class Extractor:
                 f"expected (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
             )
         blue_first = np.broadcast_to(pixels.view(np.uint8), (*pixels.shape[:2], 3))
-        found = self.model.describe_array(np.ascontiguousarray(blue_first[..., ::-1]))
-        return np.ascontiguousarray(found.descriptor[None], np.float32)
+        descriptor = self.model.describe_array(np.ascontiguousarray(blue_first[..., ::-1]))
+        return np.ascontiguousarray(descriptor[None], np.float32)
 
 
 def init(descriptor_dimension: int) -> None:

@@ -36,6 +36,7 @@ Array = npt.NDArray[Any]
 
 SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
 CPU = "CPUExecutionProvider"
+FORMAT = "2"
 TOLERANCE = 1e-6
 SOME_SKIPPED = 3
 
@@ -47,14 +48,6 @@ LEAST_COSINE = 0.8
 _BLOCK = 1 << 14
 _MOST_GOLDEN = 64 << 20
 _ONLY_FATAL = 4
-
-
-class Described(NamedTuple):
-    """``(D,)`` float32 of length 1, or zero for an empty frame, and ``(8,)`` int64 keypoints; of a
-    file of `ssrvlad export --sweep` ``(S, D)``, a descriptor for each anchor."""
-
-    descriptor: Array
-    keypoints: Array
 
 
 class Golden(NamedTuple):
@@ -86,7 +79,7 @@ class Model:
         check: whether to run the golden pair and refuse a runtime that gives something else.
 
     Raises:
-        ValueError: it is no such file, or the golden pair comes out otherwise.
+        ValueError: it is no such file or of another format, or the golden pair comes out otherwise.
         OSError: it cannot be read.
     """
 
@@ -108,8 +101,9 @@ class Model:
         """Columns of the anchors of a sweep; none for single descriptors."""
         return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
 
-    def describe(self, path: Path) -> Described:
-        """The frame in a file.
+    def describe(self, path: Path) -> Array:
+        """The descriptor of the frame in a file: ``(D,)`` float32 of length 1, or zero for an empty
+        frame; of a file of `ssrvlad export --sweep` ``(S, D)``, one for each anchor.
 
         Raises:
             ValueError: it cannot be read, or has ids outside the label space.
@@ -125,13 +119,13 @@ class Model:
         except Exception as error:  # what decoders raise on damaged bytes has no bounds
             raise ValueError(one_line(error)) from error
 
-    def describe_array(self, given: Array) -> Described:
-        """A frame in memory, as the file takes it, without the axis of the batch.
+    def describe_array(self, given: Array) -> Array:
+        """That of a frame in memory, as the file takes it, without the axis of the batch.
 
         Raises:
             ValueError: it has ids outside the label space, or more than the file can count.
         """
-        descriptor, keypoints, unknown = self._run(given[None])
+        descriptor, unknown = self._run(given[None])
         if unknown[0]:
             space = json.loads(self.properties["ssrvlad.label_space"])["name"]
             channels = {"labels": 1, "logits": given.shape[0]}.get(self.input.name, 3)
@@ -143,7 +137,7 @@ class Model:
             raise ValueError(
                 "the frame is too wide, or has too many keypoints, for an exported file"
             )
-        return Described(descriptor[0], keypoints[0])
+        return np.asarray(descriptor[0])
 
     def golden(self) -> Golden:
         """Runs the golden pair.
@@ -154,8 +148,7 @@ class Model:
         return _golden(self.session, self.input.name, self.properties)
 
     def _run(self, given: Array) -> list[Array]:
-        names = ["descriptor", "keypoints", "unknown"]
-        return list(self.session.run(names, {self.input.name: given}))
+        return list(self.session.run(["descriptor", "unknown"], {self.input.name: given}))
 
     def _labels(self, path: Path) -> Array:
         labels = _npy(path) if _is_npy(path) else _label_picture(path)
@@ -220,7 +213,7 @@ class Split(Model):
     def _run(self, given: Array) -> list[Array]:
         image = onnxruntime.OrtValue.ortvalue_from_numpy(given)
         (labels,) = self.network.run_with_ort_values(["labels"], {"image": image})
-        names = ["descriptor", "keypoints", "unknown"]
+        names = ["descriptor", "unknown"]
         found = self.session.run_with_ort_values(names, {"labels": labels})
         return [each.numpy() for each in found]
 
@@ -355,14 +348,14 @@ def run(given: argparse.Namespace) -> int:
         if frame in kept:
             raise ValueError(f"{path} is a second frame {frame}")
         try:
-            described = model.describe(path)
+            descriptor = model.describe(path)
         except ValueError as error:
             note(f"{path}: {error}")
             skipped += 1
             continue
-        kept[frame] = described.descriptor
-        candidates = database.search(described.descriptor, given.top) if database else []
-        report(frame, described, candidates, given.json)
+        kept[frame] = descriptor
+        candidates = database.search(descriptor, given.top) if database else []
+        report(frame, not descriptor.any(), candidates, given.json)
     if given.save_descriptors and kept:
         save(given.save_descriptors, list(kept.values()), list(kept), model.fingerprint)
     if skipped:
@@ -370,19 +363,14 @@ def run(given: argparse.Namespace) -> int:
     return SOME_SKIPPED if skipped else 0
 
 
-def report(
-    frame: str, described: Described, candidates: list[tuple[str, float]], as_json: bool
-) -> None:
+def report(frame: str, empty: bool, candidates: list[tuple[str, float]], as_json: bool) -> None:
     """One line about a frame."""
-    counts = described.keypoints.tolist()
     if as_json:
         ranked = [{"frame": name, "score": score} for name, score in candidates]
-        empty = not described.descriptor.any()
-        line = {"query": frame, "candidates": ranked, "keypoints": counts, "empty": empty}
-        print(json.dumps(line))
+        print(json.dumps({"query": frame, "candidates": ranked, "empty": empty}))
     else:
         names = ", ".join(f"{name} {score:.4f}" for name, score in candidates)
-        print(f"{frame}: {sum(counts)} keypoints" + (f"; {names}" if names else ""))
+        print(f"{frame}: " + ("empty" if empty else names or "described"))
 
 
 def main() -> int:
@@ -425,6 +413,9 @@ def _properties(path: Path, session: Any) -> dict[str, str]:
     properties = dict(session.get_modelmeta().custom_metadata_map)
     if "ssrvlad.fingerprint" not in properties or "ssrvlad.label_space" not in properties:
         raise ValueError(f"{path}: no metadata ssrvlad.*: no file of `ssrvlad export` or `fuse`")
+    written = properties.get("ssrvlad.format", "1")
+    if written != FORMAT:
+        raise ValueError(f"{path}: a file of format {written}; expected {FORMAT}: export it again")
     return properties
 
 
@@ -460,7 +451,7 @@ def _golden(session: Any, given: str, properties: dict[str, str]) -> Golden:
     if "descriptor" not in golden:
         return Golden(0.0, other)
     got, expected = found["descriptor"], golden["descriptor"]
-    counts = ("keypoints", "unknown")
+    counts = golden.keys() - {"descriptor", "labels"}
     equal = all(np.array_equal(found[name], golden[name]) for name in counts)
     steps = np.nan_to_num(np.abs(got - expected), nan=np.inf)
     cosine = np.nan_to_num((got * expected).sum(-1)).min()

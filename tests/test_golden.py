@@ -36,8 +36,6 @@ def test_what_is_foreign_belongs_to_no_layer():
     assert labels.max() > 11
     labels[labels > 11] = 11  # void
     np.testing.assert_array_equal(head(labels), pair["descriptor"])
-    view = head.explain(labels)
-    np.testing.assert_array_equal(pair["keypoints"], view.keypoints.sum((2, 3)))
     sweep = SweepHead(head.config, (0, 9))
     found = outputs_of(sweep, pair["labels"])
     np.testing.assert_array_equal(found["descriptor"], sweep(labels))
@@ -45,10 +43,9 @@ def test_what_is_foreign_belongs_to_no_layer():
 
 def test_scores_have_every_class_and_the_outputs_are_the_modules():
     head, pair = pair_of("cityscapes-trainids", "logits")
-    view = head.explain(torch.from_numpy(pair["logits"]))
     assert set(np.unique(pair["logits"].argmax(1))) == set(range(19))
-    np.testing.assert_array_equal(pair["descriptor"], view.descriptor)
-    np.testing.assert_array_equal(pair["keypoints"], view.keypoints.sum((2, 3)))
+    np.testing.assert_array_equal(pair["descriptor"], head(pair["logits"]))
+    assert "keypoints" not in pair
     assert pair["unknown"].tolist() == [0, 0]
 
 
@@ -69,10 +66,13 @@ def test_the_corpus_is_what_its_input_takes(given, dtype):
 def test_the_input_is_reduced_and_cleaned():
     """What the golden pair does not pass through it cannot show."""
     head, pair = pair_of("camvid-32")
+    assert head.explain(pair["labels"][:1]).layers.shape[2:] != SIZE
+    head = SSRVLAD.from_preset("paper", labels_as="camvid-32")
     view = head.explain(pair["labels"][:1])
-    assert view.layers.shape[2:] != SIZE
     assert not torch.equal(view.layers, view.clean_layers)
     assert view.intersections.any()
+    counts = golden_pair(head, "labels", "uint8")["keypoints"]
+    np.testing.assert_array_equal(counts[:1], view.keypoints.sum((2, 3)))
 
 
 OTHERS = {
@@ -125,8 +125,8 @@ def is_noticed(model, node, given, expected) -> bool:
     )
 
 
-@pytest.mark.parametrize("preset", ["paper", "default"])
-def test_a_change_in_any_stage_of_the_graph_is_noticed(preset):
+@pytest.mark.parametrize(("preset", "stages_of"), [("paper", 10), ("default", 5)])
+def test_a_change_in_any_stage_of_the_graph_is_noticed(preset, stages_of):
     """Of some nodes of each stage one at least; others keep a loop within its bounds, or join bits
     that are never both set."""
     model = head_model(SSRVLADConfig.from_preset(preset, labels_as="cityscapes-trainids"))
@@ -140,6 +140,6 @@ def test_a_change_in_any_stage_of_the_graph_is_noticed(preset):
             stages.setdefault(stage, []).append(node)
     tried = {name: changeable(nodes) for name, nodes in stages.items()}
     tried = {name: nodes[:: max(1, len(nodes) // TRIES)] for name, nodes in tried.items() if nodes}
-    assert len(tried) >= 8
+    assert len(tried) == stages_of
     for name, nodes in tried.items():
         assert any(is_noticed(model, node, given, expected) for node in nodes), name

@@ -106,14 +106,10 @@ def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
     assert refused.stderr.splitlines()[-1].endswith("pip install pillow; or give .npy arrays")
 
 
-def test_descriptors_and_counts_are_those_of_the_module(head, maps, town, run):
+def test_descriptors_are_those_of_the_module(head, maps, town):
     files = sorted(maps.iterdir())
-    view = SSRVLAD(CONFIG).explain(
-        torch.from_numpy(np.stack([np.asarray(Image.open(file)) for file in files]))
-    )
-    np.testing.assert_allclose(np.load(town), view.descriptor.numpy(), atol=1e-6)
-    lines = [json.loads(line) for line in run(head, maps, "--json")[1].splitlines()]
-    assert [line["keypoints"] for line in lines] == view.keypoints.sum((2, 3)).tolist()
+    labels = np.stack([np.asarray(Image.open(file)) for file in files])
+    np.testing.assert_allclose(np.load(town), SSRVLAD(CONFIG)(labels).numpy(), atol=1e-6)
     names = [f"{file.parent.name}/{file.stem}" for file in files]
     assert Path(f"{town}.frames.txt").read_text().splitlines() == names
     assert Path(f"{town}.fingerprint.txt").read_text().strip() == CONFIG.fingerprint
@@ -227,7 +223,7 @@ def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
     model = head_model(CONFIG)
     entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
     golden = json.loads(entry.value)
-    golden["unknown"] = {**golden["keypoints"], "shape": [2, 8]}
+    golden["unknown"]["shape"] = [1, 2]
     entry.value = json.dumps(golden)
     onnx.save(model, tmp_path / "edited.onnx")
     assert run(tmp_path / "edited.onnx", "--check")[:2] == (
@@ -245,6 +241,20 @@ def with_golden(head, target, change):
     entry.value = json.dumps(golden)
     onnx.save(model, target)
     return target
+
+
+def test_a_file_of_another_format_is_refused(head, maps, tmp_path, run, ssrvlad):
+    model = onnx.load(head)
+    (written,) = (entry for entry in model.metadata_props if entry.key == "ssrvlad.format")
+    model.metadata_props.remove(written)
+    onnx.save(model, tmp_path / "old.onnx")
+    message = "old.onnx: a file of format 1; expected 2: export it again"
+    for code, _, (line,) in (
+        run(tmp_path / "old.onnx", maps),
+        ssrvlad("verify", tmp_path / "old.onnx"),
+    ):
+        assert code == 2
+        assert message in line
 
 
 def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, tmp_path, run):
@@ -363,7 +373,7 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     config = SSRVLADConfig(labels_as="camvid-11")
     export_head(config, tmp_path / "sweep.onnx", columns=(-8, 0, 8))
     model = script.Model(tmp_path / "sweep.onnx")
-    swept = model.describe(tmp_path / "query.npy").descriptor
+    swept = model.describe(tmp_path / "query.npy")
     script.save(tmp_path / "town.npy", list(swept), ["left", "middle", "right"], model.fingerprint)
     source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
     code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 3)
@@ -386,9 +396,7 @@ def test_network_and_head_in_two_files(tmp_path, run):
     assert run(head, *frames, "--network", net)[0] == 0
     one, other = (script.Split(net, head), script.Model(place))
     for frame in frames:
-        np.testing.assert_array_equal(
-            one.describe(frame).descriptor, other.describe(frame).descriptor
-        )
+        np.testing.assert_array_equal(one.describe(frame), other.describe(frame))
     code, told, _ = run(head, "--network", net, "--check")
     largest = told.removeprefix("largest difference for the golden pair: ")
     assert (code, float(largest) < 1e-6) == (0, True), told

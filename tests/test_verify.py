@@ -273,16 +273,16 @@ def test_the_script(files, streets):
 def test_the_golden_arrays_of_a_fused_file_are_those_of_its_image(files):
     properties = {e.key: e.value for e in onnx.load(files["fused"]).metadata_props}
     golden = Metadata.from_properties(properties).golden_arrays()
-    assert golden.keys() == {"image", "labels", "descriptor", "keypoints", "unknown"}
+    assert golden.keys() == {"image", "labels", "descriptor", "unknown"}
     assert len(np.unique(golden["labels"])) > 3
 
 
 @pytest.mark.parametrize("kind", ["labels", "fused"])
 def test_a_runtime_that_is_wrong_or_fails_is_diagnosed(kind, files, ssrvlad, monkeypatch):
-    """One that dilates with another operator, and one that has none."""
+    """One that joins with another operator, and one that has none."""
     for other, verdict, place in (
-        ("BitwiseXor", "wrong", "morphology"),
-        ("", "cannot run", "morphology"),
+        ("BitwiseXor", "wrong", "boundaries"),
+        ("", "cannot run", "layers"),
     ):
         runtime = Other("BitwiseOr", other, "no kernel")
         monkeypatch.setattr("ssrvlad_torch.deployment.verify.runtime_of", lambda _, r=runtime: r)

@@ -72,11 +72,9 @@ void run(const std::string& network, const std::vector<std::string>& given, bool
   const auto place = network.empty() ? ssrvlad::Place(given[0], options, check)
                                      : ssrvlad::Place(network, given[0], options, check);
   const auto described = describe(place, given[1]);
-  std::printf("descriptor: %zu numbers, norm %.6f\nkeypoints:", described.descriptor.size(),
+  std::printf("descriptor: %zu numbers, norm %.6f\n", described.descriptor.size(),
               static_cast<double>(ssrvlad::detail::length_of(described.descriptor.data(),
                                                              described.length)));
-  for (const auto count : described.keypoints) std::printf(" %lld", static_cast<long long>(count));
-  std::printf("\n");
   if (given.size() < 3) return;
   const ssrvlad::Database database(given[2], place.fingerprint());
   for (const auto& match : database.match(described, given.size() > 3 ? number(given[3]) : 5))

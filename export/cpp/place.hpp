@@ -15,7 +15,6 @@
 #include <zlib.h>
 
 #include <algorithm>
-#include <array>
 #include <cctype>
 #include <cmath>
 #include <cstdint>
@@ -34,6 +33,7 @@
 
 namespace ssrvlad {
 
+constexpr const char* kFormat = "2";
 constexpr float kTolerance = 1e-6F;
 // Fraction of a golden image's pixels that may get another label on another runtime, and the least
 // cosine of the descriptors of two label maps that differ so little.
@@ -45,7 +45,6 @@ constexpr float kLeastCosine = 0.8F;
 struct Described {
   std::vector<float> descriptor;
   std::size_t length = 0;  // of one descriptor
-  std::array<std::int64_t, 8> keypoints{};
 };
 
 struct Match {
@@ -215,6 +214,10 @@ class Session {
                  options) {
     if (property("ssrvlad.fingerprint").empty())
       throw std::runtime_error(path + ": no metadata ssrvlad.fingerprint");
+    const auto written = property("ssrvlad.format");
+    if (written != kFormat)
+      throw std::runtime_error(path + ": a file of format " + (written.empty() ? "1" : written) +
+                               "; expected " + kFormat + ": export it again");
     if (session_.GetInputCount() != 1)
       throw std::runtime_error(path + ": expected one input, got " +
                                std::to_string(session_.GetInputCount()));
@@ -394,11 +397,11 @@ class Place {
     if (takes_photographs()) shape.push_back(3);
     const auto size = static_cast<std::size_t>(height * width) * bytes * (takes_photographs() ? 3 : 1);
     const auto given = detail::Session::value_of(data, size, shape, type);
-    const std::vector<const char*> names{"descriptor", "keypoints", "unknown"};
+    const std::vector<const char*> names{"descriptor", "unknown"};
     std::vector<Ort::Value> labels;
     if (network_) labels = network_->run(given, {"labels"});
     const auto found = head_.run(network_ ? labels[0] : given, names);
-    const auto unknown = found[2].GetTensorData<std::int64_t>()[0];
+    const auto unknown = found[1].GetTensorData<std::int64_t>()[0];
     if (unknown > 0)
       throw std::runtime_error(std::to_string(unknown) +
                                " pixels have an id outside the label space");
@@ -410,7 +413,6 @@ class Place {
       if (!std::isfinite(number))
         throw std::runtime_error("the frame is too wide, or has too many keypoints, for such a file");
     described.length = static_cast<std::size_t>(form.GetShape().back());
-    std::copy_n(found[1].GetTensorData<std::int64_t>(), 8, described.keypoints.begin());
     return described;
   }
 

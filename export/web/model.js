@@ -6,10 +6,12 @@ import { metadataOf, skeletonTensor, withOutput } from "./onnx_file.js";
 
 ort.env.wasm.numThreads = 1;
 
+const FORMAT = "2";
 const TOLERANCE = 1e-6;
 const MOST_OTHER_PIXELS = 0.01;
 const LEAST_COSINE = 0.8;
 const MOST_GOLDEN = 1 << 26;
+const PIXELS_OF_WORD = 3;
 const ARRAYS = {
   uint8: Uint8Array,
   int64: BigInt64Array,
@@ -25,6 +27,9 @@ export class Model {
     const metadata = metadataOf(file);
     for (const name of ["fingerprint", "config", "label_space", "golden", "interface"])
       if (!metadata[name]) throw new Error(`no metadata ssrvlad.${name}: no file of ssrvlad export`);
+    const { format = "1" } = metadata;
+    if (format !== FORMAT)
+      throw new Error(`a file of format ${format}; expected ${FORMAT}: export it again`);
     if (JSON.parse(metadata.interface).sweep?.length)
       throw new Error("expected a file without --sweep: this page takes one descriptor an image");
     const skeleton = skeletonTensor(file);
@@ -61,7 +66,7 @@ export class Model {
     return this.#described(found, height, width);
   }
 
-  /** Of an image of ids: descriptor, keypoint counts and `skeleton`, see `unpackedSkeleton`. */
+  /** Of an image of ids: descriptor and, if the file makes one, `skeleton`, see `unpackedSkeleton`. */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
     const ids = this.dtype === "int64" ? BigInt64Array.from(labels, BigInt) : Uint8Array.from(labels);
@@ -92,8 +97,8 @@ export class Model {
     for (const name of Object.keys(this.golden))
       if (name !== this.input) expected[name] = (await this.#array(name)).values;
     const other = expected.labels ? fractionOfOthers(found.labels, expected.labels) : 0;
-    const counts = ["keypoints", "unknown"].map((name) => largestDifference(found[name], expected[name]));
-    const difference = counts.some(Boolean)
+    const counts = Object.keys(expected).filter((name) => name !== "descriptor" && name !== "labels");
+    const difference = counts.some((name) => largestDifference(found[name], expected[name]))
       ? Infinity
       : largestDifference(found.descriptor, expected.descriptor);
     const images = expected.unknown.length;
@@ -108,15 +113,10 @@ export class Model {
   }
 
   async #run(input) {
-    const found = await this.session.run({ [this.input]: input });
-    const { descriptor, keypoints, unknown } = found;
-    return {
-      descriptor: descriptor.data,
-      keypoints: Array.from(keypoints.data, Number),
-      unknown: Array.from(unknown.data, Number),
-      labels: found.labels && Array.from(found.labels.data, Number),
-      skeleton: this.skeleton && found[this.skeleton].data,
-    };
+    const { descriptor, ...others } = await this.session.run({ [this.input]: input });
+    const skeleton = this.skeleton && others[this.skeleton].data;
+    const counts = Object.entries(others).map(([name, { data }]) => [name, Array.from(data, Number)]);
+    return { ...Object.fromEntries(counts), descriptor: descriptor.data, skeleton };
   }
 
   async #array(name) {
@@ -168,20 +168,17 @@ function workingGrid(size, height, width) {
 }
 
 /**
- * ``rows * columns`` bytes, bit k is layer k. In the graph a row is ``pitch`` words of three pixels
- * (int32, in older files of eight, int64),
- * and the line begins with a margin of ``pitch + 1`` words.
+ * ``rows * columns`` bytes, bit k is layer k. In the graph a row is ``pitch`` words of three pixels,
+ * int32, and the line begins with a margin of ``pitch + 1`` words.
  */
 function unpackedSkeleton(line, { rows, columns }) {
-  const bytesOfWord = line.BYTES_PER_ELEMENT;
-  const pixels = bytesOfWord === 8 ? 8 : 3;
-  const pitch = Math.floor(columns / pixels) + 1;
+  const pitch = Math.floor(columns / PIXELS_OF_WORD) + 1;
   if (line.length < (rows + 1) * pitch + 2 * (pitch + 1))
     throw new Error("the skeleton in the graph is of another layout");
   const bytes = new Uint8Array(line.buffer, line.byteOffset, line.byteLength);
   return Uint8Array.from({ length: rows * columns }, (_, at) => {
     const [y, x] = [Math.floor(at / columns), at % columns];
-    const word = pitch + 1 + y * pitch + Math.floor(x / pixels);
-    return bytes[bytesOfWord * word + (x % pixels)];
+    const word = pitch + 1 + y * pitch + Math.floor(x / PIXELS_OF_WORD);
+    return bytes[4 * word + (x % PIXELS_OF_WORD)];
   });
 }

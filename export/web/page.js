@@ -105,7 +105,7 @@ function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns
   });
 }
 
-function drawTargets({ config }, { descriptor, keypoints }) {
+function drawTargets({ config }, { descriptor }) {
   element("legend").textContent =
     config.aggregation === "residuals"
       ? "Rings by distance, sectors by direction: red where the keypoints of a category see more " +
@@ -118,11 +118,10 @@ function drawTargets({ config }, { descriptor, keypoints }) {
     target.className = "target";
     target.innerHTML =
       '<canvas width="320" height="320" role="img"></canvas>' +
-      "<p><i></i> <b></b><br><small></small></p>";
+      "<p><i></i> <b></b></p>";
     target.querySelector("canvas").setAttribute("aria-label", `target of ${name}`);
     target.querySelector("i").style.background = colour;
     target.querySelector("b").textContent = name;
-    target.querySelector("small").textContent = `${keypoints[k]} keypoints`;
     drawTarget(target.querySelector("canvas"), targetOf(config, descriptor, k));
     return target;
   });

@@ -33,8 +33,8 @@ def export_head(
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
     The file holds standard operators only and computes in int32 and float32: ONNX Runtime and
-    OpenVINO on a CPU run it. Keypoint counts are those of `SSRVLAD`, descriptors differ by less
-    than 1e-6. OpenVINO divides int32 in float32 and is exact for batches of up to 16 million pixels
+    OpenVINO on a CPU run it. Counts are those of `SSRVLAD`, descriptors differ by less than 1e-6.
+    OpenVINO divides int32 in float32 and is exact for batches of up to 16 million pixels
     of the working grid, and it cuts int64 labels to 32 bits. A descriptor of more than the graph
     can count is NaN: of a grid wider than 960 columns (harmonics around the vanishing column), or
     of 2 ** 31 pairs of points in a layer (residuals). A graph cannot raise an error:
@@ -45,7 +45,8 @@ def export_head(
         - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the largest wins, the
           first of equals), all axes dynamic.
         - outputs: ``descriptor (B, config.length)`` float32, of a sweep ``(B, S, config.length)``,
-          ``keypoints (B, 8)`` int64, how many each layer has, and ``unknown (B,)`` int64.
+          ``unknown (B,)`` int64, and of the aggregation ``residuals`` ``keypoints (B, 8)`` int64,
+          how many each layer has.
 
     Args:
         config: the settings.
@@ -76,15 +77,16 @@ def head_model(
     """What `export_head` writes; arguments and errors as there."""
     head = SweepHead(config, columns) if columns else SSRVLAD(config)
     inputs = _inputs(head.label_space, input, dtype)
-    outputs: dict[str, Form] = {
-        "descriptor": ("float32", ["B", *([len(columns)] if columns else []), config.length]),
-        "keypoints": ("int64", ["B", CATEGORY_COUNT]),
-        "unknown": ("int64", ["B"]),
-    }
     graph = Graph(inputs)
     (given,) = graph.inputs
     labels = graph.ArgMax(given, axis=1, keepdims=0) if input == "logits" else given
-    described = describe_in_graph(graph, labels, config, columns)._asdict()
+    described = describe_in_graph(graph, labels, config, columns)
+    forms: dict[str, Form] = {
+        "descriptor": ("float32", ["B", *([len(columns)] if columns else []), config.length]),
+        "unknown": ("int64", ["B"]),
+        "keypoints": ("int64", ["B", CATEGORY_COUNT]),
+    }
+    outputs = {name: forms[name] for name in described}
     model = graph.model({name: (described[name], outputs[name]) for name in outputs})
     interface: dict[str, Any] = {
         "opset": OPSET,

@@ -32,7 +32,6 @@ NETWORK = f"{PREFIX}network"
 HEAD_GOLDEN = f"{PREFIX}head_golden"
 
 IMAGE, LABELS = "image", "labels"
-OUTPUTS = ("descriptor", "keypoints", "unknown")
 HEAD = "ssrvlad/"
 """Before the names of the head's nodes and tables."""
 
@@ -78,9 +77,8 @@ def fuse(
 
     Shape:
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
-        - outputs: ``descriptor (B, config.length)`` float32, ``keypoints (B, 8)`` int64,
-          ``unknown (B,)`` int64, and ``labels (B, H, W)`` uint8, or int64 for wider ids; of the
-          network's part ``labels`` alone, which is the input of the head's.
+        - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids;
+          of the network's part ``labels`` alone, which is the input of the head's.
 
     Args:
         network: a segmenter, or the name of a network; see `open_network`.

@@ -40,7 +40,7 @@ def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, Array]:
         dtype: of the labels.
 
     Returns:
-        the input and the outputs ``descriptor``, ``keypoints`` and ``unknown`` by name.
+        the input and the outputs of `export_head` by name.
 
     Raises:
         ValueError: the dtype holds no id of the label space.
@@ -97,13 +97,13 @@ def outputs_of(head: SSRVLAD, given: Array) -> dict[str, Array]:
         config = replace(head.config, labels_as=space)
         head = SweepHead(config, head.columns) if isinstance(head, SweepHead) else SSRVLAD(config)
     labels = torch.from_numpy(given)
-    view = head.explain(labels)
-    descriptor = head(labels) if isinstance(head, SweepHead) else view.descriptor
-    return {
-        "descriptor": descriptor.numpy(),
-        "keypoints": view.keypoints.sum((2, 3)).numpy(),
+    found = {
+        "descriptor": head(labels).numpy(),
         "unknown": foreign.reshape(len(given), -1).sum(1).astype(np.int64),
     }
+    if head.config.aggregation == "residuals":
+        found["keypoints"] = head.explain(labels).keypoints.sum((2, 3)).numpy()
+    return found
 
 
 def as_input(labels: Array, channels: int, input: str, dtype: str) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -38,20 +37,12 @@ from .stages.shape_context import (
 )
 from .stages.skeleton import thin_in_graph
 from .stages.vanishing_column import WIDEST, vanishing_columns_in_graph
-from .words import GraphPoints, Words, count_points_in_graph, grid_of, points_of
-
-
-class Described(NamedTuple):
-    """What the graph gives for a batch: ``(B, 480)`` float32, ``(B, 8)`` int32, ``(B,)`` int32."""
-
-    descriptor: Symbol
-    keypoints: Symbol
-    unknown: Symbol
+from .words import Words, count_points_in_graph, grid_of, points_of
 
 
 def describe_in_graph(
     graph: Graph, labels: Symbol, config: SSRVLADConfig, columns: Sequence[int] = ()
-) -> Described:
+) -> dict[str, Symbol]:
     """`SSRVLAD.forward` in a graph, or `SSRVLAD.sweep`.
 
     Args:
@@ -59,11 +50,25 @@ def describe_in_graph(
         labels: ``(B, H, W)`` uint8 or int64 label ids, any of the sizes dynamic.
         config: the settings.
         columns: S anchors of a sweep, for descriptors ``(B, S, 480)``; none for single ones.
+
+    Returns:
+        ``descriptor (B, 480)`` float32, ``unknown (B,)`` int32, and of residuals ``keypoints
+        (B, 8)`` int32.
     """
     with graph.stage("layers"):
         categories, unknown = _categories(graph, labels, config)
         grid = grid_of(*graph.sizes(categories, 3))
         layers = split_in_graph(graph, categories, grid)  # Table II
+    if config.aggregation == "residuals":
+        descriptor, counts = _residuals(graph, config, layers)
+        return {"descriptor": descriptor, "unknown": unknown, "keypoints": counts}
+    descriptor = _harmonics(graph, config, layers, columns)
+    return {"descriptor": descriptor, "unknown": unknown}
+
+
+def _residuals(graph: Graph, config: SSRVLADConfig, layers: Words) -> tuple[Symbol, Symbol]:
+    """The paper's descriptor, and how many keypoints each layer has."""
+    grid = layers.grid
     with graph.stage("geometry"):
         sizes = lengths(graph, config, grid)
     clean = _cleaned(graph, config, layers, sizes)
@@ -74,12 +79,17 @@ def describe_in_graph(
         crossings = intersections_in_graph(graph, skeleton)
         keypoints = points_of(graph, skeleton.with_line(ends.line | crossings.line))
         counts = count_points_in_graph(graph, keypoints, grid.images)
-    if config.aggregation == "residuals":
-        masks = clean, skeleton
-        descriptor = _residuals(graph, config, masks, keypoints, counts, sizes.ring_limits)
-    else:
-        descriptor = _harmonics(graph, config, merge_in_graph(layers), columns)
-    return Described(descriptor, counts, unknown)
+    with graph.stage("centroid"):
+        centres = centroids_in_graph(graph, clean)  # Eq. 1
+    with graph.stage("shape_context"):
+        context = points_of(graph, skeleton) if config.context == "skeleton" else keypoints
+        bins = log_polar_bins_in_graph(graph, grid, sizes.ring_limits, config.rings, config.sectors)
+        point_sums = shape_contexts_in_graph(graph, keypoints, context, bins, grid.images)
+        centre_counts = shape_contexts_in_graph(graph, centres, context, bins, grid.images)
+    with graph.stage("aggregation"):
+        descriptor = aggregate_in_graph(graph, point_sums, centre_counts, counts)  # Eq. 2
+        too_many = too_many_in_graph(graph, keypoints, context, grid.images)
+        return graph.Where(too_many, np.nan, descriptor), counts
 
 
 def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths) -> Words:
@@ -95,34 +105,13 @@ def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths)
     return clean
 
 
-def _residuals(
-    graph: Graph,
-    config: SSRVLADConfig,
-    masks: tuple[Words, Words],
-    keypoints: GraphPoints,
-    counts: Symbol,
-    ring_limits: Symbol,
-) -> Symbol:
-    """The paper's descriptor, from the clean layers and their skeletons."""
-    (clean, skeleton), grid = masks, masks[0].grid
-    with graph.stage("centroid"):
-        centres = centroids_in_graph(graph, clean)  # Eq. 1
-    with graph.stage("shape_context"):
-        context = points_of(graph, skeleton) if config.context == "skeleton" else keypoints
-        bins = log_polar_bins_in_graph(graph, grid, ring_limits, config.rings, config.sectors)
-        point_sums = shape_contexts_in_graph(graph, keypoints, context, bins, grid.images)
-        centre_counts = shape_contexts_in_graph(graph, centres, context, bins, grid.images)
-    with graph.stage("aggregation"):
-        descriptor = aggregate_in_graph(graph, point_sums, centre_counts, counts)  # Eq. 2
-        too_many = too_many_in_graph(graph, keypoints, context, grid.images)
-        return graph.Where(too_many, np.nan, descriptor)
-
-
 def _harmonics(
     graph: Graph, config: SSRVLADConfig, layers: Words, columns: Sequence[int]
 ) -> Symbol:
     """The coefficients of the soft histograms around the anchor, or around those of a sweep."""
     grid = layers.grid
+    with graph.stage("layers"):
+        layers = merge_in_graph(layers)
     with graph.stage("boundaries"):
         edges = boundaries_in_graph(graph, layers)
     with graph.stage("vanishing_column"):

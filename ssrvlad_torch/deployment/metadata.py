@@ -24,6 +24,9 @@ PREFIX = "ssrvlad."
 SEAL = f"{PREFIX}sha256"
 """The property that `seal` gives."""
 
+FORMAT = "2"
+"""Of the outputs and properties of a file. Programs refuse a file of another."""
+
 _DTYPES = ("uint8", "int64", "float32", "float64")
 _MOST_GOLDEN = 64 << 20
 
@@ -43,6 +46,7 @@ class Metadata:
             name; an axis with a name is dynamic.
         golden: an input and the module's outputs for it; each array by name as ``dtype``, ``shape``
             and ``data``, its little-endian bytes compressed by zlib, in base64.
+        format: `FORMAT`.
     """
 
     version: str
@@ -51,6 +55,7 @@ class Metadata:
     label_space: dict[str, Any]
     interface: dict[str, Any]
     golden: dict[str, dict[str, Any]]
+    format: str = FORMAT
 
     @classmethod
     def of(
@@ -75,8 +80,12 @@ class Metadata:
         """The metadata in a file's properties.
 
         Raises:
-            ValueError: a property is missing or is not what `to_properties` writes.
+            ValueError: a property is missing or is not what `to_properties` writes, or the file is
+                of another format.
         """
+        written = properties.get(f"{PREFIX}format", "1")
+        if f"{PREFIX}fingerprint" in properties and written != FORMAT:
+            raise ValueError(f"a file of format {written}; expected {FORMAT}: export it again")
         found: dict[str, Any] = {}
         for field in fields(cls):
             name = PREFIX + field.name
