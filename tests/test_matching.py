@@ -9,7 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.recognition import matching
-from ssrvlad_torch.recognition.matching import Rows, frames_within, match, temporal_sum
+from ssrvlad_torch.recognition.matching import (
+    Rows,
+    frames_within,
+    highest,
+    match,
+    temporal_sum,
+)
 
 
 def coarse_vectors(seed, count):
@@ -227,3 +233,16 @@ def test_a_reach_in_metres_is_another_t_for_each_sequence():
 def test_what_are_no_vectors_is_a_sentence(vectors, message):
     with pytest.raises(ValueError, match=message):
         match(vectors, torch.eye(3), top=1)
+
+
+@given(
+    size=st.sampled_from([0, 1, 5, 1023, 1024, 1025, 5000]),
+    levels=st.sampled_from([1, 3, 10_000]),
+    count=st.integers(0, 7),
+)
+def test_the_highest_values_are_those_of_a_stable_sort(size, levels, count):
+    generator = torch.Generator().manual_seed(size + levels + count)
+    values = torch.randint(levels, (size,), generator=generator).float()
+    values[torch.rand(size, generator=generator) < 0.3] = -torch.inf
+    expected = values.sort(descending=True, stable=True).indices[:count]
+    assert torch.equal(highest(values, min(count, size)), expected)

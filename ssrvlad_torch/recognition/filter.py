@@ -9,7 +9,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from .motion import GAP, SPEEDS, Motion, evidence, moved, moved_back, prior_of_speeds
+from .motion import CELLS, GAP, SPEEDS, Motion, evidence, moved, prior_of_speeds
 
 
 class Belief(NamedTuple):
@@ -46,6 +46,7 @@ class Filter:
         self._cells = torch.zeros(0, dtype=torch.int64)
         self._inside = torch.zeros(GAP)
         self._sequence: str | None = None
+        self._lost: Tensor | None = None
         self.belief = Belief(torch.zeros(len(SPEEDS), GAP), 1.0)
         self.extend(sequences)
         self.restart()
@@ -67,6 +68,7 @@ class Filter:
         length = int(cells[-1]) + 1 + GAP
         self._inside = torch.zeros(length)
         self._inside[self._cells] = 1
+        self._lost = None
         mapped = self.belief.mapped
         more = mapped.new_zeros(len(SPEEDS), length - mapped.shape[1])
         self.belief = self.belief._replace(mapped=torch.cat((mapped, more), 1))
@@ -89,8 +91,8 @@ class Filter:
             ValueError: it is not a score for each row.
         """
         told = self.evidence(scores, spread)
-        before = self.belief if self._begins else self.predicted(self.belief)
-        self.belief, together = updated(before, told)
+        first, before = self._begins, self.belief
+        self.belief, together = updated(before, told) if first else self.after(before, told)
         chance = self.motion.unmapped if len(self) else 1.0
         alone = (1 - chance) * float(told.sum()) / max(1, len(self)) + chance
         self.gain += math.log(together / alone)
@@ -108,16 +110,24 @@ class Filter:
         told = evidence(scores, self.motion, spread)
         return torch.zeros_like(self._inside).index_copy_(0, self._cells, told)
 
-    def predicted(self, belief: Belief) -> Belief:
-        """The belief one frame later, before it is seen."""
-        motion = self.motion
-        mapped = moved(belief.mapped, motion).mul_(self._inside)
-        lost = max(0.0, 1 - belief.unmapped - float(mapped.sum()))
-        arriving = lost * (1 - motion.unmapped) + belief.unmapped * (1 - motion.stay)
+    def after(self, belief: Belief, told: Tensor) -> tuple[Belief, float]:
+        """The belief one frame later, and how likely that frame was.
+
+        Args:
+            belief: before it.
+            told: its evidence.
+        """
         if not len(self):
-            return Belief(mapped, 1.0)
-        mapped.addcmul_(prior_of_speeds(), self._inside[None], value=arriving / len(self))
-        return Belief(mapped, lost * motion.unmapped + belief.unmapped * motion.stay)
+            return Belief(belief.mapped, 1.0), 1.0
+        motion, mapped = self.motion, moved(belief.mapped, self.motion)
+        anyone = mapped.sum(0)
+        lost = max(0.0, 1 - belief.unmapped - float((anyone * self._inside).sum()))
+        each = (lost * (1 - motion.unmapped) + belief.unmapped * (1 - motion.stay)) / len(self)
+        unmapped = lost * motion.unmapped + belief.unmapped * motion.stay
+        total = float((anyone.add_(each) * told).sum()) + unmapped
+        for here, by in zip(mapped.split(CELLS, 1), (told / total).split(CELLS), strict=True):
+            here.add_(prior_of_speeds() * each).mul_(by)
+        return Belief(mapped, unmapped / total), total
 
     def before(self, told: Tensor, after: Belief) -> Belief:
         """The backward algorithm: how likely the later frames are from each state.
@@ -129,11 +139,13 @@ class Filter:
         motion, seen = self.motion, after.mapped * told
         anywhere = float((prior_of_speeds() * seen).sum()) / max(1, len(self))
         left = (1 - motion.unmapped) * anywhere + motion.unmapped * after.unmapped
-        kept = moved_back(self._inside.expand(len(SPEEDS), -1), motion)
-        mapped = moved_back(seen, motion) + (1 - kept) * left
+        if self._lost is None:
+            inside = self._inside.expand(len(SPEEDS), -1)
+            self._lost = 1 - moved(inside, motion, back=True)
+        mapped = moved(seen, motion, back=True).add_(self._lost, alpha=left).mul_(self._inside)
         unmapped = motion.stay * after.unmapped + (1 - motion.stay) * anywhere
-        size = max(unmapped, float((mapped * self._inside).max()))
-        return Belief(mapped * (self._inside / size), unmapped / size)
+        size = max(unmapped, float(mapped.max()))
+        return Belief(mapped.div_(size), unmapped / size)
 
     def no_future(self) -> Belief:
         """What `before` starts from."""

@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 
 from .display import candidates_table
-from .filter import Belief, Filter, updated
+from .filter import Belief, Filter
+from .matching import highest
 from .motion import Motion
 
 NEAR = 3
@@ -141,14 +142,14 @@ class NearSums:
         self._starts = ends[:-1].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
         self._ends = ends[1:].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
 
-    def places(self, rows: Tensor, unmapped: float, top: int, allowed: Tensor) -> Places:
-        """Candidates among the allowed rows by falling probability, the first of equals first."""
+    def places(self, rows: Tensor, unmapped: float, top: int, allowed: Tensor | None) -> Places:
+        """Candidates among the allowed rows, or all, by falling probability, the first of equals
+        first."""
         scores, indices = rows.new_full((top,), -torch.inf), torch.full((top,), -1)
-        count = min(top, int(allowed.sum()))
-        among = rows.masked_fill(~allowed, -torch.inf)
-        few = count == len(rows)
-        chosen = among.sort(descending=True, stable=True) if few else among.topk(count)
-        scores[:count], indices[:count] = chosen.values[:count], chosen.indices[:count]
+        count = min(top, len(rows) if allowed is None else int(allowed.sum()))
+        among = rows if allowed is None else rows.masked_fill(~allowed, -torch.inf)
+        indices[:count] = highest(among, count)
+        scores[:count] = rows[indices[:count]]
         return Places(scores, indices, self.near(rows, int(indices[0])), torch.tensor(unmapped))
 
     def near(self, rows: Tensor, row: int) -> Tensor:
@@ -159,11 +160,12 @@ class NearSums:
         return rows[start : min(row + NEAR + 1, int(self._ends[row]))].sum()
 
 
-def _candidates(scores: Tensor) -> Tensor:
-    """Rows that may be candidates of a query: those that have a score. An empty query has none,
-    and any row may be its place."""
-    scored = scores > -torch.inf
-    return scored if scored.any() else ~scored
+def _candidates(scores: Tensor) -> Tensor | None:
+    """Rows that may be candidates of a query, those that have a score; without, any. An empty query
+    has none, and any row may be its place."""
+    if not len(scores) or scores.amin() > -torch.inf or scores.amax() == -torch.inf:
+        return None
+    return scores > -torch.inf
 
 
 def _online(
@@ -213,7 +215,7 @@ def _offline(track: Filter, scores: Tensor | Scores, part: range) -> Iterator[tu
         told = {query: track.evidence(scores[query]) for query in stretch}
         forward = [kept.pop(start)]
         for query in stretch[1:]:
-            forward.append(updated(track.predicted(forward[-1]), told[query])[0])
+            forward.append(track.after(forward[-1], told[query])[0])
         for query in reversed(stretch):
             yield query, _smoothed(forward.pop(), future)
             future = track.before(told[query], future)

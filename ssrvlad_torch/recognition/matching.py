@@ -287,6 +287,22 @@ def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
     return best, columns
 
 
+def highest(values: Tensor, count: int) -> Tensor:
+    """``(count,)`` int64, the places of the highest of ``(N,)`` values, the first of equals first.
+
+    Only groups of values with the highest peaks are sorted: each of the others is behind as many.
+    """
+    few = max(1, min(len(values), _GROUP))
+    groups = F.pad(values, (0, -len(values) % few), value=-torch.inf).view(-1, few)
+    peaks = groups.amax(1).sort(descending=True, stable=True).indices[:count].sort().values
+    places = (peaks[:, None] * few + torch.arange(few)).flatten()
+    order = groups[peaks].flatten().sort(descending=True, stable=True).indices[:count]
+    return places[order]
+
+
+_GROUP = 1024
+
+
 def _merge(kept: tuple[Tensor, Tensor], found: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """The best of two lists of candidates, as many as were kept; equal scores by index."""
     top = kept[0].shape[1]

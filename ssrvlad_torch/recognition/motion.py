@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -77,7 +78,7 @@ class Motion:
 
 def nearness(scores: Tensor) -> Tensor:
     """Less the logarithm of half the squared Euclidean distance of descriptors of length 1."""
-    return -torch.log((1 - scores).clamp(min=_ROUNDING))
+    return (1 - scores).clamp_(min=_ROUNDING).log_().neg_()
 
 
 def lead(near: Tensor, rows: Tensor | None = None) -> Tensor:
@@ -101,12 +102,16 @@ def moments(scores: Tensor) -> tuple[float, float]:
 
 
 def _moments(near: Tensor) -> tuple[float, float]:
-    if len(near) and near.amin() == -torch.inf:
-        near = near[near > -torch.inf]
     if not len(near):
         return 0.0, _LEAST_SPREAD
-    deviation, mean = torch.std_mean(near, correction=0)
-    return float(mean), max(_LEAST_SPREAD, float(deviation))
+    least, most = map(float, near.aminmax())
+    if least == -torch.inf:
+        return _moments(near[near > -torch.inf])
+    if most - least <= _LEAST_SPREAD:
+        return least, _LEAST_SPREAD
+    mean = float(near.mean())
+    deviation = math.sqrt(float((near - mean).square_().mean()))
+    return mean, max(_LEAST_SPREAD, deviation)
 
 
 def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None) -> Tensor:
@@ -125,41 +130,54 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
     mean, deviation = _moments(z) if spread is None else spread
     if deviation <= _LEAST_SPREAD:
         return torch.ones(len(scores))
-    z.sub_(mean).mul_(motion.weight / deviation).sub_(motion.weight * motion.level)
+    z.sub_(mean + motion.level * deviation).mul_(motion.weight / deviation)
     return z.clamp_(max=_MOST).exp_()
 
 
-def moved(belief: Tensor, motion: Motion) -> Tensor:
+def moved(belief: Tensor, motion: Motion, back: bool = False) -> Tensor:
     """Where a belief is one frame later.
 
     Args:
         belief: ``(8, cells)`` float32 by speed and cell, 0 in the first and last `GAP` cells.
+        motion: its chances.
+        back: the transpose, for the backward algorithm.
 
     Returns:
-        likewise, without what jumps; what left the map is in the gaps.
+        likewise, without what jumps; what left the map is in the gaps, but for the outer ones.
     """
-    anyone, after = belief.sum(0), torch.zeros_like(belief)
-    for speed, (prior, steps) in enumerate(SPEEDS):
-        kept = torch.add(anyone * (motion.change * prior), belief[speed], alpha=1 - motion.change)
-        for step, chance in steps.items():
-            _add_moved(after[speed], kept, step, chance * (1 - motion.jump))
+    after, end = torch.empty_like(belief), belief.shape[1] - GAP
+    after[:, :GAP] = after[:, end:] = 0
+    for first in range(GAP, end, CELLS):
+        last = min(first + CELLS, end)
+        after[:, first:last] = 0
+        for step, there, here, ways in _ways(motion, back):
+            after[there, first:last].addmm_(ways, belief[here, first - step : last - step])
     return after
 
 
-def moved_back(belief: Tensor, motion: Motion) -> Tensor:
-    """The transpose of `moved`."""
-    before = torch.zeros_like(belief)
-    for speed, (_, steps) in enumerate(SPEEDS):
-        for step, chance in steps.items():
-            _add_moved(before[speed], belief[speed], -step, chance * (1 - motion.jump))
-    anyone = (prior_of_speeds() * before).sum(0)
-    return before.mul_(1 - motion.change).add_(anyone, alpha=motion.change)
+CELLS = 1 << 14
+"""Cells that are moved at once: their beliefs, before and after, fit the cache of a core."""
 
 
-def _add_moved(cells: Tensor, others: Tensor, step: int, chance: float) -> None:
-    """Adds to cells what others hold that are a step before them."""
-    count, ahead, behind = len(cells), max(0, step), max(0, -step)
-    cells[ahead : count - behind].add_(others[behind : count - ahead], alpha=chance)
+class _Way(NamedTuple):
+    """A step in cells, the speeds to which and from which it leads, and with which chances."""
+
+    step: int
+    there: slice
+    here: slice
+    chances: Tensor
+
+
+@cache
+def _ways(motion: Motion, back: bool) -> tuple[_Way, ...]:
+    ways, any_speed = [], slice(0, len(SPEEDS))
+    for step in range(_LEAST_STEP, GAP + 1):
+        speeds = [speed for speed, (_, steps) in enumerate(SPEEDS) if step in steps]
+        there = slice(speeds[0], speeds[-1] + 1)
+        to = chances(motion)[there, :, GAP - step]
+        way = _Way(-step, any_speed, there, to.T) if back else _Way(step, there, any_speed, to)
+        ways.append(way._replace(chances=way.chances.contiguous()))
+    return tuple(ways)
 
 
 @cache

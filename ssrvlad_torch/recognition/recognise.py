@@ -16,7 +16,7 @@ from .display import candidates_table
 from .filter import Filter
 from .follow import Mode, Places, Scores, follow, runs
 from .fusion import FusedScores
-from .matching import Matches, Rows, Vectors
+from .matching import Matches, Rows, Vectors, highest
 from .motion import Motion
 from .standardise import LEAST, standardise
 from .sweep import COLUMNS, narrowed, score
@@ -308,9 +308,9 @@ def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
 def _best(scores: Tensor, top: int) -> tuple[Matches, Tensor]:
     """The candidates of one query, the first of equals first."""
     best, rows = torch.full((top,), -torch.inf), torch.full((top,), -1)
-    ranked = scores.sort(descending=True, stable=True)
     count = min(top, int((scores > -torch.inf).sum()))
-    best[:count], rows[:count] = ranked.values[:count], ranked.indices[:count]
+    rows[:count] = highest(scores, count)
+    best[:count] = scores[rows[:count]]
     return Matches(best, rows), confidence_of_scores(scores)
 
 

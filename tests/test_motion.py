@@ -1,0 +1,55 @@
+"""`recognition.motion`: beliefs move as each step says, and back by the transpose."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from ssrvlad_torch.recognition.motion import CELLS, GAP, SPEEDS, Motion, moments, moved, nearness
+
+MOTION = Motion(change=0.1, jump=0.05)
+
+
+def belief(cells: int, seed: int = 0) -> Tensor:
+    drawn = torch.rand(len(SPEEDS), cells, generator=torch.Generator().manual_seed(seed))
+    drawn[:, :GAP] = drawn[:, -GAP:] = 0
+    return drawn
+
+
+def step_by_step(before: Tensor) -> Tensor:
+    after = torch.zeros_like(before)
+    for speed, (chance, steps) in enumerate(SPEEDS):
+        turned = MOTION.change * chance * before.sum(0) + (1 - MOTION.change) * before[speed]
+        for step, part in steps.items():
+            after[speed] += (1 - MOTION.jump) * part * turned.roll(step)
+    return after
+
+
+@pytest.mark.parametrize("cells", [2 * GAP, 2 * GAP + 1, 40, CELLS + 2 * GAP, CELLS + 2 * GAP + 1])
+def test_a_belief_moves_by_every_step(cells):
+    before = belief(cells)
+    inside = slice(GAP, cells - GAP)
+    got = moved(before, MOTION)
+    torch.testing.assert_close(got[:, inside], step_by_step(before)[:, inside])
+    assert not got[:, :GAP].any() and not got[:, cells - GAP :].any()
+
+
+@pytest.mark.parametrize("cells", [30, CELLS + 30])
+def test_back_is_the_transpose(cells):
+    one, other = belief(cells), belief(cells, 1)
+    there = (moved(one, MOTION) * other).double().sum()
+    back = (one * moved(other, MOTION, back=True)).double().sum()
+    torch.testing.assert_close(there, back, rtol=1e-6, atol=0)
+
+
+def test_moments_leave_out_what_has_no_score():
+    scores = torch.rand(5000, generator=torch.Generator().manual_seed(0))
+    near = nearness(scores).double()
+    scores = torch.cat((scores, torch.full((9,), -torch.inf)))
+    assert moments(scores) == pytest.approx((near.mean(), near.std(correction=0)), rel=1e-6)
+
+
+@pytest.mark.parametrize("scores", [[], [0.3], [1.0] * 999, [-torch.inf] * 3, [0.1] * 5])
+def test_scores_that_are_all_equal_have_no_spread(scores):
+    assert moments(torch.tensor(scores))[1] <= 1e-6
