@@ -4,12 +4,13 @@ chosen, and the other."""
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from _described import NETWORKS, REAL
 from _trials import Cache
 from conditions import (
     CITY_CONDITIONS,
@@ -30,13 +31,7 @@ from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
 from ssrvlad_torch.recognition.sweep import score
 from ssrvlad_torch.taxonomy import label_space
 
-NETWORKS = ("espnetv2", "dabnet")
-ROUTES = {
-    "evening -> day": ("uofa/evening", "uofa/day", 3),
-    "right -> left": ("gardens_walk/day_right", "gardens_walk/day_left", 2),
-    "night -> right": ("gardens_walk/night_right", "gardens_walk/day_right", 2),
-    "night -> left": ("gardens_walk/night_right", "gardens_walk/day_left", 2),
-}
+ROUTES = {name: route for routes in REAL.values() for name, route in routes.items()}
 DRIVES = ("0001TP", "0016E5")
 CAMVID = (
     ("labels", "labels"),
@@ -73,16 +68,23 @@ def measured(
 ) -> dict[str, dict[str, list[float]]]:
     """For every way to describe, by group and half, RecallRate@1 by each of `WAYS`; what was
     measured before is not measured again."""
-    kept = Cache(cache)
-    return {
-        name: kept.get(
-            (name, SSRVLADConfig().fingerprint, *SEEDS), partial(_measure, describe, data)
-        )
-        for name, describe in ways.items()
-    }
+    kept, found = Cache(cache), {}
+    parts = {"real": (real, ROUTES), "CamVid": (in_camvid, CAMVID), "city": (in_city, STREETS)}
+    for name, describe in ways.items():
+        found[name] = {
+            f"{group}, {HALVES[half]}": kept.get(
+                (name, SSRVLADConfig().fingerprint, searches, SEEDS, half),
+                partial(_rates, describe, make(data, half)),
+            )
+            for group, (make, searches) in parts.items()
+            for half in range(2)
+        }
+        print(name, found[name], flush=True)
+    return found
 
 
-def _measure(describe: Describe, data: Path) -> dict[str, list[float]]:
+def _rates(describe: Describe, searches: Iterable[Search]) -> list[float]:
+    """The mean over searches; drives that several have are described once."""
     known: dict[int, Tensor] = {}
 
     def of(drive: Drive) -> Tensor:
@@ -90,13 +92,8 @@ def _measure(describe: Describe, data: Path) -> dict[str, list[float]]:
             known[id(drive)] = describe(drive)
         return known[id(drive)]
 
-    found = {}
-    for group, searches in (("real", real), ("CamVid", in_camvid), ("city", in_city)):
-        for half in range(2):
-            rates = [rates_of(search, of) for search in searches(data, half)]
-            found[f"{group}, {HALVES[half]}"] = np.mean(rates, 0).tolist()
-    print(found, flush=True)
-    return found
+    rates: list[float] = np.mean([rates_of(search, of) for search in searches], 0).tolist()
+    return rates
 
 
 def rates_of(search: Search, of: Callable[[Drive], Tensor]) -> list[float]:

@@ -17,7 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from _halves import CAMVID, DRIVES, NETWORKS, ROUTES, rate
+from _described import NETWORKS
+from _halves import CAMVID, DRIVES, ROUTES, rate
 from _markdown import head_row, row, write
 from conditions import BATCH
 from torch import Tensor
