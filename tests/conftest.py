@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import subprocess
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,8 @@ from drives import write_maps
 from hypothesis import settings
 
 from ssrvlad_torch import native
+from ssrvlad_torch.deployment import export, fuse
+from ssrvlad_torch.taxonomy import label_space_names
 
 torch.set_num_threads(1)
 
@@ -35,6 +37,28 @@ def core():
         subprocess.run([sys.executable, build], check=True)
         native.core.cache_clear()
     return native.core()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def heads_are_built_once():
+    """A head's graph takes seconds to build, and is one for settings of a named label space."""
+    build = export.head_model
+
+    @cache
+    def built(*settings: object) -> bytes:
+        return build(*settings).SerializeToString()
+
+    def model(config, input="labels", dtype="uint8", columns=()):
+        if config.labels_as not in label_space_names():
+            return build(config, input, dtype, columns)
+        import onnx
+
+        return onnx.load_from_string(built(config, input, dtype, tuple(columns)))
+
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (export, fuse):
+            patch.setattr(module, "head_model", model)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -31,19 +31,35 @@ PRESETS = ("paper", "default")
 presets = pytest.mark.parametrize("preset", PRESETS)
 
 CUSTOM: dict[str, dict[str, Any]] = {
-    "few bins": {"preset": "paper", "rings": 3, "sectors": 8},
-    "one ring, odd sectors": {"preset": "paper", "rings": 1, "sectors": 5, "radius": 1.0},
-    "keypoints as context": {"preset": "paper", "context": "keypoints"},
-    "guo-hall": {"preset": "paper", "thinning": "guo-hall", "working_size": 50},
-    "opening and closing": {"preset": "paper", "opening": 0.02, "closing": 0.03},
-    "nothing cleaned": {"preset": "paper", "closing": 0.0, "hole_area": 0.0, "region_area": 0.0},
-    "much cleaned": {"preset": "paper", "hole_area": 0.2, "region_area": 0.1},
-    "residuals on a grid": {"preset": "paper", "working_size": 31},
+    "few bins, opening and closing": {
+        "preset": "paper",
+        "rings": 3,
+        "sectors": 8,
+        "opening": 0.02,
+        "closing": 0.03,
+    },
+    "one ring, odd sectors, keypoints as context, nothing cleaned": {
+        "preset": "paper",
+        "rings": 1,
+        "sectors": 5,
+        "radius": 1.0,
+        "context": "keypoints",
+        "closing": 0.0,
+        "hole_area": 0.0,
+        "region_area": 0.0,
+    },
+    "guo-hall and much cleaned on a grid": {
+        "preset": "paper",
+        "thinning": "guo-hall",
+        "working_size": 50,
+        "hole_area": 0.2,
+        "region_area": 0.1,
+    },
     "one row of cells": {"preset": "default", "working_size": 1},
     "harmonics at native size": {"preset": "default", "working_size": None},
-    "around the middle": {"preset": "default", "anchor": "middle"},
-    "other harmonics": {
+    "other harmonics, around the middle": {
         "preset": "default",
+        "anchor": "middle",
         "thinning": "guo-hall",
         "rings": 4,
         "sectors": 7,
@@ -173,18 +189,16 @@ def test_a_batch_equals_its_images_one_by_one(preset):
     assert_parity(batch, of_preset(preset))
 
 
-@pytest.mark.parametrize("given", ["labels", "logits"])
-def test_a_sweep_is_that_of_the_module(given, tmp_path):
+def test_a_sweep_is_that_of_the_module(tmp_path):
     columns, config = (-24, -4, 0, 9), of_preset("default", labels_as="camvid-11")
-    export_head(config, tmp_path / "sweep.onnx", given, columns=columns)
+    export_head(config, tmp_path / "sweep.onnx", "logits", columns=columns)
     assert verify(tmp_path / "sweep.onnx").passed
     model = session((tmp_path / "sweep.onnx").read_bytes())
     for size in ((97, 211), (300, 190)):
         labels = np.random.default_rng(1).integers(0, 11, (2, size[0] // 9 + 1, size[1] // 9 + 1))
         labels = labels.repeat(9, 1).repeat(9, 2)[:, : size[0], : size[1]].astype(np.uint8)
         scores = np.eye(11, dtype=np.float32)[:, labels].swapaxes(0, 1).copy()
-        fed = labels if given == "labels" else scores
-        swept = model.run(["descriptor"], {given: fed})[0]
+        swept = model.run(["descriptor"], {"logits": scores})[0]
         expected = SSRVLAD(config).sweep(torch.from_numpy(labels), columns).numpy()
         assert swept.shape == (2, 4, 480)
         np.testing.assert_allclose(swept, expected, atol=1e-6)
@@ -393,7 +407,7 @@ def test_a_missing_folder_is_named(tmp_path):
 def test_a_missing_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[onnx\]"):
-        export_head(SSRVLADConfig(), tmp_path / "x.onnx")
+        export_head(of_preset("default", rings=3), tmp_path / "x.onnx")
     assert not list(tmp_path.iterdir())
 
 

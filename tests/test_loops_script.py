@@ -62,7 +62,7 @@ def test_the_page_says_what_the_detectors_did(script, tmp_path):
             "perfect labels": [tour(script, seed, 0.01) for seed in seeds],
             "noisy labels": [tour(script, seed, 0.05) for seed in seeds],
         }
-        for seeds in ((10, 12), (20, 22))
+        for seeds in ((10,), (20, 22))
     )
     page = "\n".join(script.sections(learned, measured, tmp_path / "loops.md"))
     assert "nan" not in page
