@@ -407,7 +407,7 @@ def test_a_missing_folder_is_named(tmp_path):
 def test_a_missing_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnxscript", None)
     with pytest.raises(ImportError, match=r"pip install ssrvlad-torch\[onnx\]"):
-        export_head(of_preset("default", rings=3), tmp_path / "x.onnx")
+        export_head(of_preset("paper", rings=3), tmp_path / "x.onnx")
     assert not list(tmp_path.iterdir())
 
 
