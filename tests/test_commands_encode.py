@@ -53,6 +53,15 @@ def test_an_unreadable_frame_is_listed_and_the_rest_lands(ssrvlad, maps, tmp_pat
     assert "label id 77 (768 pixels) is not in label space camvid-11" in err[1]
 
 
+def test_a_wrong_label_space_is_told_once(ssrvlad, maps, tmp_path):
+    for n in range(25):
+        Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / f"{n:03d}.png")
+    code, _, err = ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")
+    assert code == 3 and len(err) == 22
+    assert "no frame could be described: is --labels-as what the ids" in err[0]
+    assert err[-1] == "ssrvlad: skipped 5 more"
+
+
 def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, maps, tmp_path):
     Image.fromarray(np.full((24, 32), VOID, np.uint8)).save(maps / "000.png")
     db = tmp_path / "empty.ssrdb"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import shutil
 
+from drives import write_maps
+
 from ssrvlad_torch import SSRVLADConfig
 
 
@@ -21,7 +23,8 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
     assert [line.split(" (")[0].split()[-1] for line in out.splitlines()] == ["1.0000"] * 6
     assert "not standardised, no sweep, followed: no, no temporal sum" in err[-1]
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
-    assert 0 < sure["confidence"] < 1 and sure["steps"]["standardise"] == {"monday": False}
+    assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
+    assert "6 references are too few to tell how sure" in err[-1]
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
     assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]
@@ -43,6 +46,23 @@ def test_a_sum_in_metres_tells_its_t(ssrvlad, database, maps):
         ssrvlad("query", database, maps, "--temporal", "4.2m", "--json")[1].splitlines()[0]
     )
     assert found["temporal"] == {"monday": 2}
+
+
+def test_enough_references_tell_how_sure(ssrvlad, database, maps):
+    write_maps(maps, range(6, 30))
+    ssrvlad("encode", maps, "-o", database)
+    _, out, err = ssrvlad("query", database, maps, "--json")
+    assert 0 < json.loads(out.splitlines()[0])["confidence"] < 1
+    assert not any("too few" in line for line in err)
+
+
+def test_label_maps_of_two_spaces_are_told_apart(ssrvlad, database, maps, tmp_path):
+    other = write_maps(tmp_path / "tuesday", range(3))
+    ssrvlad("encode", other, "-o", database, "--labels-as", "cityscapes-trainids")
+    refused = ["ssrvlad: %s holds frames of camvid-11 and cityscapes-trainids; say --labels-as"]
+    assert ssrvlad("query", database, maps)[::2] == (2, [refused[0] % database])
+    assert ssrvlad("encode", other, "-o", database)[::2] == (2, [refused[0] % database])
+    assert ssrvlad("query", database, maps, "--labels-as", "camvid-11")[0] == 0
 
 
 def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):

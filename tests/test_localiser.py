@@ -56,7 +56,7 @@ def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
     only_cars = photo(np.full((60, 80), 8))
     assert localiser.locate(only_cars) is None
     assert localiser.locate(folder / "1.png").confidence == 0, "two frames are nothing to go by"
-    with pytest.raises(ValueError, match=r"expected \(H, W, 3\) uint8"):
+    with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8"):
         localiser.locate(np.zeros((3, 4)))
     (folder.parent / "torn.jpg").write_bytes(b"torn")
     with pytest.raises(ValueError, match=r"torn\.jpg: is no image file"):

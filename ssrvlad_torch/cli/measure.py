@@ -17,6 +17,7 @@ from ..evaluation.outcomes import judge
 from ..evaluation.report import Descriptors
 from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
 from ..recognition.matching import Matches
+from ..recognition.standardise import LEAST
 from .output import figure, fused_in_words, interval, print_table
 from .pictures import Pictures
 from .truth import Places
@@ -132,6 +133,8 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
         ts = temporal.values() if isinstance(temporal, Mapping) else [temporal]
         t = "/".join(map(str, dict.fromkeys(ts)))
         told.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
+    if used["references"] < LEAST:
+        told.append(f"{used['references']} references are too few to tell how sure")
     return ", ".join(told)
 
 

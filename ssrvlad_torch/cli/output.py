@@ -21,6 +21,9 @@ SOME_SKIPPED = 3
 """Exit code of a command that finished with some inputs skipped."""
 
 _WIDE = 200
+_NAMED = 20
+"""Skipped frames that are named."""
+
 _SECONDS = 0.2
 """Between two updates of a progress bar. Frames come in batches: one alone has no rate."""
 
@@ -142,8 +145,10 @@ def interval(ends: Sequence[float]) -> str:
 
 def finish(skipped: Sequence[Skipped]) -> None:
     """Ends a command that did all it could: names what was skipped, and exits with code 3."""
-    for frame in skipped:
+    for frame in skipped[:_NAMED]:
         note(f"skipped {frame.frame}: {frame.reason}")
+    if len(skipped) > _NAMED:
+        note(f"skipped {len(skipped) - _NAMED} more")
     if skipped:
         raise typer.Exit(SOME_SKIPPED)
 

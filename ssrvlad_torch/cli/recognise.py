@@ -38,7 +38,7 @@ from .options import MethodOptions, RecognitionOptions, StepOptions
 from .output import progress_bar
 from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
 from .report import CANDIDATES, Page
-from .sources import LabelsAs, Source, encode_queries, load_references, with_labels_as
+from .sources import LabelsAs, Source, encode_queries, load_references, settings_of
 from .truth import Places, counted
 
 _AHEAD = 16
@@ -116,7 +116,7 @@ def by_database(
     found = judged(queries, references, steps, CANDIDATES if page else TOP)
     queries = with_single_descriptors(queries)
     names = [frame.frame for frame in skipped]
-    config = with_labels_as(database.config, source.labels_as)
+    config = settings_of(database, source.labels_as)
     given = page.pictures if page else ()
     return Recognition(
         references=_places(references, counted(references.frames, source.whole)),

@@ -207,7 +207,7 @@ def encode_queries(
             raise ValueError(no_pictures)
         known = {one.name: frames.beside[one.name] for one in beside}
         return dataclasses.replace(frames, beside=known), []
-    config = with_labels_as(database.config, source.labels_as)
+    config = settings_of(database, source.labels_as)
     if beside and not source.given.segmenter:
         raise ValueError(no_pictures)
     files, segmenter = source.frames(config.labels_as)
@@ -216,9 +216,29 @@ def encode_queries(
         return encode_to_memory(head, files, workers, bar.advance, segmenter, beside)
 
 
-def with_labels_as(config: SSRVLADConfig, labels_as: LabelsAs | None) -> SSRVLADConfig:
-    """The settings for label maps of another label space, if one is given."""
-    return dataclasses.replace(config, labels_as=labels_as or config.labels_as)
+def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig:
+    """The settings of a database for label maps of a label space, without one of its own.
+
+    Raises:
+        ValueError: its frames are of several label spaces, and none is given.
+    """
+    config = database.config
+    return dataclasses.replace(
+        config, labels_as=labels_as or only_label_space(database) or config.labels_as
+    )
+
+
+def only_label_space(database: Database) -> LabelSpace | None:
+    """The one label space of the frames of a database; of an empty one ``None``.
+
+    Raises:
+        ValueError: there are several.
+    """
+    spaces = database.label_spaces()
+    if len(spaces) > 1:
+        names = " and ".join(space.name for space in spaces)
+        raise ValueError(f"{database.path} holds frames of {names}; say --labels-as")
+    return spaces[0] if spaces else None
 
 
 def _open_dataset(given: SourceOptions) -> Dataset | None:

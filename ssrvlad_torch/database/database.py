@@ -182,7 +182,8 @@ class Database:
         if engine.is_local(text) and Path(text, "manifest.json").exists():
             raise ValueError(f"{text} was made by an earlier format of database: encode it again")
         if engine.is_local(text) and not cls.exists(text):
-            raise ValueError(f"{text} is not a database")
+            there = "is not a database" if Path(text).exists() else "does not exist"
+            raise ValueError(f"{text} {there}")
         try:
             table = engine.opened(text, version)
         except OSError as error:
@@ -261,6 +262,12 @@ class Database:
     def origins(self) -> dict[str, Origin]:
         """What made the label maps, by the key that stands in a frame's record."""
         return dict(self._meta.origins)
+
+    def label_spaces(self) -> list[LabelSpace]:
+        """The label spaces of the frames that are there."""
+        keys = self._columns(["origin"])["origin"].unique().to_pylist()
+        spaces = [self._meta.origins.get(key, Origin()).label_space for key in keys]
+        return list({space.digest: space for space in spaces if space}.values())
 
     def require(self, config: SSRVLADConfig, beside: Sequence[Beside] = ()) -> None:
         """Refuses descriptors made with other settings.

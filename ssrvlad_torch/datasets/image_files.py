@@ -20,6 +20,7 @@ from .utm_names import write_name
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
 _SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
+_HIGHEST_ID = 40
 _EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
 Pixels = npt.NDArray[np.uint8]
@@ -104,6 +105,8 @@ def _decode(content: bytes) -> Pixels:
         stored.verify()  # the checksums of PNG, which decoding passes over
     with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
         image: Image.Image = ImageOps.exif_transpose(stored)
+    if image.mode in ("L", "P"):
+        _see_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:
         image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
     elif image.mode not in _EIGHT_BIT:
@@ -113,3 +116,12 @@ def _decode(content: bytes) -> Pixels:
     if "transparency" in image.info:
         image = image.convert("RGBA")
     return np.asarray(image.convert("RGB"))
+
+
+def _see_photograph(values: npt.NDArray[np.uint8]) -> None:
+    """Refuses what can only be a label map: a few small ids, and 255 for what has none."""
+    ids = np.flatnonzero(np.bincount(values.ravel(), minlength=256)[:255])
+    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID:
+        raise ValueError(
+            f"expected a photograph, got a label map: {len(ids)} values, {ids[0]} to {ids[-1]}"
+        )

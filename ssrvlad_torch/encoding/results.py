@@ -91,6 +91,11 @@ class Summary:
     gone: list[str] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
 
+    @property
+    def described(self) -> int:
+        """Number of frames that are there and of today's settings."""
+        return self.encoded + self.anew.total() + self.already_there
+
     def __str__(self) -> str:
         told = [f"{self.encoded} frames encoded ({self.empty} of them empty)"]
         told += [f"{count} encoded anew: {reason}" for reason, count in self.anew.items()]

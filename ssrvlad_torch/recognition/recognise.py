@@ -66,7 +66,8 @@ class Recognised(NamedTuple):
             sequence was followed; that of the first candidate is of its neighbourhood.
             An empty query has no candidate.
         confidence: ``(Q,)`` float32, the probability that the first candidate is right, see
-            `confidence`; 0 without one.
+            `confidence`; 0 without one, and where fewer than `standardise.LEAST` references are
+            too few to tell.
         used: what was done, to be told: the steps, and by sequence whether it was standardised,
             the width of the sweep, how it was followed, and what each of several methods weighs.
     """
@@ -139,7 +140,7 @@ def recognise(
         found, followed = _judged(scores, reference_sequences, steps, top)
         return _Outcome(*found, own, max(widths), followed, weights)
 
-    return _of_each(query_sequences, steps, top, judge)
+    return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
 
 
 def recognise_by_scores(
@@ -161,7 +162,7 @@ def recognise_by_scores(
         found, followed = _judged(part, reference_sequences, steps, top)
         return _Outcome(*found, False, 0, followed, {})
 
-    return _of_each(query_sequences, steps, top, judge)
+    return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
 
 
 def recognise_by_search(
@@ -188,7 +189,7 @@ def recognise_by_search(
         empty = torch.tensor([not len(part.candidates(query)) for query in range(len(part))])
         return _Outcome(*_placed(places, empty, mode), own, 0, mode, {})
 
-    return _of_each(query_sequences, steps, top, judge)
+    return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
 
 
 class _Outcome(NamedTuple):
@@ -203,11 +204,15 @@ class _Outcome(NamedTuple):
 
 
 def _of_each(
-    sequences: Sequence[str], steps: Steps, top: int, judge: Callable[[range], _Outcome]
+    sequences: Sequence[str],
+    references: int,
+    steps: Steps,
+    top: int,
+    judge: Callable[[range], _Outcome],
 ) -> Recognised:
     """What is found of all queries, sequence by sequence."""
     judged = {run: judge(run) for run in runs(sequences)}
-    used: dict[str, Any] = asdict(steps)
+    used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
         used[step] = {sequences[run.start]: getattr(one, step) for run, one in judged.items()}
     none = torch.zeros(0, top)
@@ -219,7 +224,7 @@ def _of_each(
             (none.sum(1), [one.confidence for one in judged.values()]),
         )
     )
-    return Recognised(Matches(scores, indices), sure, used)
+    return Recognised(Matches(scores, indices), sure * (references >= LEAST), used)
 
 
 def _prepared(queries: Tensor, references: Rows, steps: Steps) -> tuple[Tensor, int]:

@@ -152,9 +152,11 @@ class Segmenter:
                 recognised or holds NaN scores.
         """
         for image in images:
+            if not isinstance(image, np.ndarray):
+                raise ValueError(f"expected arrays (H, W, 3) of uint8, got {type(image).__name__}")
             if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
                 raise ValueError(
-                    f"expected (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
+                    f"expected a list of (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
                 )
         results = []
         for result in self._complete([_Picture(image, None) for image in images], None):

@@ -81,10 +81,12 @@ def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> Non
     ids, counts = labels.to(torch.int64).unique(return_counts=True)
     known = torch.tensor([label.id for label in space.classes], device=ids.device)
     unknown = ~torch.isin(ids, known)
-    more = f" and {int(unknown.sum()) - 1} other ids" if int(unknown.sum()) > 1 else ""
+    first, count, others = int(ids[unknown][0]), int(counts[unknown][0]), int(unknown.sum()) - 1
+    pixels = f"{count} pixel{'s'[: count > 1]}"
+    more = f", like {others} more" if others else ""
     raise ValueError(
-        f"label id {int(ids[unknown][0])} ({int(counts[unknown][0])} pixels){more} is not in "
-        f"label space {space.name}; expected {space.describe_ids()}"
+        f"label id {first} ({pixels}) is not in label space {space.name}{more}; expected "
+        f"{space.describe_ids()}"
     )
 
 

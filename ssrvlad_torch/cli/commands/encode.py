@@ -13,9 +13,7 @@ from ..output import finish, note, print_json, progress_bar, say
 from .db import contents
 
 if TYPE_CHECKING:
-    from ...database.database import Database
     from ...encoding.results import Summary
-    from ...taxonomy import LabelSpace
     from ..sources import LabelsAs, Source
 
 Engine = Literal["local", "ray"]
@@ -61,6 +59,8 @@ def encode(
         say(f"{output}: {summary}")
     for frame in summary.gone:
         note(f"{frame} is in {output} and its file is gone; --prune removes it")
+    if summary.skipped and not summary.described:
+        note("no frame could be described: is --labels-as what the ids of these label maps mean?")
     finish(summary.skipped)
 
 
@@ -79,6 +79,7 @@ def _encode(
     from ...encoding.plan import folders_of
     from ...encoding.ray_engine import encode_with_ray
     from ...encoding.results import EncodeOptions
+    from ..sources import only_label_space
 
     if prune and not _is_complete(source):
         raise ValueError("--prune wants whole folders as sources, without --every and --start")
@@ -88,7 +89,7 @@ def _encode(
     also = source.described_by(beside)
     labels_as: LabelsAs | None = source.labels_as
     if labels_as is None and database:
-        labels_as = _only_label_space(database)
+        labels_as = only_label_space(database)
     if labels_as is None:
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if preset is None and database:
@@ -109,16 +110,6 @@ def _encode(
         if engine == "ray":
             return encode_with_ray(head, files, database, options)
         return encode_to_database(head, files, database, options, segmenter)
-
-
-def _only_label_space(database: Database) -> LabelSpace | None:
-    """The label space of all frames of a database, if it is one."""
-    spaces = {
-        origin.label_space.digest: origin.label_space
-        for origin in database.origins.values()
-        if origin.label_space
-    }
-    return next(iter(spaces.values())) if len(spaces) == 1 else None
 
 
 def _is_complete(source: Source) -> bool:
