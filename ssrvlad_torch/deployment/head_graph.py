@@ -154,17 +154,10 @@ def _scales(graph: Graph, area: Symbol, side: Symbol) -> Symbol:
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:
-    """``(B, h, w)`` uint8 categories on the working grid and ``(B,)`` int32 unknown ids, an image
-    at a time so that memory stays bounded."""
-    table, origin = category_table(label_space(config.labels_as))
-    images, height, width = graph.sizes(labels, 3)
-
-    def one_image(step: Symbol) -> tuple[Symbol, Symbol]:
-        entries, own_table = entries_in_graph(graph, labels[step], table, origin)
-        if config.working_size is None:
-            return categorise_in_graph(graph, entries, own_table)
-        grid = working_grid(graph, config.working_size, height, width)
-        return reduce_by_majority_in_graph(graph, entries, own_table, (height, width), grid)
-
-    categories, unknown = graph.stacked(images, one_image, 2)
-    return categories, unknown
+    """``(B, h, w)`` uint8 categories on the working grid and ``(B,)`` int32 unknown ids."""
+    entries, table = entries_in_graph(graph, labels, *category_table(label_space(config.labels_as)))
+    if config.working_size is None:
+        return categorise_in_graph(graph, entries, table)
+    _, height, width = graph.sizes(labels, 3)
+    grid = working_grid(graph, config.working_size, height, width)
+    return reduce_by_majority_in_graph(graph, entries, table, (height, width), grid)

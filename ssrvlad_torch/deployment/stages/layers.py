@@ -35,20 +35,20 @@ def entries_in_graph(
 def categorise_in_graph(
     graph: Graph, entries: Symbol, table: npt.NDArray[np.uint8]
 ) -> tuple[Symbol, Symbol]:
-    """The look-up of `categorise` in a graph, for one image.
+    """The look-up of `categorise` in a graph.
 
     Args:
         graph: where the nodes go.
-        entries, table: from `entries_in_graph`, ``(H, W)``.
+        entries, table: from `entries_in_graph`, ``(B, H, W)``.
 
     Returns:
-        ``(H, W)`` uint8, and ``()`` int32, the number of unknown ids.
+        ``(B, H, W)`` uint8, and ``(B,)`` int32, the number of unknown ids.
     """
     found = graph.constant(table).take(entries.to("int32").reshape(-1))
     categories = graph.Reshape(found, graph.Shape(entries))
     is_unknown = categories.to("int32").equals(UNKNOWN).to("float32")
-    by_row = graph.ReduceSum(is_unknown, [1], keepdims=0)  # exact: a row has no 2 ** 24 pixels
-    return categories, graph.ReduceSum(by_row.to("int32"), keepdims=0)
+    by_row = graph.ReduceSum(is_unknown, [2], keepdims=0)  # exact: a row has no 2 ** 24 pixels
+    return categories, graph.ReduceSum(by_row.to("int32"), [1], keepdims=0)
 
 
 def merge_in_graph(words: Words) -> Words:
