@@ -48,12 +48,12 @@ def heads_are_built_once():
     def built(*settings: object) -> bytes:
         return build(*settings).SerializeToString()
 
-    def model(config, input="labels", dtype="uint8", columns=()):
+    def model(config, input="labels", dtype="uint8", columns=(), *form):
         if config.labels_as not in label_space_names():
-            return build(config, input, dtype, columns)
+            return build(config, input, dtype, columns, *form)
         import onnx
 
-        return onnx.load_from_string(built(config, input, dtype, tuple(columns)))
+        return onnx.load_from_string(built(config, input, dtype, tuple(columns), *form))
 
     with pytest.MonkeyPatch.context() as patch:
         for module in (export, fuse):

@@ -11,6 +11,8 @@ from ..descriptor import SSRVLAD, SweepHead
 from ..files import check_output, replacing
 from ..onnx_files import graph_digest
 from ..taxonomy import LabelSpace
+from .arithmetic.fixed import check_shape, folded
+from .arithmetic.head import describe_in_arithmetic
 from .golden import golden_pair
 from .graph import OPSET, Form, Graph
 from .head_graph import describe_in_graph
@@ -20,7 +22,8 @@ if TYPE_CHECKING:
     import onnx
 
 INPUTS = ("labels", "logits")
-DTYPES = ("uint8", "int64")
+DTYPES = ("uint8", "int32", "int64")
+FORMS = ("words", "arithmetic")
 
 
 def export_head(
@@ -29,6 +32,8 @@ def export_head(
     input: str = "labels",
     dtype: str = "uint8",
     columns: Sequence[int] = (),
+    form: str = "words",
+    shape: tuple[int, int, int] | None = None,
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
@@ -52,18 +57,25 @@ def export_head(
         config: the settings.
         path: the file; what was there is replaced, whole or not at all.
         input: ``"labels"`` or ``"logits"``.
-        dtype: of the labels, ``"uint8"`` or ``"int64"``.
+        dtype: of the labels, ``"uint8"``, ``"int32"`` or ``"int64"``.
         columns: S anchors of `SSRVLAD.sweep`; none for single descriptors.
+        form: ``"words"``, or ``"arithmetic"`` for the aggregation harmonics: the same numbers
+            without bitwise operators, loops and shapes that depend on what is in the picture.
+        shape: B, H and W of a file in the form ``"arithmetic"`` that takes no others; C is the
+            largest number of classes of the label space. What depends on sizes only is computed
+            now, and what is left is in float32 and int32.
 
     Raises:
-        ValueError: an unknown input, dtype or label space, class scores for a label space whose
-            ids have gaps, or a sweep of descriptors that have no anchor.
+        ValueError: an unknown input, dtype, form or label space, class scores for a label space
+            whose ids have gaps, a sweep of descriptors that have no anchor, a form or shape that
+            is not for these settings, or a shape of which the file can count no pixels.
         ImportError: the extra ``onnx`` is not installed.
         OSError: the file cannot be written.
     """
     path = Path(path)
     check_output(path)
-    content = head_model(config, input, dtype, columns).SerializeToString()
+    model = head_model(config, input, dtype, columns, form, shape)
+    content = model.SerializeToString()
     with replacing(path) as temporary:
         temporary.write_bytes(content)
 
@@ -73,44 +85,74 @@ def head_model(
     input: str = "labels",
     dtype: str = "uint8",
     columns: Sequence[int] = (),
+    form: str = "words",
+    shape: tuple[int, int, int] | None = None,
 ) -> onnx.ModelProto:
     """What `export_head` writes; arguments and errors as there."""
     head = SweepHead(config, columns) if columns else SSRVLAD(config)
-    inputs = _inputs(head.label_space, input, dtype)
+    _check(config, form, shape)
+    inputs = _inputs(head.label_space, input, dtype, shape)
     graph = Graph(inputs)
     (given,) = graph.inputs
     labels = graph.ArgMax(given, axis=1, keepdims=0) if input == "logits" else given
-    described = describe_in_graph(graph, labels, config, columns)
+    describe = describe_in_arithmetic if form == "arithmetic" else describe_in_graph
+    described = describe(graph, labels, config, columns)
+    images = shape[0] if shape else "B"
     forms: dict[str, Form] = {
-        "descriptor": ("float32", ["B", *([len(columns)] if columns else []), config.length]),
-        "unknown": ("int64", ["B"]),
-        "keypoints": ("int64", ["B", CATEGORY_COUNT]),
+        "descriptor": ("float32", [images, *([len(columns)] if columns else []), config.length]),
+        "unknown": ("int64", [images]),
+        "keypoints": ("int64", [images, CATEGORY_COUNT]),
     }
     outputs = {name: forms[name] for name in described}
     model = graph.model({name: (described[name], outputs[name]) for name in outputs})
+    if shape:
+        model = folded(model)
     interface: dict[str, Any] = {
         "opset": OPSET,
+        "form": form,
         "inputs": _as_json(inputs),
         "outputs": _as_json(outputs),
     }
     if columns:
         interface["sweep"] = list(columns)
-    golden = golden_pair(head, input, dtype)
+    golden = golden_pair(head, input, dtype, shape)
     metadata = Metadata.of(config, head.label_space, interface, golden)
     _label(model, metadata)
     return model
 
 
-def _inputs(space: LabelSpace, input: str, dtype: str) -> dict[str, Form]:
+def _check(config: SSRVLADConfig, form: str, shape: tuple[int, int, int] | None) -> None:
+    """Whether there is such a form.
+
+    Raises:
+        ValueError: there is none.
+    """
+    if form not in FORMS:
+        raise ValueError(f"form must be one of {', '.join(FORMS)}, got {form!r}")
+    if form == "words":
+        if shape:
+            raise ValueError(f"form words takes any size, got {shape}; expected form arithmetic")
+        return
+    if config.aggregation != "harmonics":
+        raise ValueError(f"form arithmetic is of harmonics, got aggregation {config.aggregation}")
+    if shape:
+        check_shape(config, shape)
+
+
+def _inputs(
+    space: LabelSpace, input: str, dtype: str, shape: tuple[int, int, int] | None
+) -> dict[str, Form]:
     if input not in INPUTS:
         raise ValueError(f"input must be one of {', '.join(INPUTS)}, got {input!r}")
     if dtype not in DTYPES:
         raise ValueError(f"dtype must be one of {', '.join(DTYPES)}, got {dtype!r}")
+    images, *size = shape or ("B", "H", "W")
     if input == "labels":
-        return {"labels": (dtype, ["B", "H", "W"])}
+        return {"labels": (dtype, [images, *size])}
     if not space.channel_counts:
         raise ValueError(f"label space {space.name} has no class scores, its ids have gaps")
-    return {"logits": ("float32", ["B", "C", "H", "W"])}
+    channels = space.channel_counts[-1] if shape else "C"
+    return {"logits": ("float32", [images, channels, *size])}
 
 
 def _as_json(forms: Mapping[str, Form]) -> dict[str, Any]:

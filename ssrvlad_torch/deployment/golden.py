@@ -30,7 +30,9 @@ _SPECKS = 60
 _OPEN = [CATEGORIES[k] for k in range(len(CATEGORIES)) if OPEN_LAYERS >> k & 1]
 
 
-def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, Array]:
+def golden_pair(
+    head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None = None
+) -> dict[str, Array]:
     """Label maps of patches and specks of all ids, as ids or as class scores, and what is made of
     them. Some specks of label ids have an id outside the label space.
 
@@ -38,6 +40,7 @@ def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, Array]:
         head: the method.
         input: ``"labels"`` or ``"logits"``.
         dtype: of the labels.
+        shape: B, H and W, of a file that takes no others.
 
     Returns:
         the input and the outputs of `export_head` by name.
@@ -46,10 +49,11 @@ def golden_pair(head: SSRVLAD, input: str, dtype: str) -> dict[str, Array]:
         ValueError: the dtype holds no id of the label space.
     """
     ids = _ids(head, input, dtype)
-    labels = np.stack([_drawn(head, ids, SIZE, number) for number in range(_IMAGES)])
+    images, height, width = shape or (_IMAGES, *SIZE)
+    labels = np.stack([_drawn(head, ids, (height, width), number) for number in range(images)])
     if input == "labels":
         for foreign in _foreign(ids, dtype):
-            rows, columns = np.random.default_rng(1).integers(0, SIZE[0], (2, _SPECKS))
+            rows, columns = np.random.default_rng(1).integers(0, min(height, width), (2, _SPECKS))
             labels[-1, rows, columns] = foreign
     given = as_input(labels, len(ids), input, dtype)
     return {input: given, **outputs_of(head, given)}

@@ -27,7 +27,7 @@ SEAL = f"{PREFIX}sha256"
 FORMAT = "2"
 """Of the outputs and properties of a file. Programs refuse a file of another."""
 
-_DTYPES = ("uint8", "int64", "float32", "float64")
+_DTYPES = ("uint8", "int32", "int64", "float32", "float64")
 _MOST_GOLDEN = 64 << 20
 
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -42,8 +42,8 @@ class Metadata:
         config: every setting by name, as `SSRVLADConfig.to_dict`.
         fingerprint: of the config.
         label_space: as `LabelSpace.to_dict`.
-        interface: ``opset``, and ``inputs`` and ``outputs``, which give ``dtype`` and ``shape`` by
-            name; an axis with a name is dynamic.
+        interface: ``opset``; ``form``, as for `export_head`; ``inputs`` and ``outputs``, which give
+            ``dtype`` and ``shape`` by name; an axis with a name is dynamic.
         golden: an input and the module's outputs for it; each array by name as ``dtype``, ``shape``
             and ``data``, its little-endian bytes compressed by zlib, in base64.
         format: `FORMAT`.

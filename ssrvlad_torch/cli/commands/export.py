@@ -17,7 +17,7 @@ def export(
     given: Annotated[
         str, typer.Option("--input", help="What the file takes: labels or logits.")
     ] = "labels",
-    dtype: Annotated[str, typer.Option(help="Of the labels: uint8 or int64.")] = "uint8",
+    dtype: Annotated[str, typer.Option(help="Of the labels: uint8, int32 or int64.")] = "uint8",
     preset: Preset = "default",
     sweep: Annotated[
         bool,
@@ -27,6 +27,19 @@ def export(
             "that is turned or moved aside.",
         ),
     ] = False,
+    form: Annotated[
+        str,
+        typer.Option(
+            help="words, or arithmetic: without bitwise operators and loops, for accelerators."
+        ),
+    ] = "words",
+    size: Annotated[
+        str | None,
+        typer.Option(help="Rows and columns, HxW, of an arithmetic file that takes no others."),
+    ] = None,
+    batch: Annotated[
+        int | None, typer.Option(min=1, help="Images of each call, with --size; 1 if not given.")
+    ] = None,
 ) -> None:
     """Write the head as one ONNX file that needs ONNX Runtime only: label ids, or class scores,
     to descriptors.
@@ -38,5 +51,21 @@ def export(
     from ...recognition.sweep import COLUMNS
 
     config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
-    export_head(config, output, given, dtype, COLUMNS if sweep else ())
+    columns = COLUMNS if sweep else ()
+    if batch and not size:
+        raise ValueError(f"--batch {batch} is for a file of fixed size; expected --size as well")
+    shape = (batch or 1, *_size(size)) if size else None
+    export_head(config, output, given, dtype, columns, form, shape)
     say(f"{output}: {given} of {labels_as} to descriptors of fingerprint {config.fingerprint}")
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Rows and columns.
+
+    Raises:
+        ValueError: it is no ``HxW``.
+    """
+    height, _, width = text.partition("x")
+    if not (height.isdecimal() and width.isdecimal()):
+        raise ValueError(f"--size {text}: expected rows and columns, as in 512x1024")
+    return int(height), int(width)
