@@ -30,7 +30,8 @@ def stage_section(labels: Tensor, config: SSRVLADConfig, repetitions: int) -> It
     yield paragraph(
         f"Milliseconds of one image of {height} x {width}, preset `{config.preset}`, all eight "
         "layers, one thread, every way on the same masks. A stage of the native core alone reads "
-        "bit-planes and writes them; at memory speed is what that would take if the bytes were "
+        "bit-planes and writes them, which the whole does once, so that the stages add up to more "
+        "than it; at memory speed is what that would take if the bytes were "
         "only copied, the speed of which is measured in the same run on 256 MiB. The last column "
         "says how many times longer the stage takes: below some tens it is near what it reads, "
         "thinning and closing pass over their pixels many times."

@@ -39,12 +39,13 @@ HEAD = """# Label maps and pictures together
 Written by `scripts/pages/fusion.py`; no number is typed by hand. RecallRate@1 of `default`, of HOG
 of the picture, and of both as by `encode --with hog` and `query`, or by `compare --fuse
 ssr-vlad,hog`: scores in standard deviations from their mean, each method weighted by how far its
-first candidates are ahead on this traverse. No label is used. The weight was taken from four that
-were tried on these conditions, all within a few hundredths. All are standardised, `default` is
-swept, too; *followed* is online.
+first candidates are ahead on this traverse. No truth is used. Four rules
+for the weight were tried on these same conditions and differ by a few hundredths at most; this is
+no independent test of the one that was taken. All are standardised, `default` is swept, too;
+*followed* is online.
 
-Where pictures are at hand, this is what to use: it is hardly ever worse than the better of the two,
-mostly better than both, and which is the better need not be known.
+Where pictures are at hand, this is what to use for sequences: it is hardly ever worse than the
+better of the two and mostly better than both, and you need not know which is better.
 """
 ALONE = """
 ## Picture by picture
@@ -60,7 +61,7 @@ LOOPS = """
 
 References and then queries as one stream, `LoopDetector` with its defaults: the fraction of the
 queries that close a right loop, and in brackets the precision. Through a change of light, from the
-other side of a path, or over sixty frames, little or nothing is sure enough.
+other side of a path, and in drives of sixty frames, few or no loops are accepted.
 """
 DETECTORS = (("labels", False), ("pictures", False), ("labels", True))
 

@@ -57,7 +57,7 @@ intervals over the queries ({RESAMPLES} resamples) are in [results.csv](results.
 and @5, AUC-PR and Recall@100%Precision by the convention `exact`, under every condition.
 
 Each method decides twice: single frames by their scores, and *with the steps* that `query` and
-`evaluate` take by default (own means off, sweep, followed offline; see
+`evaluate` take by default (standardise, sweep, follow offline; see
 [recognition.md](recognition.md)). All methods get the same steps as far as they can take them:
 means are taken off vectors, which CoHOG and tiny image do not have, and only `default` has anchors
 to sweep. `paper` is SSR-VLAD; `default` is ours; `label grid` is the fractions of the eight
