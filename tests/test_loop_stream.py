@@ -88,7 +88,7 @@ def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
     for line, (frame, there) in zip(lines, LOOPS.items(), strict=False):
         assert re.fullmatch(rf"{frame}: {there} 0\.[89]\d+ [+-]\d\.\d m", line), line
     assert lines[5].startswith("54 frames: 5 accepted, ")
-    assert lines[6] == "steps: standardised by the mean so far, anchors 0, no temporal sum, followed online"
+    assert lines[6] == "steps: standardised, anchors 0, no temporal sum, followed online"
     assert len(lines) == 7
 
 

@@ -121,7 +121,7 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
     reasons = (f"{count} {reason}" for reason, count in sorted(told["reasons"].items()))
     say(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
     columns = ", ".join(map(str, told["steps"]["sweep"])) or "0"
-    steps = ["standardised by the mean so far", f"anchors {columns}", "no temporal sum", "followed online"]
+    steps = ["standardised", f"anchors {columns}", "no temporal sum", "followed online"]
     say(f"steps: {', '.join([*steps, *fused_in_words([told['steps']['weights']])])}")
     if "precision" not in told:
         return
