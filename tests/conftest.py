@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 import torch
+import typer
 from drives import write_maps
 from hypothesis import settings
 
@@ -40,8 +41,8 @@ def core():
 
 
 @pytest.fixture(scope="session", autouse=True)
-def heads_are_built_once():
-    """A head's graph takes seconds to build, and is one for settings of a named label space."""
+def built_once():
+    """The commands, and the graph of a head, which is one for settings of a named label space."""
     build = export.head_model
 
     @cache
@@ -56,6 +57,7 @@ def heads_are_built_once():
         return onnx.load_from_string(built(config, input, dtype, tuple(columns), *form))
 
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
         for module in (export, fuse):
             patch.setattr(module, "head_model", model)
         yield

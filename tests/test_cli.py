@@ -53,24 +53,23 @@ def test_version(ssrvlad):
     assert out.startswith(f"ssrvlad {__version__}, on a CPU with ") and "native core" in out
 
 
-NO_TORCH = (
-    "import sys\n"
-    "from ssrvlad_torch.cli.main import main\n"
-    "try: main()\n"
-    "finally: sys.exit('torch' in sys.modules)"
-)
+NO_TORCH = """
+import sys
+from ssrvlad_torch.cli.main import main
+for line in sys.argv[1:]:
+    sys.argv[1:] = line.split()
+    try: main()
+    except SystemExit as end: assert not end.code, line
+    assert "torch" not in sys.modules, line
+"""
 
 
-@pytest.mark.parametrize("command", ["--help", "encode --help", "db info --help"])
-def test_help_needs_no_torch(command):
-    done = subprocess.run([sys.executable, "-c", NO_TORCH, *command.split()], check=False)
-    assert done.returncode == 0
-
-
-def test_db_info_needs_no_torch(database):
-    command = [sys.executable, "-c", NO_TORCH, "db", "info", str(database)]
+def test_help_and_db_info_need_no_torch(database):
+    lines = ["--help", "encode --help", "db info --help", f"db info {database}"]
+    command = [sys.executable, "-c", NO_TORCH, *lines]
     done = subprocess.run(command, check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.count("Usage: ") == 3
     assert "camvid-11" in done.stdout
 
 
@@ -146,7 +145,6 @@ WRONG_USES = [
     ("encode monday -o none", "Missing option '--labels-as'"),
     ("query town.ssrdb monday --topp 3", "No such option"),
     ("query town.ssrdb monday --top 0", "Invalid value for '--top'"),
-    ("encode monday -o none --labels-as camvid", "did you mean camvid-11 or camvid-32?"),
     (
         f"encode monday -o none {CAMVID} --preset fast",
         "preset must be one of paper, default, got 'fast'",

@@ -24,7 +24,7 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 EXPORT = Path(__file__).parents[1] / "export"
-CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11", working_size=24)
+CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=24)
 HEAD = SSRVLAD(CONFIG)
 
 AS_THE_HOST = """
@@ -106,7 +106,7 @@ def test_bytes_above_127_are_not_negative(rtabmap):
 
 
 def test_gray_images_and_empty_ones(rtabmap):
-    """Where all colours are equal the first class, sky, is everywhere; it has no keypoints."""
+    """Where all colours are equal the first class, sky, is everywhere."""
     rtabmap.init(480)
     gray = np.random.default_rng(0).integers(0, 255, (24, 32, 1), np.uint8)
     np.testing.assert_array_equal(

@@ -28,7 +28,7 @@ from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 SCRIPT = Path(__file__).parents[1] / "export" / "run_onnx.py"
-CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11", working_size=40)
+CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=40)
 
 WITHOUT = """
 import runpy, sys
