@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -88,17 +86,6 @@ def test_labels_are_read_by_the_stored_label_space_from_any_folder(
     arguments = ("--tolerance-frames", 1, "--json", "--report", page)
     assert ssrvlad("evaluate", town, maps, *arguments)[0] == 0
     assert page.stat().st_size
-
-
-def test_info_needs_no_torch(database):
-    code = (
-        "import sys; from ssrvlad_torch import Database; from ssrvlad_torch.cli.main import main;"
-        f"sys.argv = ['ssrvlad', 'db', 'info', {str(database)!r}]\n"
-        "try: main()\nfinally: print('torch' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.stdout.splitlines()[0] == "frames: 6"
-    assert done.stdout.splitlines()[-1] == "False"
 
 
 def test_a_query_reads_on_past_damage_only_if_told_to(ssrvlad, database, maps):

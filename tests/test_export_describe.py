@@ -27,7 +27,7 @@ def describe(tmp_path_factory):
     if not shutil.which("g++"):
         pytest.skip("no C++ compiler")
     program = tmp_path_factory.mktemp("build") / "describe"
-    flags = ["-std=c++17", "-O1", "-DSSRVLAD_ONE_TARGET", "-pthread", "-Wall", "-Wextra", "-Werror"]
+    flags = ["-std=c++17", "-O0", "-DSSRVLAD_ONE_TARGET", "-pthread", "-Wall", "-Wextra", "-Werror"]
     sources = [SOURCE / "describe.cpp", CORE / "ssrvlad.cpp"]
     subprocess.run(["g++", *flags, f"-I{CORE}", *sources, "-o", program], check=True)
 
