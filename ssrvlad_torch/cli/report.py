@@ -91,7 +91,7 @@ def title_and_settings(
     references: Path, queries: Sequence[str], truth: TrueMatches
 ) -> tuple[str, dict[str, str]]:
     """The title of a page, and what was compared, in words."""
-    names = shortened([Path(place).name or place for place in queries])
+    names = shortened(["/".join(Path(place).parts[-2:]) or place for place in queries])
     title = f"{names} against {references.name or references}"
     return title, {
         "references": str(references),

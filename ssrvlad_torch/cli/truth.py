@@ -85,7 +85,7 @@ class TrueMatches:
         if self.file is not None:
             return str(self.file)
         if self.frames is not None:
-            return f"at most {self.frames} frames away"
+            return f"at most {self.frames} frame{'s'[: self.frames != 1]} away"
         turned = "" if self.degrees is None else f" and {self.degrees:g} degrees"
         return f"within {self.metres:g} metres{turned}"
 
