@@ -46,6 +46,7 @@ LEAST_COSINE = 0.8
 """Of the descriptors of two label maps that differ so little; other maps have less."""
 
 _BLOCK = 1 << 14
+_HIGHEST_ID = 40
 _MOST_GOLDEN = 64 << 20
 _ONLY_FATAL = 4
 
@@ -493,7 +494,18 @@ def _picture(path: Path) -> Array:
     with _opened(path) as image:
         from PIL import ImageOps
 
+        if image.mode in ("L", "P"):
+            _see_photograph(np.asarray(image))
         return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+
+
+def _see_photograph(values: Array) -> None:
+    """Refuses what can only be a label map: a few small ids, and 255 for what has none."""
+    ids = np.setdiff1d(values, [255])
+    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID:
+        raise ValueError(
+            f"expected a photograph, got a label map: {len(ids)} values, {ids[0]} to {ids[-1]}"
+        )
 
 
 def _opened(path: Path) -> Any:

@@ -334,6 +334,9 @@ def test_a_photograph_needs_no_option(tmp_path, run):
     assert run(tmp_path / "place.onnx", *frames, "--save-descriptors", out)[0] == 0
     np.testing.assert_allclose(np.load(out), wanted.repeat(2, axis=0), atol=1e-6)
     assert run(tmp_path / "place.onnx", "--check")[0] == 0
+    Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
+    code, _, err = run(tmp_path / "place.onnx", tmp_path / "map.png")
+    assert code == 3 and "expected a photograph, got a label map" in err[0]
 
 
 def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
