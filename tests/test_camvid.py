@@ -119,12 +119,6 @@ def test_two_label_spaces_in_one_folder_are_refused(original, tutorial):
         open_dataset(tutorial)
 
 
-def test_empty_folders_are_refused(tmp_path):
-    (tmp_path / "LabeledApproved_full").mkdir()
-    with pytest.raises(ValueError, match=r"no images and no label maps; they are at mi\.eng"):
-        open_dataset(tmp_path)
-
-
 def test_drives_of_ones_own_are_not_taken_for_camvid(tmp_path):
     """Their labels could mean anything."""
     plant(tmp_path, "monday/images/1.jpg")

@@ -56,18 +56,14 @@ def test_scores_are_exact_and_frames_that_were_added_since_are_found(town):
     assert [candidates[0][0] for candidates in best] == later[:5]
 
 
-def test_candidates_can_be_of_some_sequences_and_spare_some_frames(town):
+def test_candidates_can_be_of_some_sequences(town):
     database, _ = town
     frames = database.load()
     query = frames.descriptors[frames.frames.index("a's/040")][None]
     [found] = search_index(database, query, 20, sequences=["b's"])
     assert len(found) == 20
     assert {frame[0] for frame, _ in found} == {"b"}
-    [found] = search_index(database, query, 5, exclude=[["a's/040"]])
-    assert "a's/040" not in dict(found)
     assert search_index(database, torch.zeros(1, 32)) == [[]]
-    [found] = search_index(database, query, 5, threshold=0.999)
-    assert [frame for frame, _ in found] == ["a's/040"]
 
 
 def test_what_is_replaced_is_found_by_what_it_is_now_and_compacting_keeps_the_index(town):

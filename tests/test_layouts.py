@@ -42,6 +42,22 @@ def test_a_layout_that_does_not_fit_is_refused_with_what_was_wanted_and_found(tm
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "folder"),
+    [
+        ("extended-cmu", "slice7/database"),
+        ("robotcar-seasons", "images/dawn/rear"),
+        ("synthia", "SYNTHIA-SEQS-04-FALL/GT/LABELS/Stereo_Left/Omni_F"),
+        ("cityscapes", "leftImg8bit/train/aachen"),
+        ("camvid", "LabeledApproved_full"),
+    ],
+)
+def test_a_data_set_without_frames_is_refused(tmp_path, name, folder):
+    (tmp_path / folder).mkdir(parents=True)
+    with pytest.raises(ValueError, match=rf"\({name}\) holds no frames: .* data set is at \w+"):
+        open_dataset(tmp_path)
+
+
 def test_what_no_layout_knows_is_refused_with_all_that_are_known(tmp_path):
     write(tmp_path / "a" / "b" / "c.txt", "")
     with pytest.raises(

@@ -10,7 +10,7 @@ a candidate that it passes over is lost. Frames that were added since it was bui
 from __future__ import annotations
 
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -84,9 +84,7 @@ def search_index(
     database: Database,
     queries: Tensor,
     top: int = 5,
-    threshold: float | None = None,
     sequences: Collection[str] | None = None,
-    exclude: Sequence[Collection[str]] | None = None,
 ) -> list[Candidates]:
     """The best matches of queries among the frames of a database, by its index.
 
@@ -94,19 +92,13 @@ def search_index(
         database: has an index.
         queries: ``(Q, D)`` float.
         top: number of candidates.
-        threshold: candidates whose score is not above it are left out.
         sequences: the only ones that candidates may be of; without, all.
-        exclude: for each query ids that are no candidates.
 
     Raises:
         ValueError: there is no index, or a row that was found is damaged.
     """
-    table = indexed(database)
-    spared = exclude or [()] * len(queries)
-    return [
-        _search(table, query, top, threshold, filter_of(sequences, ids))
-        for query, ids in zip(queries, spared, strict=True)
-    ]
+    table, condition = indexed(database), filter_of(sequences)
+    return [_search(table, query, top, condition) for query in queries]
 
 
 def indexed(database: Database) -> LanceDataset:
@@ -144,32 +136,24 @@ def nearest(
     )
 
 
-def _search(
-    table: LanceDataset, query: Tensor, top: int, threshold: float | None, condition: str | None
-) -> Candidates:
+def _search(table: LanceDataset, query: Tensor, top: int, condition: str | None) -> Candidates:
     if not bool(query.any()):
         return []
     found = nearest(table, query, max(CANDIDATES, 4 * top), condition, table.schema.names)
     if not intact(found.select(table.schema.names)).all():
         raise ValueError(f"{table.uri} is damaged; ssrvlad db verify tells where")
-    best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top, threshold)
+    best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top)
     frames = found["frame"].to_pylist()
     pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
     return [(frames[row], score) for row, score in pairs if row >= 0]
 
 
-def filter_of(sequences: Collection[str] | None, exclude: Collection[str]) -> str | None:
+def filter_of(sequences: Collection[str] | None) -> str | None:
     """What Lance filters by, in SQL."""
-    limits = []
-    if sequences is not None:
-        limits.append(f"sequence IN ({_quoted(sequences)})")
-    if exclude:
-        limits.append(f"frame NOT IN ({_quoted(exclude)})")
-    return " AND ".join(limits) or None
-
-
-def _quoted(texts: Collection[str]) -> str:
-    return ", ".join("'" + text.replace("'", "''") + "'" for text in texts)
+    if sequences is None:
+        return None
+    quoted = ("'" + name.replace("'", "''") + "'" for name in sequences)
+    return f"sequence IN ({', '.join(quoted)})"
 
 
 def _compare(database: Database) -> tuple[dict[int, float], float]:
@@ -180,9 +164,9 @@ def _compare(database: Database) -> tuple[dict[int, float], float]:
     found, times = [], []
     for query, row in zip(queries, np.sort(chosen), strict=True):
         began = time.perf_counter()
-        [candidates] = search_index(database, query[None], 10, exclude=[[frames[row]]])
+        [candidates] = search_index(database, query[None], 11)
         times.append(time.perf_counter() - began)
-        found.append([frame for frame, _ in candidates])
+        found.append([frame for frame, _ in candidates if frame != frames[row]])
     best = [[frames[row] for row in rows if row >= 0] for rows in exact.tolist()]
     recall = {}
     for n in (1, 10):

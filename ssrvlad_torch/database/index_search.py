@@ -78,7 +78,7 @@ class IndexSearch:
         self._means = self._mean_of_each(len(names)) if standardised else None
         self._queries = standardise(queries, query_sequences) if standardised else queries
         self._allowed = None if allowed is None else [name in set(allowed) for name in names]
-        self._condition = filter_of(allowed, ())
+        self._condition = filter_of(allowed)
         ids, reach = spared
         self._exclude = None if reach is None else neighbours(ids, self.frames, reach)
         self._columns = [DESCRIPTOR] if standardised else self._table.schema.names

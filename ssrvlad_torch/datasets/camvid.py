@@ -39,7 +39,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     """The data set in ``root``.
 
     Raises:
-        ValueError: there is no image and no label map, or two layouts are mixed.
+        ValueError: two layouts are mixed.
     """
     pairs = list(_pairs(root))
     spaces = {pair.labels_as for pair in pairs}
@@ -55,8 +55,6 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         for name, path in files_in(pair.labels, LABEL_SUFFIXES, pair.ending).items():
             labels.setdefault(_drive(name, pair), {})[name] = path
     drives = sorted({*images, *labels})
-    if not drives:
-        raise ValueError(f"{root} holds no images and no label maps; they are at {LAYOUT.origin}")
     traverses = tuple(
         Traverse.of(drive, images.get(drive, {}), labels.get(drive, {}), poses={})
         for drive in drives

@@ -30,7 +30,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     preferred to coarse ones.
 
     Raises:
-        ValueError: there is no image and no label map, or a GPS fix is damaged.
+        ValueError: a GPS fix is damaged.
     """
     cities = _cities(root)
     space = labels_as or _published_encoding(root, cities)
@@ -47,10 +47,6 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         }
         if images or labels:
             traverses.append(Traverse.of(city.replace("/", "-"), images, labels, poses))
-    if not traverses:
-        raise ValueError(
-            f"{root} holds no frames in {_IMAGES}/*/* or gtFine/*/*; they are at {LAYOUT.origin}"
-        )
     notes = []
     if not (root / "vehicle").is_dir():
         notes.append(

@@ -29,7 +29,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     """The slices in ``root``, or the one that it is.
 
     Raises:
-        ValueError: there is no image, or a file of poses is damaged.
+        ValueError: a file of poses is damaged.
     """
     traverses: list[Traverse] = []
     notes: list[str] = []
@@ -47,11 +47,6 @@ def read(root: Path, labels_as: str | None) -> Dataset:
                     "them: not named img_<number>_c<camera>_<microseconds>us"
                 )
             traverses += _traverses(absolute_folder(folder).name, images, poses, role)
-    if not traverses:
-        raise ValueError(
-            f"{root} holds no images in slice*/database or slice*/query; they are at "
-            f"{LAYOUT.origin}"
-        )
     truth = GroundTruth("within 5 m, Nie et al., arXiv 2202.03677", metres=5.0)
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
 

@@ -53,7 +53,13 @@ def open_dataset(
         raise ValueError(f"{root} is no folder; expected the folder of a data set")
     if labels is not None and labels_as is None:
         raise ValueError(f"the label maps in {labels} are of a label space that was not given")
-    dataset = _choose(root, layout).read(root, labels_as)
+    chosen = _choose(root, layout)
+    dataset = chosen.read(root, labels_as)
+    if not dataset.traverses:
+        raise ValueError(
+            f"{root} ({chosen.name}) holds no frames: expected {chosen.expected}; the data set is "
+            f"at {chosen.origin}"
+        )
     if labels is not None and labels_as is not None:
         return dataset.with_labels(labels, labels_as)
     return dataset

@@ -27,7 +27,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     """The data set in ``root``.
 
     Raises:
-        ValueError: there is no image, or a file of poses is damaged.
+        ValueError: a file of poses is damaged.
     """
     models = sorted((root / "3D-models").rglob("*.nvm"))
     poses: dict[str, Pose] = {}
@@ -49,8 +49,6 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         name = f"{camera.parent.name}-{camera.name}"
         if images:
             traverses.append(Traverse.of(name, images, labels={}, poses=own, role=role))
-    if not traverses:
-        raise ValueError(f"{root}/images/*/rear holds no images; they are at {LAYOUT.origin}")
     truth = GroundTruth("within 5 m, the coarse limit of Sattler et al., CVPR 2018", metres=5.0)
     notes = [f"{note}; it is at {LAYOUT.origin}" for note in notes]
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))

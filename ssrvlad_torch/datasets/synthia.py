@@ -25,7 +25,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     """The sequences in ``root``, or the one that it is.
 
     Raises:
-        ValueError: there is no label map and no image, or a file of poses is damaged.
+        ValueError: a file of poses is damaged.
     """
     traverses: list[Traverse] = []
     notes: list[str] = []
@@ -46,11 +46,6 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             name = f"{absolute_folder(folder).name}-{'-'.join(camera.parts)}"
             if images or labels:
                 traverses.append(Traverse.of(name, images, labels, poses))
-    if not traverses:
-        raise ValueError(
-            f"{root} holds no frames in {_LABELS}/Stereo_*/Omni_* or {_IMAGES}/Stereo_*/Omni_*; "
-            f"they are at {LAYOUT.origin}"
-        )
     truth = GroundTruth("within 7 m on x and z, VPR-Bench", metres=7.0)
     space = labels_as or "synthia"
     return Dataset(LAYOUT.name, root, tuple(traverses), space, truth, tuple(notes))
