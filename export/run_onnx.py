@@ -124,8 +124,12 @@ class Model:
         """That of a frame in memory, as the file takes it, without the axis of the batch.
 
         Raises:
-            ValueError: it has ids outside the label space, or more than the file can count.
+            ValueError: it has ids outside the label space, more than the file can count, or another
+                size than the file takes.
         """
+        takes, shape = self.input.shape, (1, *given.shape)
+        if any(isinstance(n, int) and n != m for n, m in zip(takes, shape, strict=True)):
+            raise ValueError(f"the file takes {self.input.name} of {tuple(takes)}, got {shape}")
         descriptor, unknown = self._run(given[None])
         if unknown[0]:
             space = json.loads(self.properties["ssrvlad.label_space"])["name"]

@@ -238,6 +238,21 @@ def test_unknown_ids_and_files_of_another_kind(page, site, tmp_path):
     page.wait_for(f"{FAILED} && {FAILED}.textContent.includes('cut short')")
 
 
+def test_a_file_of_fixed_size_takes_no_other(page, site, tmp_path):
+    file = files_of(site)[0]
+    height, width = np.asarray(Image.open(file)).shape
+    shape = (1, height, width)
+    export_head(CONFIGS["default"], site / "fixed.onnx", "labels", "int32", (), "arithmetic", shape)
+    Image.fromarray(np.zeros((6, 9), np.uint8)).save(tmp_path / "other.png")
+    open_page(page, "?model=fixed.onnx", "document.getElementById('golden').value")
+    found = described(page, site, "fixed", file)
+    expected = view_of(site, "default").descriptor[0]
+    np.testing.assert_allclose(found["descriptor"], expected, rtol=0, atol=1e-6)
+    page.choose("#labels-file", tmp_path / "other.png")
+    page.wait_for(FAILED)
+    assert f"takes label maps of {shape}, got (1, 6, 9)" in page.run(f"{FAILED}.textContent")
+
+
 def test_label_pictures_are_read_bit_by_bit(page, site):
     """Every depth, every filter of PNG, and palettes, against Pillow or the pixels written."""
     rng = np.random.default_rng(0)

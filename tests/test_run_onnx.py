@@ -317,6 +317,20 @@ def test_class_scores_and_wide_labels(maps, tmp_path, run):
     np.testing.assert_array_equal(*found)
 
 
+def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
+    files = sorted(maps.iterdir())
+    labels = np.asarray(Image.open(files[0]))
+    shape, path = (1, *labels.shape), tmp_path / "fixed.onnx"
+    config = SSRVLADConfig(labels_as="camvid-11")
+    export_head(config, path, "labels", "int32", (), "arithmetic", shape)
+    got = script.Model(path).describe(files[0])
+    np.testing.assert_allclose(got, SSRVLAD(config)(labels[None])[0], rtol=0, atol=1e-6)
+    np.save(tmp_path / "other.npy", labels[:-1])
+    code, _, errors = run(path, tmp_path / "other.npy")
+    assert code == 3
+    assert f"takes labels of {shape}, got {(1, *labels[:-1].shape)}" in errors[0]
+
+
 def test_a_photograph_needs_no_option(tmp_path, run):
     """It is turned upright, and normalised by the file."""
     settings = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1))

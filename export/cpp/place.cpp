@@ -5,8 +5,8 @@
 //     place place.onnx photo.ppm [town.npy [TOP]]
 //     place --network net.onnx head.onnx photo.ppm [town.npy [TOP]]
 //
-// A map is an (H, W) .npy array of uint8 or int64, or a binary PGM of 8 bits; a photograph an
-// (H, W, 3) .npy array of uint8 in RGB, or a binary PPM of 8 bits. The database is what `ssrvlad db
+// A map is an (H, W) .npy array of uint8, int32 or int64, or a binary PGM of 8 bits; a photograph
+// an (H, W, 3) .npy array of uint8 in RGB, or a binary PPM of 8 bits. The database is what `ssrvlad db
 // export --format npy` writes. --unchecked does not run the golden pair first. Exit code 0 for
 // success, 2 for wrong use or bad input, which one line on stderr names.
 
@@ -41,11 +41,12 @@ npy::Array load(const std::string& path, bool photograph) {
   auto map = ends_with(path, photograph ? ".ppm" : ".pgm") ? load_netpbm(path, photograph)
                                                            : npy::load(path);
   const bool fits = photograph ? map.shape.size() == 3 && map.shape[2] == 3 && map.dtype == "|u1"
-                               : map.shape.size() == 2 && (map.dtype == "|u1" || map.dtype == "<i8");
+                               : map.shape.size() == 2 && (map.dtype == "|u1" || map.dtype == "<i4" ||
+                                                           map.dtype == "<i8");
   if (!fits || map.size() == 0)
     throw std::runtime_error(path + ": expected an " +
                              (photograph ? "(H, W, 3) photograph of uint8"
-                                         : "(H, W) map of uint8 or int64") +
+                                         : "(H, W) map of uint8, int32 or int64") +
                              ", got " + std::to_string(map.shape.size()) + " axes of " + map.dtype);
   return map;
 }
@@ -59,6 +60,8 @@ std::size_t number(const std::string& text) {
 ssrvlad::Described describe(const ssrvlad::Place& place, const std::string& path) {
   const auto map = load(path, place.takes_photographs());
   try {
+    if (map.dtype == "<i4")
+      return place.describe(map.as<std::int32_t>(), map.shape[0], map.shape[1]);
     if (map.dtype == "<i8")
       return place.describe(map.as<std::int64_t>(), map.shape[0], map.shape[1]);
     return place.describe(map.as<std::uint8_t>(), map.shape[0], map.shape[1]);

@@ -156,9 +156,15 @@ inline std::string from_base64(const std::string& text) {
 
 inline std::pair<ONNXTensorElementDataType, std::size_t> type_of(const std::string& dtype) {
   if (dtype == "uint8") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_UINT8, 1};
+  if (dtype == "int32") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_INT32, 4};
   if (dtype == "int64") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64, 8};
   if (dtype == "float32") return {ONNX_TENSOR_ELEMENT_DATA_TYPE_FLOAT, 4};
   Reader::fail();
+}
+
+inline const char* name_of(ONNXTensorElementDataType type) {
+  if (type == ONNX_TENSOR_ELEMENT_DATA_TYPE_UINT8) return "uint8";
+  return type == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT32 ? "int32" : "int64";
 }
 
 inline Tensor golden_tensor(Reader& reader) {
@@ -226,6 +232,7 @@ class Session {
     const auto given = session_.GetInputTypeInfo(0);
     const auto form = given.GetTensorTypeAndShapeInfo();  // belongs to given
     type_ = form.GetElementType();
+    shape_ = form.GetShape();
     if (input_ != "labels" && input_ != "image")
       throw std::runtime_error(path + ": takes " + input_ +
                                "; expected a file of `ssrvlad export --input labels` or `fuse`");
@@ -234,6 +241,15 @@ class Session {
   const std::string& path() const { return path_; }
   const std::string& input() const { return input_; }
   ONNXTensorElementDataType type() const { return type_; }
+
+  // A file of fixed size takes no other.
+  void refuse_unless_fits(const std::vector<std::int64_t>& shape) const {
+    const char* axes[] = {"images", "rows", "columns"};
+    for (std::size_t axis = 0; axis < 3; ++axis)
+      if (shape_[axis] > 0 && shape_[axis] != shape[axis])
+        throw std::runtime_error(path_ + " takes " + std::to_string(shape_[axis]) + " " + axes[axis] +
+                                 ", got " + std::to_string(shape[axis]));
+  }
 
   std::string property(const char* name) const {
     Ort::AllocatorWithDefaultOptions allocator;
@@ -300,7 +316,7 @@ class Session {
       return;
     }
     const char* got = static_cast<const char*>(found.GetTensorRawData());
-    const std::size_t width = expected.type == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64 ? 8 : 1;
+    const auto width = type_of(name_of(expected.type)).second;
     std::size_t others = 0;
     for (std::size_t at = 0; at < expected.bytes.size(); at += width)
       others += !std::equal(got + at, got + at + width, expected.bytes.data() + at);
@@ -314,6 +330,7 @@ class Session {
   mutable Ort::Session session_;  // running it changes nothing that can be seen
   std::string input_;
   ONNXTensorElementDataType type_ = ONNX_TENSOR_ELEMENT_DATA_TYPE_UNDEFINED;
+  std::vector<std::int64_t> shape_;  // -1 where it takes any
 };
 
 }  // namespace detail
@@ -352,18 +369,18 @@ class Place {
   // Whether photographs are described, not label maps.
   bool takes_photographs() const { return first().input() == "image"; }
 
-  // Whether labels are of 64 bits, not of 8.
-  bool takes_wide_labels() const { return first().type() == ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64; }
-
   // A label map of (height, width) ids, or a photograph of (height, width, 3) in RGB, row after
   // row. Refuses ids outside the label space.
   Described describe(const std::uint8_t* pixels, std::int64_t height, std::int64_t width) const {
-    return describe_bytes(pixels, 1, height, width, ONNX_TENSOR_ELEMENT_DATA_TYPE_UINT8);
+    return describe_bytes(pixels, height, width, "uint8");
   }
 
   // A label map of wide ids.
+  Described describe(const std::int32_t* labels, std::int64_t height, std::int64_t width) const {
+    return describe_bytes(labels, height, width, "int32");
+  }
   Described describe(const std::int64_t* labels, std::int64_t height, std::int64_t width) const {
-    return describe_bytes(labels, 8, height, width, ONNX_TENSOR_ELEMENT_DATA_TYPE_INT64);
+    return describe_bytes(labels, height, width, "int64");
   }
 
   // Runs the golden pair of the file, or of both. Where the network labels some pixels of a golden
@@ -387,13 +404,15 @@ class Place {
         " % of its labels are others");
   }
 
-  Described describe_bytes(const void* data, std::size_t bytes, std::int64_t height,
-                           std::int64_t width, ONNXTensorElementDataType type) const {
+  Described describe_bytes(const void* data, std::int64_t height, std::int64_t width,
+                           const char* dtype) const {
+    const auto [type, bytes] = detail::type_of(dtype);
     if (type != first().type())
-      throw std::runtime_error(first().path() + " takes " + (takes_wide_labels() ? "int64" : "uint8") +
-                               ", got " + (bytes == 8 ? "int64" : "uint8"));
+      throw std::runtime_error(first().path() + " takes " + detail::name_of(first().type()) +
+                               ", got " + dtype);
     if (height < 1 || width < 1) throw std::runtime_error("expected at least one pixel");
     std::vector<std::int64_t> shape{1, height, width};
+    first().refuse_unless_fits(shape);
     if (takes_photographs()) shape.push_back(3);
     const auto size = static_cast<std::size_t>(height * width) * bytes * (takes_photographs() ? 3 : 1);
     const auto given = detail::Session::value_of(data, size, shape, type);

@@ -14,6 +14,7 @@ const MOST_GOLDEN = 1 << 26;
 const PIXELS_OF_WORD = 3;
 const ARRAYS = {
   uint8: Uint8Array,
+  int32: Int32Array,
   int64: BigInt64Array,
   float32: Float32Array,
 };
@@ -52,7 +53,7 @@ export class Model {
     this.space = JSON.parse(metadata.label_space);
     this.golden = JSON.parse(metadata.golden);
     [this.input] = session.inputNames;
-    this.dtype = JSON.parse(metadata.interface).inputs[this.input]?.dtype;
+    ({ dtype: this.dtype, shape: this.shape = [] } = JSON.parse(metadata.interface).inputs[this.input] ?? {});
   }
 
   /** Whether the file takes photographs: it is one of `ssrvlad fuse`. */
@@ -69,10 +70,13 @@ export class Model {
   /** Of an image of ids: descriptor and, if the file makes one, `skeleton`, see `unpackedSkeleton`. */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
-    const ids = this.dtype === "int64" ? BigInt64Array.from(labels, BigInt) : Uint8Array.from(labels);
+    const shape = [1, height, width];
+    if (this.shape.some((length, axis) => Number.isInteger(length) && length !== shape[axis]))
+      throw new Error(`the file takes label maps of (${this.shape.join(", ")}), got (${shape.join(", ")})`);
+    const ids = this.dtype === "int64" ? BigInt64Array.from(labels, BigInt) : ARRAYS[this.dtype].from(labels);
     if (this.dtype === "uint8" && labels.some((id) => id > 255))
       throw new Error("the file takes ids up to 255");
-    const found = await this.#run(new ort.Tensor(this.dtype, ids, [1, height, width]));
+    const found = await this.#run(new ort.Tensor(this.dtype, ids, shape));
     return this.#described(found, height, width);
   }
 

@@ -3,8 +3,8 @@
 
 python scripts/pages/runtimes.py --provider CPUExecutionProvider --provider openvino
 
-Each runtime runs the exported heads of both presets on what `ssrvlad verify` compares on, and on a
-label map of 512 x 1024 for its time.
+Each runtime runs the exported heads of both presets, `default` in both forms, on what `ssrvlad
+verify` compares on, and on a label map of 512 x 1024 for its time.
 """
 
 from __future__ import annotations
@@ -28,34 +28,36 @@ from ssrvlad_torch.deployment.verify import verify
 
 README = Path(__file__).parents[2] / "export" / "README.md"
 SPACE = "cityscapes-trainids"
-PRESETS = ("default", "paper")
+HEADS = {"default": "words", "default, arithmetic": "arithmetic", "paper": "words"}
+"""Presets, and the form of each file."""
 REPETITIONS = 5
 SIZE = (512, 1024)
 
 
 def table(providers: list[str]) -> Iterator[str]:
-    """A row for each runtime and preset."""
+    """A row for each runtime and head."""
     yield from head_row(
-        "runtime", "preset", "verdict", "largest difference", "load, s", "512 x 1024, ms"
+        "runtime", "head", "verdict", "largest difference", "load, s", "512 x 1024, ms"
     )
     (frame,) = SyntheticCity(seed=5).traverse(1, size=SIZE, labels_as=SPACE)
     labels = frame.labels.astype(np.uint8)[None]
     with tempfile.TemporaryDirectory() as folder:
-        for preset in PRESETS:
-            file = Path(folder) / f"{preset}.onnx"
-            export_head(SSRVLADConfig.from_preset(preset, labels_as=SPACE), file)
+        for head, form in HEADS.items():
+            file = Path(folder) / f"{head}.onnx"
+            preset, _, _ = head.partition(",")
+            export_head(SSRVLADConfig.from_preset(preset, labels_as=SPACE), file, form=form)
             for provider in providers:
-                yield row(*measured(file, preset, provider, labels))
+                yield row(*measured(file, head, provider, labels))
 
 
-def measured(file: Path, preset: str, provider: str, labels: np.ndarray) -> tuple[str, ...]:
+def measured(file: Path, head: str, provider: str, labels: np.ndarray) -> tuple[str, ...]:
     """What one runtime makes of one file."""
     found = verify(file, provider=provider)
     for warning in found.warnings:
         print(f"{provider}: {warning}", file=sys.stderr)
     if found.fault:
         verdict = f"{found.verdict}: {found.fault.place}"
-        return found.runtime, f"`{preset}`", verdict, "", "", ""
+        return found.runtime, head, verdict, "", "", ""
     begin = time.perf_counter()
     run = runtime_of(provider).open(file)
     loaded = time.perf_counter() - begin
@@ -67,7 +69,7 @@ def measured(file: Path, preset: str, provider: str, labels: np.ndarray) -> tupl
     milliseconds = 1e3 * statistics.median(taken[1:])
     return (
         found.runtime,
-        f"`{preset}`",
+        head,
         found.verdict,
         f"{found.difference:.1g}",
         f"{loaded:.1f}",
