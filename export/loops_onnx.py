@@ -49,6 +49,9 @@ CHANGE, JUMP, UNMAPPED, STAY = 0.05, 0.05, 0.9, 0.97
 """Chances to change the speed, to jump, to jump to a new place, and to stay at new places."""
 WEIGHT, LEVEL, MOST = 0.3, 2.5, 50.0
 """The evidence for a row of z-score z is exp(WEIGHT * (z - LEVEL)), or at most exp(MOST)."""
+SAME_WEIGHT, LIKENESS = 0.5, 0.9
+"""For rows of the same sequence: the weight, and the level as a part of the z-score that three
+quarters of the frames have with the one before them."""
 NEAR, RECENT = 5, 10
 """Rows around one that show its place, and how old a row is that can be the present place."""
 
@@ -144,19 +147,18 @@ class Filter:
         self.mapped = self._prior * (self.inside * np.float32(each))
         self._begins = True
 
-    def step(self, z: Vector | None) -> Vector:
+    def step(self, told: Vector) -> Vector:
         """Takes in the next frame; ``(rows,)``, how probable each row is.
 
         Args:
-            z: ``(rows,)`` z-scores, -inf where there can be no match; ``None`` if the frame says
-                nothing.
+            told: ``(rows,)``, the logarithm of its evidence, -inf where there can be no match.
         """
         if not self._begins:
             self._move()
         self._begins = False
-        told = np.zeros_like(self.inside)
-        told[self.cells] = 1 if z is None else np.exp(np.minimum(WEIGHT * (z - LEVEL), MOST))
-        mapped = self.mapped * told
+        likely = np.zeros_like(self.inside)
+        likely[self.cells] = np.exp(np.minimum(told, MOST))
+        mapped = self.mapped * likely
         total = float(mapped.sum()) + self.unmapped
         self.mapped, self.unmapped = mapped / np.float32(total), self.unmapped / total
         rows: Vector = self.mapped.sum(axis=0)[self.cells]
@@ -186,6 +188,7 @@ class Detector:
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.map, self.filter = Map(), Filter()
+        self.began, self.neighbours = 0, list[float]()
         self.frames: list[str] = []
 
     def update(self, frame: str, descriptor: Vector) -> Loop:
@@ -199,6 +202,7 @@ class Detector:
         swept = np.atleast_2d(descriptor)
         if not self.frames or _sequence(frame) != _sequence(self.frames[-1]):
             self.filter.restart()
+            self.began, self.neighbours = len(self.frames), []
         result = self._look(frame, swept)
         self.frames.append(frame)
         self.map.append(swept[len(swept) // 2])
@@ -215,7 +219,7 @@ class Detector:
             known = "too_recent" if compared.any() else "no_candidate"
             return Loop(frame, "empty_frame" if empty else known)
         if empty:
-            self.filter.step(None)
+            self.filter.step(np.zeros(len(self.filter.cells), np.float32))
             return Loop(frame, "empty_frame")
         scores = self.map.scores(swept)
         nearness = -np.log(np.maximum(1 - scores, np.float32(_ROUNDING)))
@@ -223,13 +227,23 @@ class Detector:
         spread = max(_LEAST_SPREAD, float(held.std()))
         z = (nearness - held.mean()) / spread
         z[~compared] = -np.inf
-        says = spread > _LEAST_SPREAD
-        rows = self.filter.step(z[: len(self.filter.cells)] if says else None)
+        told = self._told(z) if spread > _LEAST_SPREAD else np.zeros_like(z)
+        rows = self.filter.step(told[: len(self.filter.cells)])
         candidate = int(rows[:old].argmax())
         around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
         probability = min(1.0, float(around.sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
         return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), probability)
+
+    def _told(self, z: Vector) -> Vector:
+        """The logarithm of the evidence of a frame that has z-scores with all earlier ones."""
+        if self.began < len(z) and np.isfinite(z[-1]):
+            self.neighbours.append(float(z[-1]))
+        usual = np.quantile(self.neighbours, 0.25) if self.neighbours else 0.0
+        told = np.float32(WEIGHT) * (z - np.float32(LEVEL))
+        same = z[self.began :] - np.float32(max(LEVEL, LIKENESS * usual))
+        told[self.began :] = np.float32(SAME_WEIGHT) * same
+        return told
 
     def _reason(self, probability: float, old: float, recent: float) -> str:
         threshold = self.settings.threshold

@@ -120,6 +120,29 @@ def test_two_places_alike_are_ambiguous():
     assert "ambiguous" in reasons(results)[140:]
 
 
+def test_clear_frames_must_fit_better_than_noisy_ones():
+    """A second street is like the first in half of what it shows. Where neighbouring frames are
+    nearly equal it is another one, and where noise leaves them half alike it is the first."""
+    first, other = blurred(range(90)), blurred(range(200, 290))
+    similar = [unit(one + math.sqrt(3) * two) for one, two in zip(first, other, strict=True)]
+    assert not accepted(drive(detector(), [*first, *similar]))
+    noise = np.random.default_rng(1).normal(0, math.sqrt(1 / 480), (180, 480))
+    again = [unit(one + noisy) for one, noisy in zip([*first, *first], noise, strict=True)]
+    found = accepted(drive(detector(), again))
+    assert len(found) > 30 and all(abs(row - 90 - there) <= 3 for row, there in found.items())
+
+
+def blurred(places):
+    """Descriptors of places that neighbouring places share most of."""
+    return [
+        unit(sum(math.exp(-(k**2) / 8) * PLACES[at + k] for k in range(-6, 7))) for at in places
+    ]
+
+
+def unit(vector):
+    return (vector / np.linalg.norm(vector)).astype(np.float32)
+
+
 def test_another_sequence_looks_for_its_place_anew():
     loops = detector(exclude=0)
     drive(loops, views(range(100)), "monday")

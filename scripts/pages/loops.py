@@ -84,6 +84,12 @@ INTRODUCTION = (
         "--tolerance-metres` suggests it. The last column is the recall before the first wrong "
         "loop: what a threshold chosen for just these drives would give."
     ),
+    paragraph(
+        "Blocks of the estate are alike, but not as alike as two frames of one place with perfect "
+        "labels, and more alike than those with noisy ones. So the detector asks of an old frame "
+        "of the same sequence that it fits nearly as well as the frame before; how nearly, too, is "
+        "chosen on the other cities."
+    ),
 )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -21,18 +22,23 @@ from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.beside import methods_of
 from ..recognition.filter import Filter
 from ..recognition.fusion import ahead, fused, weights_of
-from ..recognition.motion import Motion, moments
+from ..recognition.motion import LEAST_SPREAD, Motion, evidence, moments, nearness
 from ..recognition.recognise import OWN
 from .config import LoopConfig
-from .memory import Floats, Memory, Vectors
+from .memory import Floats, GrowingArray, Memory, Vectors
 from .result import LoopResult, Reason
 
 COLUMNS = (-4, 0, 4)
 """Anchors of a frame, see `recognition.sweep`."""
 
 MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.3, level=2.5)
-"""A stream comes to new places more often than a query of a map does. Weight and level are chosen
-on the cities that docs/loops.md learns thresholds on, not on those that it measures."""
+"""A stream comes to new places more often than a query of a map does. These settings and those of
+frames of the same sequence are chosen on the cities that docs/loops.md learns thresholds on, not on
+those that it measures."""
+
+WEIGHT, LIKENESS = 0.5, 0.9
+"""For frames of the same sequence: what one z-score counts, and its level as a part of the z-score
+that three quarters of the frames have with the one before them."""
 
 NEAR = 5
 """Frames on each side of a frame that show the same place."""
@@ -47,7 +53,9 @@ class LoopDetector:
     A frame is compared with all earlier ones, standardised by the mean of all frames so far and
     from several anchors, and a Bayes filter over the frames (`recognition.filter`) follows the
     stream. Its states are the earlier frames and "a new place". The excluded frames are states
-    too, from the `RECENT`-th on: where they fit as well as old ones, no loop is closed.
+    too, from the `RECENT`-th on: where they fit as well as old ones, no loop is closed. In one
+    sequence light and network are the same: the better neighbouring frames fit each other, the
+    more is asked of old ones of that sequence.
 
     One thread updates; another may `save` meanwhile.
 
@@ -77,6 +85,7 @@ class LoopDetector:
         self._others = {one.name: Vectors(one.width) for one in beside}
         self._leads = [0.0] * (1 + len(self._others))
         self._filter = Filter(motion=MOTION)
+        self._began, self._neighbours = 0, GrowingArray(np.float64)
         self._sequence: str | None = None
         self._stamp = -math.inf
         self._unsaved: list[FrameRecord] = []
@@ -206,6 +215,7 @@ class LoopDetector:
             self._check(record)
             if record.sequence != self._sequence:
                 self._filter.restart()
+                self._began, self._neighbours = len(self), GrowingArray(np.float64)
             result = self._look(record.frame, swept, others)
             centre = swept[len(swept) // 2]
             self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
@@ -307,7 +317,8 @@ class LoopDetector:
             self._filter.step(torch.full((len(self._filter),), -torch.inf))
             return LoopResult(frame, Reason.EMPTY_FRAME)
         scores = self._scores(swept, others, old)
-        self._filter.step(scores[: len(self._filter)], moments(scores[:old]))
+        told = self._evidence(scores, moments(scores[:old]))
+        self._filter.take(self._filter.spaced(told[: len(self._filter)]))
         rows = self._filter.rows()
         candidate = int(rows[:old].argmax())
         around = slice(max(0, candidate - NEAR), min(candidate + NEAR + 1, old))
@@ -326,6 +337,18 @@ class LoopDetector:
         for place, one in enumerate(scores):
             self._leads[place] += max(0.0, ahead(one[:old]))
         return fused(scores, weights_of(self._leads), old)
+
+    def _evidence(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
+        """``(N,)``, see `motion.evidence`; of the frames of this sequence by their own measure."""
+        mean, deviation = spread
+        z = (float(nearness(scores[-1])) - mean) / deviation
+        if self._began < len(self) and math.isfinite(z) and deviation > LEAST_SPREAD:
+            self._neighbours.append(z)
+        known = self._neighbours.values
+        level = LIKENESS * float(np.quantile(known, 0.25)) if len(known) else 0.0
+        own = replace(MOTION, weight=WEIGHT, level=max(MOTION.level, level))
+        others, same = scores[: self._began], scores[self._began :]
+        return torch.cat((evidence(others, MOTION, spread), evidence(same, own, spread)))
 
     def _extend(self, rows: int) -> None:
         """Lets the filter know so many frames."""

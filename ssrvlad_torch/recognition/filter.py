@@ -7,13 +7,28 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from .motion import CELLS, GAP, SPEEDS, Motion, evidence, moved, prior_of_speeds
 
 
 class Belief(NamedTuple):
-    """Probabilities: ``(8, cells)`` float32 by speed and cell, and that of no row of the map."""
+    """Probabilities.
+
+    Attributes:
+        mapped: ``(8, cells)`` float32, by speed and cell.
+        cells: ``(cells,)`` float32, their sums over the speeds.
+        unmapped: that of no row of the map.
+    """
+
+    mapped: Tensor
+    cells: Tensor
+    unmapped: float
+
+
+class Future(NamedTuple):
+    """How likely the later frames are from each state, likewise; not normalised."""
 
     mapped: Tensor
     unmapped: float
@@ -47,7 +62,7 @@ class Filter:
         self._inside = torch.zeros(GAP)
         self._sequence: str | None = None
         self._lost: Tensor | None = None
-        self.belief = Belief(torch.zeros(len(SPEEDS), GAP), 1.0)
+        self.belief = Belief(torch.zeros(len(SPEEDS), GAP), torch.zeros(GAP), 1.0)
         self.extend(sequences)
         self.restart()
 
@@ -69,28 +84,31 @@ class Filter:
         self._inside = torch.zeros(length)
         self._inside[self._cells] = 1
         self._lost = None
-        mapped = self.belief.mapped
-        more = mapped.new_zeros(len(SPEEDS), length - mapped.shape[1])
-        self.belief = self.belief._replace(mapped=torch.cat((mapped, more), 1))
+        more = length - len(self.belief.cells)
+        mapped, cells = (F.pad(each, (0, more)) for each in self.belief[:2])
+        self.belief = self.belief._replace(mapped=mapped, cells=cells)
 
     def restart(self) -> None:
         """Forgets the place: another sequence begins."""
         unmapped = self.motion.unmapped if len(self) else 1.0
         each = (1 - unmapped) / max(1, len(self))
-        self.belief = Belief(prior_of_speeds() * (self._inside * each), unmapped)
+        cells = self._inside * each
+        self.belief = Belief(prior_of_speeds() * cells, cells, unmapped)
         self._begins, self.gain = True, 0.0
 
-    def step(self, scores: Tensor, spread: tuple[float, float] | None = None) -> None:
+    def step(self, scores: Tensor) -> None:
         """Takes in the next frame.
 
         Args:
             scores: ``(R,)`` float cosines, -inf where there can be no match.
-            spread: see `motion.evidence`.
 
         Raises:
             ValueError: it is not a score for each row.
         """
-        told = self.evidence(scores, spread)
+        self.take(self.evidence(scores))
+
+    def take(self, told: Tensor) -> None:
+        """Takes in the next frame by its evidence ``(cells,)``, see `evidence`."""
         first, before = self._begins, self.belief
         self.belief, together = updated(before, told) if first else self.after(before, told)
         chance = self.motion.unmapped if len(self) else 1.0
@@ -100,14 +118,17 @@ class Filter:
 
     def rows(self, belief: Belief | None = None) -> Tensor:
         """``(R,)`` float32, the probability of each row, now or by a belief."""
-        return (belief or self.belief).mapped.sum(0).index_select(0, self._cells)
+        return (belief or self.belief).cells.index_select(0, self._cells)
 
-    def evidence(self, scores: Tensor, spread: tuple[float, float] | None = None) -> Tensor:
+    def evidence(self, scores: Tensor) -> Tensor:
         """``(cells,)`` float32, see `motion.evidence`; 0 between the sequences."""
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
-        told = evidence(scores, self.motion, spread)
+        return self.spaced(evidence(scores, self.motion))
+
+    def spaced(self, told: Tensor) -> Tensor:
+        """``(cells,)``, what is told of rows ``(R,)``, and 0 between the sequences."""
         return torch.zeros_like(self._inside).index_copy_(0, self._cells, told)
 
     def after(self, belief: Belief, told: Tensor) -> tuple[Belief, float]:
@@ -118,18 +139,19 @@ class Filter:
             told: its evidence.
         """
         if not len(self):
-            return Belief(belief.mapped, 1.0), 1.0
+            return belief._replace(unmapped=1.0), 1.0
         motion, mapped = self.motion, moved(belief.mapped, self.motion)
-        anyone = mapped.sum(0)
-        lost = max(0.0, 1 - belief.unmapped - float((anyone * self._inside).sum()))
+        cells = mapped.sum(0)
+        lost = max(0.0, 1 - belief.unmapped - float((cells * self._inside).sum()))
         each = (lost * (1 - motion.unmapped) + belief.unmapped * (1 - motion.stay)) / len(self)
         unmapped = lost * motion.unmapped + belief.unmapped * motion.stay
-        total = float((anyone.add_(each) * told).sum()) + unmapped
+        cells.add_(each).mul_(told)
+        total = float(cells.sum()) + unmapped
         for here, by in zip(mapped.split(CELLS, 1), (told / total).split(CELLS), strict=True):
             here.add_(prior_of_speeds() * each).mul_(by)
-        return Belief(mapped, unmapped / total), total
+        return Belief(mapped, cells.div_(total), unmapped / total), total
 
-    def before(self, told: Tensor, after: Belief) -> Belief:
+    def before(self, told: Tensor, after: Future) -> Future:
         """The backward algorithm: how likely the later frames are from each state.
 
         Args:
@@ -145,14 +167,16 @@ class Filter:
         mapped = moved(seen, motion, back=True).add_(self._lost, alpha=left).mul_(self._inside)
         unmapped = motion.stay * after.unmapped + (1 - motion.stay) * anywhere
         size = max(unmapped, float(mapped.max()))
-        return Belief(mapped.div_(size), unmapped / size)
+        return Future(mapped.div_(size), unmapped / size)
 
-    def no_future(self) -> Belief:
+    def no_future(self) -> Future:
         """What `before` starts from."""
-        return Belief(self._inside.expand(len(SPEEDS), -1), 1.0)
+        return Future(self._inside.expand(len(SPEEDS), -1), 1.0)
 
 
 def updated(belief: Belief, told: Tensor) -> tuple[Belief, float]:
     """A belief after a frame was seen, and how likely the frame was."""
-    total = float(belief.mapped.sum(0) @ told) + belief.unmapped
-    return Belief(belief.mapped * (told / total), belief.unmapped / total), total
+    cells = belief.cells * told
+    total = float(cells.sum()) + belief.unmapped
+    mapped = belief.mapped * (told / total)
+    return Belief(mapped, cells.div_(total), belief.unmapped / total), total

@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from .display import candidates_table
-from .filter import Belief, Filter
+from .filter import Belief, Filter, Future
 from .matching import highest
 from .motion import Motion
 
@@ -221,7 +221,8 @@ def _offline(track: Filter, scores: Tensor | Scores, part: range) -> Iterator[tu
             future = track.before(told[query], future)
 
 
-def _smoothed(belief: Belief, future: Belief) -> Belief:
+def _smoothed(belief: Belief, future: Future) -> Belief:
     mapped, unmapped = belief.mapped * future.mapped, belief.unmapped * future.unmapped
-    total = float(mapped.sum()) + unmapped
-    return Belief(mapped.div_(total), unmapped / total)
+    cells = mapped.sum(0)
+    total = float(cells.sum()) + unmapped
+    return Belief(mapped.div_(total), cells.div_(total), unmapped / total)

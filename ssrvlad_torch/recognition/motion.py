@@ -29,7 +29,7 @@ ELSEWHERE = 5
 """Rows that are farther apart show different places."""
 
 _LEAST_STEP = min(step for _, steps in SPEEDS for step in steps)
-_LEAST_SPREAD = 1e-6
+LEAST_SPREAD = 1e-6
 _MOST = 50.0
 """Of the logarithm of evidence: frames that equal their rows must not overflow float32."""
 _ROUNDING = 1e-6
@@ -103,15 +103,15 @@ def moments(scores: Tensor) -> tuple[float, float]:
 
 def _moments(near: Tensor) -> tuple[float, float]:
     if not len(near):
-        return 0.0, _LEAST_SPREAD
+        return 0.0, LEAST_SPREAD
     least, most = map(float, near.aminmax())
     if least == -torch.inf:
         return _moments(near[near > -torch.inf])
-    if most - least <= _LEAST_SPREAD:
-        return least, _LEAST_SPREAD
+    if most - least <= LEAST_SPREAD:
+        return least, LEAST_SPREAD
     mean = float(near.mean())
     deviation = math.sqrt(float((near - mean).square_().mean()))
-    return mean, max(_LEAST_SPREAD, deviation)
+    return mean, max(LEAST_SPREAD, deviation)
 
 
 def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None) -> Tensor:
@@ -128,7 +128,7 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
     """
     z = nearness(scores.float())
     mean, deviation = _moments(z) if spread is None else spread
-    if deviation <= _LEAST_SPREAD:
+    if deviation <= LEAST_SPREAD:
         return torch.ones(len(scores))
     z.sub_(mean + motion.level * deviation).mul_(motion.weight / deviation)
     return z.clamp_(max=_MOST).exp_()
@@ -155,7 +155,7 @@ def moved(belief: Tensor, motion: Motion, back: bool = False) -> Tensor:
     return after
 
 
-CELLS = 1 << 14
+CELLS = 1 << 15
 """Cells that are moved at once: their beliefs, before and after, fit the cache of a core."""
 
 
