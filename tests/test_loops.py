@@ -124,7 +124,7 @@ def test_the_surest_threshold_is_the_lowest_before_the_mistakes():
 @given(st.integers(0, 40), st.integers(0, 2**31))
 def test_no_threshold_is_surer(count, seed):
     rng = np.random.default_rng(seed)
-    curve = loop_curve(rng.integers(0, 9, count).astype(float), rng.random(count) < 0.8, 50)
+    curve = loop_curve(rng.integers(1, 9, count).astype(float), rng.random(count) < 0.8, 50)
     point = surest(curve)
     sure = wilson_low(curve.true_positives, curve.accepted)
     if not curve.true_positives.any():
@@ -132,3 +132,11 @@ def test_no_threshold_is_surer(count, seed):
     else:
         assert point.precision_low == sure.max()
         assert point.accepted == curve.accepted[np.flatnonzero(sure == sure.max())[-1]]
+
+
+def test_no_improbable_loop_is_suggested_but_where_there_is_no_other():
+    strengths = np.array([0.9, 0.6, 0.4, 0.01])
+    point = surest(loop_curve(strengths, np.ones(4, bool), 50))
+    assert (point.accepted, 0.5 < point.score <= 0.6) == (2, True)
+    point = surest(loop_curve(strengths, np.array([False, False, True, True]), 50))
+    assert point.accepted == 4

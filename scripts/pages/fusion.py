@@ -52,9 +52,10 @@ ALONE = """
 
 Each query by itself, as `locate` and `Localiser` judge one picture: nothing is standardised, for
 the mean of one frame is its place, and both weigh alike (weights by the lead of the one frame did
-worse on UofA and Gardens Point and hardly better on CamVid). Both are always above `default`, but
-not always above HOG. The last column is the mean confidence of `both`; confidence was fitted to
-label maps of the city alone.
+worse on UofA and Gardens Point and hardly better on CamVid; so did weights by how well each method
+tells the neighbours of a frame of the map from its other frames: by day both do, and that says
+nothing of the night). Both are always above `default`, but not always above HOG. The last column is
+the mean confidence of `both`; confidence was fitted to label maps of the city alone.
 """
 LOOPS = """
 ## Loops

@@ -15,6 +15,9 @@ from .thresholds import OperatingPoint, suggested, wilson_low
 FACING = math.radians(45)
 """Frames whose headings differ by less look the same way."""
 
+EVEN = 0.5
+"""A loop of less probability is more probably wrong than right."""
+
 
 class LoopScore(NamedTuple):
     """Counts of frames.
@@ -120,9 +123,20 @@ def loop_curve(strengths: Floats, right: Bools, revisits: int) -> PrecisionRecal
 def surest(curve: PrecisionRecall) -> OperatingPoint | None:
     """The threshold that `thresholds.suggested` gives for the highest precision that can be had.
 
+    It is at least `EVEN` where a right loop is as strong: a drive without a mistake does not prove
+    that weaker ones are right on the next.
+
     Returns:
         ``None`` if no loop is right.
     """
+    likely = int((curve.thresholds >= EVEN).sum())
+    if likely and curve.true_positives[likely - 1]:
+        curve = PrecisionRecall(
+            curve.accepted[:likely],
+            curve.true_positives[:likely],
+            curve.positives,
+            curve.thresholds[:likely],
+        )
     sure = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
     return suggested(curve, float(sure)) if sure else None
 
