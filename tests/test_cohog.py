@@ -165,24 +165,6 @@ def test_a_batch_equals_one_by_one_whatever_the_sizes():
     assert torch.equal(together[2:5].chosen, together.chosen[2:5])
 
 
-@pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"size": 16}, "a size of 32, 48, 64, ..., got 16"),
-        ({"size": 100}, "a size of 32, 48, 64, ..., got 100"),
-        ({"entropy_threshold": 1.5}, "an entropy threshold from 0 to 1, got 1.5"),
-    ],
-)
-def test_wrong_settings_are_refused(settings, message):
-    with pytest.raises(ValueError, match=message):
-        make("cohog", **settings)
-
-
-def test_a_frame_without_an_image_is_named():
-    with pytest.raises(ValueError, match="method cohog needs images, but frame b/7 has none"):
-        make("cohog").encode_reference([Frame("b/7", labels=np.zeros((3, 3), int))])
-
-
 def corridor(folder, every):
     files = sorted((CORRIDOR / folder).iterdir())[::every]
     return [Frame(f"{folder}/{file.stem}", image=np.array(Image.open(file))) for file in files]

@@ -57,6 +57,34 @@ def test_an_unknown_setting_is_an_error():
         make("ssr-vlad", cell=3)
 
 
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("cohog", {"size": 16}, "a size of 32, 48, 64, ..., got 16"),
+        ("cohog", {"size": 100}, "a size of 32, 48, 64, ..., got 100"),
+        ("cohog", {"entropy_threshold": 1.5}, "an entropy threshold from 0 to 1, got 1.5"),
+        ("tiny-image", {"width": 60}, "multiples of 8, got 60 x 32"),
+        ("tiny-image", {"height": 0}, "multiples of 8, got 64 x 0"),
+        ("tiny-image", {"reach": 0}, "a reach of 1 or more, got 0"),
+        ("hog", {"rows": 0, "columns": 4}, "method hog wants a grid of 1 x 1 or more, got 0 x 4"),
+        ("label-grid", {"columns": 0}, "wants a grid of 1 x 1 or more, got 6 x 0"),
+        ("ssr-vlad", {"temporal": -1}, "a temporal of 0 or more, got -1"),
+        ("ssr-vlad", {"preset": "best"}, "preset must be one of paper, default, got 'best'"),
+    ],
+)
+def test_wrong_settings_are_refused(name, settings, message):
+    with pytest.raises(ValueError, match=message):
+        make(name, **settings)
+
+
+@pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
+def test_a_frame_without_what_a_method_reads_is_named(name):
+    method = make(name)
+    (need,) = method.needs
+    with pytest.raises(ValueError, match=f"method {name} needs {need}, but frame b/7 "):
+        method.encode_reference([Frame("b/7")])
+
+
 def test_a_method_is_imported_only_when_it_is_made():
     code = (
         "import sys; from ssrvlad_torch.baselines import make; make('label-grid');"

@@ -65,12 +65,6 @@ def test_settings_of_the_method_are_taken():
     assert method.config.working_size is None
 
 
-def test_wrong_frames_and_settings_are_errors():
-    with pytest.raises(ValueError, match="method ssr-vlad needs labels, but frame b/7 lacks"):
-        make("ssr-vlad").encode_query([*frames([0]), Frame("b/7")])
+def test_an_unknown_id_is_an_error():
     with pytest.raises(ValueError, match="label id 99"):
         make("ssr-vlad").encode_query([Frame("b/7", np.full((4, 4), 99), SPACE)])
-    with pytest.raises(ValueError, match="a temporal of 0 or more, got -1"):
-        make("ssr-vlad", temporal=-1)
-    with pytest.raises(ValueError, match="preset must be one of paper, default, got 'best'"):
-        make("ssr-vlad", preset="best")

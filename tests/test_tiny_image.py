@@ -121,21 +121,3 @@ def test_a_batch_equals_one_by_one_whatever_the_sizes():
     assert torch.equal(drive.pictures, together)
     assert (len(drive), drive.nbytes) == (20, 20 * 2048 * 4)
     assert torch.equal(drive[3:5].pictures, together[3:5])
-
-
-@pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        ({"width": 60}, "multiples of 8, got 60 x 32"),
-        ({"height": 0}, "multiples of 8, got 64 x 0"),
-        ({"reach": 0}, "a reach of 1 or more, got 0"),
-    ],
-)
-def test_wrong_settings_are_refused(wrong, message):
-    with pytest.raises(ValueError, match=message):
-        make("tiny-image", **wrong)
-
-
-def test_a_frame_without_an_image_is_named():
-    with pytest.raises(ValueError, match="method tiny-image needs images, but frame b/7 has none"):
-        make("tiny-image").encode_reference([Frame("b/7")])
