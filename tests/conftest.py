@@ -19,6 +19,7 @@ from hypothesis import settings
 
 from ssrvlad_torch import native
 from ssrvlad_torch.deployment import export, fuse
+from ssrvlad_torch.stages import harmonics
 from ssrvlad_torch.taxonomy import label_space_names
 
 torch.set_num_threads(1)
@@ -42,7 +43,8 @@ def core():
 
 @pytest.fixture(scope="session", autouse=True)
 def built_once():
-    """The commands, and the graph of a head, which is one for settings of a named label space."""
+    """The commands, the tables of a head, and its graph, which is one for settings of a named label
+    space."""
     build = export.head_model
 
     @cache
@@ -58,6 +60,7 @@ def built_once():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
+        patch.setattr(harmonics, "harmonic_tables", cache(harmonics.harmonic_tables))
         for module in (export, fuse):
             patch.setattr(module, "head_model", model)
         yield
