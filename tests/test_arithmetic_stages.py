@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.deployment.arithmetic.boundaries import boundaries_in_graph
 from ssrvlad_torch.deployment.arithmetic.grid_pooling import pool_in_graph
-from ssrvlad_torch.deployment.arithmetic.layers import layers_in_graph
+from ssrvlad_torch.deployment.arithmetic.layers import layers_in_graph, layers_of_categories
 from ssrvlad_torch.deployment.arithmetic.reduction import (
     RADIX,
     WIDEST_CELL,
@@ -44,6 +44,10 @@ def votes_of(table):
         return [votes, *found]
 
     return build
+
+
+def layers_build(graph, categories):
+    return layers_of_categories(graph, categories)
 
 
 ALL = np.array([*range(NO_LAYER + 1), UNKNOWN], np.uint8)
@@ -78,10 +82,13 @@ def test_votes_are_counted_and_the_commonest_kind_wins(seed, height, width, rows
     )
 
     known = torch.from_numpy(np.minimum(table[image], NO_LAYER))
-    planes = merge(split(reduce_by_majority(known, grid)))
+    reduced = reduce_by_majority(known, grid)
+    planes = merge(split(reduced))
     assert torch.equal(masks.bool(), unpack(planes)[:, :6])
     assert torch.equal(is_open[:, 0].bool(), planes & OPEN_LAYERS != 0)
     assert torch.equal(number[:, 0], torch.where(planes == 0, 6.0, planes.float().log2()))
+    for of_votes, got in zip((masks, number, is_open), run(layers_build, reduced), strict=True):
+        assert torch.equal(of_votes, got)
 
 
 @pytest.mark.parametrize("size", [(2000, 3), (9, WIDEST_CELL), (1200, WIDEST_CELL)])

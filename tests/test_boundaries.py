@@ -4,23 +4,17 @@ import numpy as np
 import pytest
 import torch
 from drawings import HOLES, mask
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack, unpack
-from ssrvlad_torch.deployment.stages.boundaries import boundaries_in_graph
-from ssrvlad_torch.deployment.stages.layers import merge_in_graph
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
-from ssrvlad_torch.stages.layers import merge
 
 
 def found(layers: torch.Tensor) -> torch.Tensor:
-    """``(B, 4, H, W)`` of ``(B, 8, H, W)`` bool, on tensors and in a graph, which must agree."""
+    """``(B, 4, H, W)`` of ``(B, 8, H, W)`` bool."""
     planes = boundaries(pack(layers))
-    in_graph = run_on_planes(lambda graph, words: [boundaries_in_graph(graph, words)], pack(layers))
-    assert torch.equal(in_graph[0], planes)
     assert not (planes >> len(DIRECTIONS)).any()
     return unpack(planes)[:, : len(DIRECTIONS)]
 
@@ -82,10 +76,3 @@ def test_the_edge_of_the_image_is_no_boundary():
     seen = found(torch.from_numpy(np.broadcast_to(inside, (1, 8, *inside.shape)).copy()))
     assert not seen[..., [0, -1], :].any()
     assert not seen[..., [0, -1]].any()
-
-
-def test_rare_layers_are_merged_in_a_graph():
-    planes = torch.randint(0, 256, (2, 7, 13), dtype=torch.uint8)
-    got = run_on_planes(lambda graph, words: [merge_in_graph(words)], planes)[0]
-    assert torch.equal(got, merge(planes))
-    assert (merge(planes) < 64).all()

@@ -20,10 +20,10 @@ from graphs import session
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.deployment.arithmetic.vanishing_column import WIDEST
 from ssrvlad_torch.deployment.export import export_head, head_model
 from ssrvlad_torch.deployment.graph import OPSET
 from ssrvlad_torch.deployment.metadata import Metadata
-from ssrvlad_torch.deployment.stages.vanishing_column import WIDEST
 from ssrvlad_torch.deployment.verify import verify
 
 Maps = npt.NDArray[Any]

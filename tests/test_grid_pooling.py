@@ -3,27 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
-from ssrvlad_torch.deployment.stages.grid_pooling import pool_in_graph
-from ssrvlad_torch.stages import grid_pooling
-from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, overlaps
-
-
-def in_graph(graph, words, shift):
-    return [pool_in_graph(graph, words, shift)]
-
-
-def pool(planes, shift):
-    """On tensors and in a graph, which must agree."""
-    cells = grid_pooling.pool(planes, shift)
-    whole = run_on_planes(in_graph, planes, shift)[0].double()
-    assert torch.equal(whole / planes[0].numel(), cells)
-    return cells
+from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, overlaps, pool
 
 
 @given(

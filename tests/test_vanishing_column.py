@@ -3,28 +3,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.bitplanes import pack
-from ssrvlad_torch.deployment.stages.vanishing_column import vanishing_columns_in_graph
-from ssrvlad_torch.stages import vanishing_column
 from ssrvlad_torch.stages.vanishing_column import LEVELS, ONE, POWER
+from ssrvlad_torch.stages.vanishing_column import vanishing_columns as columns
 
 SKY, GROUND, BUILDING = 5, 0, 2
-
-
-def in_graph(graph, words):
-    return [vanishing_columns_in_graph(graph, words)]
-
-
-def columns(planes):
-    """On tensors and in a graph, which must agree."""
-    found = vanishing_column.vanishing_columns(planes)
-    assert torch.equal(run_on_planes(in_graph, planes)[0], found)
-    return found
 
 
 def street(column: int, height: int = 40, width: int = 60) -> torch.Tensor:

@@ -296,18 +296,12 @@ class Graph:
         rank: int = 1,
     ) -> list[Symbol]:
         """``carried = body(step, *carried)`` so many times, all of one rank."""
-        return self._loop(trips, body, carried, len(carried), False, rank)
+        return self._loop(trips, body, carried, False, rank)
 
     def repeat_while(self, body: Callable[..., Sequence[Symbol]], *carried: Symbol) -> list[Symbol]:
         """``going, *carried = body(step, *carried)`` once, and as long as ``going`` is true; all
         are lists."""
-        return self._loop(None, body, carried, len(carried), True)
-
-    def stacked(
-        self, trips: Symbol | int, body: Callable[[Symbol], Sequence[Symbol]], outputs: int = 1
-    ) -> list[Symbol]:
-        """What ``body(step)`` gives, step after step, stacked along a new first axis."""
-        return self._loop(trips, body, (), outputs, False)
+        return self._loop(None, body, carried, True)
 
     def model(self, outputs: Mapping[str, tuple[Symbol, Form]]) -> onnx.ModelProto:
         """The finished graph.
@@ -337,7 +331,6 @@ class Graph:
         trips: Symbol | int | None,
         body: Callable[..., Sequence[Symbol]],
         carried: Sequence[Symbol],
-        outputs: int,
         going: bool,
         rank: int = 1,
     ) -> list[Symbol]:
@@ -368,7 +361,7 @@ class Graph:
             inside.outputs.append(output.value)
         self._builders.pop()
         times = trips.to("int64") if isinstance(trips, Symbol) else trips
-        symbols = self._nodes(depth - 1, "Loop", outputs, times, True, *carried, body=inside)
+        symbols = self._nodes(depth - 1, "Loop", len(carried), times, True, *carried, body=inside)
         for symbol, result in zip(symbols, results[1:], strict=True):
             symbol.value.dtype = _data_type(result.dtype)
         return symbols

@@ -6,25 +6,21 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig
-from ..stages.boundaries import WIDTH
-from ..stages.grid_pooling import ROWS
-from ..stages.harmonics import harmonic_tables
+from ..config import SSRVLADConfig
 from ..stages.layers import category_table
 from ..stages.skeleton import RULES
 from ..taxonomy import label_space
+from .arithmetic.head import harmonics_of_layers
+from .arithmetic.layers import layers_of_categories
+from .arithmetic.vanishing_column import WIDEST
 from .geometry import Lengths, lengths, working_grid
 from .graph import Graph, Symbol
-from .stages.boundaries import boundaries_in_graph
 from .stages.centroid import centroids_in_graph
 from .stages.components import drop_regions_in_graph, fill_holes_in_graph
-from .stages.grid_pooling import pool_in_graph
-from .stages.harmonics import coefficients_in_graph, harmonics_in_graph
 from .stages.keypoints import end_points_in_graph, intersections_in_graph
 from .stages.layers import (
     categorise_in_graph,
     entries_in_graph,
-    merge_in_graph,
     split_in_graph,
 )
 from .stages.morphology import open_and_close_in_graph
@@ -36,7 +32,6 @@ from .stages.shape_context import (
     too_many_in_graph,
 )
 from .stages.skeleton import thin_in_graph
-from .stages.vanishing_column import WIDEST, vanishing_columns_in_graph
 from .words import Words, count_points_in_graph, grid_of, points_of
 
 
@@ -57,18 +52,21 @@ def describe_in_graph(
     """
     with graph.stage("layers"):
         categories, unknown = _categories(graph, labels, config)
-        grid = grid_of(*graph.sizes(categories, 3))
-        layers = split_in_graph(graph, categories, grid)  # Table II
     if config.aggregation == "residuals":
-        descriptor, counts = _residuals(graph, config, layers)
+        descriptor, counts = _residuals(graph, config, categories)
         return {"descriptor": descriptor, "unknown": unknown, "keypoints": counts}
-    descriptor = _harmonics(graph, config, layers, columns)
-    return {"descriptor": descriptor, "unknown": unknown}
+    with graph.stage("layers"):
+        layers = layers_of_categories(graph, categories)  # Table II
+    descriptor = harmonics_of_layers(graph, layers, config, columns)
+    is_wide = graph.sizes(categories, 3)[2] > WIDEST
+    return {"descriptor": graph.Where(is_wide, np.nan, descriptor), "unknown": unknown}
 
 
-def _residuals(graph: Graph, config: SSRVLADConfig, layers: Words) -> tuple[Symbol, Symbol]:
+def _residuals(graph: Graph, config: SSRVLADConfig, categories: Symbol) -> tuple[Symbol, Symbol]:
     """The paper's descriptor, and how many keypoints each layer has."""
-    grid = layers.grid
+    grid = grid_of(*graph.sizes(categories, 3))
+    with graph.stage("layers"):
+        layers = split_in_graph(graph, categories, grid)  # Table II
     with graph.stage("geometry"):
         sizes = lengths(graph, config, grid)
     clean = _cleaned(graph, config, layers, sizes)
@@ -103,54 +101,6 @@ def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths)
         if config.region_area:
             clean = drop_regions_in_graph(graph, clean, sizes.region_area)
     return clean
-
-
-def _harmonics(
-    graph: Graph, config: SSRVLADConfig, layers: Words, columns: Sequence[int]
-) -> Symbol:
-    """The coefficients of the soft histograms around the anchor, or around those of a sweep."""
-    grid = layers.grid
-    with graph.stage("layers"):
-        layers = merge_in_graph(layers)
-    with graph.stage("boundaries"):
-        edges = boundaries_in_graph(graph, layers)
-    with graph.stage("vanishing_column"):
-        column = graph.full([grid.images], 0, "int32")
-        if config.anchor == "vanishing-column":
-            column = vanishing_columns_in_graph(graph, layers)
-    if not columns:
-        return _around(graph, config, layers, edges, column)
-    seen = [_around(graph, config, layers, edges, column + shift) for shift in columns]
-    return graph.Concat(*(graph.Unsqueeze(each, [1]) for each in seen), axis=1)
-
-
-def _around(
-    graph: Graph, config: SSRVLADConfig, layers: Words, edges: Words, column: Symbol
-) -> Symbol:
-    """The coefficients of the soft histograms around one anchor."""
-    grid = layers.grid
-    with graph.stage("grid_pooling"):
-        area = graph.Slice(pool_in_graph(graph, layers, column), [0], [AREA_LAYERS], [1])
-        pooled = pool_in_graph(graph, edges, column)
-        length = graph.Slice(pooled, [0], [BOUNDARY_DIRECTIONS], [1])
-        sums = graph.Concat(area, length, axis=1).reshape(0, 0, -1)
-    with graph.stage("harmonics"):
-        tables, numbers = harmonic_tables(config), (config.harmonics, config.boundary_harmonics)
-        whole = grid.height * grid.width
-        found = harmonics_in_graph(graph, sums, whole, tables)
-        side = graph.Min(grid.height, grid.width)
-        found = found * _scales(graph, whole.to("float32"), side.to("float32"))
-        descriptor = coefficients_in_graph(graph, found, numbers, config.power)
-        return graph.Where(grid.width > WIDEST, np.nan, descriptor)
-
-
-def _scales(graph: Graph, area: Symbol, side: Symbol) -> Symbol:
-    """``(1, 10, 1)``, the square roots of what makes fractions of whole numbers of pixels, and
-    lengths in sides of a cell of those of boundaries."""
-    is_length = np.arange(AREA_LAYERS + BOUNDARY_DIRECTIONS) >= AREA_LAYERS
-    per_side = graph.constant((is_length / (ROWS * WIDTH)).astype(np.float32))
-    without = graph.constant((~is_length).astype(np.float32))
-    return graph.Sqrt((per_side * side + without) / area).reshape(1, -1, 1)
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:

@@ -190,13 +190,6 @@ def paint_in_graph(graph: Graph, runs: Runs, grid: Grid) -> Symbol:
     return graph.sums(word, bits, grid.words)
 
 
-def planes_of(graph: Graph, words: Words) -> Symbol:
-    """``(B, H, W)`` uint8 bit-planes."""
-    grid = words.grid
-    rows = _bytes(graph, words.line).reshape(grid.images, grid.height + 1, grid.pitch * PIXELS)
-    return graph.Slice(rows, [0, 0], graph.vector(grid.height, grid.width), [1, 2])
-
-
 def points_of(graph: Graph, words: Words) -> GraphPoints:
     """The pixels of every layer as `bitplanes.points` lists them."""
     pixels, grid = pixels_of(graph, words.line), words.grid

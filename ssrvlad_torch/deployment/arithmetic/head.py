@@ -50,19 +50,25 @@ def describe_in_arithmetic(
     """
     with graph.stage("layers"):
         layers, unknown, too_large = _layers(graph, labels, config)
+    descriptor = harmonics_of_layers(graph, layers, config, columns)
+    return {"descriptor": graph.Where(too_large, np.nan, descriptor), "unknown": unknown}
+
+
+def harmonics_of_layers(
+    graph: Graph, layers: Layers, config: SSRVLADConfig, columns: Sequence[int]
+) -> Symbol:
+    """The coefficients of the soft histograms around the anchor, or around those of a sweep."""
     with graph.stage("boundaries"):
         edges = boundaries_in_graph(graph, layers.number)
     with graph.stage("vanishing_column"):
-        column = graph.full([graph.sizes(labels, 3)[0]], 0, "float32")
+        column = graph.full([graph.sizes(layers.number, 4)[0]], 0, "float32")
         if config.anchor == "vanishing-column":
             column = vanishing_columns_in_graph(graph, layers.is_open)
     masks = graph.Concat(layers.masks, edges, axis=1)
-    if columns:
-        seen = [_around(graph, config, masks, column + shift) for shift in columns]
-        descriptor = graph.Concat(*(graph.Unsqueeze(each, [1]) for each in seen), axis=1)
-    else:
-        descriptor = _around(graph, config, masks, column)
-    return {"descriptor": graph.Where(too_large, np.nan, descriptor), "unknown": unknown}
+    if not columns:
+        return _around(graph, config, masks, column)
+    seen = [_around(graph, config, masks, column + shift) for shift in columns]
+    return graph.Concat(*(graph.Unsqueeze(each, [1]) for each in seen), axis=1)
 
 
 def _layers(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> _Seen:

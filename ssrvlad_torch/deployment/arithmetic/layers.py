@@ -53,6 +53,23 @@ def layers_in_graph(graph: Graph, votes: Symbol, rows: Side, columns: Side) -> L
     )
 
 
+def layers_of_categories(graph: Graph, categories: Symbol) -> Layers:
+    """`split` and `merge` in a graph.
+
+    Args:
+        graph: where the nodes go.
+        categories: ``(B, h, w)`` uint8, 0 to 7, or above for none.
+    """
+    kind = graph.Min(graph.Unsqueeze(categories, [1]).to("int32"), NO_LAYER)
+    shape = graph.Shape(kind)
+    number, is_open = (
+        graph.Reshape(graph.constant(row).take(kind.reshape(-1)), shape)
+        for row in _of_kinds()[AREA_LAYERS:]
+    )
+    each = graph.constant(np.arange(AREA_LAYERS, dtype=np.float32)[:, None, None])
+    return Layers(number.equals(each).to("float32"), number, is_open)
+
+
 def _of_kinds() -> npt.NDArray[np.float32]:
     """``(6 + 2, 9)`` float32, the attributes of `Layers` for each kind."""
     merged = merge(1 << torch.arange(NO_LAYER + 1) & 0xFF).numpy()

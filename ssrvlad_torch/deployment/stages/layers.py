@@ -9,7 +9,7 @@ from torch import Tensor
 from ...stages.layers import UNKNOWN
 from ...taxonomy import NO_LAYER
 from ..graph import Graph, Symbol
-from ..words import EACH_PIXEL, PIXELS, Grid, Words
+from ..words import PIXELS, Grid, Words
 
 
 def entries_in_graph(
@@ -49,13 +49,6 @@ def categorise_in_graph(
     is_unknown = categories.to("int32").equals(UNKNOWN).to("float32")
     by_row = graph.ReduceSum(is_unknown, [2], keepdims=0)  # exact: a row has no 2 ** 24 pixels
     return categories, graph.ReduceSum(by_row.to("int32"), [1], keepdims=0)
-
-
-def merge_in_graph(words: Words) -> Words:
-    """`merge` in a graph."""
-    line = words.line
-    kept = line & 0x3F * EACH_PIXEL
-    return words.with_line(kept | line >> 4 & 0x04 * EACH_PIXEL | line >> 7 & EACH_PIXEL)
 
 
 def split_in_graph(graph: Graph, categories: Symbol, grid: Grid) -> Words:
