@@ -153,20 +153,22 @@ def test_camvid(preset):
         assert_parity(labels[None], of_preset(preset))
 
 
-@pytest.mark.slow
-@presets
-def test_hundreds_of_label_maps(preset):
-    """What the quick tests sample, at length: more than 300 without CamVid."""
+def hundreds_of_label_maps() -> dict[str, list[Maps]]:
+    """What the quick tests sample, at length, by label space: more than 300 without CamVid."""
     maps = [random_blobs(seed) for seed in range(100, 240)] + [noise(s) for s in range(100, 180)]
-    maps += [*degenerate().values(), *hand_drawn().values()]
+    maps += [*degenerate().values(), *hand_drawn().values(), *camvid_labels(4)]
     streets = []
     for seed, size in ((5, (60, 81)), (6, (121, 160)), (7, (240, 320)), (8, (303, 211))):
         streets += city(20, seed, size)
-    assert len(maps) + len(streets) >= 300
-    for labels in [*maps, *camvid_labels(4)]:
-        assert_parity(labels[None], of_preset(preset))
-    for labels in streets:
-        assert_parity(labels[None], of_preset(preset, labels_as="cityscapes-trainids"))
+    return {SPACE: maps, "cityscapes-trainids": streets}
+
+
+@pytest.mark.slow
+@presets
+def test_hundreds_of_label_maps(preset):
+    for space, maps in hundreds_of_label_maps().items():
+        for labels in maps:
+            assert_parity(labels[None], of_preset(preset, labels_as=space))
 
 
 @pytest.mark.parametrize("name", CUSTOM)

@@ -7,7 +7,15 @@ from functools import cache
 import numpy as np
 import pytest
 from cases import camvid_labels, degenerate, hand_drawn
-from test_export import assert_equal, city, model_of, noise, of_preset, presets, random_blobs
+from test_export import (
+    assert_equal,
+    hundreds_of_label_maps,
+    model_of,
+    noise,
+    of_preset,
+    presets,
+    random_blobs,
+)
 
 openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
 
@@ -43,11 +51,6 @@ def test_a_batch_and_unknown_ids(preset):
 @pytest.mark.slow
 @presets
 def test_hundreds_of_label_maps(preset):
-    maps = [random_blobs(seed) for seed in range(100, 240)] + [noise(s) for s in range(100, 180)]
-    maps += [*degenerate().values(), *hand_drawn().values(), *camvid_labels(4)]
-    for labels in maps:
-        assert_parity(labels[None], of_preset(preset))
-    config = of_preset(preset, labels_as="cityscapes-trainids")
-    for seed, size in ((5, (60, 81)), (6, (121, 160)), (7, (240, 320)), (8, (303, 211))):
-        for labels in city(20, seed, size):
-            assert_parity(labels[None], config)
+    for space, maps in hundreds_of_label_maps().items():
+        for labels in maps:
+            assert_parity(labels[None], of_preset(preset, labels_as=space))

@@ -1,80 +1,126 @@
 #!/usr/bin/env python3
 """Writes the table of measured runtimes into export/README.md.
 
-python scripts/pages/runtimes.py --provider CPUExecutionProvider --provider openvino
+python scripts/pages/runtimes.py CPUExecutionProvider openvino chromium \\
+    /opt/old/bin/python:CPUExecutionProvider
 
-Each runtime runs the exported heads of both presets, `default` in both forms, on what `ssrvlad
-verify` compares on, and on a label map of 512 x 1024 for its time.
+Each runtime runs the exported heads of both presets on the label maps of the slow tests, and on one
+of 512 x 1024 for its time. A runtime is an execution provider of ONNX Runtime, `openvino`, or
+`chromium` (onnxruntime-web); of another Python with numpy and the runtime, `PYTHON:RUNTIME`.
 """
 
 from __future__ import annotations
 
 import argparse
 import platform
-import statistics
+import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from _markdown import head_row, row
 
-from ssrvlad_torch import SSRVLADConfig, export_head
-from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.deployment.runtimes import runtime_of
-from ssrvlad_torch.deployment.verify import verify
+ROOT = Path(__file__).parents[2]
+sys.path.insert(0, str(ROOT / "tests"))
 
-README = Path(__file__).parents[2] / "export" / "README.md"
-SPACE = "cityscapes-trainids"
-HEADS = {"default": "words", "default, arithmetic": "arithmetic", "paper": "words"}
-"""Presets, and the form of each file."""
-REPETITIONS = 5
+from test_export import city, hundreds_of_label_maps  # noqa: E402
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head  # noqa: E402
+from ssrvlad_torch.deployment.golden import outputs_of  # noqa: E402
+from ssrvlad_torch.deployment.verify import compare  # noqa: E402
+from ssrvlad_torch.files import one_line  # noqa: E402
+
+README = ROOT / "export" / "README.md"
+WORKER = Path(__file__).with_name("_one_runtime.py")
+PRESETS = ("default", "paper")
 SIZE = (512, 1024)
 
+Maps = dict[str, npt.NDArray[np.uint8]]
+Arrays = dict[str, npt.NDArray]
 
-def table(providers: list[str]) -> Iterator[str]:
-    """A row for each runtime and head."""
+
+def table(runtimes: list[str], presets: list[str]) -> Iterator[str]:
+    """A row for each preset and runtime."""
     yield from head_row(
-        "runtime", "head", "verdict", "largest difference", "load, s", "512 x 1024, ms"
-    )
-    (frame,) = SyntheticCity(seed=5).traverse(1, size=SIZE, labels_as=SPACE)
-    labels = frame.labels.astype(np.uint8)[None]
+        "runtime", "preset", "verdict", "label maps", "largest difference", "load, s",
+        "512 x 1024, ms",
+    )  # fmt: skip
+    by_space = {
+        space: {str(number): labels for number, labels in enumerate(maps)}
+        for space, maps in hundreds_of_label_maps().items()
+    }
+    (timed,) = city(1, 5, SIZE)
+    by_space["cityscapes-trainids"]["timed"] = timed
+    for preset in presets:
+        configs = [SSRVLADConfig.from_preset(preset, labels_as=space) for space in by_space]
+        expected = [
+            {number: outputs_of(head, labels[None]) for number, labels in maps.items()}
+            for head, maps in zip(map(SSRVLAD, configs), by_space.values(), strict=True)
+        ]
+        for runtime in runtimes:
+            cells = row(*measured(runtime, preset, configs, list(by_space.values()), expected))
+            print(cells, file=sys.stderr, flush=True)
+            yield cells
+
+
+def measured(
+    runtime: str,
+    preset: str,
+    configs: list[SSRVLADConfig],
+    maps: list[Maps],
+    expected: list[dict[str, Arrays]],
+) -> list[str]:
+    """What one runtime makes of the files of a preset."""
+    checks = []
+    for config, given, wanted in zip(configs, maps, expected, strict=True):
+        try:
+            found = run(runtime, config, given)
+        except (RuntimeError, AssertionError) as error:
+            return [
+                runtime.rpartition("/")[2],
+                f"`{preset}`",
+                f"cannot run: {one_line(error)}",
+                *[""] * 4,
+            ]
+        for number, outputs in wanted.items():
+            got = {name: found[f"{number} {name}"] for name in outputs}
+            checks.append(compare(number, got, outputs))
+    wrong = sum(bool(check.problem) for check in checks)
+    return [
+        str(found["name"]),
+        f"`{preset}`",
+        f"wrong on {wrong}" if wrong else "exact",
+        str(len(checks)),
+        f"{max(check.difference for check in checks):.1g}",
+        f"{found['load']:.1f}",
+        f"{1e3 * found['taken']:.0f}",
+    ]
+
+
+def run(runtime: str, config: SSRVLADConfig, maps: Maps) -> Arrays:
+    """What a runtime gives for each map, by number and name of the output.
+
+    Raises:
+        RuntimeError: it cannot run the file.
+    """
+    python, _, name = runtime.rpartition(":")
     with tempfile.TemporaryDirectory() as folder:
-        for head, form in HEADS.items():
-            file = Path(folder) / f"{head}.onnx"
-            preset, _, _ = head.partition(",")
-            export_head(SSRVLADConfig.from_preset(preset, labels_as=SPACE), file, form=form)
-            for provider in providers:
-                yield row(*measured(file, head, provider, labels))
+        file, given, out = (Path(folder) / name for name in ("head.onnx", "maps.npz", "out.npz"))
+        export_head(config, file)
+        if name == "chromium":
+            from _chromium import run_in_chromium
 
-
-def measured(file: Path, head: str, provider: str, labels: np.ndarray) -> tuple[str, ...]:
-    """What one runtime makes of one file."""
-    found = verify(file, provider=provider)
-    for warning in found.warnings:
-        print(f"{provider}: {warning}", file=sys.stderr)
-    if found.fault:
-        verdict = f"{found.verdict}: {found.fault.place}"
-        return found.runtime, head, verdict, "", "", ""
-    begin = time.perf_counter()
-    run = runtime_of(provider).open(file)
-    loaded = time.perf_counter() - begin
-    taken = []
-    for _ in range(REPETITIONS + 1):
-        begin = time.perf_counter()
-        run({"labels": labels})
-        taken.append(time.perf_counter() - begin)
-    milliseconds = 1e3 * statistics.median(taken[1:])
-    return (
-        found.runtime,
-        head,
-        found.verdict,
-        f"{found.difference:.1g}",
-        f"{loaded:.1f}",
-        f"{milliseconds:.0f}",
-    )
+            return run_in_chromium(file, maps)
+        np.savez(given, **maps)
+        command = [python or sys.executable, WORKER, name, file, given, out]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise RuntimeError(done.stderr.strip().splitlines()[-1])
+        with np.load(out) as found:
+            return dict(found)
 
 
 def main() -> None:
@@ -82,10 +128,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--provider", action="append", required=True, help="as `ssrvlad verify`")
+    parser.add_argument("runtime", nargs="+", help="[PYTHON:]PROVIDER, openvino or chromium")
+    parser.add_argument("--preset", action="append", choices=PRESETS)
     parser.add_argument("--readme", type=Path, default=README)
     options = parser.parse_args()
-    text = "\n".join(table(options.provider))
+    text = "\n".join(table(options.runtime, options.preset or list(PRESETS)))
     before, begin, rest = options.readme.read_text(encoding="utf-8").partition(
         "<!-- runtimes -->\n"
     )
