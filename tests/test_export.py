@@ -384,7 +384,7 @@ def write_space(path: Path, *ids: int) -> Path:
     ("ids", "arguments", "message"),
     [
         ([0], {"input": "pixels"}, "input must be one of labels, logits, got 'pixels'"),
-        ([0], {"dtype": "int8"}, "dtype must be one of uint8, int64, got 'int8'"),
+        ([0], {"dtype": "int8"}, "dtype must be one of uint8, int32, int64, got 'int8'"),
         ([3], {"input": "logits"}, "own has no class scores, its ids have gaps"),
         ([300, -4], {}, "own has no id from 0 to 255; expected dtype int64"),
     ],
@@ -429,7 +429,7 @@ def test_the_command_and_the_script_write_the_bytes_that_the_function_writes(ssr
 def test_the_command_says_in_a_line_what_is_wrong(ssrvlad, tmp_path):
     for options, message in (
         (["--labels-as", "mars"], "unknown label space 'mars'"),
-        (["--labels-as", SPACE, "--dtype", "int8"], "dtype must be one of uint8, int64"),
+        (["--labels-as", SPACE, "--dtype", "int8"], "dtype must be one of uint8, int32, int64"),
         (["--labels-as", SPACE, "--preset", "best"], "preset must be one of paper, default"),
     ):
         code, _, (line,) = ssrvlad("export", "-o", tmp_path / "head.onnx", *options)
