@@ -4,9 +4,9 @@
 python scripts/pages/runtimes.py CPUExecutionProvider openvino chromium \\
     /opt/old/bin/python:CPUExecutionProvider
 
-Each runtime runs the exported heads of both presets on the label maps of the slow tests, and on one
-of 512 x 1024 for its time. A runtime is an execution provider of ONNX Runtime, `openvino`, or
-`chromium` (onnxruntime-web); of another Python with numpy and the runtime, `PYTHON:RUNTIME`.
+Each runtime runs the exported heads of both presets, `default` in both forms, on the label maps of
+the slow tests, and on one of 512 x 1024 for its time. A runtime is an execution provider of ONNX
+Runtime, `openvino`, or `chromium` (onnxruntime-web); of another Python, `PYTHON:RUNTIME`.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,17 +36,18 @@ from ssrvlad_torch.files import one_line  # noqa: E402
 
 README = ROOT / "export" / "README.md"
 WORKER = Path(__file__).with_name("_one_runtime.py")
-PRESETS = ("default", "paper")
+HEADS = {"default": "words", "default, arithmetic": "arithmetic", "paper": "words"}
+"""Presets, and the form of each file."""
 SIZE = (512, 1024)
 
 Maps = dict[str, npt.NDArray[np.uint8]]
-Arrays = dict[str, npt.NDArray]
+Arrays = dict[str, npt.NDArray[Any]]
 
 
-def table(runtimes: list[str], presets: list[str]) -> Iterator[str]:
-    """A row for each preset and runtime."""
+def table(runtimes: list[str], heads: list[str]) -> Iterator[str]:
+    """A row for each head and runtime."""
     yield from head_row(
-        "runtime", "preset", "verdict", "label maps", "largest difference", "load, s",
+        "runtime", "head", "verdict", "label maps", "largest difference", "load, s",
         "512 x 1024, ms",
     )  # fmt: skip
     by_space = {
@@ -54,34 +56,35 @@ def table(runtimes: list[str], presets: list[str]) -> Iterator[str]:
     }
     (timed,) = city(1, 5, SIZE)
     by_space["cityscapes-trainids"]["timed"] = timed
-    for preset in presets:
+    for head in heads:
+        preset, _, _ = head.partition(",")
         configs = [SSRVLADConfig.from_preset(preset, labels_as=space) for space in by_space]
         expected = [
-            {number: outputs_of(head, labels[None]) for number, labels in maps.items()}
-            for head, maps in zip(map(SSRVLAD, configs), by_space.values(), strict=True)
+            {number: outputs_of(module, labels[None]) for number, labels in maps.items()}
+            for module, maps in zip(map(SSRVLAD, configs), by_space.values(), strict=True)
         ]
         for runtime in runtimes:
-            cells = row(*measured(runtime, preset, configs, list(by_space.values()), expected))
+            cells = row(*measured(runtime, head, configs, list(by_space.values()), expected))
             print(cells, file=sys.stderr, flush=True)
             yield cells
 
 
 def measured(
     runtime: str,
-    preset: str,
+    head: str,
     configs: list[SSRVLADConfig],
     maps: list[Maps],
     expected: list[dict[str, Arrays]],
 ) -> list[str]:
-    """What one runtime makes of the files of a preset."""
+    """What one runtime makes of a head, a file for each label space."""
     checks = []
     for config, given, wanted in zip(configs, maps, expected, strict=True):
         try:
-            found = run(runtime, config, given)
+            found = run(runtime, config, HEADS[head], given)
         except (RuntimeError, AssertionError) as error:
             return [
                 runtime.rpartition("/")[2],
-                f"`{preset}`",
+                head,
                 f"cannot run: {one_line(error)}",
                 *[""] * 4,
             ]
@@ -91,7 +94,7 @@ def measured(
     wrong = sum(bool(check.problem) for check in checks)
     return [
         str(found["name"]),
-        f"`{preset}`",
+        head,
         f"wrong on {wrong}" if wrong else "exact",
         str(len(checks)),
         f"{max(check.difference for check in checks):.1g}",
@@ -100,7 +103,7 @@ def measured(
     ]
 
 
-def run(runtime: str, config: SSRVLADConfig, maps: Maps) -> Arrays:
+def run(runtime: str, config: SSRVLADConfig, form: str, maps: Maps) -> Arrays:
     """What a runtime gives for each map, by number and name of the output.
 
     Raises:
@@ -109,13 +112,13 @@ def run(runtime: str, config: SSRVLADConfig, maps: Maps) -> Arrays:
     python, _, name = runtime.rpartition(":")
     with tempfile.TemporaryDirectory() as folder:
         file, given, out = (Path(folder) / name for name in ("head.onnx", "maps.npz", "out.npz"))
-        export_head(config, file)
+        export_head(config, file, form=form)
         if name == "chromium":
             from _chromium import run_in_chromium
 
             return run_in_chromium(file, maps)
         np.savez(given, **maps)
-        command = [python or sys.executable, WORKER, name, file, given, out]
+        command = [python or sys.executable, str(WORKER), name, str(file), str(given), str(out)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise RuntimeError(done.stderr.strip().splitlines()[-1])
@@ -129,10 +132,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("runtime", nargs="+", help="[PYTHON:]PROVIDER, openvino or chromium")
-    parser.add_argument("--preset", action="append", choices=PRESETS)
+    parser.add_argument("--head", action="append", choices=HEADS)
     parser.add_argument("--readme", type=Path, default=README)
     options = parser.parse_args()
-    text = "\n".join(table(options.runtime, options.preset or list(PRESETS)))
+    text = "\n".join(table(options.runtime, options.head or list(HEADS)))
     before, begin, rest = options.readme.read_text(encoding="utf-8").partition(
         "<!-- runtimes -->\n"
     )
