@@ -10,14 +10,10 @@ import numpy as np
 import numpy.typing as npt
 import onnxruntime
 import torch
-from hypothesis import settings
 from torch import Tensor
 
 from ssrvlad_torch.deployment.graph import Graph, Symbol
 from ssrvlad_torch.deployment.words import PIXELS, Words, grid_of
-
-settings.register_profile("untimed", deadline=None)  # the first run of a graph builds it
-settings.load_profile("untimed")
 
 Build = Callable[..., Sequence[Symbol | Words]]
 _SHIFTS = 8 * torch.arange(PIXELS)

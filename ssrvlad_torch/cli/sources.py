@@ -229,7 +229,7 @@ def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig
 
 
 def only_label_space(database: Database) -> LabelSpace | None:
-    """The one label space of the frames of a database; of an empty one ``None``.
+    """The one label space of the frames of a database; of a new one ``None``.
 
     Raises:
         ValueError: there are several.

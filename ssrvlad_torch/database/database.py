@@ -264,8 +264,8 @@ class Database:
         return dict(self._meta.origins)
 
     def label_spaces(self) -> list[LabelSpace]:
-        """The label spaces of the frames that are there."""
-        keys = self._columns(["origin"])["origin"].unique().to_pylist()
+        """The label spaces of the frames that are there; without any, of those that were."""
+        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self._meta.origins)
         spaces = [self._meta.origins.get(key, Origin()).label_space for key in keys]
         return list({space.digest: space for space in spaces if space}.values())
 
