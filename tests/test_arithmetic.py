@@ -218,6 +218,18 @@ def test_what_cannot_be_counted_is_nan_or_refused():
             model_of(config, shape=shape)
 
 
+def test_the_command_line(ssrvlad, tmp_path):
+    path = tmp_path / "head.onnx"
+    given = ("export", "-o", path, "--labels-as", SPACE, "--form", "arithmetic")
+    assert ssrvlad(*given, "--size", "30x40", "--batch", 2)[0] == 0
+    (labels,) = onnx.load(path).graph.input
+    assert [axis.dim_value for axis in labels.type.tensor_type.shape.dim] == [2, 30, 40]
+    for more, problem in {("--size", "30"): "--size 30", ("--batch", 2): "--batch 2"}.items():
+        code, _, errors = ssrvlad(*given, *more)
+        assert (code, len(errors)) == (2, 1)
+        assert problem in errors[0]
+
+
 @pytest.mark.parametrize(
     ("preset", "form", "shape", "problem"),
     [
