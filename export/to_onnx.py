@@ -15,7 +15,7 @@ if __name__ == "__main__":
     parser.add_argument("path", help="file to write")
     parser.add_argument("--labels-as", required=True, help="label space: a name or a .yaml file")
     parser.add_argument("--input", default="labels", help="labels or logits")
-    parser.add_argument("--dtype", default="uint8", help="of the labels: uint8 or int64")
+    parser.add_argument("--dtype", default="uint8", help="of the labels: uint8, int32 or int64")
     parser.add_argument("--preset", default="default", help="paper or default")
     given = parser.parse_args()
     config = SSRVLADConfig.from_preset(given.preset, labels_as=given.labels_as)

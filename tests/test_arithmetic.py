@@ -234,8 +234,8 @@ def test_the_command_line(ssrvlad, tmp_path):
     ("preset", "form", "shape", "problem"),
     [
         ("paper", "arithmetic", None, "form arithmetic is of harmonics"),
-        ("default", "words", (1, 99, 99), "form words takes any size"),
-        ("default", "bits", None, "form must be one of words, arithmetic"),
+        ("default", "standard", (1, 99, 99), "form standard takes any size"),
+        ("default", "bits", None, "form must be one of standard, arithmetic"),
     ],
 )
 def test_forms_that_there_are_not(preset, form, shape, problem):

@@ -36,7 +36,7 @@ from ssrvlad_torch.files import one_line  # noqa: E402
 
 README = ROOT / "export" / "README.md"
 WORKER = Path(__file__).with_name("_one_runtime.py")
-HEADS = {"default": "words", "default, arithmetic": "arithmetic", "paper": "words"}
+HEADS = {"default": "standard", "default, arithmetic": "arithmetic", "paper": "standard"}
 """Presets, and the form of each file."""
 SIZE = (512, 1024)
 

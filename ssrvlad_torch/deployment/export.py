@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 INPUTS = ("labels", "logits")
 DTYPES = ("uint8", "int32", "int64")
-FORMS = ("words", "arithmetic")
+FORMS = ("standard", "arithmetic")
 
 
 def export_head(
@@ -32,7 +32,7 @@ def export_head(
     input: str = "labels",
     dtype: str = "uint8",
     columns: Sequence[int] = (),
-    form: str = "words",
+    form: str = "standard",
     shape: tuple[int, int, int] | None = None,
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
@@ -59,8 +59,9 @@ def export_head(
         input: ``"labels"`` or ``"logits"``.
         dtype: of the labels, ``"uint8"``, ``"int32"`` or ``"int64"``.
         columns: S anchors of `SSRVLAD.sweep`; none for single descriptors.
-        form: ``"words"``, or ``"arithmetic"`` for the aggregation harmonics: the same numbers
-            without bitwise operators, loops and shapes that depend on what is in the picture.
+        form: ``"standard"``, or ``"arithmetic"`` for the aggregation harmonics: the same numbers
+            without bitwise operators, loops and shapes that depend on what is in the picture,
+            slower on a CPU.
         shape: B, H and W of a file in the form ``"arithmetic"`` that takes no others; C is the
             largest number of classes of the label space. What depends on sizes only is computed
             now, and what is left is in float32 and int32.
@@ -85,7 +86,7 @@ def head_model(
     input: str = "labels",
     dtype: str = "uint8",
     columns: Sequence[int] = (),
-    form: str = "words",
+    form: str = "standard",
     shape: tuple[int, int, int] | None = None,
 ) -> onnx.ModelProto:
     """What `export_head` writes; arguments and errors as there."""
@@ -129,9 +130,9 @@ def _check(config: SSRVLADConfig, form: str, shape: tuple[int, int, int] | None)
     """
     if form not in FORMS:
         raise ValueError(f"form must be one of {', '.join(FORMS)}, got {form!r}")
-    if form == "words":
+    if form == "standard":
         if shape:
-            raise ValueError(f"form words takes any size, got {shape}; expected form arithmetic")
+            raise ValueError(f"form standard takes any size, got {shape}; expected form arithmetic")
         return
     if config.aggregation != "harmonics":
         raise ValueError(f"form arithmetic is of harmonics, got aggregation {config.aggregation}")

@@ -30,9 +30,9 @@ def export(
     form: Annotated[
         str,
         typer.Option(
-            help="words, or arithmetic: without bitwise operators and loops, for accelerators."
+            help="standard, or arithmetic: of any picture the same steps, for accelerators."
         ),
-    ] = "words",
+    ] = "standard",
     size: Annotated[
         str | None,
         typer.Option(help="Rows and columns, HxW, of an arithmetic file that takes no others."),
