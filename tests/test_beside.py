@@ -230,7 +230,7 @@ def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
     ray = refused("encode", maps, "-o", town, "--engine", "ray")
     assert "holds descriptors of pictures; Ray reads label maps" in ray
-    assert ssrvlad("encode", photos / "monday", "-o", plain, *network)[0] == 0
+    assert ssrvlad("encode", photos / "today", "-o", plain, *network)[0] == 0
     told = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in told
     told = refused("query", plain, photos / "today", *network, "--fuse")
