@@ -48,7 +48,7 @@ def export_head(
 
     Shape:
         - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the largest wins, the
-          first of equals), all axes dynamic.
+          first of equals); all axes dynamic, but with ``shape`` those of it.
         - outputs: ``descriptor (B, config.length)`` float32, of a sweep ``(B, S, config.length)``,
           ``unknown (B,)`` int64, and of the aggregation ``residuals`` ``keypoints (B, 8)`` int64,
           how many each layer has.
