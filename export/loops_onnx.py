@@ -52,6 +52,8 @@ WEIGHT, LEVEL, MOST = 0.3, 2.5, 50.0
 SAME_WEIGHT, LIKENESS = 0.5, 0.9
 """For rows of the same sequence: the weight, and the level as a part of the z-score that three
 quarters of the frames have with the one before them."""
+STRIDE = 50
+"""The frame before is one frame before for so many excluded ones, and two for twice as many."""
 NEAR, RECENT = 5, 10
 """Rows around one that show its place, and how old a row is that can be the present place."""
 
@@ -237,8 +239,9 @@ class Detector:
 
     def _told(self, z: Vector) -> Vector:
         """The logarithm of the evidence of a frame that has z-scores with all earlier ones."""
-        if self.began < len(z) and np.isfinite(z[-1]):
-            self.neighbours.append(float(z[-1]))
+        before = len(z) - max(1, self.settings.exclude // STRIDE)
+        if self.began <= before and np.isfinite(z[before]):
+            self.neighbours.append(float(z[before]))
         usual = np.quantile(self.neighbours, 0.25) if self.neighbours else 0.0
         told = np.float32(WEIGHT) * (z - np.float32(LEVEL))
         same = z[self.began :] - np.float32(max(LEVEL, LIKENESS * usual))

@@ -10,7 +10,8 @@ class LoopConfig:
     """The settings of `LoopDetector`.
 
     Attributes:
-        exclude: the last so many frames are no candidates.
+        exclude: the last so many frames are no candidates. The default is for frames some 3 m
+            apart; where they are denser, exclude more.
         threshold: least probability of a loop, 0 to 1.
         sweep: describe each frame from three anchors, so that a camera that is turned a little
             still fits; descriptors without an anchor, as those of ``paper``, have none to move.

@@ -40,6 +40,10 @@ WEIGHT, LIKENESS = 0.5, 0.9
 """For frames of the same sequence: what one z-score counts, and its level as a part of the z-score
 that three quarters of the frames have with the one before them."""
 
+STRIDE = 50
+"""The more frames a stream excludes, the denser it is: with so many, the frame before is one frame
+before, with twice as many it is two."""
+
 NEAR = 5
 """Frames on each side of a frame that show the same place."""
 
@@ -341,9 +345,11 @@ class LoopDetector:
     def _evidence(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
         """``(N,)``, see `motion.evidence`; of the frames of this sequence by their own measure."""
         mean, deviation = spread
-        z = (float(nearness(scores[-1])) - mean) / deviation
-        if self._began < len(self) and math.isfinite(z) and deviation > LEAST_SPREAD:
-            self._neighbours.append(z)
+        before = len(self) - max(1, self.config.exclude // STRIDE)
+        if self._began <= before and deviation > LEAST_SPREAD:
+            z = (float(nearness(scores[before])) - mean) / deviation
+            if math.isfinite(z):
+                self._neighbours.append(z)
         known = self._neighbours.values
         level = LIKENESS * float(np.quantile(known, 0.25)) if len(known) else 0.0
         own = replace(MOTION, weight=WEIGHT, level=max(MOTION.level, level))
