@@ -164,3 +164,9 @@ def test_damage_is_one_line(protocol):
             assert isinstance(load(content), PickledArray)
         except ValueError as error:
             assert "\n" not in str(error).strip()
+
+
+@pytest.mark.parametrize("put", [b"p9000000000\n", b"r\xff\xff\xff\x7f"])
+def test_a_place_in_the_memo_that_takes_the_memory_is_refused(put):
+    with pytest.raises(ValueError, match=r"no whole pickle: place \d+ of the memo"):
+        load(b"I1\n" + put + b".")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import pickletools
 from collections.abc import Callable, Iterator
 from typing import Any, BinaryIO
 
@@ -18,6 +19,7 @@ import numpy.typing as npt
 from ..files import one_line
 
 _NUMBERS = "biuf"
+_TO_MEMO = ("PUT", "BINPUT", "LONG_BINPUT")
 
 
 def load_object_array(file: BinaryIO) -> PickledArray:
@@ -50,6 +52,7 @@ def load_pickle(file: BinaryIO) -> Any:
             it is damaged.
     """
     try:
+        _check_memo(file)
         return _Unpickler(file, encoding="latin1").load()
     except _Forbidden as error:
         raise ValueError(
@@ -57,6 +60,16 @@ def load_pickle(file: BinaryIO) -> Any:
         ) from error
     except Exception as error:  # what a damaged pickle raises has no bounds
         raise ValueError(f"it is no whole pickle: {one_line(error)}") from error
+
+
+def _check_memo(file: BinaryIO) -> None:
+    """Refuses places in the memo that so few bytes cannot have filled; the memory for all places
+    before them would be taken."""
+    begin = file.tell()
+    for opcode, argument, position in pickletools.genops(file):
+        if opcode.name in _TO_MEMO and argument > position:
+            raise ValueError(f"place {argument} of the memo at byte {position}")
+    file.seek(begin)
 
 
 class PickledObject:
