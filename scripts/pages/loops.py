@@ -69,8 +69,8 @@ INTRODUCTION = (
         "the same direction and in the opposite one, among them an estate of 400 m where every "
         f"block looks like the next. {len(MEASURED_ON)} cities are measured, each with perfect "
         "labels, and with a segmentation network's mistakes under a camera that sways. In brackets "
-        f"stand 95 % bootstrap intervals over the cities ({RESAMPLES} resamples); where no loop is "
-        "wrong, none is in any resample."
+        f"stand 95 % bootstrap intervals over the cities ({RESAMPLES} resamples); with no wrong "
+        "loop that of precision has no width."
     ),
     paragraph(
         f"A loop is right if its two frames are within {METRES:g} m, and wrong otherwise; it is "
@@ -79,14 +79,14 @@ INTRODUCTION = (
         "picture."
     ),
     paragraph(
-        "`default` is `LoopConfig()`, untouched. `learned` is the surest threshold of "
-        f"{len(LEARNED_ON)} other cities under the same condition, as `ssrvlad loops "
-        "--tolerance-metres` suggests it. The last column is the recall before the first wrong "
+        "`default` is `LoopConfig()`, untouched. `learned` is the threshold that `ssrvlad loops "
+        f"--tolerance-metres` suggests for {len(LEARNED_ON)} other cities under the same "
+        "condition: that which proves the highest precision there. The last column is the recall before the first wrong "
         "loop: what a threshold chosen for just these drives would give."
     ),
     paragraph(
-        "Blocks of the estate are alike, but not as alike as two frames of one place with perfect "
-        "labels, and more alike than those with noisy ones. So the detector asks of an old frame "
+        "With perfect labels two blocks of the estate are less alike than two frames of one place; "
+        "but they are more alike than two frames of one place with noisy labels. So the detector asks of an old frame "
         "of the same sequence that it fits nearly as well as the frame before; how nearly, too, is "
         "chosen on the other cities."
     ),
@@ -171,7 +171,7 @@ def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
         "at a place for the first time": [~(a | b) for a, b in zip(same, other, strict=True)],
         "in the estate": [tour.in_estate() for tour in tours],
     }
-    yield paragraph("By where the frames are:")
+    yield paragraph("By where the frames are; those in the estate are among the rows above:")
     yield from head_row("frames", "number", "loops", "right", "wrong")
     for name, chosen_frames in kinds.items():
         counts = np.zeros(3, int)
