@@ -81,14 +81,14 @@ INTRODUCTION = (
     paragraph(
         "`default` is `LoopConfig()`, untouched. `learned` is the threshold that `ssrvlad loops "
         f"--tolerance-metres` suggests for {len(LEARNED_ON)} other cities under the same "
-        "condition: that which proves the highest precision there. The last column is the recall before the first wrong "
-        "loop: what a threshold chosen for just these drives would give."
+        "condition: that which proves the highest precision there. The last column is the recall "
+        "before the first wrong loop: what a threshold chosen for just these drives would give."
     ),
     paragraph(
         "With perfect labels two blocks of the estate are less alike than two frames of one place; "
-        "but they are more alike than two frames of one place with noisy labels. So the detector asks of an old frame "
-        "of the same sequence that it fits nearly as well as the frame before; how nearly, too, is "
-        "chosen on the other cities."
+        "but they are more alike than two frames of one place with noisy labels. So the detector "
+        "asks of an old frame of the same sequence that it fits nearly as well as the frame "
+        "before; how nearly, too, is chosen on the other cities."
     ),
 )
 
