@@ -201,9 +201,11 @@ def test_what_is_no_database_is_refused_and_left_alone(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "letter.txt").write_text("dear")
     lance.write_dataset(torch_free_table(), tmp_path / "table")
-    for name in ("folder", "missing", "folder/letter.txt"):
+    for name in ("folder", "folder/letter.txt"):
         with pytest.raises(ValueError, match=r"is not a database"):
             Database.open(tmp_path / name)
+    with pytest.raises(ValueError, match="missing does not exist"):
+        Database.open(tmp_path / "missing")
     with pytest.raises(ValueError, match="is a table of Lance, but not a database"):
         Database.open(tmp_path / "table")
     for name in ("folder", "folder/letter.txt"):

@@ -104,7 +104,7 @@ def test_a_long_picture_is_not_resized_to_any_size():
 
 @pytest.mark.parametrize("image", [NOISE / 255, NOISE[..., 0], NOISE[:0], NOISE.astype(int)])
 def test_what_is_no_image_is_an_error(image):
-    with pytest.raises(ValueError, match=r"expected \(H, W, 3\) uint8 images, got"):
+    with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8 images, got"):
         Segmenter(colour_network(), SPACE)([image])
 
 
