@@ -66,9 +66,9 @@ def _check_memo(file: BinaryIO) -> None:
     """Refuses places in the memo that so few bytes cannot have filled; the memory for all places
     before them would be taken."""
     begin = file.tell()
-    for opcode, argument, position in pickletools.genops(file):
-        if opcode.name in _TO_MEMO and argument > position:
-            raise ValueError(f"place {argument} of the memo at byte {position}")
+    for opcode, argument, _ in pickletools.genops(file):
+        if opcode.name in _TO_MEMO and (argument or 0) > file.tell():
+            raise ValueError(f"place {argument} of the memo at byte {file.tell()}")
     file.seek(begin)
 
 
