@@ -273,9 +273,10 @@ def test_what_is_no_refusal_ends_the_reading():
 
 
 def test_a_label_map_is_no_photograph():
-    ids = np.tile(np.array([0, 1, 18, 255], np.uint8), (20, 5))
+    ids = np.array([0, 1, 18, 255], np.uint8).repeat(5)[None].repeat(20, 0)
     with pytest.raises(ValueError, match="a photograph, got a label map: 3 values, 0 to 18"):
         decode_image(encoded(ids, "PNG"))
-    dark, gray = ids * 0, (ids // 3 * 5)
-    for picture in (dark, gray, np.stack([ids] * 3, 2)):
+    black, gray = ids * 0, (ids // 3 * 5)
+    night = np.random.default_rng(0).integers(0, 39, (20, 20), np.uint8)
+    for picture in (black, gray, night, np.stack([ids] * 3, 2)):
         assert decode_image(encoded(picture, "PNG")).shape == (20, 20, 3)

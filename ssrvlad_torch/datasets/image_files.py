@@ -20,7 +20,7 @@ from .utm_names import write_name
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
 _SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
-_HIGHEST_ID = 40
+_HIGHEST_ID, _EVEN = 40, 0.8
 _EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
 Pixels = npt.NDArray[np.uint8]
@@ -119,9 +119,11 @@ def _decode(content: bytes) -> Pixels:
 
 
 def _see_photograph(values: npt.NDArray[np.uint8]) -> None:
-    """Refuses what can only be a label map: a few small ids, and 255 for what has none."""
+    """Refuses what looks like a label map: small ids, and 255 for what has none, in even areas; a
+    dark photograph has noise."""
     ids = np.flatnonzero(np.bincount(values.ravel(), minlength=256)[:255])
-    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID:
+    is_even = np.mean(values[:, 1:] == values[:, :-1]) > _EVEN
+    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID and is_even:
         raise ValueError(
             f"expected a photograph, got a label map: {len(ids)} values, {ids[0]} to {ids[-1]}"
         )
