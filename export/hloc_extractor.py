@@ -1,6 +1,7 @@
 """Not run with hloc itself: the tests call it as hloc's `extract_features` does.
 
-A global descriptor for hloc. Copy this file to ``hloc/extractors/ssrvlad.py`` and name it:
+A global descriptor for hloc. Copy this file to ``hloc/extractors/ssrvlad.py``, `run_onnx.py` beside
+it, and name it:
 
     conf = {
         "output": "global-feats-ssrvlad",
@@ -12,11 +13,13 @@ A global descriptor for hloc. Copy this file to ``hloc/extractors/ssrvlad.py`` a
 The file is one of `ssrvlad fuse`. It needs onnxruntime beside what hloc needs.
 """
 
+from pathlib import Path
+
 import numpy as np
-import onnxruntime
 import torch
 
 from ..utils.base_model import BaseModel
+from .run_onnx import Model
 
 
 class SSRVLAD(BaseModel):
@@ -26,20 +29,15 @@ class SSRVLAD(BaseModel):
     required_inputs = ["image"]  # noqa: RUF012
 
     def _init(self, conf):
-        self.session = onnxruntime.InferenceSession(
-            conf["file"],
-            providers=["CPUExecutionProvider"],  # others may compute the head wrong
-        )
-        names = [each.name for each in self.session.get_inputs()]
-        if names != ["image"]:
+        self.model = Model(Path(conf["file"]))
+        if self.model.input.name != "image":
             raise ValueError(
-                f"{conf['file']}: expected a file of `ssrvlad fuse`, got input {names}"
+                f"{conf['file']}: expected a file of `ssrvlad fuse`, got input "
+                f"{self.model.input.name}"
             )
 
     def _forward(self, data):
         image = data["image"]
         pixels = (image * 255).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1)
-        (descriptor,) = self.session.run(["descriptor"], {"image": pixels.cpu().numpy()})
-        if not np.isfinite(descriptor).all():
-            raise ValueError("the image is too wide, or has too many keypoints, for such a file")
-        return {"global_descriptor": torch.from_numpy(descriptor).to(image.device)}
+        found = np.stack([self.model.describe_array(each) for each in pixels.cpu().numpy()])
+        return {"global_descriptor": torch.from_numpy(found).to(image.device)}

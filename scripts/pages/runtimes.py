@@ -83,7 +83,7 @@ def measured(
             found = run(runtime, config, HEADS[head], given)
         except (RuntimeError, AssertionError) as error:
             return [
-                runtime.rpartition("/")[2],
+                runtime.rpartition(":")[2],
                 head,
                 f"cannot run: {one_line(error)}",
                 *[""] * 4,
