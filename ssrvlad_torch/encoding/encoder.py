@@ -34,9 +34,9 @@ from .writer import Writer
 WORTH_A_PROCESS = 500
 """Frames for which a process more pays: it takes some seconds to start."""
 
-MOST_THREADS = 4
-"""Threads that work at once where they seldom wait for Python's lock: in the native core and in
-the decoders of images they do not hold it."""
+MOST_THREADS, MOST_THREADS_OF_TORCH = 4, 2
+"""Threads that work at once and seldom wait for Python's lock. The native core and the decoders of
+images do not hold it; the many short operators of the torch path take it between them."""
 
 
 def encode_to_database(
@@ -130,8 +130,8 @@ def encode(
 
     Each worker reads and describes a batch at a time. Where the head lies on another device than
     the CPU, the workers read and the head describes here. A segmenter runs here, while the workers
-    describe what it gave before. The first workers are threads: some where the native core
-    describes, one where torch does. The others are processes, if there are frames enough.
+    describe what it gave before. The first workers are threads, fewer where torch describes than
+    where the native core does. The others are processes, if there are frames enough.
 
     Args:
         head: the method.
@@ -177,7 +177,7 @@ def _encode(
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = next(describer.head.buffers()).device.type != "cpu"
     free = reads_only or describer.head.native
-    threads = min(workers, MOST_THREADS if free else 1)
+    threads = min(workers, MOST_THREADS if free else MOST_THREADS_OF_TORCH)
     processes = min(workers - threads, len(files) // WORTH_A_PROCESS)
     if reads_only:
         reading = partial(read, describer.head.label_space)

@@ -40,6 +40,7 @@ def reduce_by_majority(categories: Tensor, grid: tuple[int, int]) -> Tensor:
         by_row = votes.new_zeros((count, grid[0], width)).index_add_(1, rows, votes)
         by_cell = torch.zeros_like(best).index_add_(2, columns, by_row)
         for kind in kept:
-            counted = by_cell >> bits * (kind - first) & (1 << bits) - 1
-            best = torch.maximum(best, counted * kinds + (NO_LAYER - kind))
+            score = by_cell >> bits * (kind - first)
+            score.bitwise_and_((1 << bits) - 1).mul_(kinds).add_(NO_LAYER - kind)
+            torch.maximum(best, score, out=best)
     return (NO_LAYER - best % kinds).to(torch.uint8)
