@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -257,17 +255,6 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
     found = verify(tmp_path / "x.onnx")
     assert found.passed
     assert found.labels_as == "own"
-
-
-def test_the_script(files, streets):
-    script = Path(__file__).parents[1] / "export" / "verify.py"
-    command = [sys.executable, script, files["labels"], "--labels", streets]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert [line.split(":")[0] for line in done.stdout.splitlines()] == [
-        *COMPARED,
-        "maps/0",
-        "maps/1",
-    ]
 
 
 def test_the_golden_arrays_of_a_fused_file_are_those_of_its_image(files):
