@@ -112,8 +112,21 @@ METHODS = {
 """Methods by name: the module of this package and the class in it."""
 
 
+def class_of(name: str) -> type[Method]:
+    """The class of a method; its module is imported here and not before.
+
+    Raises:
+        ValueError: no such method.
+    """
+    if name not in METHODS:
+        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
+    module, noun = METHODS[name]
+    method: type[Method] = getattr(import_module(f".{module}", __package__), noun)
+    return method
+
+
 def make(name: str, **settings: Any) -> Method:
-    """A method by its name; its module is imported here and not before.
+    """A method by its name.
 
     Args:
         name: one of `METHODS`.
@@ -122,10 +135,7 @@ def make(name: str, **settings: Any) -> Method:
     Raises:
         ValueError: no such method, or no such setting of it.
     """
-    if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
-    module, noun = METHODS[name]
-    method: type[Method] = getattr(import_module(f".{module}", __package__), noun)
+    method = class_of(name)
     try:
         signature(method).bind(**settings)
     except TypeError as error:

@@ -39,7 +39,7 @@ class Recognition:
         descriptors: of the queries and of the references, where a database has them.
         pictures: of the queries and of the references, by their ids.
         skipped: queries that could not be encoded.
-        told: what there is to tell about how it was found.
+        told: how it was found, for the user.
     """
 
     references: Places
@@ -60,7 +60,7 @@ def wants_similarity(convention: Convention) -> bool:
 def measure(
     recognition: Recognition, matches: Known, convention: Convention, at_recall: float
 ) -> dict[str, Any]:
-    """All figures with 95 % intervals, thresholds to choose from, and what there is to tell."""
+    """All figures with 95 % intervals, thresholds to choose from, and how it was found."""
     known, truth = of_known(matches)
     scores, rows = (best.numpy()[known] for best in recognition.found)
     pairs = recognition.similarity
@@ -75,7 +75,7 @@ def measure(
 
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
-    """All figures with their intervals, the thresholds that one may choose, and what was told."""
+    """All figures with their intervals, and the thresholds to choose from."""
     table, intervals = Table("metric", metrics["convention"], "95 % interval"), metrics["intervals"]
     for n, rate in metrics["recall_at"].items():
         table.add_row(f"RecallRate@{n}", figure(rate), interval(intervals["recall_at"][n]))
@@ -89,15 +89,13 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
 
 def counts(metrics: Mapping[str, Any]) -> str:
     """How many frames the figures are of, and what found them."""
+    steps = metrics.get("steps")
+    done = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
     if "method" in metrics:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
-        t = metrics["temporal"]
-        done = steps_in_words(metrics["steps"], t) if metrics["steps"] else "single frames"
         whose = f"method {metrics['method']}: {done}; encode {encode:.1f} ms, "
         whose += f"match {match:.1f} ms a single frame"
     else:
-        steps = metrics.get("steps")
-        done = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
         whose = f"{done}, fingerprint {metrics['fingerprint']}"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
@@ -106,7 +104,7 @@ def counts(metrics: Mapping[str, Any]) -> str:
 
 
 def proof(suggested: Mapping[str, Any] | None) -> str:
-    """What the suggested threshold is worth, and what would prove more."""
+    """How sure the precision at the suggested threshold is, and what would prove more."""
     want = f"{needed()} accepted without a mistake would prove {SURE_PRECISION:g}"
     if suggested is None:
         return f"suggested: no threshold, no query was recognised; {want}"
@@ -117,7 +115,8 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
-    """What was done between descriptors and decision, in a line; ``None`` says nothing of Eq. 3."""
+    """The steps between descriptors and decision, in a line; without ``temporal`` no word on Eq.
+    3."""
     widths, followed = used["sweep"].values(), used["follow"].values()
     told = [
         "standardised" if any(used["standardise"].values()) else "not standardised",
@@ -140,10 +139,9 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
 
 def _thresholds(points: Mapping[str, Any]) -> Table:
     table = Table("threshold for", "score", "precision", "lower end", "recall", "accepted")
-    for precision, point in points["at_precision"].items():
-        table.add_row(f"precision {precision}", *_point(point))
-    for recall, point in points["at_recall"].items():
-        table.add_row(f"recall {recall}", *_point(point))
+    for kind in ("precision", "recall"):
+        for value, point in points[f"at_{kind}"].items():
+            table.add_row(f"{kind} {value}", *_point(point))
     table.add_row("suggested", *_point(points["suggested"]))
     return table
 

@@ -147,6 +147,47 @@ class SourceOptions:
 
 
 @dataclass(frozen=True)
+class DriveOptions:
+    """The references and the queries of one data set, or of two folders."""
+
+    dataset: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Folder of a data set. Without it, --references and --queries are folders."
+        ),
+    ] = None
+    references: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="A sequence of the data set, * for any text; repeatable. Without it, the data "
+            "set's own references."
+        ),
+    ] = None
+    queries: Annotated[list[str] | None, typer.Option(help="The same for queries.")] = None
+    odd_even: Annotated[
+        bool,
+        typer.Option(
+            "--odd-even",
+            help="Even frames of each drive are references, odd ones are queries.",
+        ),
+    ] = False
+    layout: Annotated[
+        str | None,
+        typer.Option(help="Layout of the data set. Without it, the layout is recognised."),
+    ] = None
+    labels: Annotated[
+        Path | None, typer.Option(help="Other label maps than the data set's own.")
+    ] = None
+    labels_as: Annotated[
+        str | None,
+        typer.Option(
+            help="Label space of the label maps: a name or a .yaml file. Without it, the data "
+            "set's. With it, a PNG that could be an image or a label map is a label map."
+        ),
+    ] = None
+
+
+@dataclass(frozen=True)
 class Reach:
     """How far the temporal sum of Eq. 3 reaches on each side: in frames, or, where they are given,
     in metres."""

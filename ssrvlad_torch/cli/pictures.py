@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
-from pathlib import Path
 from typing import NamedTuple
 
 from ..database.database import Database
@@ -17,7 +16,7 @@ from ..datasets.layouts import open_dataset
 from ..evaluation.report import Picture
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import colourise, label_space
-from .sources import LabelsAs, Source
+from .sources import LabelsAs, Source, attempt
 
 Files = dict[str, list[FrameFile]]
 Pictures = Callable[[str], Picture]
@@ -45,7 +44,7 @@ class Traces(NamedTuple):
         Args:
             labels_as: label space of its label map.
             segmenter: makes label maps of images.
-            wanted: digest that the label map must have, if it is known.
+            wanted: digest that the label map must have, if known.
         """
         photo = next((image for file in self.photos for image in _read(file)), None)
         for labels, image in self._labelled(labels_as, segmenter):
@@ -85,11 +84,11 @@ def pictures_of_queries(source: Source, labels_as: LabelsAs) -> Pictures:
     @cache
     def found() -> tuple[Files, Segmenter | None]:
         files, segmenter = source.frames(labels_as)
-        return _by(files, _id), segmenter
+        return _by(files, "frame"), segmenter
 
     @cache
     def photos() -> Files:
-        return _by(_photos(source.whole), _id)
+        return _by(_photos(source.whole), "frame")
 
     def look(frame: str) -> Picture:
         files, segmenter = found()
@@ -103,11 +102,11 @@ def pictures_of_queries(source: Source, labels_as: LabelsAs) -> Pictures:
 def pictures_of_references(
     database: Database, source: Source, given: Sequence[str], labels_as: LabelsAs
 ) -> Pictures:
-    """Pictures of the frames of a database, which has neither label maps nor where they were.
+    """Pictures of the frames of a database, which holds neither label maps nor their places.
 
-    They are looked for, by the names of the frames, among what was given, in the data set of the
-    queries, and in folders that are called like their sequences beside those of the queries. What
-    is found counts if its digest is that in the database.
+    They are looked for by the names of the frames: in the given places, in the data set of the
+    queries, and in folders that are called like the sequences, beside those of the queries. A label
+    map counts if its digest is the one in the database.
 
     Args:
         source: of the queries.
@@ -120,14 +119,14 @@ def pictures_of_references(
     @cache
     def found() -> tuple[Files, Files, Files]:
         sequences = {frame.rpartition("/")[0] for frame in stored()}
-        labels = [*_around(source, given, sequences, find_label_files)]
-        images = [*_around(source, given, sequences, find_image_files)]
+        labels = _around(source, given, sequences, find_label_files)
+        segmented = bool(source.given.segmenter)
+        images = _around(source, given, sequences, find_image_files) if segmented else []
         if whole := source.whole:
-            images += _attempt(whole.image_files)
-            labels += _attempt(whole.label_files)
-            labels += _attempt(lambda: open_dataset(whole.root, whole.layout).label_files())
-        images = images if source.given.segmenter else []
-        return _by(labels, _name), _by(images, _name), _by(_photos(source.whole), _id)
+            images += attempt(whole.image_files) if segmented else []
+            labels += attempt(whole.label_files)
+            labels += attempt(lambda: open_dataset(whole.root, whole.layout).label_files())
+        return _by(labels, "name"), _by(images, "name"), _by(_photos(source.whole), "frame")
 
     segmenter = cache(lambda: source.segmenter(labels_as))
 
@@ -145,13 +144,9 @@ def pictures_of_references(
 
 
 def require_files(given: Sequence[str]) -> None:
-    """Refuses places with neither label maps nor images, before the work is done.
-
-    Raises:
-        ValueError: one holds none, or is not there.
-    """
+    """Refuses places with neither label maps nor images, before the work is done."""
     for place in given:
-        if not _attempt(find_label_files, [place]):
+        if not attempt(find_label_files, [place]):
             find_image_files([place])
 
 
@@ -160,19 +155,16 @@ def _around(
     given: Sequence[str],
     sequences: Iterable[str],
     find: Callable[[list[str]], list[FrameFile]],
-) -> Iterator[FrameFile]:
-    """What is found in the places that were given, and beside the queries."""
-    if given:
-        yield from _attempt(find, [*given])
-    for folder in _beside(source, sequences):
-        yield from _attempt(find, [str(folder)])
-
-
-def _beside(source: Source, sequences: Iterable[str]) -> Iterator[Path]:
-    """Folders called like the sequences, beside those that the frames of a source lie in."""
-    find = source.image_files if source.given.segmenter else source.label_files
-    for place in {file.path.absolute().parent.parent for file in find()}:
-        yield from (place / name for name in sequences if (place / name).is_dir())
+) -> list[FrameFile]:
+    """What is found in the given places, and in folders that are called like the sequences and lie
+    beside the folders of the queries."""
+    queries = source.image_files() if source.given.segmenter else source.label_files()
+    homes = {file.path.absolute().parent.parent for file in queries}
+    beside = [home / name for home in homes for name in sequences if (home / name).is_dir()]
+    places = [[*given]] if given else []
+    return [
+        file for place in [*places, *([str(f)] for f in beside)] for file in attempt(find, place)
+    ]
 
 
 def _photos(dataset: Dataset | None) -> Iterator[FrameFile]:
@@ -182,29 +174,14 @@ def _photos(dataset: Dataset | None) -> Iterator[FrameFile]:
             yield FrameFile(frame.sequence, frame.name, frame.image)
 
 
-def _attempt(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:
-    """What is found; nothing where there is nothing."""
-    with suppress(ValueError):
-        return find(*arguments)
-    return []
-
-
 def _read(file: FrameFile) -> Iterator[Pixels]:
     """An image, if it can be read."""
     with suppress(ValueError):
         yield read_image(file)
 
 
-def _by(files: Iterable[FrameFile], key: Callable[[FrameFile], str]) -> Files:
+def _by(files: Iterable[FrameFile], attribute: str) -> Files:
     grouped: Files = {}
     for file in files:
-        grouped.setdefault(key(file), []).append(file)
+        grouped.setdefault(getattr(file, attribute), []).append(file)
     return grouped
-
-
-def _id(file: FrameFile) -> str:
-    return file.frame
-
-
-def _name(file: FrameFile) -> str:
-    return file.name

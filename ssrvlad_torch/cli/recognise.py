@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from importlib import import_module
 from inspect import signature
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ import numpy.typing as npt
 import torch
 
 from .. import baselines
-from ..baselines.run import Retrieval, run
+from ..baselines.run import run
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
@@ -39,17 +38,13 @@ from .output import progress_bar
 from .pictures import pictures_of_files, pictures_of_queries, pictures_of_references
 from .report import CANDIDATES, Page
 from .sources import LabelsAs, Source, encode_queries, load_references, settings_of
-from .truth import Places, counted
+from .truth import Places
 
 _AHEAD = 16
 
 
 def steps_of(given: StepOptions) -> Steps:
-    """The steps that the options ask for.
-
-    Raises:
-        ValueError: they do not fit together.
-    """
+    """The steps that the options ask for."""
     if isinstance(given, RecognitionOptions) and given.as_paper:
         return AS_PAPER
     follow = None if given.follow == "no" else given.follow
@@ -57,11 +52,7 @@ def steps_of(given: StepOptions) -> Steps:
 
 
 def beside(database: Database, given: RecognitionOptions) -> tuple[Beside, ...]:
-    """What describes queries beside the method itself: what the database holds, unless told not to.
-
-    Raises:
-        ValueError: it is asked for, and the database holds nothing or the paper's way is, too.
-    """
+    """The further methods that describe queries: those of the database, unless told not to."""
     if given.fuse and not database.beside:
         raise ValueError(
             f"--fuse: {database.path} holds no descriptors of pictures; encode them anew with "
@@ -99,30 +90,24 @@ def by_database(
     convention: Convention,
     page: Page | None,
 ) -> Recognition:
-    """The candidates of every query in a database.
-
-    Args:
-        options: what is done with the descriptors. A convention that looks at all pairs looks at
-            their cosines, and no step is taken.
-        page: the page to write, if any.
-
-    Raises:
-        ValueError: the database is empty or damaged, or there are no queries.
-    """
+    """The candidates of every query in a database, for a page if there is one. A convention that
+    looks at all pairs uses their cosines, and no step is taken."""
     steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
     also = () if wants_similarity(convention) else beside(database, options)
     references, t = load_references(database, options.reach)
     queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else (), also)
     found = judged(queries, references, steps, CANDIDATES if page else TOP)
     queries = with_single_descriptors(queries)
-    names = [frame.frame for frame in skipped]
     config = settings_of(database, source.labels_as)
     given = page.pictures if page else ()
+    similarity = None
+    if wants_similarity(convention):
+        similarity = score(queries.descriptors, references.descriptors).numpy()
     return Recognition(
-        references=_places(references, counted(references.frames, source.whole)),
-        queries=_places(queries, counted(queries.frames, source.whole, names)),
+        references=Places.of_set(references, source.whole),
+        queries=Places.of_set(queries, source.whole, [frame.frame for frame in skipped]),
         found=sure_enough(found, options.min_confidence),
-        similarity=_similarity(queries, references) if wants_similarity(convention) else None,
+        similarity=similarity,
         descriptors=Descriptors.of(queries.descriptors, references.descriptors, config),
         pictures=(
             pictures_of_queries(source, config.labels_as),
@@ -155,9 +140,6 @@ def by_index(
         top: candidates of each query.
         sequences: the only ones that candidates may be of, if given.
         exclude: so many frames on each side of a query in its own sequence are no candidates.
-
-    Raises:
-        ValueError: there is no index, a sequence is not there, or the database is damaged.
     """
     ids, names = queries.frames, queries.sequences
 
@@ -173,7 +155,7 @@ def by_index(
 
 
 def with_single_descriptors(queries: FrameSet) -> FrameSet:
-    """Of a sweep the descriptors of the usual anchor."""
+    """The descriptors of the usual anchor, where there are several."""
     swept = torch.as_tensor(queries.descriptors)
     if swept.ndim == 2:
         return queries
@@ -181,7 +163,7 @@ def with_single_descriptors(queries: FrameSet) -> FrameSet:
 
 
 def sure_enough(found: Recognised, least: float) -> Matches:
-    """The candidates of the queries of which one is this sure; of the others none."""
+    """The candidates of queries that are sure enough; the others have none."""
     unsure = (found.confidence < least)[:, None]
     scores, indices = found.matches
     return Matches(scores.masked_fill(unsure, -torch.inf), indices.masked_fill(unsure, -1))
@@ -213,12 +195,7 @@ def by_method(
     convention: Convention,
     page: Page | None,
 ) -> Recognition:
-    """The candidates of every query by another method; the arguments are those of `by_database`.
-
-    Raises:
-        ValueError: no such method or setting, or its frames are not there.
-        OSError: its weights are not there.
-    """
+    """The candidates of every query by another method; arguments as for `by_database`."""
     assert given.method is not None
     for name in given.named:
         if not takes(given.method, name):
@@ -239,12 +216,7 @@ def by_method(
 
 
 def make(name: str, settings: Mapping[str, Any]) -> baselines.Method:
-    """A method with its settings.
-
-    Raises:
-        ValueError: no such method, or settings that it does not take.
-        OSError: its weights are not there.
-    """
+    """A method with its settings."""
     try:
         return baselines.make(name, **settings)
     except TypeError as error:
@@ -253,24 +225,12 @@ def make(name: str, settings: Mapping[str, Any]) -> baselines.Method:
 
 
 def takes(name: str, setting: str) -> bool:
-    """Whether a method has a setting of this name.
-
-    Raises:
-        ValueError: no such method.
-    """
-    if name not in baselines.METHODS:
-        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(baselines.METHODS)}")
-    module, noun = baselines.METHODS[name]
-    method = getattr(import_module(f"..baselines.{module}", __package__), noun)
-    return setting in signature(method).parameters
+    """Whether a method has a setting of this name."""
+    return setting in signature(baselines.class_of(name)).parameters
 
 
 def parse_settings(pairs: Sequence[str]) -> dict[str, Any]:
-    """``NAME=VALUE`` pairs; values are read as YAML.
-
-    Raises:
-        ValueError: a pair without ``=`` or with a value that is no YAML.
-    """
+    """``NAME=VALUE`` pairs; values are read as YAML."""
     settings = {}
     for pair in pairs:
         name, equals, value = pair.partition("=")
@@ -289,17 +249,14 @@ def recognise(
     all_pairs: bool,
     steps: Steps | None = None,
 ) -> list[Recognition]:
-    """The candidates of every query, by any method: of single frames, and after steps if any.
+    """The candidates of every query, by any method: of single frames, and after the steps if any.
 
     Args:
-        method: what reads the files: label maps or images, as it needs.
-        labels_as: label space of the label maps; of images ``None``.
+        method: reads the files, which are label maps or images as it needs.
+        labels_as: label space of the label maps; ``None`` for images.
         workers: threads that read ahead.
         all_pairs: whether the scores of all pairs are needed.
         steps: what is done between encodings and a decision.
-
-    Raises:
-        ValueError: a frame cannot be read, or the method cannot use it; the message names it.
     """
     with progress_bar(method.name, len(references) + len(queries)) as bar:
         retrieval = run(
@@ -320,7 +277,9 @@ def recognise(
             "method": method.name,
             "temporal": getattr(method, "temporal", None),
             "steps": None,
-            **_costs(retrieval),
+            "encode_ms": dataclasses.asdict(retrieval.encode),
+            "match_ms": dataclasses.asdict(retrieval.match),
+            "bytes_a_reference": retrieval.bytes_a_reference,
         },
     )
     stepped = retrieval.stepped
@@ -349,27 +308,9 @@ def _frames(
 
 
 def unranked(found: Matches, references: int) -> npt.NDArray[np.float32]:
-    """Scores of all pairs, ``(Q, R)``, from as many candidates at least."""
+    """Scores of all pairs, ``(Q, R)``, of queries whose candidates are all references."""
     scores = found.scores.new_full((len(found.scores), references), -torch.inf)
     rows, ranks = (found.indices >= 0).nonzero(as_tuple=True)
     scores[rows, found.indices[rows, ranks]] = found.scores[rows, ranks]
     similarity: npt.NDArray[np.float32] = scores.numpy()
     return similarity
-
-
-def _places(frames: FrameSet, counted: tuple[str, ...]) -> Places:
-    return Places(frames.frames, frames.poses, counted)
-
-
-def _similarity(queries: FrameSet, references: FrameSet) -> npt.NDArray[np.float32]:
-    """Cosines of all pairs, ``(Q, R)``; -inf where a frame is empty and matches nothing."""
-    similarity: npt.NDArray[np.float32] = score(queries.descriptors, references.descriptors).numpy()
-    return similarity
-
-
-def _costs(retrieval: Retrieval) -> dict[str, Any]:
-    return {
-        "encode_ms": dataclasses.asdict(retrieval.encode),
-        "match_ms": dataclasses.asdict(retrieval.match),
-        "bytes_a_reference": retrieval.bytes_a_reference,
-    }

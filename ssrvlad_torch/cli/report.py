@@ -32,14 +32,11 @@ CANDIDATES = 100
 
 @dataclass(frozen=True)
 class Page:
-    """The page that was asked for.
+    """The page that was asked for; making one checks its place and that of the pictures.
 
     Attributes:
         path: the file.
         pictures: where label maps and images of the references are.
-
-    Raises:
-        ValueError: no page can be there, or a place of pictures holds none.
     """
 
     path: Path
@@ -60,16 +57,18 @@ class Page:
         """Writes the page of the queries whose true matches are known.
 
         Args:
+            recognition: what was found.
+            matches: true matches of each query.
             metrics: from `measure`.
+            title: of the page.
             settings: names and values that say how it was done.
-
-        Raises:
-            OSError: the disk refused.
         """
         known, truth = of_known(matches)
         scores, rows = (best.numpy()[known, :CANDIDATES] for best in recognition.found)
         outcomes = judge(scores, rows, truth)
         pairs = None if recognition.similarity is None else recognition.similarity[known]
+        names = ("query_pictures", "reference_pictures")
+        pictures: dict[str, Any] = dict(zip(names, recognition.pictures or (), strict=False))
         report = Report(
             title=title,
             metrics=metrics,
@@ -82,7 +81,7 @@ class Page:
             settings=_settings(settings, recognition),
             notes=_notes(recognition, matches),
             **_scores(recognition, known, pairs),
-            **_pictures(recognition),
+            **pictures,
         )
         write_report(self.path, report)
 
@@ -117,13 +116,6 @@ def _scores(
         "scores": cosine_scores(queries, references),
         "descriptors": recognition.descriptors._replace(queries=queries),
     }
-
-
-def _pictures(recognition: Recognition) -> dict[str, Any]:
-    if recognition.pictures is None:
-        return {}
-    names = ("query_pictures", "reference_pictures")
-    return dict(zip(names, recognition.pictures, strict=True))
 
 
 def _settings(settings: Mapping[str, object], recognition: Recognition) -> dict[str, str]:

@@ -26,7 +26,7 @@ from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
 from ..recognition.follow import runs
 from ..recognition.matching import frames_within, temporal_sum
-from ..segmentation.networks import AUTO, NamedNetwork, channels, open_network
+from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
 from .options import Reach, SourceOptions
@@ -53,11 +53,7 @@ class Source:
 
     @classmethod
     def open(cls, given: SourceOptions) -> Source:
-        """Opens the data set, if it is one, and notes what it lacks.
-
-        Raises:
-            ValueError: the options do not fit together, or the data set does not fit them.
-        """
+        """Opens the data set, if it is one, and notes what it lacks."""
         whole = _open_dataset(given)
         dataset = whole and whole.select(given.split or (), given.role)
         for warning in dataset.warnings if dataset else ():
@@ -74,46 +70,29 @@ class Source:
         return Database.open(paths[0]) if len(paths) == 1 and Database.exists(paths[0]) else None
 
     def posed(self) -> Source:
-        """The same, of a data set only the frames with a pose."""
+        """The same; of a data set, only the frames with a pose."""
         return dataclasses.replace(self, dataset=self.dataset and self.dataset.posed())
 
     def frames(
         self, labels_as: LabelsAs, known: Mapping[str, str] | None = None
     ) -> tuple[list[FrameFile], Segmenter | None]:
-        """The frames, and what makes label maps of them if they are images.
-
-        Args:
-            labels_as: label space of the label maps.
-            known: names that folders have already, see `names_of`.
-
-        Raises:
-            ValueError: there are none, or the segmenter cannot be used.
-        """
+        """The frames, and what makes label maps of them if they are images. ``known`` holds the
+        names that folders already have, see `names_of`."""
         segmenter = self.segmenter(labels_as)
         return self.image_files(known) if segmenter else self.label_files(known), segmenter
 
     def segmenter(self, labels_as: LabelsAs) -> Segmenter | None:
-        """What makes label maps of images, if one was given.
-
-        Raises:
-            ValueError: it cannot be used.
-        """
+        """What makes label maps of images, if one was given."""
         network, folder = self.given.segmenter, self.given.segmenter_cache
         if network is None:
             if folder is not None:
                 raise ValueError("--segmenter-cache wants a --segmenter")
             return None
         classes = channels(self.given.classes) if self.given.classes else None
-        return Segmenter.load(
-            _network(network), _as_space(labels_as), folder or _user_cache(), classes
-        )
+        return Segmenter.load(_network(network), labels_as, folder or _user_cache(), classes)
 
     def described_by(self, name: str | None) -> list[Beside]:
-        """What describes the images besides, if a method is named.
-
-        Raises:
-            ValueError: they are no images.
-        """
+        """What else describes the images, if a method is named."""
         if name and not self.given.segmenter:
             raise ValueError(f"--with {name} wants images as SOURCE, and a --segmenter")
         return [beside_by(name)] if name else []
@@ -128,7 +107,9 @@ class Source:
                 given.paths, given.sequence, given.every, given.start, known, given.poses
             )
         except ValueError:
-            if not _any(find_label_files, given.paths) and _any(find_image_files, given.paths):
+            if not attempt(find_label_files, given.paths) and attempt(
+                find_image_files, given.paths
+            ):
                 raise ValueError(
                     f"{' '.join(given.paths)} holds images and no label maps; name the network "
                     "that labels them with --segmenter"
@@ -148,14 +129,8 @@ class Source:
 def load_references(
     database: Database, reach: Reach, damage: list[Damage] | None = None
 ) -> tuple[FrameSet, int | dict[str, int]]:
-    """The frames of a database, summed over time if so; see `Database.load`.
-
-    Returns:
-        the frames, and t of Eq. 3: a reach in metres is another t for each sequence.
-
-    Raises:
-        ValueError: it is empty or damaged, or has no poses and the reach is in metres.
-    """
+    """The frames of a database, summed over time if asked for, and t of Eq. 3. A reach in metres
+    gives each sequence a t of its own. For ``damage`` see `Database.load`."""
     frames = database.load(damage)
     if not frames.frames:
         raise ValueError(f"{database.path} holds no frames yet")
@@ -178,24 +153,20 @@ def encode_queries(
     columns: Sequence[int] = (),
     beside: Sequence[Beside] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
-    """Frames encoded with the settings of a database, and the skipped ones; of a source that is
-    another database, its frames.
+    """The frames of a source, encoded with the settings of a database, and the skipped ones. A
+    source that is a database gives its own frames.
 
     Args:
-        database: whose settings they are.
+        database: whose settings are used.
         source: the frames.
-        columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; none for single ones. A
-            database holds single ones, and those of ``paper`` have no anchor to move.
-        beside: what else describes them.
-
-    Raises:
-        ValueError: there are no frames, the other database has another fingerprint, or there are
-            no pictures to describe.
+        columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; without, single ones.
+            Databases and ``paper`` give single ones always.
+        beside: the further methods that describe the images.
     """
-    no_pictures = (
-        f"{database.path} holds descriptors of pictures; expected images and a --segmenter"
+    no_pictures = ValueError(
+        f"{database.path} holds descriptors of pictures; expected images and a --segmenter, or "
+        "--no-fuse"
     )
-    no_pictures += ", or --no-fuse"
     if other := source.database():
         if other.fingerprint != database.fingerprint:
             raise ValueError(
@@ -204,12 +175,12 @@ def encode_queries(
             )
         frames = other.load()
         if not set(beside) <= set(other.beside):
-            raise ValueError(no_pictures)
+            raise no_pictures
         known = {one.name: frames.beside[one.name] for one in beside}
         return dataclasses.replace(frames, beside=known), []
     config = settings_of(database, source.labels_as)
     if beside and not source.given.segmenter:
-        raise ValueError(no_pictures)
+        raise no_pictures
     files, segmenter = source.frames(config.labels_as)
     with progress_bar("encoding", len(files)) as bar:
         head, workers = query_head(config, columns), source.given.workers
@@ -217,11 +188,7 @@ def encode_queries(
 
 
 def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig:
-    """The settings of a database for label maps of a label space, without one of its own.
-
-    Raises:
-        ValueError: its frames are of several label spaces, and none is given.
-    """
+    """The settings of a database, with another label space if one is given."""
     config = database.config
     return dataclasses.replace(
         config, labels_as=labels_as or only_label_space(database) or config.labels_as
@@ -229,11 +196,7 @@ def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig
 
 
 def only_label_space(database: Database) -> LabelSpace | None:
-    """The one label space of the frames of a database; of a new one ``None``.
-
-    Raises:
-        ValueError: there are several.
-    """
+    """The one label space of the frames of a database; ``None`` for a new one."""
     spaces = database.label_spaces()
     if len(spaces) > 1:
         names = " and ".join(space.name for space in spaces)
@@ -256,23 +219,19 @@ def _open_dataset(given: SourceOptions) -> Dataset | None:
     return open_dataset(given.paths[0], name, given.labels, given.labels_as)
 
 
-def _any(find: Callable[[list[str]], list[FrameFile]], paths: list[str]) -> bool:
+def attempt(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:
+    """What is found, or nothing."""
     with suppress(ValueError):
-        return bool(find(paths))
-    return False
+        return find(*arguments)
+    return []
 
 
-@cache
-def _network(name: str) -> NamedNetwork:
-    return open_network(name)
-
-
-def _as_space(labels_as: LabelsAs) -> str | LabelSpace:
-    return labels_as if isinstance(labels_as, LabelSpace) else str(labels_as)
+_network = cache(open_network)
 
 
 def _own_space(name: str, classes: str | None, required: bool) -> LabelSpace | None:
-    """The label space that a network says it has; ``None`` if it says none and need not."""
+    """The label space that a network declares; ``None`` if it declares none and it is not
+    required."""
     network = _network(name)
     if not network.class_names and network.labels_as is None and not required:
         return None

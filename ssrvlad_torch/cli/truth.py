@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from natsort import natsorted
 
+from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
@@ -40,16 +41,20 @@ class Places:
         taken = list(frames)
         ids = tuple(frame.frame for frame in taken)
         poses = np.array([frame.pose for frame in taken], np.float64).reshape(-1, 3)
-        return cls(ids, poses, counted(ids, dataset))
+        return cls(ids, poses, _counted(ids, dataset))
+
+    @classmethod
+    def of_set(
+        cls, frames: FrameSet, dataset: Dataset | None, skipped: Iterable[str] = ()
+    ) -> Places:
+        """The places of encoded frames, counted together with the skipped ones."""
+        ids = frames.frames
+        return cls(ids, frames.poses, _counted([*ids, *skipped], dataset))
 
 
 @dataclass(frozen=True)
 class TrueMatches:
-    """What counts as a true match: a file, or a distance in metres or in frames.
-
-    Raises:
-        ValueError: not one of the three is given, or degrees without metres.
-    """
+    """What counts as a true match: a file, or a distance in metres or in frames."""
 
     file: Path | None
     metres: float | None
@@ -67,11 +72,7 @@ class TrueMatches:
             raise ValueError("--tolerance-degrees wants --tolerance-metres beside it")
 
     @classmethod
-    def by(
-        cls,
-        given: TruthOptions,
-        said: DatasetTruth | None,
-    ) -> TrueMatches:
+    def by(cls, given: TruthOptions, said: DatasetTruth | None) -> TrueMatches:
         """By the options, or, if none of the three is given, by what the data set says."""
         own = (given.ground_truth, given.tolerance_metres, given.tolerance_frames)
         file, metres, frames = (
@@ -90,12 +91,9 @@ class TrueMatches:
         return f"within {self.metres:g} metres{turned}"
 
     def among(self, references: Places, queries: Places) -> Known:
-        """Rows of the references that are true matches, for each query; ``None`` where nothing is
-        known. Notes how many queries that are, and how many are references themselves.
-
-        Raises:
-            ValueError: a pose is missing, or the file or the tolerance does not fit the frames.
-        """
+        """The rows of the references that are true matches of each query; ``None`` where nothing is
+        known. Notes how many such queries there are, and how many queries are references
+        themselves."""
         truth = self._find(references, queries) if queries.frames else []
         unknown = sum(rows is None for rows in truth)
         if unknown:
@@ -123,11 +121,9 @@ class TrueMatches:
         return truth
 
 
-def counted(
-    frames: Iterable[str], dataset: Dataset | None = None, skipped: Iterable[str] = ()
-) -> tuple[str, ...]:
-    """What `Places` counts, of the frames, the skipped ones, and the whole data set."""
-    ids = {*frames, *skipped}
+def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
+    """The ids that `Places` counts: the frames, and their sequences in the whole data set."""
+    ids = {*frames}
     sequences = {frame.rpartition("/")[0] for frame in ids}
     if dataset:
         ids |= {frame.frame for frame in dataset.frames if frame.sequence in sequences}
@@ -135,8 +131,8 @@ def counted(
 
 
 def _rows(truth: Known, references: Places) -> tuple[Known, Collection[str]]:
-    """Of places among the counted references, the rows of those that are there, and ids of those
-    that are not."""
+    """Turns places among the counted references into rows of the references; also gives the ids
+    that are not among these."""
     row = {frame: number for number, frame in enumerate(references.frames)}
     rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
     named = {place for places in truth if places is not None for place in places.tolist()}

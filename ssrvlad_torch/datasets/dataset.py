@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from functools import cache
@@ -171,19 +171,21 @@ class Dataset:
             raise ValueError(f"{self.root} does not say which of {names} is a {role}; name it")
         return replace(self, traverses=tuple(t for t in kept if role in (None, t.role)))
 
+    def with_frames(self, change: Callable[[tuple[Frame, ...]], Iterable[Frame]]) -> Dataset:
+        """The same data set with other frames in each traverse."""
+        traverses = tuple(replace(t, frames=tuple(change(t.frames))) for t in self.traverses)
+        return replace(self, traverses=traverses)
+
     def posed(self) -> Dataset:
         """The same data set without the frames whose pose is not known.
 
         Raises:
             ValueError: no frame has a pose.
         """
-        traverses = tuple(
-            replace(t, frames=tuple(frame for frame in t.frames if frame.has_pose))
-            for t in self.traverses
-        )
-        if not any(traverse.frames for traverse in traverses):
+        found = self.with_frames(lambda frames: (frame for frame in frames if frame.has_pose))
+        if not any(found.frames):
             raise ValueError(f"no frame of {self.root} ({self.layout}) has a pose")
-        return replace(self, traverses=traverses)
+        return found
 
     def with_labels(self, folder: str | Path, labels_as: str) -> Dataset:
         """The same data set with other label maps, for example a network's predictions.
@@ -202,11 +204,8 @@ class Dataset:
         """
         label_space(labels_as)
         find = _label_finder(self, Path(folder))
-        traverses = tuple(
-            replace(t, frames=tuple(replace(frame, label=find(frame)) for frame in t.frames))
-            for t in self.traverses
-        )
-        found = replace(self, traverses=traverses, labels_as=labels_as)
+        found = self.with_frames(lambda frames: (replace(f, label=find(f)) for f in frames))
+        found = replace(found, labels_as=labels_as)
         if all(frame.label is None for frame in found.frames):
             frame = next(self.frames)
             raise ValueError(

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
 from ...baselines import METHODS
-from ..options import Json, RandomWeights, StepOptions, TruthOptions, Workers
+from ..options import DriveOptions, Json, RandomWeights, StepOptions, TruthOptions, Workers
 from ..output import figure, finish, print_json, print_table, say
 
 if TYPE_CHECKING:
@@ -24,6 +23,17 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 """The figures and costs of a method, or its name and the reason why it could not run."""
 
+
+class How(NamedTuple):
+    """How methods are measured; ``together`` are those whose scores are fused."""
+
+    true: TrueMatches
+    convention: Convention
+    steps: Steps
+    workers: int
+    together: Sequence[str]
+
+
 AT_RECALL = 0.5
 AT = ("1", "5", "10")
 COSTS = ("encode", "match")
@@ -31,46 +41,12 @@ _TOGETHER = "--fuse"
 
 
 def compare(
+    given: DriveOptions,
     truth: TruthOptions,
     steps: StepOptions,
     method: Annotated[
         str, typer.Option(help=f"Methods, with commas between: {', '.join(METHODS)}.")
     ],
-    dataset: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Folder of a data set. Without it, --references and --queries are folders."
-        ),
-    ] = None,
-    references: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A sequence of the data set, * for any text; repeatable. Without it, the data "
-            "set's own references."
-        ),
-    ] = None,
-    queries: Annotated[list[str] | None, typer.Option(help="The same for queries.")] = None,
-    odd_even: Annotated[
-        bool,
-        typer.Option(
-            "--odd-even",
-            help="Even frames of each drive are references, odd ones are queries.",
-        ),
-    ] = False,
-    layout: Annotated[
-        str | None,
-        typer.Option(help="Layout of the data set. Without it, the layout is recognised."),
-    ] = None,
-    labels: Annotated[
-        Path | None, typer.Option(help="Other label maps than the data set's own.")
-    ] = None,
-    labels_as: Annotated[
-        str | None,
-        typer.Option(
-            help="Label space of the label maps: a name or a .yaml file. Without it, the data "
-            "set's. With it, a PNG that could be an image or a label map is a label map."
-        ),
-    ] = None,
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -104,21 +80,22 @@ def compare(
     --method hog,cohog --tolerance-frames 1
     """
     from ...encoding.results import Skipped
-    from ..drives import Drives, Labels, Naming
+    from ..drives import Drives
     from ..recognise import parse_settings, steps_of
     from ..truth import TrueMatches
 
-    names = [name.strip() for name in method.split(",")]
-    together = [name.strip() for name in fuse.split(",")] if fuse else []
+    names, together = (
+        [name.strip() for name in text.split(",") if text] for text in (method, fuse or "")
+    )
     if fuse and (len(set(together)) < 2 or not set(together) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
     methods = _make(names, parse_settings(settings or ()), random_weights)
-    naming = Naming(references or (), queries or (), odd_even)
-    drives = Drives.open(dataset, layout, naming, Labels(labels, labels_as))
+    drives = Drives.open(given)
     true = TrueMatches.by(truth, drives.whole.truth)
     if true.metres is not None:
         drives = drives.posed()
-    rows = _rows(methods, drives, true, truth.convention, steps_of(steps), workers, together)
+    how = How(true, truth.convention, steps_of(steps), workers, together)
+    rows = _rows(methods, drives, how)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -149,15 +126,8 @@ def _make(
     return methods
 
 
-def _rows(
-    methods: Mapping[str, Method | str],
-    drives: Drives,
-    truth: TrueMatches,
-    convention: Convention,
-    steps: Steps,
-    workers: int,
-    together: Sequence[str],
-) -> list[Row]:
+def _rows(methods: Mapping[str, Method | str], drives: Drives, how: How) -> list[Row]:
+    """The rows of all methods in their order, and at the end those of the fused ones."""
     from ..drives import KINDS
 
     lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
@@ -165,39 +135,33 @@ def _rows(
     able: dict[str, Method] = {}
     for name, method in methods.items():
         if isinstance(method, str):
-            rows[name] = [{"method": name, "reason": method}]
+            rows[name] = [_not_run(name, method)]
         elif reasons := [lacking[need] for need in sorted(method.needs) if need in lacking]:
-            rows[name] = [{"method": method.name, "reason": reasons[0]}]
+            rows[name] = [_not_run(method.name, reasons[0])]
         else:
             able[name] = method
     if able:
         needs = {need for method in able.values() for need in method.needs}
         drives = drives.complete([kind for kind in KINDS if kind in needs])
-        rows |= _run(able, drives, truth, convention, steps, workers, together)
-    if together and _TOGETHER not in rows:
-        missing = next(name for name in together if name not in able)
-        reason = f"{missing} does not run"
-        rows[_TOGETHER] = [{"method": " + ".join(together), "reason": reason}]
-    return [row for name in (*methods, *[_TOGETHER] * bool(together)) for row in rows[name]]
+        rows |= _run(able, drives, how)
+    if how.together and _TOGETHER not in rows:
+        missing = next(name for name in how.together if name not in able)
+        rows[_TOGETHER] = [_not_run(" + ".join(how.together), f"{missing} does not run")]
+    order = [*methods, _TOGETHER] if how.together else methods
+    return [row for name in order for row in rows[name]]
 
 
-def _run(
-    methods: Mapping[str, Method],
-    drives: Drives,
-    truth: TrueMatches,
-    convention: Convention,
-    steps: Steps,
-    workers: int,
-    together: Sequence[str],
-) -> dict[str, list[Row]]:
+def _run(methods: Mapping[str, Method], drives: Drives, how: How) -> dict[str, list[Row]]:
+    """The rows of each method: of single frames, and with the steps."""
     from ...recognition.recognise import AS_PAPER
     from ..fused import followed, fused
     from ..measure import Recognition, measure, wants_similarity
     from ..recognise import recognise
     from ..truth import Places
 
+    true, convention, steps, workers, together = how
     parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
-    matches = truth.among(*(Places.of(part.frames, whole) for part in parts))
+    matches = true.among(*(Places.of(part.frames, whole) for part in parts))
     taken = None if wants_similarity(convention) or steps == AS_PAPER else steps
     singly = replace(steps, follow=None, delay=0)
     members: dict[str, Recognition] = {}
@@ -214,7 +178,7 @@ def _run(
         try:
             found = recognise(method, there, here, labels_as, workers, all_pairs, own)
         except ValueError as error:
-            rows[name] = [{"method": method.name, "reason": str(error)}]
+            rows[name] = [_not_run(method.name, str(error))]
             continue
         if name in together:
             members[name] = found[-1]
@@ -224,6 +188,10 @@ def _run(
         chosen = [members[name] for name in together]
         rows[_TOGETHER] = measured(fused(chosen, taken or singly))
     return rows
+
+
+def _not_run(method: str, reason: str) -> Row:
+    return {"method": method, "reason": reason}
 
 
 def _print(rows: Sequence[Row]) -> None:
@@ -246,10 +214,9 @@ def _print(rows: Sequence[Row]) -> None:
         return
     costs = Table("method", "bytes a reference", *(f"{what}\nms a query" for what in COSTS))
     for row in done:
-        if row["steps"]:
-            continue
-        times = (_times(row[f"{what}_ms"]) for what in COSTS)
-        costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
+        if not row["steps"]:
+            times = (_times(row[f"{what}_ms"]) for what in COSTS)
+            costs.add_row(row["method"], f"{row['bytes_a_reference']:.0f}", *times)
     print_table(costs)
     say(
         f"{done[0]['queries']} queries ({done[0]['queries_with_match']} with a true match) against "
@@ -262,10 +229,9 @@ def _print(rows: Sequence[Row]) -> None:
 
 
 def _figures(row: Row) -> list[str]:
-    intervals = row["intervals"]
-    rates = ((row["recall_at"][n], intervals["recall_at"][n]) for n in AT)
-    names = ("auc_pr", "recall_at_100_precision")
-    return [_cell(*pair) for pair in (*rates, *((row[name], intervals[name]) for name in names))]
+    names, ends = ("auc_pr", "recall_at_100_precision"), row["intervals"]
+    figures = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
+    return [_cell(*pair) for pair in (*figures, *((row[name], ends[name]) for name in names))]
 
 
 def _cell(value: float, ends: Sequence[float]) -> str:

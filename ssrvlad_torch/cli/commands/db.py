@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -24,7 +24,9 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
 
     Example: ssrvlad db info town.ssrdb
     """
-    report = contents(database, as_of)
+    from ...database.database import Database
+
+    report = Database.open(database, as_of).info()
     if as_json:
         print_json(report)
         return
@@ -151,10 +153,3 @@ def export(
 
     for file in export_database(Database.open(database, as_of), form, output):
         say(file)
-
-
-def contents(path: Path | str, as_of: int | None = None) -> dict[str, Any]:
-    """What is in a database, in numbers and words."""
-    from ...database.database import Database
-
-    return Database.open(path, as_of).info()

@@ -10,7 +10,6 @@ import typer
 
 from ..options import Json, MaybePreset, SourceOptions, With
 from ..output import finish, note, print_json, progress_bar, say
-from .db import contents
 
 if TYPE_CHECKING:
     from ...encoding.results import Summary
@@ -48,13 +47,14 @@ def encode(
     Example: ssrvlad encode photos/monday -o both.ssrdb --segmenter seg.yaml \\
     --labels-as cityscapes-trainids --with hog
     """
+    from ...database.database import Database
     from ..sources import Source
 
     summary = _encode(Source.open(source), output, preset, beside, engine, prune)
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
         told = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
-        print_json({"database": output, **told, **contents(output)})
+        print_json({"database": output, **told, **Database.open(output).info()})
     else:
         say(f"{output}: {summary}")
     for frame in summary.gone:

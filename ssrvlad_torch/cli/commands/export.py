@@ -60,11 +60,7 @@ def export(
 
 
 def _size(text: str) -> tuple[int, int]:
-    """Rows and columns.
-
-    Raises:
-        ValueError: it is no ``HxW``.
-    """
+    """Rows and columns of ``HxW``."""
     height, _, width = text.partition("x")
     if not (height.isdecimal() and width.isdecimal()):
         raise ValueError(f"--size {text}: expected rows and columns, as in 512x1024")

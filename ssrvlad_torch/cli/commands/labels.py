@@ -52,7 +52,6 @@ def labels(
 
 def _is_space(name: str) -> bool:
     """Whether a YAML file defines a label space, and not the settings of a network."""
-
     if not name.endswith((".yaml", ".yml")):
         return False
     from pathlib import Path
