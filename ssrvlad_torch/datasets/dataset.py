@@ -14,7 +14,7 @@ from typing import Literal, NamedTuple
 from natsort import natsorted
 
 from ..taxonomy import label_space
-from .frame_files import FrameFile
+from .frame_files import FrameFile, every_nth
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import UNKNOWN, Pose
 
@@ -239,8 +239,6 @@ class Dataset:
     def _files(
         self, path: Callable[[Frame], Path | None], every: int, start: int
     ) -> list[FrameFile]:
-        if every < 1 or start < 0:
-            raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
         kept = []
         for traverse in self.traverses:
             files = [
@@ -248,7 +246,7 @@ class Dataset:
                 for frame in traverse.frames
                 if (place := path(frame)) is not None
             ]
-            kept += files[start::every]
+            kept += every_nth(files, every, start)
         if not kept:
             raise ValueError(f"no sequence of {self.root} has a frame {start}")
         return kept
@@ -261,15 +259,15 @@ class Layout(NamedTuple):
         name: what users call it.
         origin: where the data set is to be had; empty for no data set in particular.
         expected: the folders and files that it is recognised by, in words.
-        recognises: whether a folder is laid out so.
+        recognises: gives something true for a folder that is laid out so.
         read: the data set in a folder; the second argument is the label space that the user
-            gave, if any.
+            gave, if any. A damaged file is a ValueError that names it.
     """
 
     name: str
     origin: str
     expected: str
-    recognises: Callable[[Path], bool]
+    recognises: Callable[[Path], object]
     read: Callable[[Path, str | None], Dataset]
 
 
@@ -299,6 +297,11 @@ def folders_in(folder: Path) -> list[Path]:
     entries = folder.iterdir() if folder.is_dir() else ()
     folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
     return natsorted(sorted(folders), key=lambda entry: entry.name)
+
+
+def itself_or_inside(root: Path, accepts: Callable[[Path], object]) -> list[Path]:
+    """A folder, if it is accepted; otherwise the accepted folders in it."""
+    return [root] if accepts(root) else [folder for folder in folders_in(root) if accepts(folder)]
 
 
 def shortened(names: Sequence[str], most: int = 8) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from ..files import absolute_folder
 from .camera_poses import Z_UP, optical_axis, read_poses
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .poses import Pose
 
@@ -26,11 +26,7 @@ _ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The slices in ``root``, or the one that it is.
-
-    Raises:
-        ValueError: a file of poses is damaged.
-    """
+    """The slices in ``root``, or the one that it is."""
     traverses: list[Traverse] = []
     notes: list[str] = []
     for folder in _slices(root):
@@ -52,28 +48,18 @@ def read(root: Path, labels_as: str | None) -> Dataset:
 
 
 def read_list(path: Path) -> dict[str, Pose]:
-    """Poses by image name without suffix.
-
-    Raises:
-        ValueError: a line is no ``name qw qx qy qz cx cy cz``; the message names file and line.
-    """
+    """Poses by image name without suffix, from lines ``name qw qx qy qz cx cy cz``."""
     poses = read_poses(path, 7, lambda line: Z_UP.pose(line[4:], optical_axis(line[:4])))
     return {_plain(Path(name).stem): pose for name, pose in poses.items()}
 
 
-def recognises(root: Path) -> bool:
-    """Whether a folder is a slice or has slices in it."""
-    return bool(_slices(root))
-
-
 def _slices(root: Path) -> list[Path]:
-    if _SLICE.fullmatch(absolute_folder(root).name) and _is_slice(root):
-        return [root]
-    return [f for f in folders_in(root) if _SLICE.fullmatch(f.name) and _is_slice(f)]
+    return itself_or_inside(root, _is_slice)
 
 
 def _is_slice(folder: Path) -> bool:
-    return any((folder / part).is_dir() for part in _ROLES)
+    named = _SLICE.fullmatch(absolute_folder(folder).name)
+    return named is not None and any((folder / part).is_dir() for part in _ROLES)
 
 
 def _pose_files(folder: Path, part: str) -> list[Path]:
@@ -107,6 +93,6 @@ LAYOUT = Layout(
     "extended-cmu",
     "visuallocalization.net/datasets (Extended CMU Seasons, slice*.tar)",
     "slice*/database/*.jpg and slice*/query/*.jpg",
-    recognises,
+    _slices,
     read,
 )

@@ -1,9 +1,9 @@
 """Plain folders: one folder a sequence, as ``ssrvlad city`` writes them.
 
-A sequence is a folder of label maps or images, or one that has ``images/`` and ``labels/`` in it.
-Where a folder does not say which it is, a JPEG is an image, and a PNG may be either: it is the
-frame's label map as well as its image, and whoever reads it decides. Poses come from ``poses.csv``;
-a file with ``ground_truth`` in its name is no frame.
+A sequence is a folder of label maps or images, or one with ``images/`` and ``labels/`` in it. Where
+a folder does not say which it is, a JPEG is an image, and a PNG counts as both: the reader of the
+data set decides. Poses come from ``poses.csv``; a file with ``ground_truth`` in its name is no
+frame.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ..files import absolute_folder
-from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
+from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import find_poses
@@ -28,28 +28,15 @@ _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The sequences in ``root``, or the one that it is.
-
-    Raises:
-        ValueError: two files are one frame, or a ``poses.csv`` is damaged.
-    """
+    """The sequences in ``root``, or the one that it is."""
     file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
     truth = GroundTruth(file.name, file=file) if file else None
     traverses = tuple(_traverse(folder) for folder in _sequences(root))
     return Dataset(LAYOUT.name, root, traverses, labels_as, truth)
 
 
-def recognises(root: Path) -> bool:
-    """Whether a folder holds images or label maps, or has folders that do."""
-    return bool(_sequences(root))
-
-
 def _sequences(root: Path) -> list[Path]:
-    return [root] if _has_frames(root) else [f for f in folders_in(root) if _has_frames(f)]
-
-
-def _has_frames(folder: Path) -> bool:
-    return any(map(bool, _frames(folder)))
+    return itself_or_inside(root, lambda folder: any(map(bool, _frames(folder))))
 
 
 def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
@@ -82,6 +69,6 @@ LAYOUT = Layout(
     "folders",
     "",
     "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one a sequence",
-    recognises,
+    _sequences,
     read,
 )

@@ -35,13 +35,11 @@ class FileKind:
         name: what messages call them.
         suffixes: what their names end in, in lower case; all others are passed over.
         stack_rank: rank of a ``.npy`` array that holds a frame a row.
-        topic: of a bag, if it has several; see `bag_files`.
     """
 
     name: str
     suffixes: tuple[str, ...]
     stack_rank: int
-    topic: str | None = None
 
 
 def find_frames(
@@ -52,6 +50,7 @@ def find_frames(
     start: int = 0,
     known: Mapping[str, str] | None = None,
     poses: str | None = None,
+    topic: str | None = None,
 ) -> list[FrameFile]:
     """The frames of some sources: sequences in the order of the sources, which is the order of
     time; of a glob, and the frames of a sequence, by name as a person would sort them.
@@ -68,15 +67,14 @@ def find_frames(
         known: names that folders have already, see `names_of`.
         poses: where poses are, see `put_poses`; without, those that are found: in ``poses.csv`` in
             a folder or beside it, and in `utm_names`.
+        topic: of a bag with several topics of images, see `bag_files`.
 
     Raises:
         ValueError: a source holds no frames, two folders give the same frame, ``every`` or
             ``start`` is out of range, or a URI is of no kind that pyarrow knows.
         OSError: the folder of a URI cannot be read.
     """
-    if every < 1 or start < 0:
-        raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
-    files = [file for source in sources for file in _expand(source, kind)]
+    files = [file for source in sources for file in _expand(source, kind, topic)]
     names = {} if sequence else names_of(dict.fromkeys(file.folder for file in files), known)
     found: dict[str, FrameFile] = {}
     for file in files:
@@ -94,11 +92,22 @@ def find_frames(
         sorted(members, key=lambda file: natural_key(file.name)) for members in by_sequence.values()
     ]
     drives = put_poses(drives, poses) if poses else drives
-    kept = [file for drive in drives for file in drive[start::every]]
+    kept = [file for drive in drives for file in every_nth(drive, every, start)]
     if not kept:
         longest = max(map(len, by_sequence.values()))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
     return kept if poses else list(_with_poses(kept))
+
+
+def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
+    """Frame ``start`` of a sequence and every ``every``-th after it.
+
+    Raises:
+        ValueError: ``every`` or ``start`` is out of range.
+    """
+    if every < 1 or start < 0:
+        raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
+    return drive[start::every]
 
 
 def put_poses(drives: Sequence[list[FrameFile]], source: str) -> list[list[FrameFile]]:
@@ -175,7 +184,7 @@ def is_npy(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 
 
-def _expand(source: str, kind: FileKind) -> list[FrameFile]:
+def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
     if is_uri(source):
         return remote_files(source, kind.name, kind.suffixes)
     path = Path(source)
@@ -185,7 +194,7 @@ def _expand(source: str, kind: FileKind) -> list[FrameFile]:
     for folders in (False, True):
         places = [match for match in matches if match.is_dir() == folders]
         places.sort(key=lambda place: natural_key(str(place)))
-        files = [file for place in places for file in _frames_at(place, kind)]
+        files = [file for place in places for file in _frames_at(place, kind, topic)]
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
@@ -195,22 +204,17 @@ def _is_same(one: FrameFile, other: FrameFile) -> bool:
     return (one.path.resolve(), one.row) == (other.path.resolve(), other.row)
 
 
-def _frames_at(place: Path, kind: FileKind) -> Iterator[FrameFile]:
+def _frames_at(place: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:
+    """The frames of a folder, a file or a bag. A link to nothing is a frame, skipped when read."""
     if kind.name == "images" and is_bag(place):
-        yield from bag_files(place, kind.topic)
+        yield from bag_files(place, topic)
+    elif place.is_dir():
+        folder = absolute(place)
+        for entry in place.iterdir():
+            if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
+                yield from _frames(entry, kind, folder, alone=False)
     else:
-        yield from _frames_of(place, kind)
-
-
-def _frames_of(place: Path, kind: FileKind) -> Iterator[FrameFile]:
-    """The frames of a folder or a file. A link to nothing is a frame, skipped when it is read."""
-    if not place.is_dir():
         yield from _frames(place, kind, absolute(place.parent), alone=True)
-        return
-    folder = absolute(place)
-    for entry in place.iterdir():
-        if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
-            yield from _frames(entry, kind, folder, alone=False)
 
 
 def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[FrameFile]:
@@ -227,8 +231,8 @@ def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[Fr
 
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:
-    """Frames in a ``.npy`` stack; ``None`` for a single one or a file that cannot be read,
-    which is named and skipped when its turn comes."""
+    """Frames in a ``.npy`` stack; ``None`` for a single frame, or for a damaged file, which is
+    skipped when it is read."""
     try:
         check_regular(path)
         with path.open("rb") as file:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,20 +26,9 @@ _EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
 Pixels = npt.NDArray[np.uint8]
 
-
-def find_image_files(
-    sources: Sequence[str],
-    sequence: str | None = None,
-    every: int = 1,
-    start: int = 0,
-    known: Mapping[str, str] | None = None,
-    poses: str | None = None,
-    topic: str | None = None,
-) -> list[FrameFile]:
-    """The images of some sources; see `find_frames`. A ``.npy`` stack of them has rank 4; a bag of
-    ROS is a source too, see `bag_files` for the topic."""
-    kind = FileKind("images", SUFFIXES, stack_rank=4, topic=topic)
-    return find_frames(kind, sources, sequence, every, start, known, poses)
+find_image_files = partial(find_frames, FileKind("images", SUFFIXES, stack_rank=4))
+"""The images of some sources; see `find_frames`. A ``.npy`` stack has rank 4; a ROS bag is a
+source too."""
 
 
 def decode_image(content: bytes) -> Pixels:
@@ -82,7 +72,7 @@ def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
     for file in files:
         name = write_name(file.frame.replace("/", "_"), file.pose, file.stamp)
         if file.row is not None:
-            Image.fromarray(decode_image(file.read())).save(folder / f"{name}.png")
+            Image.fromarray(read_image(file)).save(folder / f"{name}.png")
             continue
         target = folder / f"{name}{file.path.suffix}"
         try:
@@ -119,8 +109,8 @@ def _decode(content: bytes) -> Pixels:
 
 
 def _see_photograph(values: npt.NDArray[np.uint8]) -> None:
-    """Refuses what looks like a label map: small ids, and 255 for what has none, in even areas; a
-    dark photograph has noise."""
+    """Refuses what looks like a label map: small ids, and 255 for none, in even areas. A dark
+    photograph has noise."""
     ids = np.flatnonzero(np.bincount(values.ravel(), minlength=256)[:255])
     is_even = np.mean(values[:, 1:] == values[:, :-1]) > _EVEN
     if len(ids) > 1 and ids[-1] <= _HIGHEST_ID and is_even:

@@ -22,9 +22,6 @@ SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")
 _FORMATS = ("PNG", "TIFF", "BMP")
 _SIXTEEN_BIT_LOW_BYTE = {"RGB;16B": "RGB;16L", "RGBA;16B": "RGBA;16L", "LA;16B": "RGBA"}
 
-LabelFile = FrameFile
-"""A frame whose file holds a label map."""
-
 LabelMap = npt.NDArray[np.integer[Any]]
 
 
@@ -32,7 +29,7 @@ find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_r
 """The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
 
 
-def read_label_map(file: LabelFile, space: LabelSpace) -> LabelMap:
+def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """The ids of a label map.
 
     Reads 8- and 16-bit single-channel images, palette images (the index is the id), two-channel

@@ -76,7 +76,7 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
         OSError: the file cannot be written.
     """
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
-        rows = csv.writer(file)
+        rows = csv.writer(file, lineterminator="\n")
         rows.writerow(("frame", *Pose._fields))
         rows.writerows((frame, *pose) for frame, pose in poses.items())
 

@@ -24,11 +24,7 @@ _V2_POSES = "robotcar_v2_train.txt"
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``.
-
-    Raises:
-        ValueError: a file of poses is damaged.
-    """
+    """The data set in ``root``."""
     models = sorted((root / "3D-models").rglob("*.nvm"))
     poses: dict[str, Pose] = {}
     for model in models:
@@ -58,8 +54,8 @@ def read_nvm(path: Path) -> dict[str, Pose]:
     """Poses by ``<condition>/<camera>/<name>``; the points of the model are not read.
 
     Raises:
-        ValueError: the file is no NVM_V3, ends too soon, or a line is no camera; the message names
-            file and line.
+        ValueError: the file is no NVM_V3, ends too soon, or a line is no camera; with file and
+            line.
     """
     poses = {}
     number = 1
@@ -84,18 +80,9 @@ def read_nvm(path: Path) -> dict[str, Pose]:
 
 
 def read_v2_poses(path: Path) -> dict[str, Pose]:
-    """Poses by ``<condition>/<camera>/<name>`` of lines of a name and 16 numbers.
-
-    Raises:
-        ValueError: a line is of another form; the message names file and line.
-    """
+    """Poses by ``<condition>/<camera>/<name>``, from lines of a name and 16 numbers."""
     poses = read_poses(path, 16, lambda line: Z_DOWN.pose(line[3:12:4], line[2:11:4]))
     return {_plain(name): pose for name, pose in poses.items()}
-
-
-def recognises(root: Path) -> bool:
-    """Whether a folder has ``images/<condition>/<camera>`` in it."""
-    return bool(_cameras(root))
 
 
 def _cameras(root: Path) -> list[Path]:
@@ -119,6 +106,6 @@ LAYOUT = Layout(
     "robotcar-seasons",
     "visuallocalization.net/datasets (RobotCar Seasons)",
     "images/<condition>/rear/*.jpg, the zips of the conditions unpacked",
-    recognises,
+    _cameras,
     read,
 )

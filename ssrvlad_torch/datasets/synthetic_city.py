@@ -16,7 +16,6 @@ Streets, kerbs and walls are described in (s, d): metres along an axis, and to i
 from __future__ import annotations
 
 import functools
-import io
 import itertools
 import json
 import math
@@ -39,7 +38,7 @@ from .city.picture import background, paint
 from .city.randomness import generator
 from .city.streets import camera_poses, nearby
 from .city.traffic import passers_by, vehicles
-from .poses import Pose
+from .poses import Pose, write_poses
 from .segmentation_noise import SegmentationNoise
 
 LABEL_SPACES = ("cityscapes-trainids", "cityscapes-ids")
@@ -128,17 +127,13 @@ class SyntheticCity:
         return itertools.islice(self._drive(poses, conditions, size, labels_as), frames)
 
     def _drive(
-        self,
-        poses: Iterable[Pose],
-        conditions: Conditions,
-        size: tuple[int, int],
-        labels_as: str,
+        self, poses: Iterable[Pose], conditions: Conditions, size: tuple[int, int], labels_as: str
     ) -> Iterator[Frame]:
         block = functools.lru_cache(maxsize=64)(functools.partial(self._block, conditions))
         for index, pose in enumerate(poses):
-            seconds = index * FRAME_SECONDS
             bodies = [block(*corner) for corner in nearby(pose)]
-            bodies.append(pack(vehicles(self.seed, conditions, pose, seconds)))
+            driving = vehicles(self.seed, conditions, pose, index * FRAME_SECONDS)
+            bodies.append(pack(driving))
             labels = paint(background(self.seed, pose, size), bodies, pose)
             if conditions.noise:
                 rng = generator(conditions.seed, "noise", self.seed, index)
@@ -174,13 +169,12 @@ def write_city(
 ) -> CityFiles:
     """Write two traverses of one city, their poses, and which frames show the same place.
 
-    The label maps are 8-bit palette PNGs whose pixel values are the ids and whose palette is the
-    label space's colours. ``poses.csv`` has a line ``frame,x,y,heading`` for each frame, named
+    The label maps are 8-bit palette PNGs: pixel values are the ids, the palette holds the label
+    space's colours. ``poses.csv`` has a line ``frame,x,y,heading`` for each frame, named
     ``<sequence>/<name>``. ``ground_truth.json`` maps every query frame to the reference frames
-    within `radius` metres whose headings differ by less than 45 degrees. Each file appears whole
-    or not at all.
-
-    A query traverse whose `spacing` is at most the reference's stays on the mapped stretch.
+    within `radius` metres whose headings differ by less than 45 degrees. Each file appears whole or
+    not at all. A query traverse whose `spacing` is at most the reference's stays on the mapped
+    stretch.
 
     Args:
         out: folder, new or empty.
@@ -188,7 +182,7 @@ def write_city(
         seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
         query: conditions of the query traverse; those of the reference traverse are `REFERENCE`.
         radius: metres (>= 0).
-        progress: told of every frame that is written, 1 at a time.
+        progress: called with 1 after every frame that is written.
 
     Raises:
         ValueError: a value is out of range, or there is something in the folder.
@@ -205,8 +199,9 @@ def write_city(
         traverse = city.traverse(frames, conditions, size, labels_as)
         poses[folder.name] = _write_frames(folder, traverse, colours, progress)
     places = _same_places(poses["query"], poses["reference"], radius)
-    _write(files.poses, _poses_csv(poses["reference"] | poses["query"]))
-    _write(files.ground_truth, json.dumps(places, indent=1).encode())
+    write_poses(files.poses, poses["reference"] | poses["query"])
+    with replacing(files.ground_truth) as temporary:
+        temporary.write_text(json.dumps(places, indent=1), encoding="utf-8")
     return files
 
 
@@ -221,14 +216,11 @@ def write_tour(
 ) -> Path:
     """Write one drive along `TOUR`, which closes loops: label PNGs and their ``poses.csv``.
 
-    The files are as `write_city` writes them.
-
     Args:
         out: folder, new or empty, that gets ``poses.csv`` and the folder ``tour``.
         frames: number of frames; without, the whole tour, about 1100.
-        seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
+        seed, size, labels_as, progress: as in `write_city`.
         conditions: of the drive.
-        progress: told of every frame that is written, 1 at a time.
 
     Returns:
         the folder of the label PNGs.
@@ -238,7 +230,7 @@ def write_tour(
     length = sys.maxsize if frames is None else frames
     traverse = city.traverse(length, conditions, size, labels_as, TOUR)
     poses = _write_frames(folder, traverse, palette(labels_as), progress)
-    _write(Path(out) / "poses.csv", _poses_csv(poses))
+    write_poses(folder.with_name("poses.csv"), poses)
     return folder
 
 
@@ -252,7 +244,10 @@ def _write_frames(
     folder.mkdir(parents=True, exist_ok=True)
     poses = {}
     for frame in frames:
-        _write(folder / f"{frame.name}.png", _palette_png(frame.labels, colours))
+        image = Image.fromarray(frame.labels)
+        image.putpalette(colours.tobytes())
+        with replacing(folder / f"{frame.name}.png") as temporary:
+            image.save(temporary, format="PNG")
         poses[f"{folder.name}/{frame.name}"] = frame.pose
         if progress:
             progress(1)
@@ -280,22 +275,3 @@ def _same_places(
         same = (np.hypot(x, y) <= radius) & (np.cos(heading) > math.cos(math.pi / 4))
         places[name] = [names[index] for index in np.flatnonzero(same)]
     return places
-
-
-def _poses_csv(poses: dict[str, Pose]) -> bytes:
-    lines = [",".join(("frame", *Pose._fields))]
-    lines += [f"{name},{pose.x!r},{pose.y!r},{pose.heading!r}" for name, pose in poses.items()]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _palette_png(labels: NDArray[np.uint8], colours: NDArray[np.uint8]) -> bytes:
-    image = Image.fromarray(labels)
-    image.putpalette(colours.tobytes())
-    buffer = io.BytesIO()
-    image.save(buffer, format="PNG")
-    return buffer.getvalue()
-
-
-def _write(path: Path, content: bytes) -> None:
-    with replacing(path) as temporary:
-        temporary.write_bytes(content)

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from ..files import absolute_folder
 from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers
-from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, folders_in
+from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, itself_or_inside
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import Pose
@@ -22,11 +22,7 @@ _LABELS, _IMAGES, _POSES = "GT/LABELS", "RGB", "CameraParams"
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The sequences in ``root``, or the one that it is.
-
-    Raises:
-        ValueError: a file of poses is damaged.
-    """
+    """The sequences in ``root``, or the one that it is."""
     traverses: list[Traverse] = []
     notes: list[str] = []
     for folder in _sequences(root):
@@ -52,11 +48,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
 
 
 def read_pose(path: Path) -> Pose:
-    """The pose of one frame.
-
-    Raises:
-        ValueError: the file does not hold 16 numbers; the message names it.
-    """
+    """The pose of one frame. A file without 16 numbers is a ValueError that names it."""
     try:
         matrix = parse_numbers(path.read_text(encoding="utf-8", errors="replace").split(), 16)
     except ValueError as error:
@@ -64,15 +56,8 @@ def read_pose(path: Path) -> Pose:
     return Y_UP_LEFT_HANDED.pose(matrix[12:15], [-part for part in matrix[8:11]])
 
 
-def recognises(root: Path) -> bool:
-    """Whether a folder is a sequence or has sequences in it."""
-    return bool(_sequences(root))
-
-
 def _sequences(root: Path) -> list[Path]:
-    if _cameras(root):
-        return [root]
-    return [folder for folder in folders_in(root) if _cameras(folder)]
+    return itself_or_inside(root, _cameras)
 
 
 def _cameras(folder: Path) -> list[Path]:
@@ -89,6 +74,6 @@ LAYOUT = Layout(
     "synthia",
     "synthia-dataset.net (SYNTHIA-SEQS-<number>-<season>)",
     "SYNTHIA-SEQS-*/GT/LABELS/Stereo_Left/Omni_F/*.png",
-    recognises,
+    _sequences,
     read,
 )

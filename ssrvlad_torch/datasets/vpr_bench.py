@@ -19,11 +19,7 @@ _TRUTH = "ground_truth_new.npy"
 
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The data set in ``root``; the ground truth may also lie beside it, as
-    ``<folder>.ground_truth_new.npy``.
-
-    Raises:
-        ValueError: one of the two folders has no images.
-    """
+    ``<folder>.ground_truth_new.npy``."""
     traverses = []
     for folder, role in _FOLDERS:
         images = files_in(root / folder, IMAGE_SUFFIXES)
@@ -41,15 +37,10 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, notes)
 
 
-def recognises(root: Path) -> bool:
-    """Whether a folder has the folders ``query`` and ``ref``."""
-    return all((root / folder).is_dir() for folder, _ in _FOLDERS)
-
-
 LAYOUT = Layout(
     "vpr-bench",
     "github.com/MubarizZaffar/VPR-Bench",
     "query/*.jpg, ref/*.jpg and ground_truth_new.npy",
-    recognises,
+    lambda root: all((root / folder).is_dir() for folder, _ in _FOLDERS),
     read,
 )

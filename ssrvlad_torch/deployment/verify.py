@@ -12,7 +12,8 @@ import numpy.typing as npt
 
 from .. import __version__
 from ..config import SSRVLADConfig
-from ..datasets.label_files import LabelFile, LabelMap, read_label_map
+from ..datasets.frame_files import FrameFile
+from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD, SweepHead
 from ..files import one_line
 from ..onnx_files import CPU, graph_digest, load_model
@@ -93,7 +94,7 @@ class Verification:
 
 def verify(
     path: str | Path,
-    labels: Sequence[LabelFile] = (),
+    labels: Sequence[FrameFile] = (),
     provider: str = CPU,
     progress: Callable[[int], None] | None = None,
 ) -> Verification:
@@ -135,7 +136,7 @@ def verify(
 def _verify(
     path: Path,
     model: onnx.ModelProto,
-    labels: Sequence[LabelFile],
+    labels: Sequence[FrameFile],
     runtime: Runtime,
     progress: Callable[[int], None] | None,
 ) -> Verification:
@@ -313,7 +314,7 @@ def _check_whole(runner: _Runner, golden: Arrays, module: SSRVLAD) -> Check:
     return runner.check("golden image", {IMAGE: golden[IMAGE]}, judge)
 
 
-def _check_frame(found: Verification, head: _Head, file: LabelFile) -> None:
+def _check_frame(found: Verification, head: _Head, file: FrameFile) -> None:
     try:
         given = head.form_of(read_label_map(file, head.module.label_space))
         expected = outputs_of(head.module, given)
