@@ -7,9 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.evaluation.curves import precision_recall, rank, roc_auc
+from ssrvlad_torch.evaluation.curves import rank, roc_auc
 
 INF = math.inf
+
+
+def precision_recall(scores, correct, positives, start=None):
+    weights = np.ones(len(scores))
+    return rank(scores, correct).curve(weights, np.asarray(positives, np.float64), start)
 
 
 def curve_of(scores, correct, positives):

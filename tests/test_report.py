@@ -18,7 +18,7 @@ from helpers import street
 from reports import Page, frame_set, noisy, report_of
 
 from ssrvlad_torch.evaluation.metrics import CONVENTIONS
-from ssrvlad_torch.evaluation.report import Picture, require_place, stored_scores, write_report
+from ssrvlad_torch.evaluation.report import Picture, stored_scores, write_report
 from ssrvlad_torch.evaluation.report.page import (
     MATCHES_OF_A_KIND,
     MOST_STEPS,
@@ -26,6 +26,7 @@ from ssrvlad_torch.evaluation.report.page import (
     fraction,
     render,
 )
+from ssrvlad_torch.files import check_output
 from ssrvlad_torch.taxonomy import CATEGORIES, colourise
 
 CHROMIUM = next(
@@ -276,11 +277,11 @@ def test_its_size_is_bounded():
 
 def test_a_missing_folder_is_told_beforehand(report, tmp_path):
     place = tmp_path / "none" / "out.html"
-    for attempt in (lambda: require_place(place), lambda: write_report(place, report)):
+    for attempt in (lambda: check_output(place), lambda: write_report(place, report)):
         with pytest.raises(OSError, match=r"out.html: there is no folder .*none$"):
             attempt()
     with pytest.raises(OSError, match="it is a folder"):
-        require_place(tmp_path)
+        check_output(tmp_path)
     assert not [*tmp_path.iterdir()]
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from ssrvlad_torch import match
-from ssrvlad_torch.evaluation.curves import precision_recall
+from ssrvlad_torch.evaluation.curves import rank
 from ssrvlad_torch.evaluation.thresholds import (
     at_precision,
     at_recall,
@@ -22,7 +22,8 @@ from ssrvlad_torch.evaluation.thresholds import (
 
 
 def curve_of(scores, correct, positives):
-    return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
+    ranking = rank(np.array(scores, float), np.array(correct, bool))
+    return ranking.curve(np.ones(len(scores)), np.asarray(positives, np.float64))
 
 
 @pytest.fixture
@@ -104,7 +105,7 @@ SCORES = st.sampled_from([-0.25, 0.0, 0.25, 0.5, 1.0])
 def test_points_equal_a_search(queries, fraction):
     scores = np.array([score for score, _ in queries])
     correct = np.array([right for _, right in queries])
-    curve = precision_recall(scores, correct, len(queries))
+    curve = curve_of(scores, correct, len(queries))
     counts = {t: (correct[scores >= t].sum(), (scores >= t).sum()) for t in set(scores)}
     precise = [t for t, (right, accepted) in counts.items() if right / accepted >= fraction]
     found = [t for t, (right, _) in counts.items() if right / len(queries) >= fraction]

@@ -25,11 +25,10 @@ def whole(counts):
     return counts.curve(np.ones(len(counts.positives)))
 
 
-def plain_curve(similarity, hard, soft, matching):
+def plain_curve(similarity, hard, single):
     """Points from (recall 0, precision 1) on; every threshold looks at every pair anew."""
-    similarity = np.where(soft & ~hard, similarity.min(), similarity)
     positives = hard.sum()
-    if matching == "single":
+    if single:
         positives = sum(any(row) for row in hard)
         best = [int(row.argmax()) for row in similarity]
         hard = np.array([[row[b]] for row, b in zip(hard, best, strict=True)])
@@ -49,14 +48,14 @@ def tables(draw):
     similarity = draw(hnp.arrays(np.float64, shape, elements=values))
     hard = draw(hnp.arrays(bool, shape))
     hard[0, draw(st.integers(0, shape[1] - 1))] = True
-    return similarity, hard, draw(hnp.arrays(bool, shape))
+    return similarity, hard
 
 
-@given(tables(), st.sampled_from(["multi", "single"]))
-def test_equals_a_plain_loop(table, matching):
-    similarity, hard, soft = table
-    recall, precision = plain_curve(similarity, hard, soft, matching)
-    curve = whole(count_pairs(similarity, lists(hard), matching, lists(soft)))
+@given(tables(), st.booleans())
+def test_equals_a_plain_loop(table, single):
+    similarity, hard = table
+    recall, precision = plain_curve(similarity, hard, single)
+    curve = whole(count_pairs(similarity, lists(hard), single))
     assert len(curve.thresholds) == STEPS == 100
     np.testing.assert_allclose(curve.precision, precision[1:], rtol=1e-12)
     np.testing.assert_allclose(curve.recall, recall[1:], rtol=1e-12)
@@ -73,7 +72,7 @@ def test_both_modes_by_hand():
     first = multi.accepted.tolist().index
     points = [(multi.precision[first(n)], multi.recall[first(n)]) for n in (1, 2, 3, 4)]
     assert points == [(0, 0), (1 / 2, 1 / 3), (2 / 3, 2 / 3), (3 / 4, 1)]
-    single = whole(count_pairs(similarity, truth, "single"))
+    single = whole(count_pairs(similarity, truth, single=True))
     assert single.precision[[0, -1]].tolist() == [0, 1 / 2]
     assert single.recall[[0, -1]].tolist() == [0, 1 / 2]
 
@@ -81,9 +80,9 @@ def test_both_modes_by_hand():
 def test_what_cannot_match_is_the_least_similar():
     similarity = np.array([[0.9, -INF], [0.3, 0.1]])
     filled = np.array([[0.9, 0.1], [0.3, 0.1]])
-    for matching in ("multi", "single"):
+    for single in (False, True):
         found, expected = (
-            whole(count_pairs(matrix, rows([0], [1]), matching)) for matrix in (similarity, filled)
+            whole(count_pairs(matrix, rows([0], [1]), single)) for matrix in (similarity, filled)
         )
         np.testing.assert_array_equal(found.precision, expected.precision)
         np.testing.assert_array_equal(found.thresholds, expected.thresholds)
@@ -101,8 +100,8 @@ def test_weights_are_copies_of_queries():
     rng = np.random.default_rng(1)
     similarity, hard = rng.random((6, 9)), rng.random((6, 9)) < 0.3
     weights = np.array([2, 0, 1, 3, 0, 1])
-    for matching in ("multi", "single"):
-        counts = count_pairs(similarity, lists(hard), matching)
+    for single in (False, True):
+        counts = count_pairs(similarity, lists(hard), single)
         copies = np.repeat(np.arange(6), weights)
         weighted = counts.curve(weights.astype(float))
         np.testing.assert_array_equal(weighted.accepted, counts.accepted[copies].sum(axis=0))
@@ -115,14 +114,13 @@ def test_truth_as_a_matrix():
 
 
 @pytest.mark.parametrize(
-    ("similarity", "matching", "message"),
+    ("similarity", "message"),
     [
-        (np.ones((2, 3)), "best", "multi, single, got 'best'"),
-        (np.ones((1, 3)), "multi", r"for 2 queries, got \(1, 3\)"),
-        (np.ones(2), "multi", r"got \(2,\)"),
-        (np.array([[1, math.nan], [1, 1]]), "multi", "1 of 2 queries have similarities .* NaN"),
+        (np.ones((1, 3)), r"for 2 queries, got \(1, 3\)"),
+        (np.ones(2), r"got \(2,\)"),
+        (np.array([[1, math.nan], [1, 1]]), "1 of 2 queries have similarities .* NaN"),
     ],
 )
-def test_what_does_not_fit_is_refused(similarity, matching, message):
+def test_what_does_not_fit_is_refused(similarity, message):
     with pytest.raises(ValueError, match=message):
-        count_pairs(similarity, rows([0], [1]), matching)
+        count_pairs(similarity, rows([0], [1]))

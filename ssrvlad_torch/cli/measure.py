@@ -12,14 +12,13 @@ from rich.table import Table
 
 from ..encoding.results import Skipped
 from ..evaluation.ground_truth_files import Known, of_known
-from ..evaluation.metrics import FIGURES, Convention, evaluate, precision_recall_curve
+from ..evaluation.metrics import Convention, evaluate, figure_rows, precision_recall_curve
 from ..evaluation.outcomes import judge
-from ..evaluation.report import Descriptors
+from ..evaluation.report import Descriptors, Pictures
 from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
 from ..recognition.matching import Matches
 from ..recognition.standardise import LEAST
 from .output import figure, fused_in_words, interval, print_table
-from .pictures import Pictures
 from .truth import Places
 
 TOP = 10
@@ -76,11 +75,9 @@ def measure(
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
     """All figures with their intervals, and the thresholds to choose from."""
-    table, intervals = Table("metric", metrics["convention"], "95 % interval"), metrics["intervals"]
-    for n, rate in metrics["recall_at"].items():
-        table.add_row(f"RecallRate@{n}", figure(rate), interval(intervals["recall_at"][n]))
-    for key, name in FIGURES.items():
-        table.add_row(name, figure(metrics[key]), interval(intervals[key]))
+    table = Table("metric", metrics["convention"], "95 % interval")
+    for name, value, ends in figure_rows(metrics):
+        table.add_row(name, figure(value), interval(ends))
     print_table(table)
     print_table(_thresholds(metrics["thresholds"]))
     print(proof(metrics["thresholds"]["suggested"]))

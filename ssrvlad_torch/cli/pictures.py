@@ -13,14 +13,12 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import Pixels, find_image_files, read_image
 from ..datasets.label_files import LabelMap, digest, find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
-from ..evaluation.report import Picture
+from ..evaluation.report import Picture, Pictures
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import colourise, label_space
 from .sources import LabelsAs, Source, attempt
 
 Files = dict[str, list[FrameFile]]
-Pictures = Callable[[str], Picture]
-"""From a frame's id to its picture; no file is looked for before it is called."""
 
 
 class Traces(NamedTuple):

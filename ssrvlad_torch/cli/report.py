@@ -18,10 +18,10 @@ from ..evaluation.outcomes import judge
 from ..evaluation.report import (
     Report,
     cosine_scores,
-    require_place,
     stored_scores,
     write_report,
 )
+from ..files import check_output
 from .measure import Recognition, steps_in_words
 from .pictures import require_files
 from .truth import Places, TrueMatches
@@ -43,7 +43,7 @@ class Page:
     pictures: Sequence[str]
 
     def __post_init__(self) -> None:
-        require_place(self.path)
+        check_output(self.path)
         require_files(self.pictures)
 
     def write(

@@ -91,9 +91,8 @@ class PrecisionRecall:
         if self.accepted.shape[-1] == 0:
             return np.zeros(self.accepted.shape[:-1])
         first = (self.accepted > 0).argmax(axis=-1)[..., None]
-        counts = (np.take_along_axis(c, first, -1) for c in (self.true_positives, self.accepted))
-        right, accepted = counts
-        return (right / np.maximum(accepted, 1))[..., 0]
+        fraction = self.true_positives / np.maximum(self.accepted, 1)
+        return np.take_along_axis(fraction, first, -1)[..., 0]
 
     @property
     def _at_recall_zero(self) -> Floats:
@@ -123,11 +122,12 @@ class Ranking:
     def curve(
         self, weights: Floats, positives: Floats, start: float | None = None
     ) -> PrecisionRecall:
-        """The curve of accepting best candidates, a threshold at every distinct score.
+        """The curve of accepting best candidates. There is a threshold at every distinct score, so
+        equal scores are accepted together, and the curve is exact.
 
         Args:
             weights: ``(..., Q)`` float64, how often each query counts.
-            positives: ``(...)`` float64.
+            positives: ``(...)`` float64, what recall is a fraction of.
             start: as in `PrecisionRecall`.
         """
         ranked = weights[..., self.order]
@@ -137,34 +137,17 @@ class Ranking:
 
 
 def rank(scores: Floats, correct: Bools) -> Ranking:
-    """Ranks queries; arguments as for `precision_recall`."""
+    """Ranks queries by the score of their best candidate.
+
+    Args:
+        scores: ``(Q,)`` float64, -inf for a query without a candidate, which is never accepted.
+        correct: ``(Q,)`` bool, whether that candidate is a true match.
+    """
     candidates = np.flatnonzero(scores > -np.inf)
     order = candidates[np.argsort(-scores[candidates], kind="stable")]
     ranked = scores[order]
     last = np.flatnonzero(np.diff(ranked, append=-np.inf) != 0)
     return Ranking(order, correct[order], last, ranked[last])
-
-
-def precision_recall(
-    scores: Floats, correct: Bools, positives: int, start: float | None = None
-) -> PrecisionRecall:
-    """Precision and recall of accepting each query's best candidate.
-
-    There is a threshold at every distinct score, so equal scores are accepted together, and the
-    curve is exact.
-
-    Args:
-        scores: ``(Q,)`` float64, score of the best candidate, -inf for a query that has none:
-            that query is never accepted.
-        correct: ``(Q,)`` bool, whether that candidate is a true match.
-        positives: what recall is a fraction of.
-        start: as in `PrecisionRecall`.
-
-    Returns:
-        the curve; empty if no query has a candidate.
-    """
-    ones = np.ones(len(scores))
-    return rank(scores, correct).curve(ones, np.asarray(positives, np.float64), start)
 
 
 def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
@@ -174,7 +157,7 @@ def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
     of scikit-learn's ``roc_auc_score(correct, scores)``.
 
     Args:
-        curve: from `precision_recall` or `Ranking.curve`.
+        curve: from `Ranking.curve`.
         right, wrong: ``(...)`` float64, queries whose best candidate is right, and all others.
 
     Returns:

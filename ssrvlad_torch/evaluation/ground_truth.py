@@ -50,7 +50,7 @@ def from_poses(
         return near
     limit = math.radians(degrees) + _ROUNDING
     return [
-        rows[_turn(references[rows, 2] - query[2]) <= limit]
+        rows[np.abs((references[rows, 2] - query[2] + math.pi) % math.tau - math.pi) <= limit]
         for rows, query in zip(near, queries, strict=True)
     ]
 
@@ -115,11 +115,6 @@ def _numbers(frames: set[str]) -> dict[str, int]:
         numbers[frame] = counts.get(_sequence(frame), 0)
         counts[_sequence(frame)] = numbers[frame] + 1
     return numbers
-
-
-def _turn(radians: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Size of an angle, either way round: 0 to pi."""
-    return np.abs((radians + math.pi) % (2 * math.pi) - math.pi)
 
 
 def _refuse_missing(name: str, what: str, poses: npt.NDArray[np.float64]) -> None:

@@ -6,7 +6,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from .curves import PrecisionRecall
 from .outcomes import Bools, Floats, Rows
@@ -75,25 +74,19 @@ def score_loops(
     for row in range(first, len(poses)):
         if np.isnan(poses[row, :2]).any():
             continue
-        near, facing = _near(poses[row], poses[: max(0, row - exclude)], metres)
+        x, y, turn = (poses[: max(0, row - exclude)] - poses[row]).T
+        facing = np.isnan(turn) | (np.cos(turn) > math.cos(FACING))
         candidate = candidates[row]
         accepted = candidate >= 0 and not np.isnan(poses[candidate, :2]).any()
         right = accepted and math.dist(poses[row, :2], poses[candidate, :2]) <= metres
-        revisit = bool((near & facing).any())
+        revisit = bool(((np.hypot(x, y) <= metres) & facing).any())
         counts += (accepted, right, revisit, right and revisit)
     return LoopScore(*counts.tolist())
 
 
 def loop_errors(candidates: Rows, poses: Floats) -> Floats:
-    """How far loops are from the truth.
-
-    Args:
-        candidates, poses: as for `score_loops`.
-
-    Returns:
-        ``(L,)`` metres between each frame that closes a loop and its candidate, in the order of
-        the frames; NaN where a position is unknown.
-    """
+    """``(L,)`` metres between each frame that closes a loop and its candidate, in the order of the
+    frames; NaN where a position is unknown. Arguments as for `score_loops`."""
     here = np.flatnonzero(candidates >= 0)
     east, north, _ = (poses[here] - poses[candidates[here]]).T
     apart: Floats = np.hypot(east, north)
@@ -101,14 +94,15 @@ def loop_errors(candidates: Rows, poses: Floats) -> Floats:
 
 
 def loop_curve(strengths: Floats, right: Bools, revisits: int) -> PrecisionRecall:
-    """Precision and recall over thresholds, of the loops that a detector with a low one found.
+    """Precision and recall over thresholds, of the loops that a detector with a low threshold
+    found.
 
-    With a higher threshold it would find those of them that are as strong, or nearly so: a loop
-    that it no longer believes may also change what it thinks of later frames.
+    With a higher threshold it would find nearly those of them that are as strong: a loop that it
+    does not believe may also change what it believes of later frames.
 
     Args:
-        strengths: ``(L,)``, see `LoopResult`.
-        right: ``(L,)``, whether each is.
+        strengths: ``(L,)`` probabilities, see `LoopResult`.
+        right: ``(L,)``, whether each is right.
         revisits: frames that could be recognised.
     """
     thresholds, places = np.unique(-strengths, return_inverse=True)
@@ -121,13 +115,11 @@ def loop_curve(strengths: Floats, right: Bools, revisits: int) -> PrecisionRecal
 
 
 def surest(curve: PrecisionRecall) -> OperatingPoint | None:
-    """The threshold that `thresholds.suggested` gives for the highest precision that can be had.
+    """The threshold of `thresholds.suggested` for the highest precision that can be proven;
+    ``None`` if no loop is right.
 
     It is at least `EVEN` where a right loop is as strong: a drive without a mistake does not prove
-    that weaker ones are right on the next.
-
-    Returns:
-        ``None`` if no loop is right.
+    that weaker loops are right on the next.
     """
     likely = int((curve.thresholds >= EVEN).sum())
     if likely and curve.true_positives[likely - 1]:
@@ -139,11 +131,3 @@ def surest(curve: PrecisionRecall) -> OperatingPoint | None:
         )
     sure = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
     return suggested(curve, float(sure)) if sure else None
-
-
-def _near(
-    pose: Floats, others: Floats, metres: float
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
-    """Which poses are near one, and which look the same way."""
-    x, y, turn = (others - pose).T
-    return np.hypot(x, y) <= metres, np.isnan(turn) | (np.cos(turn) > math.cos(FACING))

@@ -20,7 +20,7 @@ has no average precision, extended precision or ROC-AUC, so these are NaN.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from .bootstrap import bootstrap
 from .curves import PrecisionRecall, rank, roc_auc
-from .outcomes import Floats, Outcomes, Rows, Truth, check_candidates, hits_of, judge
+from .outcomes import Floats, Outcomes, Rows, Truth, judge
 from .tutorial import count_pairs
 
 Convention = Literal["exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"]
@@ -48,41 +48,14 @@ Curves = Callable[[Floats], PrecisionRecall]
 """From ``(..., Q)`` float64, how often each query counts, to the curve."""
 
 
-def recall_rate(indices: Rows, truth: Truth, n: int) -> float:
-    """RecallRate@N: fraction of the queries with a true match that have one among their first N.
-
-    The convention ``vpr-bench`` takes the fraction of all queries instead; see `evaluate`.
-
-    Args:
-        indices: ``(Q, top)`` candidates, best first, -1 for none.
-        truth: true matches of each query.
-        n: candidates looked at, at most ``top``.
-
-    Returns:
-        0 to 1; NaN if no query has a true match.
-
-    Raises:
-        ValueError: ``n`` is below 1, fewer candidates than ``n`` were kept, or the numbers of
-            queries differ.
-    """
-    check_candidates(indices, truth)
-    _check_n(n, indices)
-    found = hits_of(indices[:, :n], truth).any(axis=1)
-    asked = sum(len(matches) > 0 for matches in truth)
-    return float(found.sum() / asked) if asked else float("nan")
-
-
 def precision_recall_curve(
     outcomes: Outcomes,
     truth: Truth,
     convention: Convention = "exact",
     similarity: Similarity | None = None,
 ) -> PrecisionRecall:
-    """Precision and recall by a convention; arguments and errors as for `evaluate`.
-
-    Args:
-        outcomes: from `judge`, of the same queries as ``truth``.
-    """
+    """Precision and recall by a convention; arguments and errors as for `evaluate`, ``outcomes``
+    from `judge` of the same queries as ``truth``."""
     return _curves(outcomes, truth, convention, similarity)(np.ones(len(outcomes)))
 
 
@@ -144,6 +117,15 @@ def evaluate(
     return result
 
 
+def figure_rows(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[float]]]:
+    """Name, value and interval of every figure that `evaluate` gave with intervals."""
+    rates, intervals = metrics["recall_at"], metrics["intervals"]
+    return [
+        *((f"RecallRate@{n}", rate, intervals["recall_at"][n]) for n, rate in rates.items()),
+        *((name, metrics[key], intervals[key]) for key, name in FIGURES.items()),
+    ]
+
+
 def _curves(
     outcomes: Outcomes, truth: Truth, convention: Convention, similarity: Similarity | None
 ) -> Curves:
@@ -152,8 +134,7 @@ def _curves(
     if convention.startswith("vpr-tutorial"):
         if similarity is None:
             raise ValueError(f"the convention {convention} wants the similarity of all pairs")
-        matching = "single" if convention.endswith("single") else "multi"
-        return count_pairs(similarity, truth, matching).curve
+        return count_pairs(similarity, truth, single=convention.endswith("single")).curve
     ranking = rank(outcomes.score, outcomes.correct)
     if convention == "vpr-bench":
         return lambda weights: ranking.curve(weights, weights @ outcomes.correct, start=1.0)

@@ -17,7 +17,6 @@ from .curves import PrecisionRecall
 from .outcomes import Bools, Floats, Truth, refuse_nan
 
 STEPS = 100
-MATCHINGS = ("multi", "single")
 
 
 @dataclass(frozen=True)
@@ -47,51 +46,39 @@ class PairCounts:
 
 
 def count_pairs(
-    similarity: npt.NDArray[np.floating[Any]],
-    truth: Truth,
-    matching: str = "multi",
-    soft: Truth | None = None,
+    similarity: npt.NDArray[np.floating[Any]], truth: Truth, single: bool = False
 ) -> PairCounts:
     """Counts pairs over `STEPS` thresholds, linearly spaced from the highest similarity to the
     lowest.
 
-    A pair to be ignored gets the lowest similarity, as the tutorial does it. The thresholds are
-    float64 whatever the similarity is.
+    The thresholds are float64 whatever the similarity is.
 
     Args:
-        similarity: ``(Q, R)``; -inf for a pair that cannot match is ignored likewise.
+        similarity: ``(Q, R)``; -inf for a pair that cannot match, which gets the lowest similarity,
+            as the tutorial does it.
         truth: true matches of each query, the tutorial's ``GThard``.
-        matching: ``multi``: every pair is accepted or not, the positives are all true pairs;
-            ``single``: only the best reference of each query, the positives are the queries that
-            have a true match.
-        soft: matches of each query that are neither right nor wrong, the tutorial's ``GTsoft``;
-            those that are also in ``truth`` are true matches.
+        single: only the best reference of each query may be accepted, and the positives are the
+            queries that have a true match; else every pair may, and all true pairs are positives.
 
     Returns:
         the counts, without any threshold if there is no finite similarity.
 
     Raises:
-        ValueError: the shapes do not fit, a similarity is NaN or +inf, or ``matching`` is
-            neither.
+        ValueError: the shapes do not fit, or a similarity is NaN or +inf.
     """
-    if matching not in MATCHINGS:
-        raise ValueError(f"matching must be one of {', '.join(MATCHINGS)}, got {matching!r}")
     if similarity.ndim != 2 or len(similarity) != len(truth):
         raise ValueError(
             f"expected a (Q, R) similarity matrix for {len(truth)} queries, got {similarity.shape}"
         )
     refuse_nan(similarity, "similarities")
     true = truth_matrix(truth, similarity.shape[1])
+    positives = np.array(true.any(axis=1) if single else true.sum(axis=1), np.float64)
     if not np.isfinite(similarity).any():
         none = np.zeros((len(truth), 0))
-        return PairCounts(none, none, _positives(true, matching), np.zeros(0))
+        return PairCounts(none, none, positives, np.zeros(0))
     pairs = similarity.astype(np.float64)
-    ignored = np.isneginf(pairs)
-    if soft is not None:
-        ignored |= truth_matrix(soft, similarity.shape[1]) & ~true
-    pairs[ignored] = pairs[np.isfinite(pairs)].min()
-    positives = _positives(true, matching)
-    if matching == "single":
+    pairs[np.isneginf(pairs)] = pairs[np.isfinite(pairs)].min()
+    if single:
         best = pairs.argmax(axis=1)[:, None]
         pairs = np.take_along_axis(pairs, best, 1)
         true = np.take_along_axis(true, best, 1)
@@ -106,10 +93,6 @@ def truth_matrix(truth: Truth, references: int) -> Bools:
     for row, matches in enumerate(truth):
         matrix[row, matches] = True
     return matrix
-
-
-def _positives(true: Bools, matching: str) -> Floats:
-    return np.array(true.any(axis=1) if matching == "single" else true.sum(axis=1), np.float64)
 
 
 def _cumulate(pairs: Floats, true: Bools, thresholds: Floats) -> tuple[Floats, Floats]:

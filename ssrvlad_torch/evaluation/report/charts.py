@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..curves import PrecisionRecall
-from ..outcomes import Floats, Outcomes
+from ..outcomes import Bools, Floats, Outcomes
 from .contents import Frames
-from .recall import RecallRates
+from .recall import ROUND_N, RecallRates
 
 if TYPE_CHECKING:
     from markupsafe import Markup
@@ -44,7 +44,6 @@ MOST_VECTORS = 2000
 """Frames that a map draws as vectors; of more it is a bitmap, so that its size is bounded."""
 
 _BINS = 40
-_ROUND_N = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _NAMES = {"right": "right", "wrong": "wrong", "unknown": "wrong, the place is not there"}
 
 
@@ -75,7 +74,7 @@ def recall_chart(rates: RecallRates) -> Markup:
     """RecallRate@N over N, with its 95 % intervals."""
     figure, axes = _axes("N, candidates looked at", "RecallRate@N")
     most = max(int(rates.n[-1]), 2)
-    ticks = [n for n in _ROUND_N if n <= most]
+    ticks = [n for n in ROUND_N if n <= most]
     axes.set(xscale="log", xlim=(1, most), ylim=(0, 1))
     axes.set_xticks(ticks, [str(n) for n in ticks])
     axes.minorticks_off()
@@ -120,11 +119,15 @@ def score_chart(outcomes: Outcomes, suggested: Mapping[str, Any] | None) -> Mark
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
     """Scores of the best candidates that are right, wrong, and wrong as the place is not there."""
+    return {name: outcomes.score[kind] for name, kind in _kinds(outcomes).items()}
+
+
+def _kinds(outcomes: Outcomes) -> dict[str, Bools]:
     taken = outcomes.candidate >= 0
     return {
-        "right": outcomes.score[outcomes.correct],
-        "wrong": outcomes.score[taken & ~outcomes.correct & outcomes.has_match],
-        "unknown": outcomes.score[taken & ~outcomes.has_match],
+        "right": outcomes.correct,
+        "wrong": taken & ~outcomes.correct & outcomes.has_match,
+        "unknown": taken & ~outcomes.has_match,
     }
 
 
@@ -144,16 +147,11 @@ def map_chart(poses: Floats, references: Frames, outcomes: Outcomes) -> Markup |
     starts = [frame.rpartition("/")[0] for frame in references.frames]
     for _, group in groupby(range(len(there)), starts.__getitem__):
         axes.plot(*there[[*group]].T, color=COLOURS["other"], lw=1.5, rasterized=raster)
-    taken = outcomes.candidate >= 0
-    wrong = np.flatnonzero(taken & ~outcomes.correct)
+    wrong = np.flatnonzero((outcomes.candidate >= 0) & ~outcomes.correct)
     lines = np.stack((here[wrong], there[outcomes.candidate[wrong]]), axis=1)
     gaps = np.concatenate((lines, np.full((len(wrong), 1, 2), np.nan)), axis=1).reshape(-1, 2)
     axes.plot(*gaps.T, color=COLOURS["wrong"], lw=0.7, alpha=0.6, rasterized=raster)
-    groups = {
-        "right": outcomes.correct,
-        "unknown": taken & ~outcomes.has_match,
-        "wrong": taken & ~outcomes.correct & outcomes.has_match,
-    }
+    groups = _kinds(outcomes)
     for name, chosen in groups.items():
         axes.plot(*here[chosen].T, ".", color=COLOURS[name], ms=5, rasterized=raster)
     axes.set_aspect("equal", adjustable="datalim")

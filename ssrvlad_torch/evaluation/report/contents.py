@@ -44,7 +44,7 @@ class Picture(NamedTuple):
 
 
 Pictures = Callable[[str], Picture]
-"""From a frame's id to its picture."""
+"""From a frame's id to its picture; no file is looked for before it is called."""
 
 
 class Descriptors(NamedTuple):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ import numpy as np
 
 from ...files import check_output, replacing
 from ..curves import PrecisionRecall
-from ..metrics import FIGURES, precision_recall_curve
+from ..metrics import figure_rows, precision_recall_curve
 from .charts import (
     map_chart,
     precision_recall_chart,
@@ -33,7 +33,7 @@ from .images import (
     span,
 )
 from .matches import Match, choose, parts
-from .recall import recall_rates
+from .recall import ROUND_N, recall_rates
 from .similarity import similarity_matrix
 
 MATCHES_OF_A_KIND = 4
@@ -55,19 +55,9 @@ CONVENTIONS = {
     "matches: each query's best pair, 100 evenly spaced thresholds.",
 }
 _FIRST_FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
-_ROUND_N = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 _MOST_NAMED = 24
 _WIDEST, _TALLEST = 3.0, 1.0
 _CRISP = 400
-
-
-def require_place(path: Path) -> None:
-    """Refuses a place where no page can be written, before the work is done.
-
-    Raises:
-        OSError: see `check_output`.
-    """
-    check_output(path)
 
 
 def write_report(path: Path, report: Report) -> None:
@@ -79,10 +69,9 @@ def write_report(path: Path, report: Report) -> None:
 
     Raises:
         ImportError: the extra ``eval`` (Jinja2, matplotlib) is not installed.
-        ValueError: no page can be there, see `require_place`.
-        OSError: the disk refused; what was at ``path`` is as it was.
+        OSError: no page can be there, or the disk refused; what was at ``path`` is as it was.
     """
-    require_place(path)
+    check_output(path)
     page = render(report).encode("utf-8", "replace")
     with replacing(path) as temporary:
         temporary.write_bytes(page)
@@ -98,7 +87,7 @@ def render(report: Report) -> str:
     convention, points = metrics["convention"], metrics["thresholds"]
     exact = precision_recall_curve(outcomes, report.truth)
     rates = recall_rates(outcomes, report.candidates, of_all=convention == "vpr-bench")
-    operating, rows = dict(operating_rows(points)), [*figures(metrics)]
+    operating, rows = dict(operating_rows(points)), figure_rows(metrics)
     environment = Environment(
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -114,7 +103,7 @@ def render(report: Report) -> str:
         precisions=precisions(report.curve),
         rates=[
             (n, rates.rate[n - 1], rates.low[n - 1], rates.high[n - 1])
-            for n in _ROUND_N
+            for n in ROUND_N
             if n <= len(rates.n)
         ],
         groups=score_groups(outcomes),
@@ -136,29 +125,14 @@ def fraction(*values: float) -> str:
     return NOTHING if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
 
 
-def figures(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[float]]]:
-    """Name, value and interval of every figure of `metrics.evaluate`."""
-    intervals = metrics["intervals"]
-    return [
-        *(
-            (f"RecallRate@{n}", rate, intervals["recall_at"][n])
-            for n, rate in metrics["recall_at"].items()
-        ),
-        *((name, metrics[key], intervals[key]) for key, name in FIGURES.items()),
-    ]
-
-
 def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
     """The points of `operating_points` by their names."""
-    return [
-        *((f"precision {_percent(p)}", point) for p, point in points["at_precision"].items()),
-        *((f"recall {_percent(r)}", point) for r, point in points["at_recall"].items()),
-        ("suggested", points["suggested"]),
+    named = [
+        (f"{kind} {100 * float(value):g}\N{NO-BREAK SPACE}%", point)
+        for kind in ("precision", "recall")
+        for value, point in points[f"at_{kind}"].items()
     ]
-
-
-def _percent(value: str) -> str:
-    return f"{100 * float(value):g}\N{NO-BREAK SPACE}%"
+    return [*named, ("suggested", points["suggested"])]
 
 
 def _steps(exact: PrecisionRecall, points: Mapping[str, Any], operating: Mapping[str, Any]) -> str:
@@ -266,14 +240,9 @@ def _columns(report: Report, match: Match) -> list[dict[str, Any]]:
         {
             "name": name,
             "kind": kind,
-            "told": [_told(value, 3) for value in (*values, values.sum())],
+            "told": [f"{round(float(v), 3) + 0.0:.3f}" for v in (*values, values.sum())],  # no -0
             "negative": (values < 0).tolist(),
             "percent": (100 * np.abs(values) / max(np.abs(values).max(), 1e-9)).round().tolist(),
         }
         for name, kind, values in columns
     ]
-
-
-def _told(value: float, digits: int) -> str:
-    """In digits, without a minus before nothing."""
-    return f"{round(float(value), digits) + 0.0:.{digits}f}"

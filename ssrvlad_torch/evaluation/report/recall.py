@@ -9,6 +9,8 @@ import numpy as np
 from ..bootstrap import bootstrap
 from ..outcomes import Floats, Outcomes, Rows
 
+ROUND_N = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+
 
 class RecallRates(NamedTuple):
     """RecallRate@N, all ``(N,)``; NaN where no query counts.

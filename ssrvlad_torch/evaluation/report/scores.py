@@ -19,19 +19,11 @@ where there can be no match."""
 
 
 def cosine_scores(queries: Tensor, references: Tensor) -> Scores:
-    """Cosines of descriptors, -inf where one is zero: what is empty matches nothing.
-
-    Args:
-        queries: ``(Q, D)`` float.
-        references: ``(R, D)`` float.
-    """
-
-    def scores(rows: Rows, columns: Rows) -> npt.NDArray[np.float32]:
-        some = score(queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)])
-        found: npt.NDArray[np.float32] = some.numpy()
-        return found
-
-    return scores
+    """Cosines of descriptors ``(Q, D)`` and ``(R, D)``, -inf where one is zero: what is empty
+    matches nothing."""
+    return lambda rows, columns: score(
+        queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)]
+    ).numpy()
 
 
 def stored_scores(similarity: npt.NDArray[np.floating[Any]]) -> Scores:
