@@ -17,12 +17,11 @@ import torch
 from helpers import street
 from reports import Page, frame_set, noisy, report_of
 
-from ssrvlad_torch.evaluation.metrics import CONVENTIONS
+from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows
 from ssrvlad_torch.evaluation.report import Picture, stored_scores, write_report
 from ssrvlad_torch.evaluation.report.page import (
     MATCHES_OF_A_KIND,
     MOST_STEPS,
-    figures,
     fraction,
     render,
 )
@@ -92,7 +91,7 @@ def test_it_tells_every_figure_with_its_interval(report, page):
     assert "40 queries, 35 of them with a true match, against 50 references." in page.words
     assert "Convention exact" in page.words
     assert "2 of 42 are left out" in page.words
-    for name, value, ends in figures(report.metrics):
+    for name, value, ends in figure_rows(report.metrics):
         assert f"{name} {fraction(value)} {fraction(*ends)}" in page.words
 
 

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from .gray import grays, resize
 from .hog import CELL, cell_histograms
-from .protocol import Frame, batches, image_shape
+from .protocol import Columns, Frame, batches, image_shape
 
 ORIENTATIONS = 8
 REGION_NUMBERS = 4 * ORIENTATIONS
@@ -37,7 +37,7 @@ _SCORES_AT_ONCE = 1 << 20
 
 
 @dataclass(frozen=True)
-class Regions:
+class Regions(Columns):
     """Encoded queries.
 
     Attributes:
@@ -47,17 +47,6 @@ class Regions:
 
     descriptors: Tensor
     chosen: Tensor
-
-    def __len__(self) -> int:
-        return len(self.descriptors)
-
-    def __getitem__(self, part: slice) -> Regions:
-        return Regions(self.descriptors[part], self.chosen[part])
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of both tensors."""
-        return self.descriptors.nbytes + self.chosen.nbytes
 
 
 class CoHOG:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 
 import torch
 import torch.nn.functional as F
@@ -29,14 +29,12 @@ class HOG(Grid):
 
     name = "hog"
     needs = frozenset({"images"})
+    _kind = staticmethod(image_shape)
 
     @property
     def fingerprint(self) -> str:
         """A text, equal where the descriptors compare."""
         return f"{self.rows} x {self.columns} cells, {ORIENTATIONS} directions"
-
-    def _kind(self, frame: Frame) -> Hashable:
-        return image_shape(frame)
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         pictures = grays(frames, self.name)

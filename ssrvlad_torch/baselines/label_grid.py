@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -25,9 +25,7 @@ class LabelGrid(Grid):
 
     name = "label-grid"
     needs = frozenset({"labels"})
-
-    def _kind(self, frame: Frame) -> Hashable:
-        return label_kind(frame)
+    _kind = staticmethod(label_kind)
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)

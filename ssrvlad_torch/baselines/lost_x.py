@@ -16,7 +16,7 @@ from ..recognition.sweep import score
 from ..taxonomy import label_space
 from .dense_network import DenseNetwork, TrunkAndClassifier, load_dense_network
 from .lost import class_sums, lost_descriptor
-from .protocol import Frame, Image, image_of
+from .protocol import Columns, Frame, Image, image_of
 from .spatial_layout import layout_cost
 from .weights import random_network
 
@@ -25,7 +25,7 @@ _CANDIDATES = 10
 
 
 @dataclass(frozen=True)
-class LoSTEncodings:
+class LoSTEncodings(Columns):
     """Encoded frames: a descriptor, and one keypoint a feature channel where it is strongest.
 
     Attributes:
@@ -42,26 +42,7 @@ class LoSTEncodings:
     labels: Tensor
     columns: Tensor
     widths: Tensor
-    features: Sequence[Tensor]
-
-    def __len__(self) -> int:
-        return len(self.descriptors)
-
-    def __getitem__(self, part: slice) -> LoSTEncodings:
-        return LoSTEncodings(
-            self.descriptors[part],
-            self.places[part],
-            self.labels[part],
-            self.columns[part],
-            self.widths[part],
-            self.features[part],
-        )
-
-    @property
-    def nbytes(self) -> int:
-        """Bytes of all tensors."""
-        whole = (self.descriptors, self.places, self.labels, self.columns, self.widths)
-        return sum(tensor.nbytes for tensor in (*whole, *self.features))
+    features: list[Tensor]
 
 
 class LoSTX:

@@ -16,6 +16,8 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..files import one_line
+
 _WORKSPACE = "__function_workspace__"
 _HEADER = b"MATLAB 5.0 MAT-file"
 
@@ -77,8 +79,7 @@ def _load(stream: BinaryIO, path: Path) -> dict[str, Any]:
     except Exception as error:  # SciPy raises nearly anything for damaged bytes
         if isinstance(error, OSError) and error.errno is not None:
             raise
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise ValueError(f"{path} is not a whole MATLAB file: {reason}") from error
+        raise ValueError(f"{path} is not a whole MATLAB file: {one_line(error)}") from error
     return content
 
 

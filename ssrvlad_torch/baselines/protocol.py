@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from itertools import groupby, islice
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,26 @@ class Encodings(Protocol):
         """Bytes of all of them."""
 
     def __getitem__(self, part: slice, /) -> Any: ...
+
+
+class Columns:
+    """Encodings with a row a frame in each of several fields: a base for frozen dataclasses.
+
+    A field is a tensor, or a list with a tensor a frame.
+    """
+
+    def __len__(self) -> int:
+        return len(next(iter(vars(self).values())))
+
+    def __getitem__(self, part: slice, /) -> Self:
+        return type(self)(*(field[part] for field in vars(self).values()))
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of all fields."""
+        fields = vars(self).values()
+        lists = (field if isinstance(field, list) else [field] for field in fields)
+        return sum(tensor.nbytes for tensors in lists for tensor in tensors)
 
 
 class Method(Protocol):
@@ -189,6 +209,13 @@ def label_kind(frame: Frame) -> tuple[object, ...]:
 def image_shape(frame: Frame) -> tuple[int, ...]:
     """What the images of a batch have in common; of a frame without one, nothing."""
     return () if frame.image is None else frame.image.shape
+
+
+def noting(frames: Iterable[Item], note: Callable[[Item], object]) -> Iterator[Item]:
+    """The same frames; each is noted as it is taken."""
+    for frame in frames:
+        note(frame)
+        yield frame
 
 
 def batches(

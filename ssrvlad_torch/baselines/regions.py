@@ -4,17 +4,15 @@ A region is a set of 8-connected places of one feature map with one level of act
 energy is its mean activation. The level is the integer part, and level 0 is no region: the paper
 groups activations that are not zero, but the authors' program gives the real-valued map to
 scikit-image's ``label``, which cuts the fractions off, and their vocabulary was trained on what
-came out. The program is followed.
+came out. The program is followed. Needs the extra ``eval``.
 """
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-
-_FORWARD = ((0, 1), (1, -1), (1, 0), (1, 1))
-"""Steps down and right to the four of a place's eight neighbours that come after it."""
 
 
 def region_descriptors(maps: Tensor, count: int) -> Tensor:
@@ -30,48 +28,35 @@ def region_descriptors(maps: Tensor, count: int) -> Tensor:
 
     Returns:
         ``(R, C)`` float32 by falling energy; R is below ``count`` where there are fewer regions.
+
+    Raises:
+        ImportError: scikit-image is not installed.
     """
     channel, y, x = (maps >= 1).nonzero(as_tuple=True)
-    regions, number = _first_places(maps.int())[channel, y, x].unique(return_inverse=True)
-    size = torch.zeros(len(regions), dtype=torch.float64, device=maps.device)
+    number, regions = _numbered(maps)
+    number = number[channel, y, x]
+    size = torch.zeros(regions, dtype=torch.float64, device=maps.device)
     energy = torch.zeros_like(size).index_add_(0, number, maps[channel, y, x].double())
     energy /= size.index_add_(0, number, torch.ones_like(energy)[number])
     best = energy.sort(descending=True, stable=True).indices[:count]
-    top, bottom = (_extreme(y, number, len(regions), way)[best] for way in ("amin", "amax"))
-    left, right = (_extreme(x, number, len(regions), way)[best] for way in ("amin", "amax"))
+    top, bottom = (_extreme(y, number, regions, way)[best] for way in ("amin", "amax"))
+    left, right = (_extreme(x, number, regions, way)[best] for way in ("amin", "amax"))
     sums = F.pad(maps.double().cumsum(1).cumsum(2), (1, 0, 1, 0))
     boxes = sums[:, bottom + 1, right + 1] + sums[:, top, left]
     boxes -= sums[:, top, right + 1] + sums[:, bottom + 1, left]
     return boxes.mT.float()
 
 
-def _first_places(levels: Tensor) -> Tensor:
-    """For each place the lowest index of the places of its region.
-
-    The index passes between neighbours of one level, and on to all that took the neighbour's,
-    until nothing changes.
-    """
-    index = torch.arange(levels.numel(), device=levels.device).reshape(levels.shape)
-    pairs = [_neighbours(levels, index, *step) for step in _FORWARD]
-    one, other = (torch.cat(side) for side in zip(*pairs, strict=True))
-    lowest = index.flatten()
-    while True:
-        least = lowest[one].minimum(lowest[other])
-        passed = lowest.scatter_reduce(0, one, least, "amin")
-        passed = passed.scatter_reduce(0, other, least, "amin")
-        passed = passed[passed]
-        if torch.equal(passed, lowest):
-            return lowest.reshape(levels.shape)
-        lowest = passed
-
-
-def _neighbours(levels: Tensor, index: Tensor, down: int, right: int) -> tuple[Tensor, Tensor]:
-    """Indices of places and of the places one step on, where both have one level above 0."""
-    height, width = levels.shape[1:]
-    here = (..., slice(height - down), slice(max(0, -right), width - max(0, right)))
-    there = (..., slice(down, None), slice(max(0, right), width + min(0, right)))
-    alike = (levels[here] == levels[there]) & (levels[here] > 0)
-    return index[here][alike], index[there][alike]
+def _numbered(maps: Tensor) -> tuple[Tensor, int]:
+    """The number of each place's region, in the order of their first places; -1 for none."""
+    try:
+        from skimage.measure import label
+    except ImportError as error:
+        raise ImportError("region-vlad needs: pip install ssrvlad-torch[eval]") from error
+    levels = maps.numpy(force=True).astype(np.int64)
+    apart = np.arange(len(levels))[:, None, None] * (levels.max(initial=0) + 1)  # maps do not join
+    numbers, count = label(np.where(levels > 0, levels + apart, 0), return_num=True, connectivity=3)
+    return torch.from_numpy(numbers - 1).to(maps.device), int(count)
 
 
 def _extreme(values: Tensor, number: Tensor, count: int, way: str) -> Tensor:

@@ -82,17 +82,15 @@ def run(
     """
     if top < 1 or block < 1:
         raise ValueError(f"expected a top and a block of 1 or more, got {top} and {block}")
-    tell = progress or _tell_nobody
-    reference_ids: list[str] = []
-    query_ids: list[str] = []
-    encoded = method.encode_reference(_noted(references, reference_ids, tell))
+    reference_ids, query_ids = list[str](), list[str]()
+    encoded = method.encode_reference(_noted(references, reference_ids, progress))
     if not reference_ids:
         raise ValueError(f"method {method.name} got no references")
     found: list[tuple[Tensor, Tensor]] = []
     kept: list[Tensor] = []
     vectors: Tensor | None = encoded if _are_vectors(encoded) else None
     encoding, matching = _Clock(), _Clock()
-    for frames in batches(_noted(queries, query_ids, tell), block):
+    for frames in batches(_noted(queries, query_ids, progress), block):
         if not found:
             method.scores(method.encode_query(frames), encoded)
         wanted = encoding.time(len(frames), method.encode_query, frames)
@@ -110,9 +108,7 @@ def run(
         encode=encoding.cost,
         match=matching.cost,
         bytes_a_reference=encoded.nbytes / len(reference_ids),
-        stepped=None
-        if steps is None
-        else _stepped(kept, vectors, query_ids, reference_ids, steps, top),
+        stepped=_stepped(kept, vectors, query_ids, reference_ids, steps, top) if steps else None,
     )
 
 
@@ -179,12 +175,11 @@ class _Clock:
         return Cost(1e3 * seconds / frames, min(each), max(each))
 
 
-def _noted(frames: Iterable[Frame], ids: list[str], tell: Callable[[int], None]) -> Iterator[Frame]:
+def _noted(
+    frames: Iterable[Frame], ids: list[str], progress: Callable[[int], None] | None
+) -> Iterator[Frame]:
     for frame in frames:
         ids.append(frame.frame)
         yield frame
-        tell(1)
-
-
-def _tell_nobody(done: int) -> None:
-    pass
+        if progress:
+            progress(1)

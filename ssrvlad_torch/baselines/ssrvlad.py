@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,7 @@ from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..recognition.matching import temporal_sum
 from ..recognition.sweep import COLUMNS
-from .protocol import Frame, batches, label_kind, labels_of
+from .protocol import Frame, batches, label_kind, labels_of, noting
 from .vectors import Vectors
 
 
@@ -33,6 +33,7 @@ class SSRVLADMethod(Vectors):
 
     name = "ssr-vlad"
     needs = frozenset({"labels"})
+    _kind = staticmethod(label_kind)
 
     def __init__(self, preset: str = "default", temporal: int = 0, **settings: Any) -> None:
         if temporal < 0:
@@ -51,16 +52,8 @@ class SSRVLADMethod(Vectors):
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
         """``(R, 480)`` float32, after Eq. 3."""
         sequences: list[str] = []
-
-        def noting_sequences() -> Iterable[Frame]:
-            for frame in frames:
-                sequences.append(frame.sequence)
-                yield frame
-
-        return temporal_sum(self.encode_query(noting_sequences()), sequences, self.temporal)
-
-    def _kind(self, frame: Frame) -> Hashable:
-        return label_kind(frame)
+        raw = self.encode_query(noting(frames, lambda one: sequences.append(one.sequence)))
+        return temporal_sum(raw, sequences, self.temporal)
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         head, maps = self._opened(frames)

@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .gray import grays
-from .protocol import Frame, batches, image_shape
+from .protocol import Columns, Frame, batches, image_shape, noting
 
 PATCH = 8
 
@@ -24,7 +24,7 @@ _LEAST_DEVIATION = 1e-4
 
 
 @dataclass(frozen=True)
-class Drive:
+class Drive(Columns):
     """Encoded references.
 
     Attributes:
@@ -34,12 +34,6 @@ class Drive:
 
     pictures: Tensor
     sequence: Tensor
-
-    def __len__(self) -> int:
-        return len(self.pictures)
-
-    def __getitem__(self, part: slice) -> Drive:
-        return Drive(self.pictures[part], self.sequence[part])
 
     @property
     def nbytes(self) -> int:
@@ -88,16 +82,11 @@ class TinyImage:
 
     def encode_reference(self, frames: Iterable[Frame]) -> Drive:
         """The pictures, and which of them belong together."""
-        number: dict[str, int] = {}
-        sequence: list[int] = []
-
-        def noting_sequences() -> Iterable[Frame]:
-            for frame in frames:
-                sequence.append(number.setdefault(frame.sequence, len(number)))
-                yield frame
-
-        pictures = self.encode_query(noting_sequences())
-        return Drive(pictures, torch.tensor(sequence, dtype=torch.int64))
+        sequences: list[str] = []
+        pictures = self.encode_query(noting(frames, lambda one: sequences.append(one.sequence)))
+        number = {name: place for place, name in enumerate(dict.fromkeys(sequences))}
+        sequence = torch.tensor([number[name] for name in sequences], dtype=torch.int64)
+        return Drive(pictures, sequence)
 
     @torch.no_grad()
     def scores(self, queries: Tensor, references: Drive) -> Tensor:

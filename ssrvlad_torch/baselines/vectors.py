@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import torch
 from torch import Tensor
@@ -20,6 +20,8 @@ class Vectors:
     name: str
     length: int
     _batch = 16
+    _kind: Callable[[Frame], object] | None = None
+    """What the frames of a batch have in common."""
 
     @torch.no_grad()
     def encode_query(self, frames: Iterable[Frame]) -> Tensor:
@@ -34,9 +36,6 @@ class Vectors:
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
         """``(Q, R)`` cosines."""
         return score(queries, references)
-
-    def _kind(self, frame: Frame) -> Hashable:
-        """What the frames of a batch have in common."""
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         raise NotImplementedError
