@@ -438,6 +438,7 @@ def test_every_and_start_count_in_each_sequence(tmp_path):
 
 @pytest.mark.parametrize(("every", "start"), [(0, 0), (-1, 0), (1, -1)])
 def test_every_and_start_out_of_range(tmp_path, every, start):
+    touch(tmp_path / "1.png")
     with pytest.raises(ValueError, match=f"got {every} and {start}"):
         find_label_files([str(tmp_path)], every=every, start=start)
 

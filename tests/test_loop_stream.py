@@ -173,6 +173,18 @@ def test_names_on_stdin_are_the_same_stream(loops, drive):
     assert loops("-", "--json", "--tolerance-metres", 5, stdin=spaced) == by_folder
 
 
+def test_names_on_stdin_may_say_where_pictures_were_taken(loops, drive):
+    (drive / "poses.csv").unlink()
+    names = [
+        path.rename(drive / f"@{10 * seed}@0@{path.stem}@.png")
+        for path, seed in zip(sorted(drive.glob("*.png")), SEEDS, strict=True)
+    ]
+    stdin = "".join(f"{name}\n" for name in names).encode()
+    code, out, err = loops("-", "--json", "--tolerance-metres", 5, stdin=stdin)
+    assert (code, err) == (0, [])
+    assert objects(out)[-1]["precision"] == 1
+
+
 def test_a_bad_frame_is_skipped_and_the_stream_goes_on(loops, drive):
     """Damaged, no picture, an unknown id, missing, a folder, and one that was there before."""
     paths = sorted(map(str, drive.glob("*.png")))

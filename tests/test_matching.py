@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from ssrvlad_torch.recognition import matching
 from ssrvlad_torch.recognition.matching import (
     Rows,
+    best_of,
     frames_within,
     highest,
     match,
@@ -246,3 +247,12 @@ def test_the_highest_values_are_those_of_a_stable_sort(size, levels, count):
     values[torch.rand(size, generator=generator) < 0.3] = -torch.inf
     expected = values.sort(descending=True, stable=True).indices[:count]
     assert torch.equal(highest(values, min(count, size)), expected)
+
+
+def test_the_best_of_few_values_leave_places_empty():
+    values = torch.tensor([0.5, -torch.inf, 0.25, 0.5], dtype=torch.float64)
+    scores, indices = best_of(values, top=5)
+    assert indices.tolist() == [0, 3, 2, -1, -1]
+    assert scores.tolist() == [0.5, 0.5, 0.25, *[-torch.inf] * 2]
+    assert best_of(values, 2, torch.tensor([9, 8, 7, 6])).indices.tolist() == [9, 6]
+    assert best_of(torch.zeros(0), top=2).indices.tolist() == [-1, -1]

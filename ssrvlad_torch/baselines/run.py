@@ -10,6 +10,7 @@ from typing import Any, TypeGuard, TypeVar
 import torch
 from torch import Tensor
 
+from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
 from .protocol import Frame, Method, Sweeping, batches
 
@@ -86,7 +87,7 @@ def run(
     encoded = method.encode_reference(_noted(references, reference_ids, progress))
     if not reference_ids:
         raise ValueError(f"method {method.name} got no references")
-    found: list[tuple[Tensor, Tensor]] = []
+    found: list[Matches] = []
     kept: list[Tensor] = []
     vectors: Tensor | None = encoded if _are_vectors(encoded) else None
     encoding, matching = _Clock(), _Clock()
@@ -95,7 +96,7 @@ def run(
             method.scores(method.encode_query(frames), encoded)
         wanted = encoding.time(len(frames), method.encode_query, frames)
         scores = matching.time(len(frames), method.scores, wanted, encoded)
-        found.append(best(scores, top))
+        found += [best_of(row, top) for row in scores]
         if steps is not None:
             kept.append(scores if vectors is None else _kept(method, frames, wanted, steps))
     if not found:
@@ -103,8 +104,8 @@ def run(
     return Retrieval(
         queries=tuple(query_ids),
         references=tuple(reference_ids),
-        scores=torch.cat([scores for scores, _ in found]),
-        indices=torch.cat([indices for _, indices in found]),
+        scores=torch.stack([one.scores for one in found]),
+        indices=torch.stack([one.indices for one in found]),
         encode=encoding.cost,
         match=matching.cost,
         bytes_a_reference=encoded.nbytes / len(reference_ids),
@@ -137,23 +138,6 @@ def _stepped(
 
 def _are_vectors(encodings: Any) -> TypeGuard[Tensor]:
     return isinstance(encodings, Tensor) and encodings.ndim == 2 and encodings.is_floating_point()
-
-
-def best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
-    """The highest scores of each row, the first of equals.
-
-    Args:
-        scores: ``(Q, R)`` float, ``-inf`` for no candidate.
-        top: how many, at least 1.
-
-    Returns:
-        ``(Q, top)`` scores and ``(Q, top)`` int64 columns; ``-inf`` and -1 where there is none.
-    """
-    ranked = scores.sort(dim=1, descending=True, stable=True)
-    shape = len(scores), top - min(top, scores.shape[1])
-    values = torch.cat((ranked.values[:, :top], scores.new_full(shape, -torch.inf)), 1)
-    columns = torch.cat((ranked.indices[:, :top], ranked.indices.new_full(shape, -1)), 1)
-    return values, columns.masked_fill(values == -torch.inf, -1)
 
 
 class _Clock:

@@ -96,7 +96,7 @@ def find_frames(
     if not kept:
         longest = max(map(len, by_sequence.values()))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return kept if poses else list(_with_poses(kept))
+    return kept if poses else list(with_poses(kept))
 
 
 def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
@@ -244,11 +244,21 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
     return shape[0] if math.prod(shape) else 0
 
 
-def _with_poses(files: list[FrameFile]) -> Iterator[FrameFile]:
+def with_poses(
+    files: Sequence[FrameFile], find: Callable[[Path], dict[str, Pose]] = find_poses
+) -> Iterator[FrameFile]:
     """The files with the poses of their ids, of ``<folder>/<name>``, of their bare names, or in
-    their names."""
+    their names.
+
+    Args:
+        files: of any folders.
+        find: gives the poses of a folder.
+
+    Raises:
+        ValueError: a file of poses is damaged.
+    """
     folders = {file.local_folder for file in files} - {None}
-    poses = {folder: find_poses(folder) for folder in folders if folder}
+    poses = {folder: find(folder) for folder in folders if folder}
     names = {folder: Path(absolute(folder)).name for folder in poses}
     for file in files:
         if (folder := file.local_folder) is None:

@@ -14,8 +14,8 @@ import numpy as np
 from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.metadata import Beside
-from ..datasets.frame_files import FrameFile
-from ..datasets.poses import UNKNOWN, find_poses
+from ..datasets.frame_files import FrameFile, with_poses
+from ..datasets.poses import find_poses
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode
 from ..encoding.results import Encoded, Skipped
@@ -81,8 +81,8 @@ def encode_as_they_come(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes files one by one, each as soon as its name is there.
 
-    Frames that the detector knew at the start are passed over. Poses come from the ``poses.csv``
-    in or beside a file's folder, read once.
+    Frames that the detector knew at the start are left out. The ``poses.csv`` in or beside a file's
+    folder is read once.
 
     Args:
         detector: whose head describes the frames.
@@ -91,23 +91,20 @@ def encode_as_they_come(
         segmenter: makes label maps of images; without, the files are label maps.
     """
     known, encoder = frozenset(detector.frames), detector.encoder()
-    poses = functools.cache(find_poses)
+    find = functools.cache(find_poses)
     for line in names:
-        path = Path(line.rstrip("\r\n"))
         if not line.strip():
             continue
-        folder = absolute_folder(path.parent).name
-        file = FrameFile(sequence or folder, path.stem, path)
+        path = Path(line.rstrip("\r\n"))
+        file = FrameFile(sequence or absolute_folder(path.parent).name, path.stem, path)
         if file.frame in known:
             continue
         try:
-            there = poses(path.parent)
+            posed = [*with_poses([file], find)]
         except ValueError as error:
             yield Skipped(file.frame, str(error))
             continue
-        ids = (file.frame, f"{folder}/{file.name}", file.name)
-        pose = next((there[frame] for frame in ids if frame in there), UNKNOWN)
-        yield from encode(encoder, [replace(file, pose=pose)], 1, segmenter, detector.beside)
+        yield from encode(encoder, posed, 1, segmenter, detector.beside)
 
 
 def detect_loops(

@@ -16,7 +16,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .follow import NEAR, Mode, Places, checked, runs, stacked
+from .follow import NEAR, Mode, Places, runs, stacked
+from .matching import best_of
 from .motion import GAP, SPEEDS, Motion, chances, evidence, prior_of_speeds
 
 STEPS = tuple(range(min(s for _, steps in SPEEDS for s in steps), GAP + 1))
@@ -43,32 +44,6 @@ class Search(Protocol):
 
     def sample(self, query: int) -> tuple[Tensor, Tensor]:
         """Rows that stand for all, ``(M,)`` int64, and their scores."""
-
-
-class Part:
-    """Some queries of a search, one after another."""
-
-    def __init__(self, search: Search, queries: range) -> None:
-        self._search, self._queries = search, queries
-
-    def __len__(self) -> int:
-        return len(self._queries)
-
-    def candidates(self, query: int) -> Tensor:
-        """See `Search`."""
-        return self._search.candidates(self._queries[query])
-
-    def scores(self, query: int, rows: Tensor) -> Tensor:
-        """See `Search`."""
-        return self._search.scores(self._queries[query], rows)
-
-    def spread(self, query: int) -> tuple[float, float]:
-        """See `Search`."""
-        return self._search.spread(self._queries[query])
-
-    def sample(self, query: int) -> tuple[Tensor, Tensor]:
-        """See `Search`."""
-        return self._search.sample(self._queries[query])
 
 
 class State(NamedTuple):
@@ -105,38 +80,35 @@ class Future(NamedTuple):
 def follow_candidates(
     search: Search,
     sequences: Sequence[str],
-    queries: Sequence[str] | None = None,
+    part: range | None = None,
     mode: Mode = "offline",
     delay: int = 0,
     top: int = 5,
     motion: Motion | None = None,
 ) -> Places:
-    """Where the queries are, each in the light of its sequence; see `follow`.
+    """Where the queries of one sequence are, each in the light of the others; see `follow`.
 
     Time for a query depends on its candidates, not on the map.
 
     Args:
         search: finds candidates and scores rows.
         sequences: the sequence of each row of the map; the rows of one stand together and in order.
-        queries, mode, delay, top, motion: as for `follow`.
-
-    Raises:
-        ValueError: as for `follow`.
+        part: numbers of the queries; without, all.
+        mode, delay, top, motion: as for `follow`.
     """
-    drives = checked(mode, delay, top, len(search), queries)
+    part = range(len(search)) if part is None else part
     track = Track(sequences, motion)
-    found: dict[int, Places] = {}
-    for part in runs(drives):
-        ahead = len(part) if mode == "offline" else delay
-        for query, state in _judged(track, search, part, ahead):
-            found[query] = track.places(state, top)
-    return stacked([found[query] for query in range(len(drives))], top)
+    ahead = len(part) if mode == "offline" else delay
+    judged = dict(_judged(track, search, part, ahead))
+    return stacked([track.places(judged[query], top) for query in part], top)
 
 
-def gain(search: Search, sequences: Sequence[str], motion: Motion) -> float:
+def gain(
+    search: Search, sequences: Sequence[str], motion: Motion, part: range | None = None
+) -> float:
     """How much likelier the queries are as a sequence than each alone, as a logarithm."""
     track, state, total = Track(sequences, motion), None, 0.0
-    for query in range(len(search)):
+    for query in range(len(search)) if part is None else part:
         state, likelier = track.step(state, search, query)
         total += likelier
     return total
@@ -151,8 +123,7 @@ class Track:
         self._steps = torch.tensor(STEPS)[:, None]
         self._ways = chances(self.motion).double()[:, :, taps].permute(2, 0, 1).contiguous()
         self._prior = prior_of_speeds().double()
-        parts = list(runs(sequences))
-        self._starts = torch.tensor([part.start for part in parts], dtype=torch.int64)
+        self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
 
     def step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
@@ -219,13 +190,9 @@ class Track:
         beliefs = state.mapped.sum(0)
         scored = state.scores > -torch.inf
         among = beliefs.masked_fill(~scored, -torch.inf) if scored.any() else beliefs
-        ranked = among.sort(descending=True, stable=True)
-        count = min(top, int((ranked.values > -torch.inf).sum()))
-        scores, indices = torch.full((top,), -torch.inf), torch.full((top,), -1)
-        scores[:count] = ranked.values[:count].float()
-        indices[:count] = state.rows[ranked.indices[:count]]
+        scores, indices = best_of(among, top, state.rows)
         near = torch.tensor(0.0)
-        if count:
+        if indices[0] >= 0:
             same = self._sequence(state.rows) == self._sequence(indices[:1])
             near = beliefs[same & ((state.rows - indices[0]).abs() <= NEAR)].sum().float()
         return Places(scores, indices, near, torch.tensor(state.unmapped))
@@ -300,41 +267,25 @@ def _judged(track: Track, search: Search, part: range, ahead: int) -> Iterator[t
     kept: list[State] = []
     for query in part:
         kept.append(track.step(kept[-1] if kept else None, search, query)[0])
-        if ahead < len(part) and len(kept) > ahead:
-            yield query - ahead, _looking_back(track, kept[-ahead - 1 :])
-    if ahead >= len(part):
-        yield from _smoothed_all(track, kept, part)
-        return
-    for query in range(part.stop - min(ahead, len(part)), part.stop):
-        yield query, _looking_back(track, kept[query - part.start :])
+        if len(kept) > ahead:
+            yield query - ahead, _smoothed(track, kept[-ahead - 1 :])[0]
+    first = max(0, len(part) - ahead)
+    yield from zip(part[first:], _smoothed(track, kept[first:]), strict=True)
 
 
-def _smoothed_all(
-    track: Track, states: Sequence[State], part: range
-) -> Iterator[tuple[int, State]]:
-    future = _no_future(states[-1])
+def _smoothed(track: Track, states: Sequence[State]) -> list[State]:
+    """States of queries that follow one another, each in the light of those after it."""
+    found: list[State] = []
+    future: Future | None = None
     for number in reversed(range(len(states))):
-        yield part.start + number, _smoothed(states[number], future)
-        if number:
-            future = track.before(states[number - 1], states[number], future)
-
-
-def _looking_back(track: Track, states: Sequence[State]) -> State:
-    """The first state in the light of the later ones."""
-    future = _no_future(states[-1])
-    for number in reversed(range(1, len(states))):
-        future = track.before(states[number - 1], states[number], future)
-    return _smoothed(states[0], future)
-
-
-def _no_future(state: State) -> Future:
-    return Future(torch.ones_like(state.mapped), 1.0, 1.0)
-
-
-def _smoothed(state: State, future: Future) -> State:
-    mapped = state.mapped * future.mapped
-    elsewhere, unmapped = state.elsewhere * future.elsewhere, state.unmapped * future.unmapped
-    total = float(mapped.sum()) + elsewhere + unmapped
-    return state._replace(
-        mapped=mapped / total, elsewhere=elsewhere / total, unmapped=unmapped / total
-    )
+        state = states[number]
+        if future is None:
+            future = Future(torch.ones_like(state.mapped), 1.0, 1.0)
+        else:
+            future = track.before(state, states[number + 1], future)
+        mapped = state.mapped * future.mapped
+        elsewhere, unmapped = state.elsewhere * future.elsewhere, state.unmapped * future.unmapped
+        total = float(mapped.sum()) + elsewhere + unmapped
+        mapped, elsewhere, unmapped = mapped / total, elsewhere / total, unmapped / total
+        found.append(state._replace(mapped=mapped, elsewhere=elsewhere, unmapped=unmapped))
+    return found[::-1]

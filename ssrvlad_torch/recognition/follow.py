@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from typing import Literal, NamedTuple, Protocol
 
@@ -18,7 +19,7 @@ from torch import Tensor
 
 from .display import candidates_table
 from .filter import Belief, Filter, Future
-from .matching import highest
+from .matching import best_of
 from .motion import Motion
 
 NEAR = 3
@@ -89,31 +90,24 @@ def follow(
         >>> follow(scores, ["drive"] * 30).indices[:, 0].tolist()
         [10, 11, 12, 13, 14, 15, 16, 17, 18, 19]
     """
-    drives = checked(mode, delay, top, len(scores), queries)
+    if mode not in ("online", "offline"):
+        raise ValueError(f"mode: expected online or offline, got {mode!r}")
+    if delay < 0 or top < 1:
+        raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
+    drives = [""] * len(scores) if queries is None else queries
+    if len(drives) != len(scores):
+        raise ValueError(
+            f"expected a sequence for each of {len(scores)} queries, got {len(drives)}"
+        )
     track = Filter(sequences, motion)
-    ends = NearSums(sequences)
+    parts = list(runs(sequences))
     found: dict[int, Places] = {}
     for part in runs(drives):
         offline = mode == "offline"
         beliefs = _offline(track, scores, part) if offline else _online(track, scores, part, delay)
         for query, belief in beliefs:
-            allowed = _candidates(scores[query])
-            found[query] = ends.places(track.rows(belief), belief.unmapped, top, allowed)
+            found[query] = _places(track.rows(belief), belief.unmapped, top, scores[query], parts)
     return stacked([found[query] for query in range(len(drives))], top)
-
-
-def checked(
-    mode: Mode, delay: int, top: int, count: int, queries: Sequence[str] | None
-) -> Sequence[str]:
-    """The sequence of each query, where the arguments of `follow` fit."""
-    if mode not in ("online", "offline"):
-        raise ValueError(f"mode: expected online or offline, got {mode!r}")
-    if delay < 0 or top < 1:
-        raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
-    drives = [""] * count if queries is None else queries
-    if len(drives) != count:
-        raise ValueError(f"expected a sequence for each of {count} queries, got {len(drives)}")
-    return drives
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:
@@ -133,39 +127,21 @@ def stacked(found: Sequence[Places], top: int) -> Places:
     return Places(*(torch.stack(values) for values in zip(*found, strict=True)))
 
 
-class NearSums:
-    """Candidates of beliefs over the rows of sequences."""
+def _places(
+    rows: Tensor, unmapped: float, top: int, scores: Tensor, sequences: Sequence[range]
+) -> Places:
+    """Candidates by falling probability, the first of equals first.
 
-    def __init__(self, sequences: Sequence[str]) -> None:
-        lengths = [len(list(same)) for _, same in itertools.groupby(sequences)]
-        ends = torch.tensor([0, *itertools.accumulate(lengths)])
-        self._starts = ends[:-1].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
-        self._ends = ends[1:].repeat_interleave(torch.tensor(lengths, dtype=torch.int64))
-
-    def places(self, rows: Tensor, unmapped: float, top: int, allowed: Tensor | None) -> Places:
-        """Candidates among the allowed rows, or all, by falling probability, the first of equals
-        first."""
-        scores, indices = rows.new_full((top,), -torch.inf), torch.full((top,), -1)
-        count = min(top, len(rows) if allowed is None else int(allowed.sum()))
-        among = rows if allowed is None else rows.masked_fill(~allowed, -torch.inf)
-        indices[:count] = highest(among, count)
-        scores[:count] = rows[indices[:count]]
-        return Places(scores, indices, self.near(rows, int(indices[0])), torch.tensor(unmapped))
-
-    def near(self, rows: Tensor, row: int) -> Tensor:
-        """The probability to be within `NEAR` rows of one, in its sequence."""
-        if row < 0:
-            return torch.tensor(0.0)
-        start = max(row - NEAR, int(self._starts[row]))
-        return rows[start : min(row + NEAR + 1, int(self._ends[row]))].sum()
-
-
-def _candidates(scores: Tensor) -> Tensor | None:
-    """Rows that may be candidates of a query, those that have a score; without, any. An empty query
-    has none, and any row may be its place."""
-    if not len(scores) or scores.amin() > -torch.inf or scores.amax() == -torch.inf:
-        return None
-    return scores > -torch.inf
+    They are among the rows that have a score. An empty query has none, and any row may be its
+    place.
+    """
+    scored = scores > -torch.inf
+    best = best_of(rows.masked_fill(~scored, -torch.inf) if scored.any() else rows, top)
+    near, row = torch.tensor(0.0), int(best.indices[0])
+    if row >= 0:
+        own = sequences[bisect_right(sequences, row, key=lambda part: part.start) - 1]
+        near = rows[max(row - NEAR, own.start) : min(row + NEAR + 1, own.stop)].sum()
+    return Places(*best, near, torch.tensor(unmapped))
 
 
 def _online(

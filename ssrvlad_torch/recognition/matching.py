@@ -303,6 +303,25 @@ def highest(values: Tensor, count: int) -> Tensor:
 _GROUP = 1024
 
 
+def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
+    """The highest of ``(N,)`` values, -inf left out; of equal ones the first.
+
+    Args:
+        values: float.
+        top: how many.
+        rows: ``(N,)`` int64, to which the values belong; without, their places.
+
+    Returns:
+        ``(top,)`` float32 values and rows; -inf and -1 where there are no more.
+    """
+    scores, indices = torch.full((top,), -torch.inf), torch.full((top,), -1)
+    count = min(top, int((values > -torch.inf).sum()))
+    places = highest(values, count)
+    scores[:count] = values[places].float()
+    indices[:count] = places if rows is None else rows[places]
+    return Matches(scores, indices)
+
+
 def _merge(kept: tuple[Tensor, Tensor], found: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
     """The best of two lists of candidates, as many as were kept; equal scores by index."""
     top = kept[0].shape[1]

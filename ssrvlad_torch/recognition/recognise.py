@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from .candidates import Part, Search, follow_candidates, gain
+from .candidates import Search, follow_candidates, gain
 from .confidence import confidence_of_places, confidence_of_scores
 from .display import candidates_table
 from .filter import Filter
 from .follow import Mode, Places, Scores, follow, runs
 from .fusion import FusedScores
-from .matching import Matches, Rows, Vectors, highest
+from .matching import Matches, Rows, Vectors, best_of
 from .motion import Motion
 from .standardise import LEAST, standardise
 from .sweep import COLUMNS, narrowed, score
@@ -39,7 +39,8 @@ class Steps:
         delay: queries for which an online answer waits.
 
     Raises:
-        ValueError: the delay is negative, or there is one and nothing is followed online.
+        ValueError: the delay is negative, or there is one and nothing is followed online; or there
+            is no such way to follow.
     """
 
     standardise: bool = True
@@ -48,6 +49,8 @@ class Steps:
     delay: int = 0
 
     def __post_init__(self) -> None:
+        if self.follow not in (None, "online", "offline"):
+            raise ValueError(f"follow: expected online, offline or None, got {self.follow!r}")
         if self.delay < 0 or (self.delay and self.follow != "online"):
             raise ValueError(
                 f"delay: expected 0, or more with follow online, got {self.delay} with "
@@ -181,12 +184,17 @@ def recognise_by_search(
 
     def judge(run: range) -> _Outcome:
         own, mode = steps.standardise and len(run) >= LEAST, steps.follow
-        part = Part(search(own), run)
-        if not mode or gain(part, reference_sequences, Motion(unmapped=0.0)) <= 0:
-            alone = [_best_candidate(part, query, top) for query in range(len(part))]
+        found = search(own)
+        if not mode or gain(found, reference_sequences, Motion(unmapped=0.0), run) <= 0:
+            alone = []
+            for query in run:
+                rows = found.candidates(query).sort().values
+                scores = found.scores(query, rows)
+                sure = confidence_of_scores(scores, rows, found.spread(query))
+                alone.append((best_of(scores, top, rows), sure))
             return _Outcome(*_single(alone), own, 0, "no", {})
-        places = follow_candidates(part, reference_sequences, None, mode, steps.delay, top)
-        empty = torch.tensor([not len(part.candidates(query)) for query in range(len(part))])
+        places = follow_candidates(found, reference_sequences, run, mode, steps.delay, top)
+        empty = torch.tensor([not len(found.candidates(query)) for query in run])
         return _Outcome(*_placed(places, empty, mode), own, 0, mode, {})
 
     return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
@@ -280,7 +288,8 @@ def _judged(
         places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
         return _placed(places, empty, mode), mode
-    return _single([_best(scores[query], top) for query in range(len(scores))]), "no"
+    alone = (scores[query] for query in range(len(scores)))
+    return _single([(best_of(one, top), confidence_of_scores(one)) for one in alone]), "no"
 
 
 def _placed(places: Places, empty: Tensor, mode: Mode) -> tuple[Matches, Tensor]:
@@ -295,11 +304,8 @@ def _placed(places: Places, empty: Tensor, mode: Mode) -> tuple[Matches, Tensor]
 
 def _single(found: Sequence[tuple[Matches, Tensor]]) -> tuple[Matches, Tensor]:
     """Candidates and confidences of queries that were judged one by one."""
-    matches = Matches(
-        torch.stack([one.scores for one, _ in found]),
-        torch.stack([one.indices for one, _ in found]),
-    )
-    return matches, torch.stack([sure for _, sure in found])
+    matches, sure = zip(*found, strict=True)
+    return Matches(*map(torch.stack, zip(*matches, strict=True))), torch.stack(sure)
 
 
 def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
@@ -308,23 +314,3 @@ def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
     for query in range(len(scores)):
         track.step(scores[query])
     return track.gain > 0
-
-
-def _best(scores: Tensor, top: int) -> tuple[Matches, Tensor]:
-    """The candidates of one query, the first of equals first."""
-    best, rows = torch.full((top,), -torch.inf), torch.full((top,), -1)
-    count = min(top, int((scores > -torch.inf).sum()))
-    rows[:count] = highest(scores, count)
-    best[:count] = scores[rows[:count]]
-    return Matches(best, rows), confidence_of_scores(scores)
-
-
-def _best_candidate(search: Search, query: int, top: int) -> tuple[Matches, Tensor]:
-    """The same among the candidates of a search."""
-    rows = search.candidates(query).sort().values
-    scores = search.scores(query, rows)
-    best, _ = _best(scores, top)
-    indices = best.indices.clone()
-    indices[best.indices >= 0] = rows[best.indices[best.indices >= 0]]
-    sure = confidence_of_scores(scores, rows, search.spread(query))
-    return Matches(best.scores, indices), sure
