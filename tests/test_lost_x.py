@@ -12,8 +12,8 @@ from test_lost import described, mean_feature
 from torch import Tensor
 
 from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines.lost import layout_cost
 from ssrvlad_torch.baselines.lost_x import LoSTX
-from ssrvlad_torch.baselines.spatial_layout import layout_cost
 
 CHANNELS, CLASSES = 40, 4
 SPACE = """

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from plain_layers import unit
+from plain_layers import Array, convolve, max_pool, relu, unit
+from torch import nn
 
-from ssrvlad_torch.baselines.netvlad_network import NetVLADNetwork
+from ssrvlad_torch.baselines.netvlad_network import NetVLADLayer, NetVLADNetwork, vgg16
 
 WIDTHS = (2, 2, 2, 2, 3)
 
@@ -47,3 +48,87 @@ def test_shape_and_length():
         descriptors = small(outputs)(torch.randint(0, 256, (2, 3, 48, 64), dtype=torch.uint8))
         assert descriptors.shape == (2, length)
         torch.testing.assert_close(descriptors.norm(dim=1), torch.ones(2))
+
+
+def described(maps: Array, w: Array, b: Array, c: Array) -> Array:
+    """Eq. 4: V(j, k) = sum_i softmax_k(w_k x_i + b_k) (x_i(j) - c_k(j)), then the two norms."""
+    clusters, channels = w.shape
+    v = np.zeros((clusters, channels))
+    for x in map(unit, maps.reshape(channels, -1).T):
+        odds = np.exp(w @ x + b)
+        for k in range(clusters):
+            for j in range(channels):
+                v[k, j] += odds[k] / odds.sum() * (x[j] - c[k, j])
+    return unit(np.concatenate([unit(row) for row in v]))
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_equation_4(seed):
+    torch.manual_seed(seed)
+    layer = NetVLADLayer(clusters=4, channels=5).double()
+    maps = torch.randn(2, 5, 3, 4, dtype=torch.float64)
+    w, b = layer.conv.weight.flatten(1).numpy(), layer.conv.bias.numpy()
+    expected = [described(m, w, b, layer.centroids.numpy()) for m in maps.numpy()]
+    np.testing.assert_allclose(layer(maps).numpy(), expected, rtol=1e-9)
+
+
+def test_the_published_size():
+    layer = NetVLADLayer(64, 512)
+    assert layer.centroids.shape == (64, 512)
+    assert layer.conv.weight.shape == (64, 512, 1, 1)
+    assert layer(torch.rand(1, 512, 2, 3)).shape == (1, 32768)
+
+
+@torch.no_grad()
+def test_parts_of_all_centres_weigh_the_same():
+    vector = NetVLADLayer(4, 6)(torch.randn(1, 6, 3, 3)).reshape(4, 6)
+    torch.testing.assert_close(vector.norm(dim=1), torch.full((4,), 0.5))
+
+
+@torch.no_grad()
+def test_the_order_of_places_and_the_scale_of_features_do_not_count():
+    torch.manual_seed(0)
+    layer, maps = NetVLADLayer(3, 4), torch.randn(1, 4, 3, 5)
+    shuffled = maps.flatten(2)[..., torch.randperm(15)].reshape(1, 4, 5, 3)
+    torch.testing.assert_close(layer(3 * shuffled), layer(maps))
+
+
+def test_it_has_the_published_size():
+    with torch.device("meta"):
+        network = vgg16()
+    assert sum(p.numel() for p in network.parameters()) == 14_714_688
+    shapes = {n: tuple(m.weight.shape) for n, m in enumerate(network) if isinstance(m, nn.Conv2d)}
+    assert [*shapes] == [0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28]
+    assert shapes[0] == (64, 3, 3, 3)
+    assert shapes[28] == (512, 512, 3, 3)
+    assert len(network) == 29
+
+
+def test_one_real_size():
+    assert vgg16()(torch.zeros(1, 3, 64, 70)).shape == (1, 512, 4, 4)
+
+
+@torch.no_grad()
+def test_it_is_thirteen_convolutions_and_four_poolings():
+    torch.manual_seed(0)
+    network = vgg16((2, 3, 2, 3, 2)).double()
+    image = torch.rand(3, 17, 19, dtype=torch.float64)
+    weights = [m for m in network if isinstance(m, nn.Conv2d)]
+    maps = image.numpy()
+    for number, conv in enumerate(weights):
+        if number in (2, 4, 7, 10):
+            maps = max_pool(maps, 2, 2)
+        maps = convolve(maps, conv.weight.numpy(), conv.bias.numpy(), padding=1)
+        if number < 12:
+            maps = relu(maps)
+    got = network(image[None])[0].numpy()
+    assert got.shape == (2, 1, 1)
+    np.testing.assert_allclose(got, maps, rtol=1e-9, atol=1e-12)
+
+
+@torch.no_grad()
+def test_the_last_convolution_keeps_its_signs():
+    torch.manual_seed(0)
+    maps = vgg16((4, 4, 4, 4, 8))(torch.rand(1, 3, 32, 32))
+    assert bool((maps < 0).any())

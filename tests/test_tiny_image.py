@@ -1,13 +1,12 @@
-"""Tiny images against loops over patches and windows."""
+"""Tiny images against loops over patches and sequences."""
 
 import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.baselines import Frame, make, tiny_image
-from ssrvlad_torch.baselines.tiny_image import enhance, normalise_patches, windows
+from ssrvlad_torch.baselines.tiny_image import enhance, normalise_patches
 
 
 def image(seed, height=64, width=128):
@@ -32,14 +31,12 @@ def plain_picture(gray, height, width):
     return tiny
 
 
-def plain_scores(difference, sequences, reach):
+def plain_scores(difference, sequences):
     """Reference by reference."""
     scores = np.zeros_like(difference)
     for q, i in np.ndindex(difference.shape):
         around = [
-            difference[q, j]
-            for j in range(difference.shape[1])
-            if sequences[j] == sequences[i] and (reach is None or abs(j - i) <= reach)
+            difference[q, j] for j in range(difference.shape[1]) if sequences[j] == sequences[i]
         ]
         deviation = np.std(around)
         scores[q, i] = (np.mean(around) - difference[q, i]) / deviation if deviation > 1e-9 else 0
@@ -63,31 +60,18 @@ def test_a_flat_patch_is_zero():
     torch.testing.assert_close(normal[..., :8].square().mean(), torch.tensor(1.0))
 
 
-@given(
-    st.lists(st.integers(1, 6), max_size=4),
-    st.sampled_from([None, 1, 2, 5, 100]),
-    st.integers(0, 2**32 - 1),
-)
-def test_normalisation_equals_a_loop(lengths, reach, seed):
+@given(st.lists(st.integers(1, 6), max_size=4), st.integers(0, 2**32 - 1))
+def test_normalisation_equals_a_loop(lengths, seed):
     sequence = np.repeat(np.arange(len(lengths)), lengths).astype(np.int64)
     difference = np.random.default_rng(seed).uniform(0.2, 1.8, (3, len(sequence)))
-    found = enhance(torch.from_numpy(difference), *windows(torch.from_numpy(sequence), reach))
-    expected = plain_scores(difference, sequence, reach)
+    found = enhance(torch.from_numpy(difference), torch.from_numpy(sequence))
+    expected = plain_scores(difference, sequence)
     np.testing.assert_allclose(found.numpy(), expected, rtol=0, atol=1e-4)
 
 
-def test_windows_end_with_the_sequence():
-    sequence = torch.tensor([0, 0, 0, 1, 1])
-    first, last = windows(sequence, 1)
-    assert (first.tolist(), last.tolist()) == ([0, 0, 1, 3, 3], [2, 3, 3, 5, 5])
-    first, last = windows(sequence, None)
-    assert (first.tolist(), last.tolist()) == ([0, 0, 0, 3, 3], [3, 3, 3, 5, 5])
-
-
-@pytest.mark.parametrize("reach", [None, 2])
-def test_scores_equal_loops_whatever_the_block(reach, monkeypatch):
+def test_scores_equal_loops_whatever_the_block(monkeypatch):
     monkeypatch.setattr(tiny_image, "_SCORES_AT_ONCE", 18)
-    method = make("tiny-image", reach=reach)
+    method = make("tiny-image")
     drives = [*frames(map(image, range(6)), "a"), *frames(map(image, range(6, 9)), "b")]
     queries = [image(seed) for seed in (1, 4, 8, 20, 21)]
     found = method.scores(method.encode_query(frames(queries)), method.encode_reference(drives))
@@ -95,7 +79,7 @@ def test_scores_equal_loops_whatever_the_block(reach, monkeypatch):
     there = np.stack([plain_picture(frame.image[..., 0], 32, 64) for frame in drives])
     here = np.stack([plain_picture(query[..., 0], 32, 64) for query in queries])
     difference = np.abs(here[:, None] - there).mean((2, 3))
-    expected = plain_scores(difference, [frame.sequence for frame in drives], reach)
+    expected = plain_scores(difference, [frame.sequence for frame in drives])
     np.testing.assert_allclose(found.numpy(), expected, rtol=0, atol=1e-3)
     assert found[:3].argmax(1).tolist() == [1, 4, 8]
 

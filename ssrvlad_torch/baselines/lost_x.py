@@ -15,9 +15,8 @@ from torch import Tensor
 from ..recognition.sweep import score
 from ..taxonomy import label_space
 from .dense_network import DenseNetwork, TrunkAndClassifier, load_dense_network
-from .lost import class_sums, lost_descriptor
+from .lost import class_sums, layout_cost, lost_descriptor
 from .protocol import Columns, Frame, Image, image_of
-from .spatial_layout import layout_cost
 from .weights import random_network
 
 _REACH = 7

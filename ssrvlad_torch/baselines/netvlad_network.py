@@ -1,4 +1,7 @@
-"""The whole NetVLAD network (Arandjelovic et al., CVPR 2016): image -> descriptor."""
+"""The NetVLAD network (Arandjelovic et al., CVPR 2016): image -> descriptor.
+
+VGG-16 is configuration D of Simonyan and Zisserman, ICLR 2015; the layer is that of Section 3.1.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,56 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from .netvlad_layer import NetVLADLayer
-from .vgg16 import VGG16_WIDTHS, vgg16
+VGG16_WIDTHS = (64, 128, 256, 512, 512)
+"""Channels of each of the five blocks."""
+
+_DEPTHS = (2, 2, 3, 3, 3)
+
+
+def vgg16(widths: Sequence[int] = VGG16_WIDTHS) -> nn.Sequential:
+    """The thirteen convolutions, cut after conv5_3: neither its ReLU nor the last pooling.
+
+    NetVLAD is cut there in the authors' network and in its ports. The numbers of the layers are
+    those of torchvision's ``vgg16().features``, so published names fit.
+
+    Shape:
+        - input: ``(B, 3, H, W)`` float, H and W at least 16
+        - output: ``(B, widths[-1], H // 16, W // 16)`` float
+    """
+    layers: list[nn.Module] = []
+    channels = 3
+    for width, depth in zip(widths, _DEPTHS, strict=True):
+        for _ in range(depth):
+            layers += [nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True)]
+            channels = width
+        layers.append(nn.MaxPool2d(2))
+    return nn.Sequential(*layers[:-2])
+
+
+class NetVLADLayer(nn.Module):
+    """Residuals to learnt centres, summed with soft assignment.
+
+    Names and shapes of the parameters are those of the PyTorch port: ``conv`` holds w_k and b_k
+    of Eq. 3, ``centroids`` c_k.
+
+    Shape:
+        - input: ``(B, D, H, W)`` float
+        - output: ``(B, K * D)`` of length 1, centre by centre
+    """
+
+    def __init__(self, clusters: int, channels: int) -> None:
+        super().__init__()
+        self.conv = nn.Conv2d(channels, clusters, 1)
+        self.centroids = nn.Parameter(torch.rand(clusters, channels))
+
+    def forward(self, maps: Tensor) -> Tensor:
+        """The normalised vector of each image."""
+        x = F.normalize(maps, dim=1)
+        assignment = self.conv(x).flatten(2).softmax(dim=1)  # Eq. 3
+        total = assignment.sum(dim=2)[..., None]
+        residuals = assignment @ x.flatten(2).mT - total * self.centroids  # Eq. 4
+        return F.normalize(F.normalize(residuals, dim=2).flatten(1), dim=1)
+
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)

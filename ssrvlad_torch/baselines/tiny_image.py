@@ -1,7 +1,7 @@
 """The trivial method for images: tiny pictures, their difference normalised along the drive.
 
-The image comparison and the contrast enhancement of SeqSLAM (Milford & Wyeth, ICRA 2012),
-without its search over sequences of queries.
+The image comparison and the contrast enhancement of SeqSLAM (Milford & Wyeth, ICRA 2012), over
+whole sequences of references and without its search over sequences of queries.
 """
 
 from __future__ import annotations
@@ -53,10 +53,6 @@ class TinyImage:
 
     Args:
         width, height: of the tiny picture, multiples of 8.
-        reach: take m and s only over so many references on each side and the frame itself.
-            SeqSLAM does so with 5 (its R_window is 10). It then needs its search over sequences
-            of queries, as every stretch of the drive has a frame that stands out; for single
-            queries the whole sequence is much the better choice.
 
     Raises:
         ValueError: a setting is outside its range.
@@ -65,14 +61,12 @@ class TinyImage:
     name = "tiny-image"
     needs = frozenset({"images"})
 
-    def __init__(self, width: int = 64, height: int = 32, reach: int | None = None) -> None:
+    def __init__(self, width: int = 64, height: int = 32) -> None:
         if min(width, height) < PATCH or width % PATCH or height % PATCH:
             raise ValueError(
                 f"method tiny-image wants sides that are multiples of 8, got {width} x {height}"
             )
-        if reach is not None and reach < 1:
-            raise ValueError(f"method tiny-image wants a reach of 1 or more, got {reach}")
-        self.width, self.height, self.reach = width, height, reach
+        self.width, self.height = width, height
 
     @torch.no_grad()
     def encode_query(self, frames: Iterable[Frame]) -> Tensor:
@@ -93,10 +87,9 @@ class TinyImage:
         """Differences of the pictures, normalised along the references, ``(Q, R)``."""
         scores = torch.zeros(len(queries), len(references))
         at_once = max(1, _SCORES_AT_ONCE // max(1, len(references)))
-        first, last = windows(references.sequence, self.reach)
         for part, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
             difference = torch.cdist(block, references.pictures, p=1) / block.shape[1]
-            part.copy_(enhance(difference, first, last))
+            part.copy_(enhance(difference, references.sequence))
         return scores
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
@@ -122,39 +115,21 @@ def normalise_patches(pictures: Tensor) -> Tensor:
     return normal.flatten(3).flatten(1, 2)
 
 
-def windows(sequence: Tensor, reach: int | None) -> tuple[Tensor, Tensor]:
-    """The rows around each reference that are of its sequence.
-
-    Args:
-        sequence: ``(R,)`` numbers, the frames of a sequence one after another.
-        reach: rows on each side, ``None`` for all.
-
-    Returns:
-        two of ``(R,)`` int64: the first row, and the one after the last.
-    """
-    _, run, counts = sequence.unique_consecutive(return_inverse=True, return_counts=True)
-    end = counts.cumsum(0)[run]
-    start = end - counts[run]
-    if reach is None:
-        return start, end
-    row = torch.arange(len(sequence))
-    return torch.maximum(start, row - reach), torch.minimum(end, row + reach + 1)
-
-
-def enhance(difference: Tensor, first: Tensor, last: Tensor) -> Tensor:
-    """Contrast enhancement along the references, higher for what is more alike.
+def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
+    """Contrast enhancement along the references of each sequence, higher for what is more alike.
 
     Args:
         difference: ``(Q, R)`` float.
-        first, last: from `windows`.
+        sequence: ``(R,)`` numbers.
 
     Returns:
         ``(Q, R)`` float32.
     """
-    centred = difference.double() - difference.mean(1, keepdim=True)
-    sums, squares = (F.pad(x.cumsum(1), (1, 0)) for x in (centred, centred.square()))
-    mean = (sums[:, last] - sums[:, first]) / (last - first)
-    variance = (squares[:, last] - squares[:, first]) / (last - first) - mean.square()
-    deviation = variance.clamp(min=0).sqrt()
-    flat = deviation < _LEAST_DEVIATION
-    return ((mean - centred) / deviation.masked_fill(flat, torch.inf)).float()
+    scores = torch.zeros_like(difference, dtype=torch.float32)
+    for number in sequence.unique():
+        own = sequence == number
+        part = difference[:, own].double()
+        deviation, mean = torch.std_mean(part, 1, correction=0, keepdim=True)
+        flat = deviation < _LEAST_DEVIATION
+        scores[:, own] = ((mean - part) / deviation.masked_fill(flat, torch.inf)).float()
+    return scores

@@ -60,22 +60,8 @@ def ssrvlad(
 
 
 for command in (
-    demo,
-    city,
-    encode,
-    query,
-    locate,
-    evaluate,
-    loops,
-    compare,
-    vocabulary,
-    export,
-    fuse,
-    verify,
-    labels,
-    poses,
-    show,
-    bench,
+    *(demo, city, encode, query, locate, evaluate, loops, compare, vocabulary),
+    *(export, fuse, verify, labels, poses, show, bench),
 ):
     app.command()(expand(command))
 app.add_typer(db, name="db")

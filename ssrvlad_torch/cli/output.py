@@ -52,37 +52,23 @@ def say(text: object) -> None:
 
 def shown(text: str) -> str:
     """A text with what is not printable, such as a newline in a file's name, as ``\\n``."""
-    return text if text.isprintable() else "".join(map(_shown, text))
-
-
-def _shown(character: str) -> str:
-    return character if character.isprintable() else ascii(character)[1:-1]
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 @contextmanager
 def progress_bar(what: str, total: int) -> Iterator[Progress]:
     """A progress bar on stderr with the rate and the number of skipped frames. It is drawn only
     on a terminal, so that logs stay clean."""
+    from rich import progress
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.progress import Progress as Bar
 
     columns = (
-        TextColumn(what),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[told]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
+        *(progress.TextColumn(what), progress.BarColumn(), progress.MofNCompleteColumn()),
+        progress.TextColumn("{task.fields[told]}"),
+        *(progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
     )
     console = Console(stderr=True)
-    with Bar(*columns, console=console, disable=not console.is_terminal) as bar:
+    with progress.Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total, told="")
         waiting = skipped = 0
         due = 0.0

@@ -59,13 +59,12 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
-    """The pictures of one topic of a bag, in order of time, of a sequence without a name.
-
-    A frame is named by the time at which its message was recorded, in nanoseconds.
+    """The pictures of one topic of a bag, in order of time, of a sequence without a name. A frame
+    is named by the time at which its message was recorded, in nanoseconds.
 
     Args:
         path: a ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2 bag.
-        topic: may be left out if there is only one of pictures.
+        topic: may be left out if only one has pictures.
 
     Raises:
         ValueError: it is no bag, or damaged; there is no such topic, or there are several.
@@ -148,11 +147,7 @@ def _picture(message: Any) -> bytes:
 
 
 def _pixels(message: Any) -> npt.NDArray[np.uint8]:
-    """``(H, W, 3)`` uint8 of a raw image.
-
-    Raises:
-        ValueError: an encoding that is no picture in gray or colour, or too few bytes.
-    """
+    """``(H, W, 3)`` uint8 of a raw image; another encoding or too few bytes are a ValueError."""
     if message.encoding not in _CHANNELS:
         expected = ", ".join(_CHANNELS)
         raise ValueError(f"pictures in {message.encoding!r} are not read; expected {expected}")

@@ -12,26 +12,19 @@ from .poses import Pose
 
 
 class Ground(NamedTuple):
-    """The axes of a world that span its ground plane, seen from above.
+    """The axes of a world that span its ground plane.
 
     Attributes:
         x: number (0 to 2) of the world's axis that becomes a `Pose`'s x.
-        y: the axis that becomes its y, to the left of x for someone who looks down.
+        y: the axis that becomes its y, to the left of x seen from above.
     """
 
     x: int
     y: int
 
     def pose(self, centre: Sequence[float], axis: Sequence[float]) -> Pose:
-        """The pose of a camera.
-
-        Args:
-            centre: ``(3,)`` position in the world, in metres.
-            axis: ``(3,)`` direction of view in the world, of any length.
-
-        Returns:
-            position in metres, heading in radians from -pi to pi.
-        """
+        """The pose of a camera at ``centre`` ``(3,)``, in metres, that looks along ``axis``
+        ``(3,)``."""
         return Pose(centre[self.x], centre[self.y], math.atan2(axis[self.y], axis[self.x]))
 
 
@@ -42,16 +35,10 @@ Y_UP_LEFT_HANDED = Ground(0, 2)
 
 
 def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
-    """Direction of view of a camera that looks down its own +z, in the world.
+    """Direction of view of a camera that looks down its own +z, a vector of length 1 in the world.
 
-    That is the third row of the rotation from world to camera (COLMAP's and VisualSFM's convention:
-    x to the right, y down, z ahead).
-
-    Args:
-        quaternion: ``(w, x, y, z)`` of that rotation, of any length but 0.
-
-    Returns:
-        a vector of length 1.
+    That is the third row of the rotation from world to camera (COLMAP and VisualSFM: x to the
+    right, y down, z ahead), given as a quaternion ``(w, x, y, z)`` of any length.
 
     Raises:
         ValueError: the quaternion is zero or not finite.
@@ -64,11 +51,8 @@ def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
 
 
 def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> dict[str, Pose]:
-    """Poses by name, from lines of a name and ``count`` numbers; lines with ``#`` are passed over.
-
-    Raises:
-        ValueError: a line is of another form; the message names file and line.
-    """
+    """Poses by name, from lines of a name and ``count`` numbers; lines with ``#`` are comments. A
+    line of another form is a ValueError that names file and line."""
     poses = {}
     text = read_bytes(path).decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
@@ -82,11 +66,7 @@ def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> d
 
 
 def parse_numbers(words: Sequence[str], count: int) -> list[float]:
-    """Exactly so many numbers.
-
-    Raises:
-        ValueError: there are more or fewer, or one is no number.
-    """
+    """Exactly ``count`` numbers; anything else is a ValueError."""
     if len(words) != count:
         raise ValueError(f"expected {count} numbers, got {len(words)}")
     return [float(word) for word in words]

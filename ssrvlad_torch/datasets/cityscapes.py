@@ -53,11 +53,8 @@ def read(root: Path, labels_as: str | None) -> Dataset:
 def read_fix(path: Path) -> Pose:
     """The pose of one frame, in metres of a transverse Mercator map about 9 degrees east.
 
-    The Earth is taken as a sphere, which is within 0.5 % for distances anywhere in the data set.
-    ``gpsHeading`` is taken as a compass course: degrees clockwise from north.
-
-    Raises:
-        ValueError: the file is no JSON object with these numbers; the message names it.
+    The Earth is taken as a sphere, which is within 0.5 % for distances in the data set, and
+    ``gpsHeading`` as degrees clockwise from north. A file without these numbers is a ValueError.
     """
     try:
         fix = read_json(path)
@@ -78,7 +75,7 @@ def _on_map(latitude: float, longitude: float) -> tuple[float, float]:
 
 
 def _cities(root: Path) -> list[str]:
-    """``train/aachen`` and so on, of those that there are."""
+    """``train/aachen`` and so on, as they are on disk."""
     cities = {
         f"{split.name}/{city.name}"
         for kind in (_IMAGES, *_ANNOTATIONS)
@@ -89,7 +86,7 @@ def _cities(root: Path) -> list[str]:
 
 
 def _published_encoding(root: Path, cities: list[str]) -> str:
-    """The label space of the label maps that there are, the ids if both are."""
+    """The label space of the label maps on disk; the ids if both are there."""
     for space, ending in _ENCODINGS.items():
         for kind in _ANNOTATIONS:
             if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities):

@@ -53,10 +53,10 @@ class GroundTruth(NamedTuple):
     """When a reference shows the place of a query; one of the three is given, as in ``evaluate``.
 
     Attributes:
-        source: who says so.
-        file: the true matches, written down.
-        metres: references at most so far away on the ground.
-        frames: references at most so many frames away in the drive.
+        source: who defines it.
+        file: a file of true matches.
+        metres: largest distance on the ground.
+        frames: largest distance in frames along the drive.
     """
 
     source: str
@@ -71,8 +71,8 @@ class Traverse:
 
     Attributes:
         name: the sequence of its frames.
-        frames: in the order of their names, as a person would sort them.
-        role: what the data set means it for, ``None`` where it does not say.
+        frames: in natural order of their names.
+        role: as the data set declares it, or ``None``.
     """
 
     name: str
@@ -101,11 +101,11 @@ class Dataset:
     """Traverses, and what is known of them. Made by `open_dataset`.
 
     Attributes:
-        layout: name of the layout that it was found in.
+        layout: name of its layout.
         root: its folder.
         traverses: no two of one name.
-        labels_as: label space of the label maps, ``None`` where there are none or it is not known.
-        truth: what the data set counts as a true match, ``None`` where it does not say.
+        labels_as: label space of the label maps, ``None`` if unknown or without label maps.
+        truth: what the data set counts as a true match, or ``None``.
         notes: what the layout has and this copy lacks, a line each.
     """
 
@@ -150,9 +150,9 @@ class Dataset:
         """The same data set with some of its traverses.
 
         Args:
-            patterns: names of sequences, ``*`` and ``?`` standing for any text and any letter;
-                all if there is none.
-            role: only traverses that the data set means for this.
+            patterns: names of sequences, where ``*`` is any text and ``?`` any letter; without,
+                all.
+            role: only traverses that the data set declares to be this.
 
         Raises:
             ValueError: a pattern matches no sequence, or none has the role.
@@ -177,11 +177,7 @@ class Dataset:
         return replace(self, traverses=traverses)
 
     def posed(self) -> Dataset:
-        """The same data set without the frames whose pose is not known.
-
-        Raises:
-            ValueError: no frame has a pose.
-        """
+        """The same data set without frames of unknown pose; none left is a ValueError."""
         found = self.with_frames(lambda frames: (frame for frame in frames if frame.has_pose))
         if not any(found.frames):
             raise ValueError(f"no frame of {self.root} ({self.layout}) has a pose")
@@ -215,10 +211,7 @@ class Dataset:
         return found
 
     def label_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
-        """The label maps, as `encode` takes them.
-
-        Args:
-            every, start: of each sequence keep label map ``start`` and every ``every``-th after it.
+        """The label maps, as `encode` takes them; for ``every`` and ``start`` see `find_frames`.
 
         Raises:
             ValueError: there is none, or ``every`` or ``start`` is out of range.
@@ -256,12 +249,12 @@ class Layout(NamedTuple):
     """How a data set lies on disk.
 
     Attributes:
-        name: what users call it.
-        origin: where the data set is to be had; empty for no data set in particular.
+        name: as users give it.
+        origin: where to get the data set; empty for no data set in particular.
         expected: the folders and files that it is recognised by, in words.
         recognises: gives something true for a folder that is laid out so.
-        read: the data set in a folder; the second argument is the label space that the user
-            gave, if any. A damaged file is a ValueError that names it.
+        read: the data set in a folder; the second argument is the label space that the user gave,
+            if any. A damaged file is a ValueError that names it.
     """
 
     name: str
@@ -273,9 +266,10 @@ class Layout(NamedTuple):
 
 def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[str, Path]:
     """The files of a folder by their names without suffix and ending; empty if there is no folder.
+    Hidden files and folders are left out.
 
     Args:
-        folder: hidden files in it and folders are passed over.
+        folder: is listed.
         suffixes: in lower case.
         ending: what a name must end in before its suffix.
 
@@ -293,7 +287,7 @@ def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[st
 
 
 def folders_in(folder: Path) -> list[Path]:
-    """The folders in a folder, sorted as a person would; none if it is no folder."""
+    """The folders in a folder in natural order; none if it is no folder."""
     entries = folder.iterdir() if folder.is_dir() else ()
     folders = [entry for entry in entries if entry.is_dir() and not entry.name.startswith(".")]
     return natsorted(sorted(folders), key=lambda entry: entry.name)

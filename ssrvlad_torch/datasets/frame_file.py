@@ -29,8 +29,7 @@ class FrameFile:
         row: which frame of a ``.npy`` stack, ``None`` for a file that holds one.
         pose: where it was taken, NaN where unknown.
         named: whether the user chose the name of the sequence.
-        folder: what the sequence is made of: absolute path of the folder, of a stack that of the
-            file without its suffix.
+        folder: absolute path of the sequence's folder, or of a stack without its suffix.
         stamp: when it was taken, in seconds, NaN where unknown.
     """
 
@@ -68,8 +67,8 @@ class FrameFile:
 
     @property
     def state(self) -> str:
-        """A text that changes whenever the file does: its size and the times of its last changes;
-        empty if there is no such file."""
+        """Size and times of the last changes of the file, as text; empty if there is no such
+        file."""
         try:
             status = self.path.stat()
         except (OSError, ValueError):
@@ -77,7 +76,7 @@ class FrameFile:
         return f"{status.st_size} {status.st_mtime_ns} {status.st_ctime_ns}"
 
     def signature(self) -> str:
-        """A text that changes whenever the frame's source does: where it lies, and its state."""
+        """A text that changes whenever the frame's source does: its folder and state."""
         return f"{self.folder}|{self.state}"
 
     def read(self) -> bytes:
@@ -106,8 +105,8 @@ class RemoteFile(FrameFile):
 
     Attributes:
         path: its path in the file system.
-        folder: URI of the folder that it is in.
-        listed: its size and time, as the file system told them.
+        folder: URI of its folder.
+        listed: its size and time in the listing of its folder.
     """
 
     listed: str = ""

@@ -52,26 +52,26 @@ def find_frames(
     poses: str | None = None,
     topic: str | None = None,
 ) -> list[FrameFile]:
-    """The frames of some sources: sequences in the order of the sources, which is the order of
-    time; of a glob, and the frames of a sequence, by name as a person would sort them.
+    """The frames of some sources. Sequences keep the order of the sources; the sequences of a glob
+    and the frames of a sequence are in natural order.
 
     Args:
         kind: which files are frames.
         sources: folders, files, globs, or URIs of folders that pyarrow can reach, as
             ``s3://bucket/monday``. The files of a folder are one sequence, named by the shortest
-            path that tells the folders apart; hidden ones are passed over. A glob that matches no
+            path that tells the folders apart; hidden files are left out. A glob that matches no
             frame stands for the folders that it matches. A ``.npy`` stack given by itself is a
             sequence named by the file; in the folder of a URI there are none.
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
         known: names that folders have already, see `names_of`.
-        poses: where poses are, see `put_poses`; without, those that are found: in ``poses.csv`` in
-            a folder or beside it, and in `utm_names`.
+        poses: where poses are, see `put_poses`; without, those in ``poses.csv`` in a folder or
+            beside it, and in `utm_names`.
         topic: of a bag with several topics of images, see `bag_files`.
 
     Raises:
         ValueError: a source holds no frames, two folders give the same frame, ``every`` or
-            ``start`` is out of range, or a URI is of no kind that pyarrow knows.
+            ``start`` is out of range, or pyarrow does not know the URI's kind.
         OSError: the folder of a URI cannot be read.
     """
     files = [file for source in sources for file in _expand(source, kind, topic)]
@@ -114,9 +114,9 @@ def put_poses(drives: Sequence[list[FrameFile]], source: str) -> list[list[Frame
     """Frames with poses.
 
     Args:
-        drives: the frames of each sequence, all of them, in order.
+        drives: all frames of each sequence, in order.
         source: a CSV file, see `read_poses`; a file of KITTI or TUM, see `read_trajectory`; or
-            ``exif`` for what the pictures say themselves.
+            ``exif`` for the tags of the pictures.
 
     Raises:
         ValueError: the file is damaged or does not fit, or no frame is in it.
@@ -156,10 +156,8 @@ def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
 def read_ahead(
     read: Callable[[FrameFile], Content], files: Iterable[FrameFile], workers: int, ahead: int
 ) -> Iterator[tuple[FrameFile, Content | ValueError]]:
-    """Reads files in order, ``ahead`` of them at a time in memory, by ``workers`` threads.
-
-    Where ``read`` raises a ValueError, the error stands in place of the content.
-    """
+    """Reads files in order by ``workers`` threads, at most ``ahead`` of them in memory; a
+    ValueError of ``read`` stands in place of the content."""
 
     def attempt(file: FrameFile) -> Content | ValueError:
         try:

@@ -34,18 +34,18 @@ source too."""
 def decode_image(content: bytes) -> Pixels:
     """An image as it is seen: turned upright by its EXIF orientation, in 8-bit RGB.
 
-    Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour
-    profile, and of 16 bits the high 8 are kept. Of an animation it is the first picture.
+    Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour profile,
+    and of 16 bits the high 8 are kept. Of an animation it is the first picture.
 
     Args:
-        content: a JPEG, PNG, WebP, BMP, TIFF, PPM, or ``.npy`` file, whatever its name was.
+        content: a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy`` file, whatever its name.
 
     Returns:
         ``(H, W, 3)`` uint8.
 
     Raises:
-        ValueError: no such file, a truncated or damaged one, or pixels of 32 bits or floats; an
-            array that is not ``(H, W, 3)`` uint8. The message says which.
+        ValueError: another or a damaged file, pixels of 32 bits or floats, or an array that is not
+            ``(H, W, 3)`` uint8; the message says which.
     """
     try:
         return _decode_npy(content) if content.startswith(MAGIC_PREFIX) else _decode(content)

@@ -33,15 +33,15 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """The ids of a label map.
 
     Reads 8- and 16-bit single-channel images, palette images (the index is the id), two-channel
-    images (SYNTHIA: the class is in the first channel, the instance in the next), colour images
-    whose colours are those of the label space, and ``.npy``.
+    images (SYNTHIA: the first channel is the class), colour images in the colours of the label
+    space, and ``.npy``.
 
     Returns:
         ``(H, W)``, an integer dtype of torch in the machine's byte order: uint8, uint16, signed.
 
     Raises:
         ValueError: the file is missing, damaged, of another kind, has a name that is no text, or
-            holds a colour that the label space does not have; the message says which.
+            holds a colour that the label space lacks; the message says which.
     """
     content = file.read()
     try:
@@ -57,7 +57,7 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
 
 
 def digest(labels: LabelMap) -> str:
-    """128 bits of SHA-256 of a label map: its ids and its shape, whatever file format held them."""
+    """128 bits of SHA-256 of a label map's ids and shape, whatever its file format."""
     if labels.dtype != np.uint8:
         labels = labels.astype(np.int64 if labels.min() < 0 or labels.max() > 255 else np.uint8)
     content = hashlib.sha256(str(labels.shape).encode())
@@ -66,8 +66,8 @@ def digest(labels: LabelMap) -> str:
 
 
 def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
-    """In the machine's byte order. Wide unsigned ids become signed: torch would narrow them, and
-    an unknown id could become a known one."""
+    """In the machine's byte order. Wide unsigned ids become signed: torch would narrow them, and an
+    unknown id could become a known one."""
     if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
         return labels.astype(np.uint64).clip(max=np.iinfo(np.int64).max).astype(np.int64)
     return labels.astype(labels.dtype.newbyteorder("="), copy=False)

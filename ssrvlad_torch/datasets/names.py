@@ -9,18 +9,16 @@ from urllib.parse import unquote
 
 
 def names_of(folders: Collection[str], known: Mapping[str, str] | None = None) -> dict[str, str]:
-    """A name for each folder: the last part of its path, and as many before it as are needed.
+    """A name for each folder, no two alike: the last part of its path, and as many before it as
+    needed.
 
     Args:
         folders: absolute paths, or URIs.
-        known: names that folders have already, by the folder; they stay as they are.
-
-    Returns:
-        The name of each folder, no two alike.
+        known: names of folders that keep them, by the folder.
 
     Raises:
-        ValueError: a name is that of a known folder which is gone, so that it cannot be known
-            whether the new one is the same, moved.
+        ValueError: a name is that of a known folder which is gone: the new one may be the same,
+            moved.
 
     Example:
         >>> names_of(["/data/00/labels", "/data/01/labels", "/data/park"])

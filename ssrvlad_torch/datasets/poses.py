@@ -44,13 +44,11 @@ def find_poses(folder: Path) -> dict[str, Pose]:
 def read_poses(path: Path) -> dict[str, Pose]:
     """Poses by frame, which is a frame's id ``<sequence>/<name>`` or its name alone.
 
-    The columns ``frame``, ``x`` and ``y`` are needed, ``heading`` may be left out; or ``frame``,
-    ``latitude`` and ``longitude`` in degrees, with ``course`` in degrees from north to the east or
-    without.
+    The columns are ``frame``, ``x``, ``y`` and optionally ``heading``; or ``frame``, ``latitude``
+    and ``longitude`` in degrees and optionally ``course``, in degrees from north to the east.
 
     Raises:
-        ValueError: the file is no such table, a column is missing or a value is no number; the
-            message names the file, and the line.
+        ValueError: the file is no such table, or a value is no number; with the file and the line.
     """
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
     try:

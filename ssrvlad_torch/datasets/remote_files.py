@@ -13,11 +13,11 @@ def remote_files(folder: str, kind: str, suffixes: Sequence[str]) -> list[FrameF
 
     Args:
         folder: a URI.
-        kind: what messages call them.
-        suffixes: what their names end in, in lower case.
+        kind: what messages call the frames.
+        suffixes: of their names, in lower case.
 
     Raises:
-        ValueError: the URI is of no kind that pyarrow knows, or the folder holds no frames.
+        ValueError: pyarrow does not know the URI's kind, or the folder holds no frames.
         OSError: the folder cannot be read.
     """
     from pyarrow.fs import FileSelector, FileSystem, FileType

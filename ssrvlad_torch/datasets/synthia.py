@@ -61,7 +61,7 @@ def _sequences(root: Path) -> list[Path]:
 
 
 def _cameras(folder: Path) -> list[Path]:
-    """``Stereo_Left/Omni_F`` and so on, of those that there are."""
+    """``Stereo_Left/Omni_F`` and so on, as they are on disk."""
     cameras = {
         camera.relative_to(folder / part)
         for part in (_LABELS, _IMAGES)

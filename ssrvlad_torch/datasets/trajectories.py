@@ -27,12 +27,12 @@ class Trajectory(NamedTuple):
     stamps: list[float]
 
     def of_frames(self, names: Sequence[str]) -> list[Pose]:
-        """The pose of each frame of the drive, by its place or by the time that is its name.
+        """The pose of each frame of the drive: by its place, or by the time that is its name.
 
         A frame takes the pose that is nearest in time, at most 0.02 s away, as TUM's own tools do.
 
         Args:
-            names: of all frames of the drive, in order; with stamps each a time in seconds.
+            names: of all frames of the drive, in order; with stamps, each a time in seconds.
 
         Raises:
             ValueError: the numbers of frames and poses differ, or a name is no time.
@@ -51,11 +51,11 @@ class Trajectory(NamedTuple):
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """A file of KITTI or of TUM, told apart by the numbers of a line.
+    """A file of KITTI or of TUM, told apart by the count of numbers in a line.
 
-    KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera
-    (x to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose
-    z is up. The heading is where the camera looks, along its own z.
+    KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
+    to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
+    is up. The heading is the direction of the camera's own z.
 
     Raises:
         ValueError: neither; the message names the line.

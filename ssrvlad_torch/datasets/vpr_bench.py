@@ -1,8 +1,7 @@
-"""VPR-Bench: ``query/``, ``ref/`` and ``ground_truth_new.npy``.
+"""VPR-Bench (Zaffar et al., IJCV 2021): ``query/``, ``ref/`` and ``ground_truth_new.npy``.
 
-The layout of Zaffar et al., IJCV 2021, among others of its sub-sequences of SYNTHIA (night to fall)
-and RobotCar (CrossSeason). The ground truth names images by their places in the order of the
-file names, from 0.
+Among its data sets are sub-sequences of SYNTHIA (night to fall) and RobotCar (CrossSeason). The
+ground truth names images by their places in the order of the file names, from 0.
 """
 
 from __future__ import annotations

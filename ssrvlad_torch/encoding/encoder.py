@@ -19,15 +19,7 @@ from ..segmentation.segmenter import Segmenter
 from .describer import BATCH, Described, Describer, Item, read
 from .interruption import deferred_interruption
 from .plan import Plan
-from .results import (
-    Encoded,
-    EncodeOptions,
-    Progress,
-    Skipped,
-    Summary,
-    cores,
-    tell_nobody,
-)  # fmt: skip
+from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, tell_nobody
 from .workers import in_order
 from .writer import Writer
 

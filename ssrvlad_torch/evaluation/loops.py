@@ -47,11 +47,11 @@ class LoopScore(NamedTuple):
 def score_loops(
     candidates: Rows, poses: Floats, exclude: int, metres: float, first: int = 0
 ) -> LoopScore:
-    """Holds the loops of a stream against the poses of its frames.
+    """Compares the loops of a stream with the poses of its frames.
 
-    A loop is right if its two frames are near each other, whichever way they look. A frame is a
-    revisit if an earlier one, too long ago to be excluded, is near and looks the same way; where
-    a heading is unknown, any way. Frames without a position are left out.
+    A loop is right if its two frames are near each other, whatever their headings. A frame is a
+    revisit if an earlier one, too long ago to be excluded, is near and looks the same way; an
+    unknown heading looks every way. Frames without a position are left out.
 
     Args:
         candidates: ``(N,)`` int64, row of the candidate of each frame that closes a loop, else -1.

@@ -23,13 +23,8 @@ _TO_MEMO = ("PUT", "BINPUT", "LONG_BINPUT")
 
 
 def load_object_array(file: BinaryIO) -> PickledArray:
-    """The pickled array at a file's position.
-
-    Reads what ``numpy.save`` wrote of an array of objects, in Python 2 and 3, by any protocol,
-    after the header of the ``.npy`` file.
-
-    Returns:
-        its elements, nested as in the file; see `load_pickle`.
+    """The pickled array at a file's position, as ``numpy.save`` writes it for objects after the
+    header of the ``.npy`` file.
 
     Raises:
         ValueError: as `load_pickle`, or the pickle holds no array.
@@ -44,12 +39,11 @@ def load_pickle(file: BinaryIO) -> Any:
     """What is pickled at a file's position.
 
     Returns:
-        numbers, text, lists, tuples and mappings as they are, a `PickledArray` for an array, and a
-        `PickledObject` for an object of scikit-learn, of which only the attributes are read.
+        numbers, text, lists, tuples and mappings; a `PickledArray` for an array; a `PickledObject`
+        for an object of scikit-learn, with its attributes only.
 
     Raises:
-        ValueError: the pickle asks for anything else, in which case the message says for what, or
-            it is damaged.
+        ValueError: the pickle is damaged, or asks for anything else, which the message names.
     """
     try:
         _check_memo(file)
@@ -63,8 +57,8 @@ def load_pickle(file: BinaryIO) -> Any:
 
 
 def _check_memo(file: BinaryIO) -> None:
-    """Refuses places in the memo that so few bytes cannot have filled; the memory for all places
-    before them would be taken."""
+    """Refuses a memo place that so few bytes cannot have filled: memory for all places before it
+    would be taken."""
     begin = file.tell()
     for opcode, argument, _ in pickletools.genops(file):
         if opcode.name in _TO_MEMO and (argument or 0) > file.tell():
@@ -83,14 +77,11 @@ class PickledObject:
 
 
 class PickledArray:
-    """Stand-in for a pickled array.
-
-    It is iterated over its first axis; of an array of rank 2 or more each step gives the elements
-    of that row as a flat list.
+    """Stand-in for a pickled array. Iterating gives its rows, each as a flat list.
 
     Attributes:
         shape: of the array.
-        values: the elements in C order: numbers, or what else an array of objects holds.
+        values: the elements in C order: numbers, or what an array of objects holds.
     """
 
     __slots__ = ("shape", "values")

@@ -40,7 +40,7 @@ class Outcomes:
 
 
 def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) -> Outcomes:
-    """Holds the candidates of each query against the ground truth.
+    """Compares the candidates of each query with the ground truth.
 
     Args:
         scores: ``(Q, top)`` from `ssrvlad_torch.match`, best first, -inf where there is none.
@@ -48,8 +48,7 @@ def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) ->
         truth: true matches of each query.
 
     Raises:
-        ValueError: the numbers of queries differ, there is no column of candidates, or a score
-            is NaN or +inf.
+        ValueError: the shapes do not fit, or a score is NaN or +inf.
     """
     check_candidates(indices, truth)
     if scores.shape != indices.shape or indices.shape[1] == 0:

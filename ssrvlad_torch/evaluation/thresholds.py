@@ -34,56 +34,35 @@ class OperatingPoint(NamedTuple):
 
 
 def at_precision(curve: PrecisionRecall, precision: float) -> OperatingPoint | None:
-    """The point with the largest recall at which the precision is at least so much.
-
-    It is the lowest such threshold. The precision may be less at a threshold above it.
-
-    Returns:
-        ``None`` if the precision is never reached.
-
-    Raises:
-        ValueError: ``precision`` is not in 0 to 1.
-    """
+    """The lowest threshold at which the precision, 0 to 1, is at least so much; ``None`` if it
+    never is. The precision may be less at a threshold above it."""
     _check_fraction("precision", precision)
     reached = np.flatnonzero(curve.precision >= precision)
     return _point(curve, int(reached[-1])) if len(reached) else None
 
 
 def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
-    """The highest threshold at which the recall is at least so much; its precision is the
-    precision at that recall.
-
-    Returns:
-        ``None`` if the recall is never reached, or there is nothing to be found.
-
-    Raises:
-        ValueError: ``recall`` is not in 0 to 1.
-    """
+    """The highest threshold at which the recall, 0 to 1, is at least so much; ``None`` if it never
+    is."""
     _check_fraction("recall", recall)
     reached = np.flatnonzero(curve.recall >= recall)
     return _point(curve, int(reached[0])) if len(reached) else None
 
 
 def suggested(curve: PrecisionRecall, precision: float = SURE_PRECISION) -> OperatingPoint | None:
-    """A threshold for use: the lowest at which the precision is surely at least so much.
+    """A threshold for use: the lowest whose precision is surely at least ``precision``.
 
-    Surely means the lower end of Wilson's 95 % interval, so few queries that are all right do not
-    suffice: for a precision of 0.95, 73 queries must be accepted without a mistake. The threshold
-    lies halfway to the next lower score that was measured, where it accepts the same queries, also
-    if "above" is asked instead of "at least", as `ssrvlad_torch.match` does. Where no lower score
-    was measured it is the next lower float32.
+    Surely means the lower end of Wilson's 95 % interval: for a precision of 0.95, 73 queries must
+    be accepted without a mistake. The threshold lies halfway to the next lower score, so that it
+    accepts the same queries where a score must be above it, as in `ssrvlad_torch.match`; without a
+    lower score it is the next lower float32.
 
-    Where no threshold is that sure, it is the one whose precision is sure to be highest: the lower
-    end of its interval says what the data can prove, `needed` how much more would prove the rest.
-
-    The interval holds for one threshold chosen beforehand; the best of many is a little better
-    than it will be on other queries.
+    Where no threshold is that sure, it is the one with the highest lower end; `needed` says how
+    many queries would prove more. The interval holds for one threshold chosen beforehand; the best
+    of many is a little better than it will be on other queries.
 
     Returns:
         ``None`` only if no accepted query is right, or there is none.
-
-    Raises:
-        ValueError: ``precision`` is not in 0 to 1.
     """
     _check_fraction("precision", precision)
     low = wilson_low(curve.true_positives, curve.accepted)
@@ -104,19 +83,22 @@ def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) 
     """The points at 99 % and 100 % precision and at given recalls, and the suggested one.
 
     Args:
-        curve: of one set of queries, without a leading axis, from
-            `metrics.precision_recall_curve`. By the convention ``exact`` it counts the queries of
-            unknown places as they will count in use.
+        curve: of one set of queries, without a leading axis. By the convention ``exact`` it counts
+            queries of unknown places as they will count in use.
         recalls: each 0 to 1.
 
     Returns:
         ``at_precision`` by ``"0.99"`` and ``"1"``, ``at_recall`` by the recall as text, and
-        ``suggested``; each point as a mapping, or ``None`` where there is none.
+        ``suggested``; each point as a mapping, or ``None``.
     """
+
+    def mapping(point: OperatingPoint | None) -> dict[str, Any] | None:
+        return point and point._asdict()
+
     return {
-        "at_precision": {f"{p:g}": _mapping(at_precision(curve, p)) for p in (0.99, 1.0)},
-        "at_recall": {f"{r:g}": _mapping(at_recall(curve, r)) for r in recalls},
-        "suggested": _mapping(suggested(curve)),
+        "at_precision": {f"{p:g}": mapping(at_precision(curve, p)) for p in (0.99, 1.0)},
+        "at_recall": {f"{r:g}": mapping(at_recall(curve, r)) for r in recalls},
+        "suggested": mapping(suggested(curve)),
     }
 
 
@@ -149,10 +131,6 @@ def _below(curve: PrecisionRecall, place: int) -> float:
     if place + 1 < len(curve.thresholds):
         return float(score + curve.thresholds[place + 1]) / 2
     return float(np.nextafter(np.float32(score), np.float32(-np.inf)))
-
-
-def _mapping(point: OperatingPoint | None) -> dict[str, Any] | None:
-    return None if point is None else point._asdict()
 
 
 def _check_fraction(name: str, fraction: float) -> None:

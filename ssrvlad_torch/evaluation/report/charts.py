@@ -1,8 +1,8 @@
-"""The charts of the page, drawn by matplotlib as SVG that stands inside the HTML.
+"""The charts of the page: SVG by matplotlib inside the HTML.
 
-They are drawn in the colours of `COLOURS`, which then become the variables of the style sheet, so
-that a chart follows the page's theme. A chart says in ``data-ends`` what its axes show and in
-``data-frame`` where they lie, so that the script can mark the chosen threshold.
+They are drawn in the colours of `COLOURS`, which then become variables of the style sheet, so that
+a chart follows the page's theme. ``data-ends`` holds the limits of the axes and ``data-frame``
+their place, so that the script can mark the chosen threshold.
 """
 
 from __future__ import annotations
@@ -50,12 +50,8 @@ _NAMES = {"right": "right", "wrong": "wrong", "unknown": "wrong, the place is no
 def precision_recall_chart(
     curve: PrecisionRecall, exact: PrecisionRecall, convention: str, points: Mapping[str, Any]
 ) -> Markup:
-    """Precision against recall by the chosen convention, the one by ``exact`` beside it if it is
-    another, on which the points lie.
-
-    Args:
-        points: the operating points by their names, ``None`` where there is none.
-    """
+    """Precision against recall by a convention; beside it the curve by ``exact``, on which the
+    operating points lie, if that is another."""
     figure, axes = _axes("recall", "precision")
     axes.set(xlim=(0, 1), ylim=(0, 1))
     if convention != "exact":
@@ -132,11 +128,13 @@ def _kinds(outcomes: Outcomes) -> dict[str, Bools]:
 
 
 def map_chart(poses: Floats, references: Frames, outcomes: Outcomes) -> Markup | None:
-    """Where the references were driven and the queries stand, seen from above; from each wrong
-    query a line leads to what was taken. ``None`` where no poses are known.
+    """The drives seen from above, with a line from each wrong query to its candidate; ``None``
+    without poses.
 
     Args:
         poses: ``(Q, 3)`` of the queries, x and y first, in metres, NaN where unknown.
+        references: with their poses.
+        outcomes: of the queries.
     """
     there = references.poses[:, :2]
     here = np.asarray(poses[:, :2])

@@ -15,16 +15,16 @@ from .scores import Scores
 
 
 class Match(NamedTuple):
-    """A query and what was taken for its place.
+    """A query and its best candidate.
 
     Attributes:
-        query, candidate: rows of the query, and of its best candidate.
+        query, candidate: rows.
         score: of the candidate.
         correct: whether the candidate is a true match.
-        true_match: row of the true match with the highest score where the candidate is none, else
-            -1; also -1 where there is no true match.
-        alone, true_alone: scores of candidate and true match as single frames; NaN where there is
-            no true match. What the sequence adds is not in them.
+        true_match: row of the true match with the highest score if the candidate is wrong; -1 if
+            there is none.
+        alone, true_alone: scores of candidate and true match as single frames, without what the
+            sequence adds; NaN where there is no true match.
     """
 
     query: int
@@ -78,16 +78,8 @@ def choose(scores: Scores, outcomes: Outcomes, truth: Truth, most: int) -> Chose
 
 
 def parts(query: Tensor, references: Tensor, lengths: Sequence[int]) -> Floats:
-    """What each part of two descriptors adds to their cosine.
-
-    Args:
-        query: ``(D,)`` float.
-        references: ``(N, D)`` float.
-        lengths: of the parts in their order, D in all.
-
-    Returns:
-        ``(N, parts)`` float64.
-    """
+    """``(N, parts)`` float64: what each part adds to the cosines of a descriptor ``(D,)`` and
+    others ``(N, D)``; ``lengths`` are those of the parts, D in all."""
     here, there = F.normalize(query.double(), dim=0), F.normalize(references.double(), dim=1)
     added = [part.sum(1) for part in (here * there).split(list(lengths), dim=1)]
     found: Floats = torch.stack(added, 1).numpy()

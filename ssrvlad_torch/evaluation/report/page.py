@@ -14,24 +14,8 @@ import numpy as np
 from ...files import check_output, replacing
 from ..curves import PrecisionRecall
 from ..metrics import figure_rows, precision_recall_curve
-from .charts import (
-    map_chart,
-    precision_recall_chart,
-    precisions,
-    recall_chart,
-    score_chart,
-    score_groups,
-)
+from . import charts, images
 from .contents import Frames, Picture, Report
-from .images import (
-    DARKEST,
-    LIGHTEST,
-    label_address,
-    mask_address,
-    photo_address,
-    scores_address,
-    span,
-)
 from .matches import Match, choose, parts
 from .recall import ROUND_N, recall_rates
 from .similarity import similarity_matrix
@@ -63,9 +47,9 @@ _CRISP = 400
 def write_report(path: Path, report: Report) -> None:
     """Writes the page, whole or not at all.
 
-    It shows the figures with their intervals, the curves, the thresholds that one may choose, the
-    similarity matrix, and at most `MATCHES_OF_A_KIND` matches of each kind. Its size is bounded
-    whatever the number of queries and references, and it needs no other file and no network.
+    It shows the figures with their intervals, the curves, thresholds to choose from, the similarity
+    matrix, and at most `MATCHES_OF_A_KIND` matches of each kind. Its size is bounded for any number
+    of queries and references. It needs no other file and no network.
 
     Raises:
         ImportError: the extra ``eval`` (Jinja2, matplotlib) is not installed.
@@ -100,17 +84,17 @@ def render(report: Report) -> str:
         figures=rows,
         meaning=CONVENTIONS[convention],
         operating=operating,
-        precisions=precisions(report.curve),
+        precisions=charts.precisions(report.curve),
         rates=[
             (n, rates.rate[n - 1], rates.low[n - 1], rates.high[n - 1])
             for n in ROUND_N
             if n <= len(rates.n)
         ],
-        groups=score_groups(outcomes),
-        precision_recall=precision_recall_chart(report.curve, exact, convention, operating),
-        recall=recall_chart(rates),
-        scores=score_chart(outcomes, points["suggested"]),
-        map=map_chart(report.queries.poses, report.references, outcomes),
+        groups=charts.score_groups(outcomes),
+        precision_recall=charts.precision_recall_chart(report.curve, exact, convention, operating),
+        recall=charts.recall_chart(rates),
+        scores=charts.score_chart(outcomes, points["suggested"]),
+        map=charts.map_chart(report.queries.poses, report.references, outcomes),
         steps=_steps(exact, points, operating),
         matrix=_matrix(report),
         matches=[
@@ -136,8 +120,8 @@ def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, An
 
 
 def _steps(exact: PrecisionRecall, points: Mapping[str, Any], operating: Mapping[str, Any]) -> str:
-    """What the script needs to follow the threshold: some of the thresholds, evenly spread over
-    the queries, the lowest first, with all that follows from each. JSON of numbers only."""
+    """The data of the threshold slider: thresholds evenly spread over the queries, the lowest
+    first, with the figures at each. JSON of numbers only."""
     last = len(exact.thresholds) - 1
     marked = [int((exact.thresholds >= p["score"]).sum()) - 1 for p in operating.values() if p]
     spread = np.linspace(0, last, min(last + 1, MOST_STEPS)).round()
@@ -156,20 +140,20 @@ def _steps(exact: PrecisionRecall, points: Mapping[str, Any], operating: Mapping
 
 
 def _matrix(report: Report) -> dict[str, Any] | None:
-    """The similarity matrix as pictures, with what stands beside its axes; ``None`` if empty."""
+    """The similarity matrix as pictures, with the labels of its axes; ``None`` if it is empty."""
     there = len(report.references.frames)
     matrix = similarity_matrix(report.scores, there, report.outcomes, report.truth)
     if not matrix.scores.size:
         return None
-    low, high = span(matrix.scores)
+    low, high = images.span(matrix.scores)
     return {
         "shape": min(max(there / len(report.queries.frames), _TALLEST), _WIDEST),
         "crisp": max(matrix.scores.shape) <= _CRISP,
-        "scores": scores_address(matrix.scores),
-        "truth": mask_address([(matrix.truth, TRUTH)]),
-        "taken": mask_address([(matrix.wrong, WRONG), (matrix.right, RIGHT)]),
+        "scores": images.scores_address(matrix.scores),
+        "truth": images.mask_address([(matrix.truth, TRUTH)]),
+        "taken": images.mask_address([(matrix.wrong, WRONG), (matrix.right, RIGHT)]),
         "colours": {"truth": TRUTH, "right": RIGHT, "wrong": WRONG},
-        "ramp": (DARKEST, LIGHTEST),
+        "ramp": (images.DARKEST, images.LIGHTEST),
         "span": (low, high),
         "pairs": [-(-int(ends[-1]) // (len(ends) - 1)) for ends in (matrix.rows, matrix.columns)],
         "queries": _runs(report.queries),
@@ -178,7 +162,7 @@ def _matrix(report: Report) -> dict[str, Any] | None:
 
 
 def _runs(frames: Frames) -> list[tuple[str, int]]:
-    """The sequences one after another and their lengths; of many only how many they are."""
+    """The sequences in order with their lengths; if there are many, only their number."""
     sequences = (frame.rpartition("/")[0] for frame in frames.frames)
     runs = [(name, len([*run])) for name, run in groupby(sequences)]
     many = [(f"{len(runs)} sequences", len(frames.frames))]
@@ -186,8 +170,7 @@ def _runs(frames: Frames) -> list[tuple[str, int]]:
 
 
 def _card(report: Report, match: Match) -> dict[str, Any]:
-    """A match that is worth a look: the query beside what was taken, and the true match if that
-    is another."""
+    """A match to show: the query beside its candidate, and the true match if that is another."""
     outcomes, query = report.outcomes, report.queries.frames[match.query]
     frames = [_frame("query", query, report.query_pictures(query), "")]
     frames.append(_reference(report, match, "taken", match.candidate, f"score {match.score:.4f}"))
@@ -217,17 +200,17 @@ def _reference(report: Report, match: Match, role: str, row: int, text: str) -> 
 
 
 def _frame(role: str, frame: str, picture: Picture, text: str) -> dict[str, Any]:
-    images = []
+    shown = []
     if picture.photo is not None:
-        images.append((photo_address(picture.photo), f"photo of {frame}"))
+        shown.append((images.photo_address(picture.photo), f"photo of {frame}"))
     if picture.labels is not None:
-        images.append((label_address(picture.labels), f"label map of {frame}"))
-    return {"role": role, "frame": frame, "images": images, "text": text}
+        shown.append((images.label_address(picture.labels), f"label map of {frame}"))
+    return {"role": role, "frame": frame, "images": shown, "text": text}
 
 
 def _columns(report: Report, match: Match) -> list[dict[str, Any]]:
-    """What each part adds to the cosine of what was taken, and how much more that is than for the
-    true match."""
+    """What each part adds to the cosine of the candidate, and how much more than for the true
+    match."""
     if report.descriptors is None:
         return []
     queries, references, names = report.descriptors

@@ -42,13 +42,8 @@ def similarity_matrix(
     truth: Truth,
     most: tuple[int, int] = (MOST_ROWS, MOST_COLUMNS),
 ) -> SimilarityMatrix:
-    """The scores of all pairs in at most ``most`` cells; they are computed block by block.
-
-    Args:
-        references: R.
-        outcomes, truth: of the Q queries.
-        most: rows and columns.
-    """
+    """The scores of all pairs in at most ``most`` rows and columns of cells, computed block by
+    block. There are ``references`` references."""
     rows, columns = _edges(len(outcomes), most[0]), _edges(references, most[1])
     cells = np.full((len(rows) - 1, len(columns) - 1), -np.inf, np.float32)
     for across in _blocks(columns, _REFERENCE_BLOCK):
