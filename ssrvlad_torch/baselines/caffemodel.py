@@ -40,7 +40,6 @@ def read_caffemodel(path: Path) -> dict[str, Tensor]:
     Raises:
         ImportError: protobuf is not installed.
         ValueError: the file is not a Caffe network, or is damaged.
-        OSError: the file cannot be read.
     """
     network, damaged = _network_message()
     try:

@@ -116,16 +116,15 @@ class CoHOG:
 
 
 def region_descriptors(pictures: Tensor) -> Tensor:
-    """HOG of 2 x 2 cells at every cell.
-
-    Square-rooted gray, 5 x 5 Sobel, each pixel voting for the two directions next to its own.
+    """HOG of 2 x 2 cells at every cell: square-rooted gray, 5 x 5 Sobel, each pixel voting for the
+    two directions next to its own.
 
     Args:
         pictures: ``(B, H, W)`` uint8; ``H`` and ``W`` are multiples of 16.
 
     Returns:
-        ``(B, (H / 16 - 1) * (W / 16 - 1), 32)`` float32 of length 1, or zero: cells from the
-        upper left to the lower right, directions from 0 to 360 degrees in each.
+        ``(B, (H / 16 - 1) * (W / 16 - 1), 32)`` float32 of length 1, or zero: cells from the upper
+        left to the lower right, directions from 0 to 360 degrees in each.
     """
     brightest = pictures.amax((1, 2), keepdim=True).clamp(min=1)
     along_x, along_y = sobel((pictures / brightest).sqrt())
@@ -139,16 +138,9 @@ def region_descriptors(pictures: Tensor) -> Tensor:
 
 
 def sobel(pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """5 x 5 Sobel derivatives along x and y, mirrored at the border as OpenCV does by default.
-
-    Differences come first, so that where a picture is flat they are exactly zero.
-
-    Args:
-        pictures: ``(B, H, W)`` float.
-
-    Returns:
-        two of ``(B, H, W)``.
-    """
+    """5 x 5 Sobel derivatives along x and y of ``(B, H, W)`` float pictures, mirrored at the border
+    as OpenCV does. Differences come first, so that they are exactly zero where a picture is
+    flat."""
     mirrored = F.pad(pictures[:, None], (2, 2, 2, 2), mode="reflect")[:, 0]
     return _smooth(_derive(mirrored).mT).mT, _smooth(_derive(mirrored.mT).mT)
 
@@ -163,31 +155,19 @@ def _smooth(rows: Tensor) -> Tensor:
 
 
 def region_entropies(pictures: Tensor) -> Tensor:
-    """Mean entropy of the gray values around the pixels of each region, as a fraction of 8 bits.
-
-    Args:
-        pictures: ``(B, H, W)`` uint8; ``H`` and ``W`` are multiples of 16.
-
-    Returns:
-        ``(B, (H / 16 - 1) * (W / 16 - 1))`` float32, regions as in `region_descriptors`.
-    """
+    """Mean entropy of the gray values around the pixels of each region, as a fraction of 8 bits:
+    ``(B, regions)`` float32 of pictures and regions as in `region_descriptors`."""
     bits = local_entropy(resize(pictures, ENTROPY_SIDE, ENTROPY_SIDE), ENTROPY_RADIUS)
     bits = F.interpolate(bits[:, None], pictures.shape[1:], mode="bilinear")
     return F.avg_pool2d(bits, 2 * CELL, CELL).flatten(1) / 8
 
 
 def local_entropy(pictures: Tensor, radius: int) -> Tensor:
-    """Shannon entropy of the gray values in a disc around each pixel, in bits.
+    """Shannon entropy, in bits, of the gray values in a disc around each pixel: ``(B, H, W)``
+    float32, 0 to 8, of pictures ``(B, H, W)`` uint8.
 
-    The disc holds the pixels at most ``radius`` away that lie in the picture: the semantics of
+    The disc holds the pixels at most ``radius`` away inside the picture, as in
     ``skimage.filters.rank.entropy``.
-
-    Args:
-        pictures: ``(B, H, W)`` uint8.
-        radius: in pixels.
-
-    Returns:
-        ``(B, H, W)`` float32, 0 to 8.
     """
     images, height, width = pictures.shape
     reach = torch.arange(-radius, radius + 1)

@@ -17,40 +17,23 @@ _WEIGHT_UNIT = 2048
 
 
 def gray(images: Tensor) -> Tensor:
-    """Luma of ITU-R BT.601, rounded; the same integers as Pillow's mode ``L``.
-
-    Args:
-        images: ``(B, H, W, 3)`` uint8, RGB.
-
-    Returns:
-        ``(B, H, W)`` uint8.
-    """
+    """``(B, H, W)`` uint8 luma (ITU-R BT.601) of RGB pictures ``(B, H, W, 3)`` uint8, rounded to
+    the same integers as Pillow's mode ``L``."""
     parts = images.to(torch.int32) * torch.tensor(_LUMA, dtype=torch.int32, device=images.device)
     return (parts.sum(-1, dtype=torch.int32) + (1 << 15) >> 16).to(torch.uint8)
 
 
 def grays(frames: Sequence[Frame], method: str) -> Tensor:
-    """``(B, H, W)`` uint8, the gray pictures of frames whose images are of one size.
-
-    Raises:
-        ValueError: a frame has no image; see `image_of`.
-    """
+    """``(B, H, W)`` uint8, the gray pictures of frames of one size; for errors see `image_of`."""
     return gray(torch.from_numpy(np.stack([image_of(frame, method) for frame in frames])))
 
 
 def resize(pictures: Tensor, height: int, width: int) -> Tensor:
-    """Bilinear interpolation between pixel centres in integers, as OpenCV's ``INTER_LINEAR``.
+    """``(B, H, W)`` uint8 pictures at another size, as OpenCV's ``INTER_LINEAR`` for 8 bits.
 
-    Weights are parts of 2048 and low bits are cut off on the way, so that the values are those
-    of OpenCV for 8 bits, up to 0.75 below the exact ones before rounding. Where the picture
-    shrinks, pixels between the samples are passed over.
-
-    Args:
-        pictures: ``(B, H, W)`` uint8.
-        height, width: of the result.
-
-    Returns:
-        ``(B, height, width)`` uint8.
+    Bilinear between pixel centres, in integers: weights are parts of 2048 and low bits are cut off
+    on the way, so that values are up to 0.75 below the exact ones before rounding. Where the
+    picture shrinks, pixels between the samples do not count.
     """
     up, down, to_up, to_down = (tap.to(pictures.device) for tap in _taps(pictures.shape[1], height))
     left, right, to_left, to_right = (

@@ -47,29 +47,21 @@ class HOG(Grid):
 
 
 def central_differences(pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """Differences of the neighbours along x and along y, zero where one is missing.
-
-    Args:
-        pictures: ``(B, H, W)`` float.
-
-    Returns:
-        two of ``(B, H, W)``.
-    """
+    """Differences of the neighbours along x and along y of ``(B, H, W)`` float pictures, zero where
+    one is missing."""
     along_x = F.pad(pictures[:, :, 2:] - pictures[:, :, :-2], (1, 1))
     along_y = F.pad(pictures[:, 2:] - pictures[:, :-2], (0, 0, 1, 1))
     return along_x, along_y
 
 
 def cell_histograms(bins: Tensor, votes: Tensor, count: int) -> Tensor:
-    """Sums of the votes of each bin over square cells of ``CELL`` pixels.
+    """Sums of the votes of each bin over square cells of ``CELL`` pixels, ``(B, H / CELL, W / CELL,
+    count)``.
 
     Args:
         bins: ``(B, H, W)`` int64, 0 to ``count - 1``; ``H`` and ``W`` are multiples of ``CELL``.
         votes: ``(B, H, W)`` float.
         count: number of bins.
-
-    Returns:
-        ``(B, H / CELL, W / CELL, count)``.
     """
     images, height, width = bins.shape
     row, column = (torch.arange(side, device=bins.device) // CELL for side in (height, width))

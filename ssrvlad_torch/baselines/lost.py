@@ -18,19 +18,16 @@ from torch import Tensor
 
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
-    """Cost of M pairs of keypoints, low where they keep their order along the image.
+    """Cost of M pairs of keypoints, low where they keep their order along the image; infinity for
+    fewer than two pairs.
 
-    A pair weighs the more, the nearer its features are: w_k is the largest of the distances less
-    that of the pair, all of them divided by their sum; equal weights where all pairs are equally
-    near. The cost is the cosine distance between the two vectors of weighted
-    columns, over the length of w and over M.
+    The weight w_k of a pair is the largest distance less its own, all divided by their sum; equal
+    weights where all distances are equal. The cost is the cosine distance between the two vectors
+    of weighted columns, over the length of w and over M.
 
     Args:
-        columns: x of the keypoints in the one image and the other, ``(M,)`` float each.
-        distances: ``(M,)`` float, cosine distances between the features at each pair.
-
-    Returns:
-        a number of at least 0; infinity for fewer than two pairs, which have no layout.
+        columns: x of the keypoints in both images, ``(M,)`` float each.
+        distances: ``(M,)`` float, cosine distances between the features of each pair.
     """
     count = len(columns[0])
     if count < 2:
@@ -45,31 +42,26 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
 
 
 def class_sums(features: Tensor, labels: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
-    """What the mean features of some classes are made of.
+    """What the mean features of classes are made of: sums ``(S, D)`` of the features of each class,
+    and numbers of places ``(S, 1)``.
 
     Args:
         features: ``(D, P)`` float, the x_i.
         labels: ``(P,)`` int64, the l_i.
         classes: ``(S,)`` int64, channel numbers.
-
-    Returns:
-        ``(S, D)`` sums of the features of each class, ``(S, 1)`` numbers of places.
     """
     members = (labels == classes[:, None]).to(features.dtype)
     return members @ features.mT, members.sum(dim=1, keepdim=True)
 
 
 def lost_descriptor(features: Tensor, probabilities: Tensor, means: Tensor) -> Tensor:
-    """The descriptor of an image.
+    """The descriptor of an image, ``(S * D,)`` of length 1: L_s = sum_i m_is |x_i - mu_s| (Eq. 1),
+    each of length 1, one after another.
 
     Args:
         features: ``(D, P)`` float, the x_i.
         probabilities: ``(S, P)`` float, the m_is.
         means: ``(S, D)`` float, the mu_s; zero for a class that was not seen.
-
-    Returns:
-        ``(S * D,)`` of length 1: L_s = sum_i m_is |x_i - mu_s| (Eq. 1), each of length 1, put one
-        after another.
     """
     residuals = [
         (features - mean[:, None]).abs() @ weight

@@ -43,7 +43,6 @@ def read_matconvnet(path: Path) -> MatConvNet:
     Raises:
         ImportError: SciPy is not installed.
         ValueError: the file is damaged, is of MATLAB's version 7.3, or holds no such network.
-        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         content = _load(file, path)

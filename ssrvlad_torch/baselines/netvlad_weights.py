@@ -19,19 +19,15 @@ _POSITIONS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
 
 
 def read_netvlad_weights(path: Path) -> dict[str, Tensor]:
-    """The tensors of a published NetVLAD, named as in ``NetVLADNetwork``.
+    """The tensors of a published NetVLAD, named as in `NetVLADNetwork`; another or a damaged file
+    is a ValueError. Two families are told apart by their first bytes.
 
-    Two families are told apart by their first bytes:
+    MATLAB: the authors' ``vd16_*_conv5_3_vlad_preL2_intra_white.mat``, as published or with its
+    objects turned into structs (``net_class2struct.m`` of netvlad_tf_open, the ``*_struct.mat`` of
+    hloc). Input is RGB minus the average image. It includes PCA whitening.
 
-    - MATLAB: the authors' ``vd16_*_conv5_3_vlad_preL2_intra_white.mat``, as published or with its
-      objects turned into structs (``net_class2struct.m`` of netvlad_tf_open, the ``*_struct.mat``
-      of hloc). Input is RGB minus the average image. It includes PCA whitening.
-    - PyTorch: the checkpoint of pytorch-NetVlad (``encoder.N``, ``pool.conv``, ``pool.centroids``),
-      and the same with ``WPCA.0`` (Patch-NetVLAD). Input is scaled as torchvision does.
-
-    Raises:
-        ValueError: the file is in none of these forms, or is damaged.
-        OSError: the file cannot be read.
+    PyTorch: the checkpoint of pytorch-NetVlad (``encoder.N``, ``pool.conv``, ``pool.centroids``),
+    and the same with ``WPCA.0`` (Patch-NetVLAD). Input is scaled as torchvision does.
     """
     with path.open("rb") as file:
         matlab = file.read(len(_MATLAB)) == _MATLAB

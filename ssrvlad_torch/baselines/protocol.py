@@ -133,11 +133,7 @@ METHODS = {
 
 
 def class_of(name: str) -> type[Method]:
-    """The class of a method; its module is imported here and not before.
-
-    Raises:
-        ValueError: no such method.
-    """
+    """The class of a method of `METHODS`; its module is imported here and not before."""
     if name not in METHODS:
         raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
     module, noun = METHODS[name]
@@ -146,15 +142,8 @@ def class_of(name: str) -> type[Method]:
 
 
 def make(name: str, **settings: Any) -> Method:
-    """A method by its name.
-
-    Args:
-        name: one of `METHODS`.
-        settings: for the method's class.
-
-    Raises:
-        ValueError: no such method, or no such setting of it.
-    """
+    """A method of `METHODS` with settings for its class; an unknown name or setting is a
+    ValueError."""
     method = class_of(name)
     try:
         signature(method).bind(**settings)
@@ -164,12 +153,8 @@ def make(name: str, **settings: Any) -> Method:
 
 
 def image_of(frame: Frame, method: str) -> Image:
-    """The image of a frame for a method that needs it.
-
-    Raises:
-        ValueError: the frame has none, or it is not ``(H, W, 3)`` uint8; the message names the
-            frame and the method.
-    """
+    """The image of a frame for a method; a missing one, or none of ``(H, W, 3)`` uint8, is a
+    ValueError."""
     if frame.image is None:
         raise ValueError(f"method {method} needs images, but frame {frame.frame} has none")
     got = frame.image
@@ -182,12 +167,8 @@ def image_of(frame: Frame, method: str) -> Image:
 
 
 def labels_of(frame: Frame, method: str) -> tuple[LabelMap, str]:
-    """The label map of a frame and its label space, for a method that needs them.
-
-    Raises:
-        ValueError: the frame lacks one, or the map is not ``(H, W)`` integers; the message names
-            the frame and the method.
-    """
+    """The label map of a frame and its label space, for a method; a missing one, or no ``(H, W)``
+    integers, is a ValueError."""
     if frame.labels is None or frame.labels_as is None:
         lacks = "a label map" if frame.labels is None else "the label space of its label map"
         raise ValueError(f"method {method} needs labels, but frame {frame.frame} lacks {lacks}")

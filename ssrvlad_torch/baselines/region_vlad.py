@@ -69,15 +69,9 @@ class RegionVLAD(Vectors):
 
 
 def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
-    """Vector of locally aggregated descriptors (Jegou et al., CVPR 2010) with signed square root.
-
-    Args:
-        descriptors: ``(R, D)`` float.
-        words: ``(V, D)`` float.
-
-    Returns:
-        ``(V * D,)`` float of length 1, or zero where there is no descriptor.
-    """
+    """Vector of locally aggregated descriptors (Jegou et al., CVPR 2010) with signed square root:
+    ``(V * D,)`` float of length 1, or zero without descriptors, of ``(R, D)`` descriptors over
+    ``(V, D)`` words."""
     nearest = torch.cdist(descriptors, words).argmin(1)
     residuals = torch.zeros_like(words).index_add_(0, nearest, descriptors - words[nearest])
     rooted = residuals.sign() * residuals.abs().sqrt()

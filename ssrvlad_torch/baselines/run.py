@@ -62,9 +62,8 @@ def run(
 ) -> Retrieval:
     """Encodes the references, then takes the queries block by block.
 
-    Frames are taken from both iterables one after another and are not kept. The first block of
-    queries is worked on twice and timed the second time, so that what happens once in the life of
-    a process does not count.
+    Frames are taken one after another and are not kept. The first block of queries is worked on
+    twice and timed the second time, so that what happens once in a process does not count.
 
     Args:
         method: from `make`.
@@ -72,10 +71,10 @@ def run(
         references: the frames of a sequence one after another in order.
         top: candidates of each query.
         block: queries at a time. With 1, the costs are those of single frames.
-        progress: told of every frame that is done, references and queries.
+        progress: called with 1 for every frame that is done.
         steps: what is done besides, between encodings and a decision. Encodings that are vectors
-            are standardised and followed, of other methods the scores are followed; the sweep is
-            of a `Sweeping` method. The costs are those of single frames.
+            are standardised and followed, for other methods the scores are followed; the sweep
+            needs a `Sweeping` method. The costs are those of single frames.
 
     Raises:
         ValueError: no references or no queries, ``top`` or ``block`` is below 1, or a frame that

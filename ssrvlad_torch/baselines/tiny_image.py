@@ -29,7 +29,7 @@ class Drive(Columns):
 
     Attributes:
         pictures: ``(R, height * width)`` float32.
-        sequence: ``(R,)`` int64, the same number for the frames of a sequence.
+        sequence: ``(R,)`` int64, the number of each frame's sequence.
     """
 
     pictures: Tensor
@@ -99,14 +99,8 @@ class TinyImage:
 
 
 def normalise_patches(pictures: Tensor) -> Tensor:
-    """Each patch of 8 x 8 pixels with mean 0 and standard deviation 1, or zero if it is flat.
-
-    Args:
-        pictures: ``(B, H, W)`` float; ``H`` and ``W`` are multiples of 8.
-
-    Returns:
-        ``(B, H, W)``.
-    """
+    """Pictures ``(B, H, W)`` float, sides multiples of 8, with each patch of 8 x 8 pixels at mean 0
+    and standard deviation 1, or zero if it is flat."""
     patches = pictures.unflatten(2, (-1, PATCH)).unflatten(1, (-1, PATCH))
     centred = patches - patches.mean((2, 4), keepdim=True)
     deviation = centred.square().mean((2, 4), keepdim=True).sqrt()
@@ -116,15 +110,8 @@ def normalise_patches(pictures: Tensor) -> Tensor:
 
 
 def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
-    """Contrast enhancement along the references of each sequence, higher for what is more alike.
-
-    Args:
-        difference: ``(Q, R)`` float.
-        sequence: ``(R,)`` numbers.
-
-    Returns:
-        ``(Q, R)`` float32.
-    """
+    """Contrast enhancement, ``(Q, R)`` float32, higher for what is more alike, of differences ``(Q,
+    R)`` along the references of each sequence; ``sequence`` is ``(R,)`` numbers."""
     scores = torch.zeros_like(difference, dtype=torch.float32)
     for number in sequence.unique():
         own = sequence == number

@@ -25,22 +25,18 @@ _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm")
 
 
 def read_vocabulary(path: Path, words: int = 256, regions: int = 400) -> Tensor:
-    """The words of a vocabulary.
+    """The words of a vocabulary, ``(words, 384)`` float32.
 
     Args:
         path: a ``.npy`` file, or the authors' pickle (``Vocabulary_400.pkl`` and
             ``Vocabulary_100_200_300.pkl``): fitted ``KMeans`` objects of scikit-learn by regions,
-            words and layer. Of the pickle only the cluster centres are taken. It needs no
-            scikit-learn and cannot run code; see `load_pickle`.
+            words and layer. Only the cluster centres are read; it needs no scikit-learn and cannot
+            run code, see `load_pickle`.
         words: V, number of words.
         regions: N, which entry of the pickle to take.
 
-    Returns:
-        ``(words, 384)`` float32.
-
     Raises:
         ValueError: the file is damaged or holds no such vocabulary.
-        OSError: the file cannot be read.
     """
     with path.open("rb") as file:
         start = file.read(len(_NPY))
@@ -62,10 +58,11 @@ def train_vocabulary(
     words: int = 256,
     seed: int = 0,
 ) -> Tensor:
-    """Clusters the regions of all images of a folder with k-means and writes the centres.
+    """Clusters the regions of all images of a folder with k-means, and writes the centres ``(words,
+    384)`` float32, which it returns.
 
-    The authors took 2,600 images of many places. Every region takes 1.5 kB of memory, an image
-    0.6 MB.
+    The authors took 2,600 images of many places. Every region takes 1.5 kB of memory, an image 0.6
+    MB.
 
     Args:
         folder: images in it and in the folders under it.
@@ -74,13 +71,9 @@ def train_vocabulary(
         words: V, number of words.
         seed: of the choice of the first centres.
 
-    Returns:
-        ``(words, 384)`` float32, what was written.
-
     Raises:
         ImportError: scikit-learn is not installed.
         ValueError: no image, an image that cannot be read, or too few regions.
-        OSError: a file cannot be read or written.
 
     Example:
         >>> train_vocabulary("images", "vocabulary.npy", RegionFeatures())  # doctest: +SKIP

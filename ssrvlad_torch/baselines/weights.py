@@ -23,15 +23,13 @@ def weights_folder() -> Path:
 
 
 def find_weights(given: str | Path | None, names: Sequence[str], origin: str) -> Path:
-    """The file of a method's weights.
+    """The file of a method's weights; a FileNotFoundError names the files, the origin and the
+    place.
 
     Args:
         given: a file of any name, or a folder to look in; None for `weights_folder`.
         names: published file names, relative to the folder, the first that exists wins.
         origin: who publishes them, for the message.
-
-    Raises:
-        FileNotFoundError: there is none; one line with the names, the origin and the place.
     """
     place = weights_folder() if given is None else Path(given).expanduser()
     wanted = [place / name for name in names] if given is None or place.is_dir() else [place]
@@ -45,14 +43,11 @@ def find_weights(given: str | Path | None, names: Sequence[str], origin: str) ->
 
 
 def read_checkpoint(path: Path) -> dict[str, Tensor]:
-    """The tensors of a PyTorch checkpoint, bare or under ``state_dict``.
+    """The tensors of a PyTorch checkpoint, bare or under ``state_dict``; anything else is a
+    ValueError.
 
-    Only tensors, plain containers and NumPy numbers are unpickled, never code. The ``module.``
-    that ``nn.DataParallel`` puts into names is taken out.
-
-    Raises:
-        ValueError: the file is not a checkpoint, is damaged, or holds anything else.
-        OSError: the file cannot be read.
+    Only tensors, plain containers and NumPy numbers are unpickled, never code. The ``module.`` that
+    ``nn.DataParallel`` puts into names is taken out.
     """
     try:
         with torch.serialization.safe_globals(_numpy_numbers()):
@@ -74,13 +69,11 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
 
 
 def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
-    """Gives a network its weights; what the network does not have is passed over.
-
-    The network may be on the device ``meta``, so that it needs no memory of its own.
+    """Gives a network its weights, and ignores those that it does not have. The network may be on
+    the device ``meta``, so that it needs no memory of its own.
 
     Raises:
-        ValueError: a tensor is missing, has another shape, or is not finite; the message names
-            the file and the tensor.
+        ValueError: a tensor is missing, has another shape, or is not finite.
     """
     wanted = network.state_dict()
     for name, tensor in wanted.items():

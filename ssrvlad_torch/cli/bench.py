@@ -46,13 +46,8 @@ class Timing:
 def time_in_turn(
     ways: Mapping[str, Callable[[], object]], repetitions: int, warm_up: bool = True
 ) -> dict[str, Timing]:
-    """Times each way once, then each once again, and so on: a slow moment hits all alike.
-
-    Args:
-        ways: what is timed, by name.
-        repetitions: how often.
-        warm_up: call each once before, so that compiling and first allocations do not count.
-    """
+    """Times each way once, then each once again, and so on: a slow moment hits all alike. The
+    warm-up calls each once before, so that compiling and first allocations do not count."""
     if warm_up:
         for way in ways.values():
             way()
@@ -109,9 +104,8 @@ def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
     """The table of ``ssrvlad bench``: both presets on frames of the synthetic city, one thread.
 
     Returns:
-        a row for each preset, batch and way, with milliseconds an image and, where the reference
-        ran (one image), how many times faster than it. ONNX Runtime is there with the extra
-        ``onnx``.
+        a row for each preset, batch and way, with milliseconds an image and, for one image, how
+        many times faster than the reference it is. ONNX Runtime is there with the extra ``onnx``.
 
     Raises:
         ImportError: the extra ``eval``, which the reference needs, is not installed.

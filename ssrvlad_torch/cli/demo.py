@@ -45,10 +45,7 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
         out: folder, new or empty, that gets ``city/``, ``city.ssrdb`` and ``demo.png``.
         frames: frames of each drive.
         seed: of the city.
-        progress: told of the steps that are done, `STEPS` a frame in all.
-
-    Raises:
-        OSError: ``out`` cannot be written.
+        progress: called with the number of steps that are done, `STEPS` a frame in all.
     """
     city = empty_folder(out) / "city"
     write_city(city, frames=frames, seed=seed, progress=progress)

@@ -29,12 +29,8 @@ _SECONDS = 0.2
 
 
 class Progress(NamedTuple):
-    """What a progress bar is told.
-
-    Attributes:
-        advance: how many more steps are done.
-        skip: that a frame was skipped, once for each.
-    """
+    """What a progress bar is told: how many more steps are done, and each frame that was
+    skipped."""
 
     advance: Callable[[int], None]
     skip: Callable[[object], None]

@@ -34,14 +34,8 @@ class Pair(NamedTuple):
 
 
 def chosen(right: Sequence[bool], matched: Sequence[bool], count: int) -> list[int]:
-    """Queries evenly spread over a drive; where all of them are right and another is wrong, the
-    last of those in place of the last.
-
-    Args:
-        right: whether the best match of each is right.
-        matched: whether it has one.
-        count: how many.
-    """
+    """``count`` queries evenly spread over those with a best match. If all of these are right and
+    another is wrong, the last wrong one takes the last place."""
     some = np.flatnonzero(matched)
     even = np.linspace(0, len(some) - 1, min(count, len(some))).astype(int)
     places: list[int] = some[even].tolist()
@@ -52,14 +46,9 @@ def chosen(right: Sequence[bool], matched: Sequence[bool], count: int) -> list[i
 
 
 def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str) -> Image.Image:
-    """Queries in a row, below them their best matches, framed green if right and red if wrong; at
-    last the classes that are seen.
-
-    Args:
-        pairs: at least one.
-        space: of the label maps.
-        above, below: headings of the two rows.
-    """
+    """Queries in a row, below them their best matches, framed green if right and red if wrong, and
+    at the bottom the classes; ``above`` and ``below`` are headings of the rows. There is at least
+    one pair."""
     rows = [
         [_tile(pair.query, space, pair.query_name, _QUERY) for pair in pairs],
         [

@@ -11,14 +11,8 @@ _METHODS = {HOG.name: HOG}
 
 
 def beside_by(name: str) -> Beside:
-    """What a new database needs to know of a method of pictures.
-
-    Args:
-        name: ``hog``.
-
-    Raises:
-        ValueError: no such method.
-    """
+    """What a new database needs to know of a method of pictures, ``hog``; another name is a
+    ValueError."""
     if name not in _METHODS:
         raise ValueError(f"expected a method of pictures, {', '.join(_METHODS)}, got {name!r}")
     method = _METHODS[name]()
@@ -26,11 +20,8 @@ def beside_by(name: str) -> Beside:
 
 
 def methods_of(beside: Sequence[Beside]) -> list[HOG]:
-    """The methods that a database names.
-
-    Raises:
-        ValueError: one is not of this version, or gives other descriptors.
-    """
+    """The methods that a database names. One that gives other descriptors in this version is a
+    ValueError."""
     for one in beside:
         if beside_by(one.name) != one:
             here = beside_by(one.name).fingerprint

@@ -38,23 +38,22 @@ def encode_to_database(
     options: EncodeOptions | None = None,
     segmenter: Segmenter | None = None,
 ) -> Summary:
-    """Encodes the frames that a database lacks, and those whose row no longer stands for them.
+    """Encodes the frames that a database lacks, and those whose row is out of date; see `Plan`.
 
-    See `Plan` for which these are. A frame that cannot be read or encoded is skipped and the run
-    goes on. Frames are committed from time to time; on an exception those that wait are committed
-    before it goes on its way. SIGINT and SIGTERM wait until the frame in hand is done; a second one
-    does not.
+    A frame that cannot be read or encoded is skipped and the run goes on. Frames are committed from
+    time to time, and before an exception leaves. SIGINT and SIGTERM wait until the frame in hand is
+    done; a second one does not.
 
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        database: where the raw descriptors go, and those of pictures that it holds beside.
+        database: gets the raw descriptors, and those of pictures if it holds such.
         options: how; without, the defaults.
         segmenter: makes the label maps, of the head's label space; without, they are read.
 
     Raises:
-        ValueError: the fingerprints differ, the segmenter does not fit, a sequence of the
-            database is of another folder, or it holds descriptors of pictures and there are none.
+        ValueError: the fingerprints differ, the segmenter does not fit, a sequence of the database
+            is of another folder, or it holds descriptors of pictures and there are none.
         OSError: the database cannot be written, or a worker was killed.
 
     Example:
@@ -120,17 +119,17 @@ def encode(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames in order.
 
-    Each worker reads and describes a batch at a time. Where the head lies on another device than
-    the CPU, the workers read and the head describes here. A segmenter runs here, while the workers
-    describe what it gave before. The first workers are threads, fewer where torch describes than
-    where the native core does. The others are processes, if there are frames enough.
+    Each worker reads and describes a batch at a time. The first workers are threads, fewer where
+    torch describes than where the native core does; the others are processes, if there are frames
+    enough. Where the head lies on another device than the CPU, the workers read and the head
+    describes here. A segmenter runs here too, while the workers describe what it gave before.
 
     Args:
         head: the method.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        workers: how many, without it the number of cores; with 0 or 1 all is done here.
+        workers: how many; without, the number of cores; with 0 or 1 all is done here.
         segmenter: makes the label maps; without, they are read.
-        beside: what else describes the frames, of which the segmenter reads the pictures.
+        beside: what else describes the frames, by the pictures that the segmenter reads.
 
     Raises:
         ValueError: the segmenter does not fit.

@@ -13,15 +13,13 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def deferred_interruption() -> Iterator[Callable[[], None]]:
-    """Defers SIGINT and SIGTERM to where the body calls what it is given, or to its end.
+    """Defers SIGINT and SIGTERM until the body calls the yielded function, or to the end of the
+    body.
 
-    The first signal is kept until then; a second one acts at once. A signal that this process was
-    told to pass over when it began, as a shell does for what it runs in the background, is passed
-    over here too. Outside the main thread, where Python handles no signals, nothing is deferred.
-
-    Yields:
-        A function that raises KeyboardInterrupt after a SIGINT, and SystemExit with code 143 after
-        a SIGTERM. The same is raised at the end of a body that did not come to call it.
+    That function raises KeyboardInterrupt after a SIGINT, and SystemExit with code 143 after a
+    SIGTERM. A second signal acts at once. A signal that this process ignored from the beginning, as
+    a shell arranges for background jobs, stays ignored. Outside the main thread, where Python
+    handles no signals, nothing is deferred.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None

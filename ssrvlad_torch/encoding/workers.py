@@ -31,18 +31,18 @@ _AHEAD = 2
 def in_order(
     work: Callable[[Item], Result], items: Iterable[Item], threads: int, processes: int = 0
 ) -> Iterator[Result]:
-    """What work makes of items, in their order.
+    """The results of work on items, in their order.
 
     Items are taken from their iterable here, while the workers are busy with earlier ones. Where
-    that raises, the error comes after the results of all items before it. Workers pass over
-    Ctrl-C: whoever consumes the results decides what becomes of it.
+    that raises, the error comes after the results of all items before it. Workers ignore Ctrl-C:
+    the consumer of the results handles it.
 
     Args:
-        work: what is done with an item. For processes it, the items and the results must be
-            picklable; for several threads it must be safe to call at once.
+        work: is done with an item. For processes it, the items and the results must be picklable;
+            for several threads it must be safe to call at once.
         items: taken one by one, some ahead of what is worked on.
-        threads, processes: number of workers of each kind, of which each has one thread of torch.
-            Without processes and at most one thread the work is done in the caller's.
+        threads, processes: number of workers of each kind, each with one thread of torch. Without
+            processes and at most one thread the work is done in the caller's.
 
     Raises:
         ChildProcessError: a worker was killed.

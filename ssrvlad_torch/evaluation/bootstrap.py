@@ -17,22 +17,19 @@ Figures = Callable[[Floats], dict[str, Floats]]
 
 
 def bootstrap(figures: Figures, queries: int, resamples: int, seed: int = 0) -> dict[str, Interval]:
-    """Percentile intervals of figures, `LEVEL` wide, over resampled queries.
+    """Percentile intervals of figures, `LEVEL` wide, over resampled queries, by the figure's name.
 
     A resample draws as many queries as there are, with replacement (Efron, "Bootstrap methods:
-    another look at the jackknife", Annals of Statistics 1979). Only the queries are drawn anew, so
-    an interval says how the figure varies with the choice of queries, and nothing of other maps.
-    Queries of one drive are not independent, so the intervals are rather too narrow.
+    another look at the jackknife", Annals of Statistics 1979). An interval says how the figure
+    varies with the choice of queries, and nothing of other maps. Queries of one drive are not
+    independent, so the intervals are rather too narrow.
 
     Args:
-        figures: computes the figures of many resamples at once.
+        figures: computes the figures of many resamples at once. Resamples in which a figure is NaN
+            are left out; its interval is NaN if all are.
         queries: Q.
         resamples: how many, at least 1.
         seed: of the draw; the same seed gives the same intervals.
-
-    Returns:
-        lower and upper end by the figure's name. Resamples in which the figure has no meaning are
-        passed over; NaN where it never has one.
     """
     rng = np.random.default_rng(seed)
     block = max(1, _CELLS // max(1, queries))

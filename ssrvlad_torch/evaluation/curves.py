@@ -151,17 +151,15 @@ def rank(scores: Floats, correct: Bools) -> Ranking:
 
 
 def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
-    """ROC-AUC: how probably a right best candidate scores above a wrong one, ties half.
+    """ROC-AUC, ``(...)`` 0 to 1: how probably a right best candidate scores above a wrong one, ties
+    half; NaN where all are right or all are wrong.
 
-    A query without a candidate counts as wrong with the lowest score of all. The figure is that
-    of scikit-learn's ``roc_auc_score(correct, scores)``.
+    A query without a candidate counts as wrong with the lowest score of all. The figure is that of
+    scikit-learn's ``roc_auc_score(correct, scores)``.
 
     Args:
         curve: from `Ranking.curve`.
         right, wrong: ``(...)`` float64, queries whose best candidate is right, and all others.
-
-    Returns:
-        ``(...)``, 0 to 1, NaN where all are right or all are wrong.
     """
     found = np.insert(curve.true_positives, 0, 0.0, axis=-1)
     missed = np.insert(curve.accepted - curve.true_positives, 0, 0.0, axis=-1)

@@ -48,10 +48,8 @@ class PairCounts:
 def count_pairs(
     similarity: npt.NDArray[np.floating[Any]], truth: Truth, single: bool = False
 ) -> PairCounts:
-    """Counts pairs over `STEPS` thresholds, linearly spaced from the highest similarity to the
-    lowest.
-
-    The thresholds are float64 whatever the similarity is.
+    """Counts pairs over `STEPS` thresholds, float64, linearly spaced from the highest similarity to
+    the lowest; without a finite similarity there is no threshold.
 
     Args:
         similarity: ``(Q, R)``; -inf for a pair that cannot match, which gets the lowest similarity,
@@ -59,9 +57,6 @@ def count_pairs(
         truth: true matches of each query, the tutorial's ``GThard``.
         single: only the best reference of each query may be accepted, and the positives are the
             queries that have a true match; else every pair may, and all true pairs are positives.
-
-    Returns:
-        the counts, without any threshold if there is no finite similarity.
 
     Raises:
         ValueError: the shapes do not fit, or a similarity is NaN or +inf.

@@ -55,19 +55,19 @@ class LoopDetector:
     """Tells for each frame of a stream whether its place was seen before.
 
     A frame is compared with all earlier ones, standardised by the mean of all frames so far and
-    from several anchors, and a Bayes filter over the frames (`recognition.filter`) follows the
-    stream. Its states are the earlier frames and "a new place". The excluded frames are states
-    too, from the `RECENT`-th on: where they fit as well as old ones, no loop is closed. In one
-    sequence light and network are the same: the better neighbouring frames fit each other, the
-    more is asked of old ones of that sequence.
+    from several anchors, and a Bayes filter (`recognition.filter`) follows the stream. Its states
+    are the earlier frames and "a new place". The excluded frames are states too, from the
+    `RECENT`-th on: where they fit as well as old ones, no loop is closed. Frames of one sequence
+    share light and network: the better its neighbouring frames fit each other, the higher is the
+    level for its old ones.
 
     One thread updates; another may `save` meanwhile.
 
     Args:
         config: the settings; without, the defaults.
-        head: describes label maps; descriptors that are given must be of its settings. Without,
-            the preset ``default``.
-        beside: what else describes frames, by their pictures: the scores of all are fused, each
+        head: describes label maps; descriptors that are given must be of its settings. Without, the
+            preset ``default``.
+        beside: further methods that describe frames by their pictures. All scores are fused, each
             weighted by how far its first candidates were ahead so far.
 
     Example:
@@ -231,9 +231,8 @@ class LoopDetector:
         return result
 
     def save(self, database: Database) -> None:
-        """Adds the frames that came since the last `save` or `load` to a database.
-
-        It gets raw descriptors, like any other, and is all that is kept.
+        """Adds the frames that came since the last `save` or `load` to a database, as raw
+        descriptors.
 
         Args:
             database: the one that was loaded, or saved to before; at first an empty one.
@@ -272,11 +271,10 @@ class LoopDetector:
         """A detector that remembers the frames of a database, whoever wrote it.
 
         Sequences come in the order in which they were added, the frames of each in that of their
-        names. Where the stream was is not kept: as at the start of a sequence, the place is looked
-        for anew.
+        names. As at the start of a sequence, the place is looked for anew.
 
         Args:
-            database: raw descriptors, and what is beside them.
+            database: raw descriptors, of the further methods too.
             config: as for `LoopDetector`.
             head: its settings must have the database's fingerprint; without, the database's.
 

@@ -29,8 +29,8 @@ def draw_loops(
     """A picture of a stream.
 
     Where there are poses, each sequence is drawn from above, with a dot at each frame that closes a
-    loop and a line from there to its candidate. Beside it stands, for each such frame, the number
-    of the frame and of its candidate: a stretch that is driven again is a rising line.
+    loop and a line to its candidate. Beside it stand the numbers of such frames against those of
+    their candidates: a stretch that is driven again is a rising line.
 
     Args:
         loops: ``(N,)`` int64, row of each frame's candidate, -1 where it closes no loop.

@@ -38,18 +38,17 @@ def open_detector(
     labels_as: str | LabelSpace,
     beside: Sequence[Beside] = (),
 ) -> tuple[LoopDetector, Database | None]:
-    """A detector, and the database that it was loaded from and is saved to.
+    """A detector, and the database that it was loaded from and is saved to, if any.
 
     Args:
         config: the settings of the detector.
         memory: a database, new if there is none; ``None`` for none.
         preset: of the descriptors; without, the database's, or ``default``.
         labels_as: label space of the frames to come.
-        beside: what else describes frames; without, what the database holds.
+        beside: further methods; without, those of the database.
 
     Raises:
-        ValueError: the database is damaged, or was made with another preset or without what shall
-            be beside.
+        ValueError: the database is damaged, or of another preset or other further methods.
     """
     if memory is not None and preset is None and Database.exists(memory):
         method = replace(Database.open(memory).config, labels_as=labels_as)
@@ -110,14 +109,8 @@ def encode_as_they_come(
 def detect_loops(
     detector: LoopDetector, frames: Iterable[Encoded | Skipped], database: Database | None = None
 ) -> Generator[LoopResult | Skipped]:
-    """Shows frames to a detector, in order; a frame that it cannot use is skipped.
-
-    Args:
-        detector: goes on from what it knows.
-        frames: the stream.
-        database: gets a checkpoint every `CHECKPOINT_FRAMES` frames and when the stream ends or
-            breaks off; ``None`` for none.
-    """
+    """Shows frames to a detector, in order; a frame that it cannot use is skipped. A database gets
+    a checkpoint every `CHECKPOINT_FRAMES` frames and when the stream ends or breaks off."""
     try:
         for frame in frames:
             yield frame if isinstance(frame, Skipped) else _observe(detector, frame)
@@ -153,13 +146,12 @@ def report(
     Args:
         detector: after these frames.
         results: one a frame.
-        metres: largest distance of a right loop; ``None`` if none is to be judged.
+        metres: largest distance of a right loop; without, loops are not judged.
 
     Returns:
         ``frames``, ``reasons`` (how often each), ``steps`` (what was done), and with a distance the
-        counts of `LoopScore`, ``precision``, ``recall``, and ``suggested``, the surest threshold
-        for such a stream, see `evaluation.loops.surest`, as a mapping; ``None`` only if no
-        candidate is right, whatever its probability.
+        counts of `LoopScore`, ``precision``, ``recall``, and ``suggested``: the threshold of
+        `evaluation.loops.surest` as a mapping, ``None`` if no candidate is right.
 
     Raises:
         ValueError: loops are to be judged and no frame has a pose.

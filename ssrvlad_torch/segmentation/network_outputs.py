@@ -128,8 +128,7 @@ def class_axis(shape: tuple[int | None, ...], counts: range, channels_last: bool
 
 def classes_of(output: Tensor) -> Tensor:
     """The one rule of which class a pixel is: the largest score wins, the first of equals.
-
-    Every way goes through here, `Segmenter`, `SSRVLAD` on class scores and the files of `fuse`.
+    `Segmenter`, `SSRVLAD` on class scores and the files of `fuse` all use it.
 
     Args:
         output: ``(B, C, h, w)`` floating class scores, or ``(B, h, w)`` ids, which stay.
@@ -146,17 +145,9 @@ def classes_of(output: Tensor) -> Tensor:
 
 
 def enlarged(labels: Tensor, height: int, width: int) -> Tensor:
-    """Label maps at another size: each pixel takes the label of the cell that its middle is in.
-
-    Integers only, so that every backend gives the same pixels.
-
-    Args:
-        labels: ``(B, h, w)`` integers.
-        height, width: of what is returned.
-
-    Returns:
-        ``(B, height, width)`` of the same dtype.
-    """
+    """``(B, height, width)``: label maps ``(B, h, w)`` at another size. Each pixel takes the label
+    of the cell that its middle is in; integers only, so that every backend gives the same
+    pixels."""
     device = labels.device
     rows = (2 * torch.arange(height, device=device) + 1) * labels.shape[1] // (2 * height)
     columns = (2 * torch.arange(width, device=device) + 1) * labels.shape[2] // (2 * width)

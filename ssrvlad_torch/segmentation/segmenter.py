@@ -55,18 +55,15 @@ class Segmenter:
     (segmentation-models-pytorch), in a mapping (torchvision), in an object with ``logits``
     (transformers) or in a tuple: class scores at any stride, or integer ids. The class of a pixel
     is decided at the network's own stride (`classes_of`), and the label map is then brought to the
-    size of the picture (`enlarged`), not of the network's input.
+    size of the picture (`enlarged`).
 
     Args:
-        network: any module that takes ``(B, 3, H, W)`` floats; it is put into evaluation mode
-            and runs where its weights lie. `OnnxNetwork` is such a module.
+        network: any module that takes ``(B, 3, H, W)`` floats; it is put into evaluation mode and
+            runs where its weights lie. `OnnxNetwork` is such a module.
         labels_as: label space of its classes.
         config: how its pictures are prepared.
-        cache: folder in which `label_maps` keeps label maps, so that each is made once. A label
-            map is found by the content of the image file and by what the network computes: of an
-            ONNX graph its files, of a frozen module its program, of another module the code of
-            its classes, their plain attributes, weights, buffers and what it makes of a picture;
-            and by the settings.
+        cache: folder in which `label_maps` keeps label maps, by the content of the image file, the
+            settings, and the network as `digest_of` tells it from others.
         cache_bytes: most that the whole cache may hold.
         name: by which `load` finds the network again, if there is one.
 

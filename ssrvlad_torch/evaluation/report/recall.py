@@ -29,15 +29,12 @@ class RecallRates(NamedTuple):
 def recall_rates(
     outcomes: Outcomes, most: int, of_all: bool = False, resamples: int = 1000
 ) -> RecallRates:
-    """RecallRate@1 to RecallRate@``most``.
-
-    The draws of the bootstrap are those of `metrics.evaluate`, and so are the figures.
+    """RecallRate@1 to RecallRate@``most``, with the draws and so the figures of `metrics.evaluate`.
 
     Args:
         outcomes: judged from at least ``most`` candidates a query.
         most: at least 1.
-        of_all: whether it is a fraction of all queries, as in VPR-Bench, or of those that have a
-            true match.
+        of_all: a fraction of all queries, as in VPR-Bench, not of those that have a true match.
         resamples: of the bootstrap.
     """
     asked = np.ones(len(outcomes), bool) if of_all else outcomes.has_match
