@@ -65,7 +65,6 @@ def test_an_unknown_setting_is_an_error():
         ("cohog", {"entropy_threshold": 1.5}, "an entropy threshold from 0 to 1, got 1.5"),
         ("tiny-image", {"width": 60}, "multiples of 8, got 60 x 32"),
         ("tiny-image", {"height": 0}, "multiples of 8, got 64 x 0"),
-        ("tiny-image", {"reach": 0}, "a reach of 1 or more, got 0"),
         ("hog", {"rows": 0, "columns": 4}, "method hog wants a grid of 1 x 1 or more, got 0 x 4"),
         ("label-grid", {"columns": 0}, "wants a grid of 1 x 1 or more, got 6 x 0"),
         ("ssr-vlad", {"temporal": -1}, "a temporal of 0 or more, got -1"),

@@ -57,7 +57,7 @@ def read_caffemodel(path: Path) -> dict[str, Tensor]:
 
 
 def _array(blob: Any) -> Tensor:
-    """Files of before 2015 give four sizes, of which leading ones stand for missing axes."""
+    """Files from before 2015 give four sizes, the leading ones of which may be missing axes."""
     shape = list(blob.shape.dim) or [blob.num, blob.c, blob.h, blob.w]
     while not blob.shape.dim and len(shape) > 1 and shape[0] == 1:
         shape.pop(0)

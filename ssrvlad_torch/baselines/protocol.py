@@ -91,7 +91,7 @@ class Method(Protocol):
     needs: frozenset[str]
 
     def encode_query(self, frames: Iterable[Frame]) -> Encodings:
-        """The encodings of Q queries, none of which sees another.
+        """The encodings of Q queries, each independent of the others.
 
         Raises:
             ValueError: a frame lacks what the method needs, or cannot be encoded.

@@ -42,7 +42,7 @@ def note(message: str) -> None:
 
 
 def say(text: object) -> None:
-    """One line on stdout, whatever names are in it."""
+    """One line on stdout; what is not printable in a name is escaped."""
     print(shown(str(text)), flush=True)
 
 

@@ -1,8 +1,8 @@
 """CamVid: drives through Cambridge, in the layouts in which they are passed around.
 
 Brostow et al., Pattern Recognition Letters 2009. A traverse is a drive, ``0001TP``, ``0006R0``,
-``0016E5`` or ``Seq05VD``, whatever folders its frames lie in: the splits ``train``, ``val`` and
-``test`` cut drives into pieces, and are put together again.
+``0016E5`` or ``Seq05VD``. The splits ``train``, ``val`` and ``test`` cut drives into pieces; these
+are put together again.
 
 - the original: ``701_StillsRaw_full`` and ``LabeledApproved_full`` (colours, ``*_L.png``);
 - the same in splits: ``train`` and ``train_labels`` (colours, ``*_L.png``) and so on;

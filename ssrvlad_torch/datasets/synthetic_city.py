@@ -33,9 +33,8 @@ from ..files import empty_folder, replacing
 from ..taxonomy import label_space, palette
 from .city.blocks import block_sides, standing
 from .city.bodies import Bodies, pack
-from .city.conditions import Conditions, require
+from .city.conditions import Conditions, generator, require
 from .city.picture import background, paint
-from .city.randomness import generator
 from .city.streets import camera_poses, nearby
 from .city.traffic import passers_by, vehicles
 from .poses import Pose, write_poses

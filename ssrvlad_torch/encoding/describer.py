@@ -1,4 +1,4 @@
-"""A worker's work: reads label maps and describes them, some at a time."""
+"""The work of a worker: reads label maps and describes them in batches."""
 
 from __future__ import annotations
 
@@ -77,11 +77,12 @@ class Describer:
         return _made_of, (config, self.head.native, self.origin, self.beside)
 
     def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
-        """What becomes of some frames, in their order."""
+        """The results of some frames, in their order."""
         return self.describe(read(self.head.label_space, items))
 
     def describe(self, items: Sequence[Item]) -> list[Described | Skipped]:
-        """What becomes of frames that `read` read, those of one size and dtype together."""
+        """The results of frames that `read` read; those of one size and dtype are described
+        together."""
         results: dict[int, Described | Skipped] = {}
         alike: dict[object, list[int]] = {}
         for place, item in enumerate(items):

@@ -1,4 +1,4 @@
-"""What an encoding run has to do, and why: frames against the rows of a database."""
+"""The plan of an encoding run: which frames must be encoded, and why."""
 
 from __future__ import annotations
 
@@ -23,17 +23,16 @@ POSE = "pose changed"
 
 @dataclass(frozen=True)
 class Plan:
-    """What an encoding run has to do.
+    """The frames that an encoding run must encode, and why.
 
-    A frame is fresh only if its row was made from the same source, which its signature tells, of
-    the same label space and by the same segmenter, and has the pose that is known now. All others
-    are encoded.
+    A row is up to date if its frame has the same source (by its signature), label space, segmenter
+    and pose. All other frames are encoded.
 
     Attributes:
         files: of frames to encode.
         reasons: why each of them, by the frame's id.
         digests: of the label maps of those whose row may turn out the same, by the frame's id.
-        already_there: number of frames that are fresh.
+        already_there: number of frames that are up to date.
         gone: ids of frames of the same folders that have no file.
     """
 
@@ -45,11 +44,8 @@ class Plan:
 
     @classmethod
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
-        """The plan for files, label maps of an origin or what it makes them of.
-
-        Raises:
-            ValueError: a sequence of the database is of another folder.
-        """
+        """The plan for files of label maps of an origin, or that it makes label maps of. A sequence
+        of the database that is of another folder is a ValueError."""
         known, origins = database.known(), database.origins
         there = {name for name, entry in origins.items() if _reason(origin, entry) is None}
         _see_folders(files, known)
@@ -83,7 +79,7 @@ def folders_of(known: KnownFrames) -> dict[str, str]:
 
 
 def _why_anew(file: FrameFile, record: FrameRecord) -> str | None:
-    """Why a frame with a row of the same origin must be encoded, ``None`` if it need not be."""
+    """Why a frame with a row of the same origin must be encoded; ``None`` if not."""
     signature = file.signature()
     if record.signature != signature:
         state = record.signature.rpartition("|")[2]
@@ -94,7 +90,7 @@ def _why_anew(file: FrameFile, record: FrameRecord) -> str | None:
 
 
 def _reason(now: Origin, then: Origin | None) -> str | None:
-    """Why label maps of one origin do not stand for those of another."""
+    """Why label maps of one origin do not replace those of another."""
     if then is None or then.label_space is None or now.label_space is None:
         return LABEL_SPACE
     if then.label_space.digest != now.label_space.digest:
@@ -103,10 +99,8 @@ def _reason(now: Origin, then: Origin | None) -> str | None:
 
 
 def _see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
-    """Refuses what would merge or overwrite frames of different folders.
-
-    A sequence whose name the user chose may have frames of several.
-    """
+    """Refuses to merge or overwrite frames of different folders; a sequence that the user named may
+    have frames of several."""
     sequences = {file.sequence for file in files}
     theirs: dict[str, set[str]] = {}
     for frame, folder in _folders(known):

@@ -31,7 +31,7 @@ _Batch = dict[str, Any]
 
 
 class Part(NamedTuple):
-    """What became of some frames.
+    """The results of some frames.
 
     Attributes:
         results: of all but those written.
@@ -52,15 +52,15 @@ def encode_with_ray(
 ) -> Summary:
     """Encodes frames as `encode_to_database` does, by Ray.
 
-    The files and the database must be where every node of the cluster finds them. Actors encode
-    new frames and write them as files of the database; here these are committed from time to time,
-    and at the end or when the run is interrupted. What a lost actor had in hand is done again by
-    another. Frames that take the place of others are sent here and committed here.
+    Every node of the cluster must find the files and the database. Actors encode new frames and
+    write them as files of the database, which are committed here from time to time, and at the end
+    or when the run is interrupted. If an actor is lost, another does its work again. Frames that
+    replace others are sent here and committed here.
 
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`.
-        database: where the raw descriptors go.
+        database: gets the raw descriptors.
         options: how; ``workers`` are actors, one core each.
 
     Raises:
@@ -102,7 +102,7 @@ class PartEncoder:
         self.database = database
 
     def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
-        """What becomes of the files of a part, whose frames are all new or all not."""
+        """The results of the files of a part, whose frames are all new or all not."""
         results = self.describer([Item(file) for file in files])
         described = [result for result in results if isinstance(result, Described)]
         if not new or not described:
@@ -128,7 +128,7 @@ class Actor:
             part: Part | OSError = self.encode(pickle.loads(files), bool(new))
         except OSError as error:  # of the disk: trying again does not help
             part = OSError(one_line(error))
-        except Exception as error:  # Ray would tell of itself, and not of this
+        except Exception as error:  # Ray would report itself, and not this
             part = OSError(f"Ray gave up: {one_line(error)}")
         return {"part": [pickle.dumps(part)]}
 
@@ -172,7 +172,7 @@ def _need_ray() -> None:
 
 
 def _quiet_ray() -> None:
-    """Connects to Ray, if nobody has, without what it tells in passing."""
+    """Connects to Ray, if nobody has, without its logs."""
     import ray.data
 
     if not ray.is_initialized():

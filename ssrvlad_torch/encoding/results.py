@@ -1,4 +1,4 @@
-"""What becomes of frames on their way into a database."""
+"""The results of encoding: encoded and skipped frames, options and the summary."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def cores() -> int:
 
 
 def tell_nobody(_what: object) -> None:
-    """What is called where nobody wants to know."""
+    """A callback that does nothing."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,12 @@ class EncodeOptions:
     """How a database is filled.
 
     Attributes:
-        workers: threads and processes that read and encode, if not given as many as cores; with 0
-            or 1 all is done in the caller's thread.
-        complete: the files are all that there are of their folders, so that other frames of these
-            are known to be gone.
+        workers: threads and processes that read and encode; without, as many as cores. With 0 or 1
+            all is done in the caller's thread.
+        complete: the files are all files of their folders, so that other frames of these are gone.
         prune: with ``complete``, remove the frames that are gone.
-        progress: told of every frame that is done.
-        skipped: told of every frame that is skipped, at once.
+        progress: called with the number of frames done since the last call.
+        skipped: called with every frame that is skipped, at once.
     """
 
     workers: int | None = None
@@ -71,15 +70,15 @@ class EncodeOptions:
 
 @dataclass
 class Summary:
-    """What an encoding run did.
+    """The result of an encoding run.
 
     Attributes:
-        encoded: number of frames that were added.
-        anew: number of frames that were there and were encoded anew, by the reason.
+        encoded: number of new frames.
+        anew: number of frames that were encoded again, by the reason.
         already_there: number of frames that were left as they are.
-        empty: number of frames, of those encoded, with a descriptor of zeros.
+        empty: number of encoded frames with a descriptor of zeros.
         pruned: number of frames that were removed because their file is gone.
-        gone: ids of frames that are there and whose file is gone.
+        gone: ids of frames in the database whose file is gone.
         skipped: frames that could not be encoded.
     """
 
@@ -93,7 +92,7 @@ class Summary:
 
     @property
     def described(self) -> int:
-        """Number of frames that are there and of today's settings."""
+        """Number of frames in the database that are up to date."""
         return self.encoded + self.anew.total() + self.already_there
 
     def __str__(self) -> str:

@@ -15,7 +15,7 @@ COMMIT_ROWS, COMMIT_SECONDS = 8192, 10.0
 
 
 class Writer:
-    """Puts frames into a database from time to time; what waits at the end too."""
+    """Puts frames into a database from time to time; the last ones at the end."""
 
     def __init__(self, database: Database, plan: Plan, options: EncodeOptions) -> None:
         self.summary = Summary(already_there=plan.already_there)
@@ -33,7 +33,7 @@ class Writer:
         self.commit()
 
     def add(self, result: Encoded | Skipped) -> None:
-        """Takes what became of a frame."""
+        """Takes the result of a frame."""
         if isinstance(result, Skipped):
             self.summary.skipped.append(result)
             self._options.skipped(result)
@@ -53,7 +53,7 @@ class Writer:
         self._options.progress(len(written.frames))
 
     def commit(self) -> None:
-        """Puts the frames that wait into the database."""
+        """Puts the waiting frames into the database."""
         frames, self._waiting = self._waiting, []
         apart, self._apart = self._apart, []
         self._database.adopt(apart)
@@ -68,7 +68,7 @@ class Writer:
         self._due = time.monotonic() + COMMIT_SECONDS
 
     def finish(self) -> Summary:
-        """Removes or tells what is gone."""
+        """Removes the frames that are gone, or reports them."""
         if self._options.prune:
             self._database.remove(self._plan.gone)
             self.summary.pruned = len(self._plan.gone)

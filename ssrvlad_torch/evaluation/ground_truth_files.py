@@ -65,7 +65,7 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
 
 
 def of_known(truth: Known) -> tuple[list[int], list[Rows]]:
-    """The queries of which the ground truth says something, by number, and their true matches."""
+    """The numbers of the queries that the ground truth knows, and their true matches."""
     known = {query: matches for query, matches in enumerate(truth) if matches is not None}
     return list(known), list(known.values())
 

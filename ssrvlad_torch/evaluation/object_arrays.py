@@ -1,6 +1,6 @@
 """Pickles of arrays, lists and mappings, read without running what a pickle asks for.
 
-A pickle is a program: NumPy's own ``allow_pickle=True`` calls whatever function the file names.
+A pickle is a program: NumPy's own ``allow_pickle=True`` calls any function that the file names.
 Here the few names that such files need lead to stand-ins of this module, and any other name is an
 error. Not even NumPy's own ``__setstate__`` is called, since it trusts what it is given.
 """

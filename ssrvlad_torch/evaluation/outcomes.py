@@ -1,4 +1,4 @@
-"""What became of each query: its best candidate, the score, and whether that is right."""
+"""The outcome of each query: its best candidate, the score, and whether that is right."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ class PairCounts:
 
     Attributes:
         accepted, right: ``(Q, T)`` float64, counts of pairs, and of true matches among them.
-        positives: ``(Q,)`` float64, what there is to be found.
+        positives: ``(Q,)`` float64, how many can be found.
         thresholds: ``(T,)`` float64, falling.
     """
 

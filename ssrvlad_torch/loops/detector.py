@@ -268,7 +268,7 @@ class LoopDetector:
         config: LoopConfig | None = None,
         head: SSRVLAD | None = None,
     ) -> LoopDetector:
-        """A detector that remembers the frames of a database, whoever wrote it.
+        """A detector that remembers the frames of any database.
 
         Sequences come in the order in which they were added, the frames of each in that of their
         names. As at the start of a sequence, the place is looked for anew.

@@ -1,4 +1,4 @@
-"""What became of a frame that was shown to the loop detector."""
+"""The result of a frame that the loop detector was shown."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Reason(StrEnum):
 
 
 class LoopResult(NamedTuple):
-    """What became of a frame.
+    """The result of a frame.
 
     Attributes:
         frame: its id.

@@ -141,7 +141,7 @@ def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows
 def report(
     detector: LoopDetector, results: Sequence[LoopResult], metres: float | None = None
 ) -> dict[str, Any]:
-    """What became of a detector's last frames.
+    """The results of a detector's last frames, summed up.
 
     Args:
         detector: after these frames.

@@ -128,7 +128,7 @@ class Filter:
         return self.spaced(evidence(scores, self.motion))
 
     def spaced(self, told: Tensor) -> Tensor:
-        """``(cells,)``, what is told of rows ``(R,)``, and 0 between the sequences."""
+        """``(cells,)``: evidence of rows ``(R,)``, and 0 between the sequences."""
         return torch.zeros_like(self._inside).index_copy_(0, self._cells, told)
 
     def after(self, belief: Belief, told: Tensor) -> tuple[Belief, float]:

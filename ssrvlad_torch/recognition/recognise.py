@@ -153,11 +153,8 @@ def recognise_by_scores(
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
-    """Likewise, by scores of methods whose encodings are no vectors: they can only be followed.
-
-    Args:
-        scores: ``(Q, R)`` float, at most 1; -inf where there can be no match.
-    """
+    """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match, of
+    methods whose encodings are no vectors: they can only be followed."""
     steps = replace(steps or Steps(), standardise=False, sweep=False)
 
     def judge(run: range) -> _Outcome:
@@ -175,11 +172,8 @@ def recognise_by_search(
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
-    """Likewise, over the candidates of a search: for maps of which not every row is scored.
-
-    Args:
-        search: gives what finds candidates, standardised or not. There is no sweep.
-    """
+    """As `recognise`, over the candidates of a search, for maps that are too large to score every
+    row. ``search`` gives what finds candidates, standardised or not; there is no sweep."""
     steps = replace(steps or Steps(), sweep=False)
 
     def judge(run: range) -> _Outcome:

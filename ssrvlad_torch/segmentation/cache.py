@@ -38,8 +38,8 @@ class LabelMapCache:
         self._size: int | None = None
 
     def get(self, picture: str) -> LabelMap | None:
-        """The label map of a picture, by the digest of its file; ``None`` where there is none, or
-        a damaged one, to be made anew."""
+        """The label map of a picture, by the digest of its file; ``None`` if it is missing or
+        damaged."""
         entry = self._entry(picture)
         try:
             labels = read_label_map(FrameFile("cache", entry.stem, entry), self.space)
@@ -49,7 +49,7 @@ class LabelMapCache:
         return labels
 
     def put(self, picture: str, labels: LabelMap) -> None:
-        """Keeps a label map, unless its ids are such as no PNG can hold.
+        """Keeps a label map, unless no PNG can hold its ids.
 
         Raises:
             OSError: the folder cannot be written.

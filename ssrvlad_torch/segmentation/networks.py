@@ -34,9 +34,9 @@ class NamedNetwork:
     Attributes:
         name: as it was given.
         network: the module.
-        config: what its pictures are to be.
-        class_names: of its channels, as far as it says.
-        labels_as: label space, if the file that names the network says.
+        config: how its pictures are prepared.
+        class_names: of its channels, those that it declares.
+        labels_as: label space, if the file that names the network declares one.
     """
 
     name: str

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from ..options import AsOf, Json, MethodOptions, RecognitionOptions, SourceOptions, TruthOptions
 from ..output import finish, print_json, say
-
-if TYPE_CHECKING:
-    from ..report import Page
 
 
 def evaluate(
@@ -56,12 +52,14 @@ def evaluate(
     from ...database.database import Database
     from ..measure import measure, print_metrics
     from ..recognise import by_database, by_method
-    from ..report import title_and_settings
+    from ..report import Page, title_and_settings
     from ..sources import Source
     from ..truth import TrueMatches
 
     _check(method, recognition, source)
-    page = _page(report, pictures, method)
+    if pictures and (report is None or method.method):
+        raise ValueError("--pictures wants a --report of a database")
+    page = None if report is None else Page(report, pictures or ())
     opened = Source.open(source)
     true = TrueMatches.by(truth, opened.dataset.truth if opened.dataset else None)
     if method.method is None:
@@ -88,8 +86,8 @@ def _check(method: MethodOptions, recognition: RecognitionOptions, source: Sourc
     """Refuses options that do not go together, and names what to use instead."""
     if method.method is None:
         if method.settings or method.named:
-            name = "--set" if method.settings else _option(next(iter(method.named)))
-            raise ValueError(f"{name} wants a --method")
+            name = "set" if method.settings else next(iter(method.named)).replace("_", "-")
+            raise ValueError(f"--{name} wants a --method")
         return
     if recognition.min_confidence:
         raise ValueError("--min-confidence is of a database: confidence is fitted to its scores")
@@ -109,17 +107,3 @@ def _check(method: MethodOptions, recognition: RecognitionOptions, source: Sourc
         raise ValueError(
             "--layout does not go with --method: use ssrvlad compare, or name the two folders"
         )
-
-
-def _page(
-    report: Path | None, pictures: Sequence[str] | None, method: MethodOptions
-) -> Page | None:
-    from ..report import Page
-
-    if pictures and (report is None or method.method):
-        raise ValueError("--pictures wants a --report of a database")
-    return None if report is None else Page(report, pictures or ())
-
-
-def _option(setting: str) -> str:
-    return "--" + setting.replace("_", "-")

@@ -29,7 +29,7 @@ from .bodies import (
     traffic_light,
     tree,
 )
-from .randomness import generator
+from .conditions import generator
 from .streets import street
 
 KERB_STRIP = 2.2  # parking bays, grass or paving between kerb and sidewalk
@@ -71,7 +71,7 @@ class Side(NamedTuple):
 
 
 def standing(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
-    """Everything that stands in a block, whoever drives by."""
+    """Everything that stands in a block on every drive."""
     yield from _paving(sides)
     for side, following in zip(sides, sides[1:] + sides[:1], strict=True):
         yield from _kerb_strip(seed, side)

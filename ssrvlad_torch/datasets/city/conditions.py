@@ -1,9 +1,12 @@
-"""How a drive through the synthetic city differs from another one."""
+"""How a drive through the synthetic city differs from another one, and where chance comes from."""
 
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import dataclass
+
+import numpy as np
 
 from ..segmentation_noise import SegmentationNoise
 
@@ -48,3 +51,9 @@ def require(holds: bool, name: str, got: object, expected: str) -> None:
     """Raises a `ValueError` that names what was got and expected, unless the condition holds."""
     if not holds:
         raise ValueError(f"{name}: got {got!r}, expected {expected}")
+
+
+def generator(seed: int, thing: str, *key: int) -> np.random.Generator:
+    """Random generator of one thing, independent of all others; the key may be negative."""
+    name = zlib.crc32(thing.encode())
+    return np.random.default_rng([seed, name, *(number % 2**32 for number in key)])

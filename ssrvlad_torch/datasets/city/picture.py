@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from ..poses import Pose
 from .bodies import BUILDING, ROAD, SKY, VEGETATION, Bodies
-from .randomness import generator
+from .conditions import generator
 
 CAMERA_HEIGHT = 1.5
 FIELD_OF_VIEW = math.radians(85)

@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from ..poses import Pose
-from .conditions import Conditions
-from .randomness import generator
+from .conditions import Conditions, generator
 
 PITCH = 80.0  # mean distance of neighbouring streets
 PITCH_JITTER = 16.0

@@ -11,9 +11,8 @@ import numpy as np
 from ..poses import Pose
 from .blocks import KERB_STRIP, Side
 from .bodies import BUS, PARKING, TRUCK, Axis, Body, box, car, person, rider
-from .conditions import Conditions
+from .conditions import Conditions, generator
 from .picture import FAR
-from .randomness import generator
 from .streets import PITCH, street
 
 

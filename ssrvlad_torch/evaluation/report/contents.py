@@ -8,15 +8,16 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from torch import Tensor
 
 from ...config import AREA_LAYERS, SSRVLADConfig
+from ...recognition.sweep import score
 from ...stages.boundaries import DIRECTIONS
 from ...taxonomy import CATEGORIES
 from ..curves import PrecisionRecall
-from ..outcomes import Outcomes, Truth
+from ..outcomes import Outcomes, Rows, Truth
 from .images import Pixels
-from .scores import Scores
 
 
 class Frames(Protocol):
@@ -45,6 +46,11 @@ class Picture(NamedTuple):
 
 Pictures = Callable[[str], Picture]
 """From a frame's id to its picture; no file is looked for before it is called."""
+
+
+Scores = Callable[[Rows, Rows], npt.NDArray[np.floating[Any]]]
+"""From rows of n queries and of m references to the ``(n, m)`` scores of all their pairs, -inf
+where there can be no match."""
 
 
 class Descriptors(NamedTuple):
@@ -107,3 +113,16 @@ class Report:
     reference_pictures: Pictures = lambda _: Picture()
     settings: Mapping[str, str] = field(default_factory=dict)
     notes: Sequence[str] = ()
+
+
+def cosine_scores(queries: Tensor, references: Tensor) -> Scores:
+    """Cosines of descriptors ``(Q, D)`` and ``(R, D)``, -inf where one is zero: what is empty
+    matches nothing."""
+    return lambda rows, columns: score(
+        queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)]
+    ).numpy()
+
+
+def stored_scores(similarity: npt.NDArray[np.floating[Any]]) -> Scores:
+    """Scores that are there already, ``(Q, R)``."""
+    return lambda rows, columns: similarity[np.ix_(rows, columns)]

@@ -11,7 +11,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..outcomes import Floats, Outcomes, Rows, Truth
-from .scores import Scores
+from .contents import Scores
 
 
 class Match(NamedTuple):

@@ -1,4 +1,4 @@
-"""The similarity matrix as a picture of bounded size, whatever the size of the matrix."""
+"""The similarity matrix as a picture of bounded size."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..outcomes import Bools, Outcomes, Rows, Truth
-from .scores import Scores
+from .contents import Scores
 
 MOST_ROWS, MOST_COLUMNS = 400, 800
 _QUERY_BLOCK, _REFERENCE_BLOCK = 1 << 10, 1 << 12
