@@ -6,9 +6,9 @@ object back:
 
     def query(database: DatabaseFolder, source: SourceOptions, top: Annotated[int, ...] = 5): ...
 
-To add an option to all commands that share a class, add a field with a default to the class:
-``name: Annotated[type, typer.Option(help="...")] = default``. To add one to a single command, add
-a parameter to its function. Nothing here may import torch: ``ssrvlad --help`` is to be quick.
+To add an option to all commands that share a class, add a field to the class:
+``name: type = option(default, "help")``. To add one to a single command, add a parameter to its
+function. Nothing here may import torch, so that ``ssrvlad --help`` is quick.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import inspect
 import math
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_type_hints
@@ -63,82 +63,68 @@ RandomWeights = Annotated[
 ]
 
 
+def option(default: object, help: str, *flags: str, **settings: Any) -> Any:
+    """An option: a field of an options class, or the default of a command's parameter.
+
+    Without flags, its name is that of the field. A default of ``...`` means that it must be given.
+    """
+    return field(default=default, metadata={"typer": typer.Option(*flags, help=help, **settings)})
+
+
+def argument(help: str, metavar: str | None = None, **default: Any) -> Any:
+    """An argument, likewise."""
+    return field(metadata={"typer": typer.Argument(help=help, metavar=metavar)}, **default)
+
+
 @dataclass(frozen=True)
 class SourceOptions:
     """Where frames come from, which of them are taken, and how images become label maps."""
 
-    paths: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SOURCE...",
-            help="Folders, globs or files of label maps, or of images with --segmenter; a folder "
-            "is a sequence, and so is a ROS bag of images.",
-        ),
-    ]
-    labels_as: Annotated[
-        str | None,
-        typer.Option(
-            help="Label space of the ids: a name or a .yaml file. Without it, the class names of "
-            "the segmenter decide (auto), or else the database or the data set."
-        ),
-    ] = None
-    layout: Annotated[
-        str | None,
-        typer.Option(
-            help="SOURCE is the folder of a data set: auto, or extended-cmu, robotcar-seasons, "
-            "synthia, cityscapes, camvid, vpr-bench, folders.",
-        ),
-    ] = None
-    split: Annotated[
-        list[str] | None,
-        typer.Option(help="With --layout: a sequence to take, * for any text; repeatable."),
-    ] = None
-    role: Annotated[
-        Literal["reference", "query"] | None,
-        typer.Option(help="With --layout: take the references only, or the queries only."),
-    ] = None
-    labels: Annotated[
-        Path | None,
-        typer.Option(help="With --layout: other label maps than the data set's own."),
-    ] = None
-    sequence: Annotated[
-        str | None, typer.Option(help="Name of the sequence. Without it, the name of the folder.")
-    ] = None
-    poses: Annotated[
-        str | None,
-        typer.Option(
-            help="Where frames were taken: a .csv file, a file of KITTI or TUM, or exif. Without "
-            "it, poses.csv in or beside a folder, or @UTM@ fields of file names."
-        ),
-    ] = None
-    topic: Annotated[
-        str | None, typer.Option(help="Topic of a ROS bag that has several topics of images.")
-    ] = None
-    every: Annotated[int, typer.Option(min=1, help="Take every N-th frame of a sequence.")] = 1
-    start: Annotated[int, typer.Option(min=0, help="First frame to take of a sequence.")] = 0
-    segmenter: Annotated[
-        str | None,
-        typer.Option(
-            help="Network that labels images: FILE.onnx, FILE.yaml with a network and its "
-            "settings, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL or MODULE:NAME.",
-        ),
-    ] = None
-    classes: Annotated[
-        str | None,
-        typer.Option(help="Channels of the network to use, FIRST:LAST, for example 0:19."),
-    ] = None
-    segmenter_cache: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder that keeps the segmenter's label maps. Without it, ~/.cache/ssrvlad."
-        ),
-    ] = None
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            min=1, help="Frames to encode at the same time. Without it, one for each core."
-        ),
-    ] = None
+    paths: list[str] = argument(
+        "Folders, globs or files of label maps, or of images with --segmenter; a folder "
+        "is a sequence, and so is a ROS bag of images.",
+        metavar="SOURCE...",
+    )
+    labels_as: str | None = option(
+        None,
+        "Label space of the ids: a name or a .yaml file. Without it, the class names of "
+        "the segmenter decide (auto), or else the database or the data set.",
+    )
+    layout: str | None = option(
+        None,
+        "SOURCE is the folder of a data set: auto, or extended-cmu, robotcar-seasons, "
+        "synthia, cityscapes, camvid, vpr-bench, folders.",
+    )
+    split: list[str] | None = option(
+        None, "With --layout: a sequence to take, * for any text; repeatable."
+    )
+    role: Literal["reference", "query"] | None = option(
+        None, "With --layout: take the references only, or the queries only."
+    )
+    labels: Path | None = option(None, "With --layout: other label maps than the data set's own.")
+    sequence: str | None = option(None, "Name of the sequence. Without it, the name of the folder.")
+    poses: str | None = option(
+        None,
+        "Where frames were taken: a .csv file, a file of KITTI or TUM, or exif. Without "
+        "it, poses.csv in or beside a folder, or @UTM@ fields of file names.",
+    )
+    topic: str | None = option(None, "Topic of a ROS bag that has several topics of images.")
+    every: int = option(1, "Take every N-th frame of a sequence.", min=1)
+    start: int = option(0, "First frame to take of a sequence.", min=0)
+    segmenter: str | None = option(
+        None,
+        "Network that labels images: FILE.onnx, FILE.yaml with a network and its "
+        "settings, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL or MODULE:NAME.",
+    )
+    classes: str | None = option(
+        None, "Channels of the network to use, FIRST:LAST, for example 0:19."
+    )
+    segmenter_cache: Path | None = option(
+        None, "Folder that keeps the segmenter's label maps. Without it, ~/.cache/ssrvlad."
+    )
+    workers: int | None = option(
+        None, "Frames to encode at the same time. Without it, one for each core.", min=1
+    )
 
     @property
     def takes_all(self) -> bool:
@@ -150,41 +136,27 @@ class SourceOptions:
 class DriveOptions:
     """The references and the queries of one data set, or of two folders."""
 
-    dataset: Annotated[
-        Path | None,
-        typer.Argument(
-            help="Folder of a data set. Without it, --references and --queries are folders."
-        ),
-    ] = None
-    references: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="A sequence of the data set, * for any text; repeatable. Without it, the data "
-            "set's own references."
-        ),
-    ] = None
-    queries: Annotated[list[str] | None, typer.Option(help="The same for queries.")] = None
-    odd_even: Annotated[
-        bool,
-        typer.Option(
-            "--odd-even",
-            help="Even frames of each drive are references, odd ones are queries.",
-        ),
-    ] = False
-    layout: Annotated[
-        str | None,
-        typer.Option(help="Layout of the data set. Without it, the layout is recognised."),
-    ] = None
-    labels: Annotated[
-        Path | None, typer.Option(help="Other label maps than the data set's own.")
-    ] = None
-    labels_as: Annotated[
-        str | None,
-        typer.Option(
-            help="Label space of the label maps: a name or a .yaml file. Without it, the data "
-            "set's. With it, a PNG that could be an image or a label map is a label map."
-        ),
-    ] = None
+    dataset: Path | None = argument(
+        "Folder of a data set. Without it, --references and --queries are folders.", default=None
+    )
+    references: list[str] | None = option(
+        None,
+        "A sequence of the data set, * for any text; repeatable. Without it, the data "
+        "set's own references.",
+    )
+    queries: list[str] | None = option(None, "The same for queries.")
+    odd_even: bool = option(
+        False, "Even frames of each drive are references, odd ones are queries.", "--odd-even"
+    )
+    layout: str | None = option(
+        None, "Layout of the data set. Without it, the layout is recognised."
+    )
+    labels: Path | None = option(None, "Other label maps than the data set's own.")
+    labels_as: str | None = option(
+        None,
+        "Label space of the label maps: a name or a .yaml file. Without it, the data "
+        "set's. With it, a PNG that could be an image or a label map is a label map.",
+    )
 
 
 @dataclass(frozen=True)
@@ -217,67 +189,47 @@ class Reach:
 class StepOptions:
     """What is done between descriptors and a decision."""
 
-    standardise: Annotated[
-        bool, typer.Option(help="Subtract the mean descriptor of each traverse.")
-    ] = True
-    sweep: Annotated[
-        bool,
-        typer.Option(
-            help="Describe each query from several anchors: this helps if the camera is turned or "
-            "moved aside. The scores decide how many anchors count."
-        ),
-    ] = True
-    follow: Annotated[
-        Literal["offline", "online", "no"],
-        typer.Option(
-            help="Judge each query together with its sequence: with all queries (offline), with "
-            "the earlier ones (online), or alone (no). Queries that do not form a sequence are "
-            "judged alone."
-        ),
-    ] = "offline"
-    delay: Annotated[
-        int,
-        typer.Option(
-            min=0, help="With --follow online: later queries to wait for before an answer."
-        ),
-    ] = 0
+    standardise: bool = option(True, "Subtract the mean descriptor of each traverse.")
+    sweep: bool = option(
+        True,
+        "Describe each query from several anchors: this helps if the camera is turned or "
+        "moved aside. The scores decide how many anchors count.",
+    )
+    follow: Literal["offline", "online", "no"] = option(
+        "offline",
+        "Judge each query together with its sequence: with all queries (offline), with "
+        "the earlier ones (online), or alone (no). Queries that do not form a sequence are "
+        "judged alone.",
+    )
+    delay: int = option(
+        0, "With --follow online: later queries to wait for before an answer.", min=0
+    )
 
 
 @dataclass(frozen=True)
 class RecognitionOptions(StepOptions):
     """What is done with descriptors before a place is decided."""
 
-    temporal: Annotated[
-        str | None,
-        typer.Option(
-            metavar="T",
-            help="Sum each reference descriptor over T frames on each side (Eq. 3), or, as 10m, "
-            "over as many frames as the sequence takes for so many metres. Without it, no sum.",
-        ),
-    ] = None
-    as_paper: Annotated[
-        bool,
-        typer.Option(
-            "--as-paper",
-            help="Decide as the paper does: single frames, their cosine, the sum of Eq. 3 with "
-            "t = 3, and no other step.",
-        ),
-    ] = False
-    fuse: Annotated[
-        bool | None,
-        typer.Option(
-            help="Use descriptors of pictures too. Without it, if the database holds them "
-            "(ssrvlad encode --with)."
-        ),
-    ] = None
-    min_confidence: Annotated[
-        float,
-        typer.Option(
-            min=0,
-            max=1,
-            help="Leave out queries whose first candidate is right with less probability.",
-        ),
-    ] = 0.0
+    temporal: str | None = option(
+        None,
+        "Sum each reference descriptor over T frames on each side (Eq. 3), or, as 10m, "
+        "over as many frames as the sequence takes for so many metres. Without it, no sum.",
+        metavar="T",
+    )
+    as_paper: bool = option(
+        False,
+        "Decide as the paper does: single frames, their cosine, the sum of Eq. 3 with "
+        "t = 3, and no other step.",
+        "--as-paper",
+    )
+    fuse: bool | None = option(
+        None,
+        "Use descriptors of pictures too. Without it, if the database holds them "
+        "(ssrvlad encode --with).",
+    )
+    min_confidence: float = option(
+        0.0, "Leave out queries whose first candidate is right with less probability.", min=0, max=1
+    )
 
     @property
     def reach(self) -> Reach:
@@ -295,51 +247,35 @@ class RecognitionOptions(StepOptions):
 class TruthOptions:
     """What counts as a true match, and by whose convention the figures are computed."""
 
-    ground_truth: Annotated[
-        Path | None,
-        typer.Option(
-            help="Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
-            "ground_truth_new.npy. Without any, the ground truth of the data set.",
-        ),
-    ] = None
-    tolerance_metres: Annotated[
-        float | None,
-        typer.Option(help="Or: true matches are at most so many metres away, by poses.csv."),
-    ] = None
-    tolerance_degrees: Annotated[
-        float | None,
-        typer.Option(help="With --tolerance-metres: headings differ by at most so many degrees."),
-    ] = None
-    tolerance_frames: Annotated[
-        int | None,
-        typer.Option(
-            help="Or: true matches are at most so many frames away. All frames of a data set count."
-        ),
-    ] = None
-    convention: Annotated[
-        Convention,
-        typer.Option(help="Convention that the figures follow."),
-    ] = "exact"
+    ground_truth: Path | None = option(
+        None,
+        "Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
+        "ground_truth_new.npy. Without any, the ground truth of the data set.",
+    )
+    tolerance_metres: float | None = option(
+        None, "Or: true matches are at most so many metres away, by poses.csv."
+    )
+    tolerance_degrees: float | None = option(
+        None, "With --tolerance-metres: headings differ by at most so many degrees."
+    )
+    tolerance_frames: int | None = option(
+        None, "Or: true matches are at most so many frames away. All frames of a data set count."
+    )
+    convention: Convention = option("exact", "Convention that the figures follow.")
 
 
 @dataclass(frozen=True)
 class MethodOptions:
     """Another method, and its settings as they were typed."""
 
-    method: Annotated[
-        str | None,
-        typer.Option(
-            help=f"Another method, which reads label maps or images: {', '.join(METHODS)}."
-        ),
-    ] = None
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="A setting of the method, NAME=VALUE; repeatable."),
-    ] = None
+    method: str | None = option(
+        None, f"Another method, which reads label maps or images: {', '.join(METHODS)}."
+    )
+    settings: list[str] | None = option(
+        None, "A setting of the method, NAME=VALUE; repeatable.", "--set"
+    )
     weights: Weights = None
-    vocabulary: Annotated[
-        Path | None, typer.Option(help="Vocabulary of the method, see ssrvlad vocabulary.")
-    ] = None
+    vocabulary: Path | None = option(None, "Vocabulary of the method, see ssrvlad vocabulary.")
     random_weights: RandomWeights = False
 
     @property
@@ -354,24 +290,25 @@ class MethodOptions:
 
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with each parameter that is an options class replaced by the class's fields."""
+    """The command as typer takes it: each parameter that is an options class is replaced by the
+    class's fields, and each `option` or `argument` by typer's."""
     parameters: list[inspect.Parameter] = []
     classes: dict[str, type] = {}
     types = get_type_hints(command, include_extras=True)
-    for parameter in inspect.signature(command).parameters.values():
-        kind = types[parameter.name]
+    for name, parameter in inspect.signature(command).parameters.items():
+        kind = types[name]
         if is_dataclass(kind):
             assert isinstance(kind, type)
-            classes[parameter.name] = kind
-            parameters += _parameters(kind)
+            classes[name] = kind
+            own = get_type_hints(kind, include_extras=True)
+            parameters += [_parameter(each.name, own[each.name], each) for each in fields(kind)]
         else:
-            keyword = inspect.Parameter.KEYWORD_ONLY
-            parameters.append(parameter.replace(kind=keyword, annotation=kind))
+            parameters.append(_parameter(name, kind, parameter.default))
 
     @wraps(command)
     def run(**given: Any) -> None:
         for name, kind in classes.items():
-            given[name] = kind(**{field.name: given.pop(field.name) for field in fields(kind)})
+            given[name] = kind(**{each.name: given.pop(each.name) for each in fields(kind)})
         command(**given)
 
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
@@ -379,14 +316,11 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
     return run
 
 
-def _parameters(options: type) -> list[inspect.Parameter]:
-    types = get_type_hints(options, include_extras=True)
-    return [
-        inspect.Parameter(
-            field.name,
-            inspect.Parameter.KEYWORD_ONLY,
-            default=inspect.Parameter.empty if field.default is MISSING else field.default,
-            annotation=types[field.name],
-        )
-        for field in fields(options)
-    ]
+def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
+    """A parameter whose default may be a field: a plain one, or an `option` or `argument`."""
+    if isinstance(default, Field):
+        if "typer" in default.metadata:
+            kind = Annotated[kind, default.metadata["typer"]]
+        default = default.default
+    default = inspect.Parameter.empty if default in (MISSING, ...) else default
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=kind)

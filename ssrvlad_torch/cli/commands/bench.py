@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
-from ..options import Json
+from ..options import Json, option
 
 
 def bench(
-    repetitions: Annotated[int, typer.Option(min=1, help="How often each way is timed.")] = 5,
+    *,
+    repetitions: int = option(5, "How often each way is timed.", min=1),
     as_json: Json = False,
 ) -> None:
     """Time the method on this machine, one thread: reference, torch, native core, ONNX

@@ -3,11 +3,8 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import Seed
+from ..options import Seed, argument, option
 from ..output import progress_bar, say
 
 FRAMES = 100
@@ -15,22 +12,18 @@ TOUR_FRAMES = 1100
 
 
 def city(
-    out: Annotated[Path, typer.Argument(help="Folder to write, new or empty.")],
-    frames: Annotated[
-        int | None,
-        typer.Option(
-            min=2,
-            help=f"Frames of each traverse, {FRAMES} if not given; with --tour the whole tour, "
-            f"about {TOUR_FRAMES}.",
-        ),
-    ] = None,
+    *,
+    out: Path = argument("Folder to write, new or empty."),
+    frames: int | None = option(
+        None,
+        f"Frames of each traverse, {FRAMES} if not given; with --tour the whole tour, "
+        f"about {TOUR_FRAMES}.",
+        min=2,
+    ),
     seed: Seed = 0,
-    tour: Annotated[
-        bool,
-        typer.Option(
-            "--tour", help="Write one drive that comes back to its streets, for ssrvlad loops."
-        ),
-    ] = False,
+    tour: bool = option(
+        False, "Write one drive that comes back to its streets, for ssrvlad loops.", "--tour"
+    ),
 ) -> None:
     """Write the synthetic city: reference/ and query/ label PNGs (cityscapes-trainids), poses.csv
     and ground_truth.json; or with --tour the folder tour/ and poses.csv.

@@ -5,12 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
-
-import typer
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...baselines import METHODS
-from ..options import DriveOptions, Json, RandomWeights, StepOptions, TruthOptions, Workers
+from ..options import DriveOptions, Json, RandomWeights, StepOptions, TruthOptions, Workers, option
 from ..output import figure, finish, print_json, print_table, say
 
 if TYPE_CHECKING:
@@ -41,24 +39,17 @@ _TOGETHER = "--fuse"
 
 
 def compare(
+    *,
     given: DriveOptions,
     truth: TruthOptions,
     steps: StepOptions,
-    method: Annotated[
-        str, typer.Option(help=f"Methods, with commas between: {', '.join(METHODS)}.")
-    ],
-    settings: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", help="A setting, METHOD.NAME=VALUE, such as netvlad.weights=FILE; repeatable."
-        ),
-    ] = None,
-    fuse: Annotated[
-        str | None,
-        typer.Option(
-            help="Some of the methods, with commas between, whose scores are also taken together."
-        ),
-    ] = None,
+    method: str = option(..., f"Methods, with commas between: {', '.join(METHODS)}."),
+    settings: list[str] | None = option(
+        None, "A setting, METHOD.NAME=VALUE, such as netvlad.weights=FILE; repeatable.", "--set"
+    ),
+    fuse: str | None = option(
+        None, "Some of the methods, with commas between, whose scores are also taken together."
+    ),
     random_weights: RandomWeights = False,
     workers: Workers = 2,
     as_json: Json = False,

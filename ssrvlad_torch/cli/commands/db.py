@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
-from ..options import AsOf, DatabaseFolder, Json
+from ..options import AsOf, DatabaseFolder, Json, expand, option
 from ..output import SOME_SKIPPED, note, print_json, progress_bar, say
 
 db = typer.Typer(help="Look into a database, verify it, export it.", rich_markup_mode=None)
@@ -19,6 +19,7 @@ def _look() -> None:
 
 
 @db.command()
+@expand
 def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) -> None:
     """What is in a database.
 
@@ -37,6 +38,7 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
 
 
 @db.command()
+@expand
 def history(database: DatabaseFolder, as_json: Json = False) -> None:
     """The versions of a database that are kept, the oldest first; --as-of takes their numbers.
 
@@ -53,11 +55,11 @@ def history(database: DatabaseFolder, as_json: Json = False) -> None:
 
 
 @db.command()
+@expand
 def compact(
+    *,
     database: DatabaseFolder,
-    keep_days: Annotated[
-        float, typer.Option(min=0, help="Keep the versions that are at most so many days old.")
-    ] = 14,
+    keep_days: float = option(14, "Keep the versions that are at most so many days old.", min=0),
 ) -> None:
     """Join small files, and forget old versions with the files that only these need.
 
@@ -71,6 +73,7 @@ def compact(
 
 
 @db.command()
+@expand
 def index(database: DatabaseFolder, as_json: Json = False) -> None:
     """Build an index on disk for query --index, and compare it with exact search.
 
@@ -91,16 +94,16 @@ def index(database: DatabaseFolder, as_json: Json = False) -> None:
 
 
 @db.command()
+@expand
 def verify(
+    *,
     database: DatabaseFolder,
-    drop_damaged: Annotated[
-        bool,
-        typer.Option(
-            "--drop-damaged",
-            help="Remove damaged frames, and the newest versions if they cannot be read. Encode "
-            "again to bring the frames back.",
-        ),
-    ] = False,
+    drop_damaged: bool = option(
+        False,
+        "Remove damaged frames, and the newest versions if they cannot be read. Encode "
+        "again to bring the frames back.",
+        "--drop-damaged",
+    ),
     as_json: Json = False,
 ) -> None:
     """Read every byte of a database and report what was changed since it was written. The exit
@@ -131,17 +134,17 @@ def verify(
 
 
 @db.command()
+@expand
 def export(
+    *,
     database: DatabaseFolder,
-    output: Annotated[Path, typer.Option("--output", "-o", help="File to write.")],
-    form: Annotated[
-        Literal["npy", "hloc"],
-        typer.Option(
-            "--format",
-            help="npy: an array, the frames' ids, the fingerprint and the settings beside it; "
-            "hloc: global descriptors in HDF5.",
-        ),
-    ],
+    output: Path = option(..., "File to write.", "--output", "-o"),
+    form: Literal["npy", "hloc"] = option(
+        ...,
+        "npy: an array, the frames' ids, the fingerprint and the settings beside it; "
+        "hloc: global descriptors in HDF5.",
+        "--format",
+    ),
     as_of: AsOf = None,
 ) -> None:
     """Write the descriptors of a database in another form.

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-import typer
-
-from ..options import Frames, Seed
+from ..options import Frames, Seed, option
 from ..output import say
 
 
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for all that it writes.")] = Path(
-        "ssrvlad-demo"
-    ),
+    *,
+    out: Path = option(Path("ssrvlad-demo"), "Folder for all that it writes."),
     frames: Frames = 100,
     seed: Seed = 0,
 ) -> None:

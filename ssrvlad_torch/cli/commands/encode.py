@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Literal
 
-import typer
-
-from ..options import Json, MaybePreset, SourceOptions, With
+from ..options import Json, MaybePreset, SourceOptions, With, option
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
@@ -19,23 +17,18 @@ Engine = Literal["local", "ray"]
 
 
 def encode(
+    *,
     source: SourceOptions,
-    output: Annotated[
-        str, typer.Option("--output", "-o", help="Database to make or add to: a folder or a URI.")
-    ],
+    output: str = option(..., "Database to make or add to: a folder or a URI.", "--output", "-o"),
     preset: MaybePreset = None,
     beside: With = None,
-    engine: Annotated[
-        Engine,
-        typer.Option(
-            help="local: processes of this machine; ray: Ray Data, on this machine or on its "
-            "cluster."
-        ),
-    ] = "local",
-    prune: Annotated[
-        bool,
-        typer.Option("--prune", help="Remove frames whose file is no longer in the given folders."),
-    ] = False,
+    engine: Engine = option(
+        "local",
+        "local: processes of this machine; ray: Ray Data, on this machine or on its cluster.",
+    ),
+    prune: bool = option(
+        False, "Remove frames whose file is no longer in the given folders.", "--prune"
+    ),
     as_json: Json = False,
 ) -> None:
     """Encode label maps, or images with a segmenter, into a database. Run again, it encodes only

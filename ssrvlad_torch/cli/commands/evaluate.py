@@ -3,41 +3,40 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import AsOf, Json, MethodOptions, RecognitionOptions, SourceOptions, TruthOptions
+from ..options import (
+    AsOf,
+    Json,
+    MethodOptions,
+    RecognitionOptions,
+    SourceOptions,
+    TruthOptions,
+    argument,
+    option,
+)
 from ..output import finish, print_json, say
 
 
 def evaluate(
-    database: Annotated[
-        Path, typer.Argument(help="Folder of the database; with --method, of the references.")
-    ],
+    *,
+    database: Path = argument("Folder of the database; with --method, of the references."),
     source: SourceOptions,
     method: MethodOptions,
     recognition: RecognitionOptions,
     truth: TruthOptions,
-    at_recall: Annotated[
-        float, typer.Option(min=0, max=1, help="Recall at which to report the precision.")
-    ] = 0.5,
+    at_recall: float = option(0.5, "Recall at which to report the precision.", min=0, max=1),
     as_of: AsOf = None,
     as_json: Json = False,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            help="Page to write (.html): the figures, curves, the similarity matrix, and matches "
-            "with their pictures."
-        ),
-    ] = None,
-    pictures: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="With --report: folder of the references' label maps, to show them; repeatable. "
-            "Without it, they are looked for in the data set and beside SOURCE."
-        ),
-    ] = None,
+    report: Path | None = option(
+        None,
+        "Page to write (.html): the figures, curves, the similarity matrix, and matches "
+        "with their pictures.",
+    ),
+    pictures: list[str] | None = option(
+        None,
+        "With --report: folder of the references' label maps, to show them; repeatable. "
+        "Without it, they are looked for in the data set and beside SOURCE.",
+    ),
 ) -> None:
     """Measure the recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
     bootstrap intervals. A table shows what several thresholds do. The suggested threshold is the

@@ -3,43 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import LabelsAs, Preset
+from ..options import LabelsAs, Preset, option
 from ..output import say
 
 
 def export(
-    output: Annotated[Path, typer.Option("--output", "-o", help="ONNX file to write.")],
+    *,
+    output: Path = option(..., "ONNX file to write.", "--output", "-o"),
     labels_as: LabelsAs,
-    given: Annotated[
-        str, typer.Option("--input", help="What the file takes: labels or logits.")
-    ] = "labels",
-    dtype: Annotated[str, typer.Option(help="Of the labels: uint8, int32 or int64.")] = "uint8",
+    given: str = option("labels", "What the file takes: labels or logits.", "--input"),
+    dtype: str = option("uint8", "Of the labels: uint8, int32 or int64."),
     preset: Preset = "default",
-    sweep: Annotated[
-        bool,
-        typer.Option(
-            "--sweep",
-            help="Describe each frame from several anchors, (B, S, D), for queries from a camera "
-            "that is turned or moved aside.",
-        ),
-    ] = False,
-    form: Annotated[
-        str,
-        typer.Option(
-            help="standard, or arithmetic: of any picture the same steps, for accelerators."
-        ),
-    ] = "standard",
-    size: Annotated[
-        str | None,
-        typer.Option(help="Rows and columns, HxW, of an arithmetic file that takes no others."),
-    ] = None,
-    batch: Annotated[
-        int | None, typer.Option(min=1, help="Images of each call, with --size; 1 if not given.")
-    ] = None,
+    sweep: bool = option(
+        False,
+        "Describe each frame from several anchors, (B, S, D), for queries from a camera "
+        "that is turned or moved aside.",
+        "--sweep",
+    ),
+    form: str = option(
+        "standard", "standard, or arithmetic: of any picture the same steps, for accelerators."
+    ),
+    size: str | None = option(
+        None, "Rows and columns, HxW, of an arithmetic file that takes no others."
+    ),
+    batch: int | None = option(None, "Images of each call, with --size; 1 if not given.", min=1),
 ) -> None:
     """Write the head as one ONNX file that needs ONNX Runtime only: label ids, or class scores,
     to descriptors.

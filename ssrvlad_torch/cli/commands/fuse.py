@@ -3,38 +3,28 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import Preset
+from ..options import Preset, argument, option
 from ..output import say
 
 
 def fuse(
-    network: Annotated[
-        str,
-        typer.Argument(
-            help="Network: FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, "
-            "torchhub:REPO/MODEL or MODULE:NAME."
-        ),
-    ],
-    path: Annotated[Path, typer.Option("-o", help="ONNX file to write.")],
-    labels_as: Annotated[
-        str,
-        typer.Option(help="Label space of its classes; auto takes the network's class names."),
-    ] = "auto",
-    classes: Annotated[
-        str | None, typer.Option(help="FIRST:LAST, the channels to take, as 0:19.")
-    ] = None,
+    *,
+    network: str = argument(
+        "Network: FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, "
+        "torchhub:REPO/MODEL or MODULE:NAME."
+    ),
+    path: Path = option(..., "ONNX file to write.", "-o"),
+    labels_as: str = option(
+        "auto", "Label space of its classes; auto takes the network's class names."
+    ),
+    classes: str | None = option(None, "FIRST:LAST, the channels to take, as 0:19."),
     preset: Preset = "default",
-    split: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the head to this file of its own; -o then takes pictures to label maps, so "
-            "that the network can run on an accelerator and the head on the CPU."
-        ),
-    ] = None,
+    split: Path | None = option(
+        None,
+        "Write the head to this file of its own; -o then takes pictures to label maps, so "
+        "that the network can run on an accelerator and the head on the CPU.",
+    ),
 ) -> None:
     """Join a segmentation network and the head in one ONNX file: pictures to descriptors, with
     all that is done to pictures in it.

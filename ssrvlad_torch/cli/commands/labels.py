@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
 from ...untrusted import read_yaml
-from ..options import Json
+from ..options import Json, argument
 from ..output import print_json, print_table, say
 
 
 def labels(
-    name: Annotated[
-        str,
-        typer.Argument(help="A label space: a name or a .yaml file; or a network, as --segmenter."),
-    ],
+    *,
+    name: str = argument("A label space: a name or a .yaml file; or a network, as --segmenter."),
     as_json: Json = False,
 ) -> None:
     """Print the category of each class. A class has none if it moves, if no category fits, or if

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from ..options import Json, RecognitionOptions, SourceOptions
+from ..options import Json, RecognitionOptions, SourceOptions, option
 from ..output import finish, note, print_json, say
 
 if TYPE_CHECKING:
@@ -17,8 +15,9 @@ if TYPE_CHECKING:
 
 
 def locate(
+    *,
     source: SourceOptions,
-    database: Annotated[str, typer.Option("--in", help="Database of known places.")],
+    database: str = option(..., "Database of known places.", "--in"),
     recognition: RecognitionOptions,
     as_json: Json = False,
 ) -> None:

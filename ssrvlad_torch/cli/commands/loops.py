@@ -7,13 +7,11 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
+from typing import TYPE_CHECKING, Any
 
 from ...evaluation.thresholds import SURE_PRECISION, needed
 from ...loops.config import LoopConfig
-from ..options import Json, MaybePreset, SourceOptions, With
+from ..options import Json, MaybePreset, SourceOptions, With, option
 from ..output import figure, finish, fused_in_words, print_json, say
 
 if TYPE_CHECKING:
@@ -27,27 +25,22 @@ FIELDS = ("frame", "reason", "candidate", "score", "probability", "ahead")
 
 
 def loops(
+    *,
     source: SourceOptions,
-    exclude: Annotated[
-        int, typer.Option(min=0, help="Number of last frames that are no candidates.")
-    ] = LoopConfig.exclude,
-    threshold: Annotated[
-        float, typer.Option(min=0, max=1, help="Lowest probability at which a loop is reported.")
-    ] = LoopConfig.threshold,
-    sweep: Annotated[
-        bool, typer.Option(help="Describe each frame from three anchors.")
-    ] = LoopConfig.sweep,
-    memory: Annotated[
-        Path | None,
-        typer.Option(help="Database that keeps the frames: made, or continued if it exists."),
-    ] = None,
-    picture: Annotated[
-        Path | None, typer.Option(help="Picture to write: the loops, and the drive by poses.csv.")
-    ] = None,
-    tolerance_metres: Annotated[
-        float | None,
-        typer.Option(help="Measure precision and recall: a loop is right within so many metres."),
-    ] = None,
+    exclude: int = option(
+        LoopConfig.exclude, "Number of last frames that are no candidates.", min=0
+    ),
+    threshold: float = option(
+        LoopConfig.threshold, "Lowest probability at which a loop is reported.", min=0, max=1
+    ),
+    sweep: bool = option(LoopConfig.sweep, "Describe each frame from three anchors."),
+    memory: Path | None = option(
+        None, "Database that keeps the frames: made, or continued if it exists."
+    ),
+    picture: Path | None = option(None, "Picture to write: the loops, and the drive by poses.csv."),
+    tolerance_metres: float | None = option(
+        None, "Measure precision and recall: a loop is right within so many metres."
+    ),
     preset: MaybePreset = None,
     beside: With = None,
     as_json: Json = False,

@@ -3,24 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import SourceOptions
+from ..options import SourceOptions, option
 from ..output import say
 
 
 def poses(
+    *,
     source: SourceOptions,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "--output",
-            "-o",
-            help="poses.csv to write; or a new folder of pictures with @UTM@ names.",
-        ),
-    ],
+    output: Path = option(
+        ..., "poses.csv to write; or a new folder of pictures with @UTM@ names.", "--output", "-o"
+    ),
 ) -> None:
     """Write where pictures were taken in another form: KITTI, TUM, GPS, EXIF or @UTM@ names become
     poses.csv, or pictures get the names that VPR-methods-evaluation reads.

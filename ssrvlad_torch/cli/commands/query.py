@@ -3,54 +3,42 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated
 
-import typer
-
-from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions
+from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option
 from ..output import finish, note, print_json, say
 
 
 def query(
+    *,
     database: DatabaseFolder,
     source: SourceOptions,
     recognition: RecognitionOptions,
-    top: Annotated[int, typer.Option(min=1, help="Candidates of each query.")] = 5,
-    threshold: Annotated[
-        float | None, typer.Option(help="Leave out candidates whose score is not above this.")
-    ] = None,
-    from_sequence: Annotated[
-        list[str] | None,
-        typer.Option(help="Take candidates of this sequence only; repeatable."),
-    ] = None,
-    window: Annotated[
-        str | None,
-        typer.Option(
-            help="FIRST:LAST, FIRST: or :LAST. Take candidates in this range of numbers or time "
-            "stamps only. A frame's number is the last one in its name."
-        ),
-    ] = None,
-    exclude: Annotated[
-        int | None,
-        typer.Option(
-            min=0,
-            help="Leave out candidates of the query's own sequence that are so many frames away "
-            "or fewer.",
-        ),
-    ] = None,
-    index: Annotated[
-        bool,
-        typer.Option(
-            "--index",
-            help="Search by the index on disk (ssrvlad db index). Scores are exact. Sequences are "
-            "followed over the candidates of the index; --sweep has no effect, and descriptors of "
-            "pictures are not used.",
-        ),
-    ] = False,
+    top: int = option(5, "Candidates of each query.", min=1),
+    threshold: float | None = option(None, "Leave out candidates whose score is not above this."),
+    from_sequence: list[str] | None = option(
+        None, "Take candidates of this sequence only; repeatable."
+    ),
+    window: str | None = option(
+        None,
+        "FIRST:LAST, FIRST: or :LAST. Take candidates in this range of numbers or time "
+        "stamps only. A frame's number is the last one in its name.",
+    ),
+    exclude: int | None = option(
+        None,
+        "Leave out candidates of the query's own sequence that are so many frames away or fewer.",
+        min=0,
+    ),
+    index: bool = option(
+        False,
+        "Search by the index on disk (ssrvlad db index). Scores are exact. Sequences are "
+        "followed over the candidates of the index; --sweep has no effect, and descriptors of "
+        "pictures are not used.",
+        "--index",
+    ),
     as_of: AsOf = None,
-    skip_damaged: Annotated[
-        bool, typer.Option("--skip-damaged", help="Leave out damaged frames of the database.")
-    ] = False,
+    skip_damaged: bool = option(
+        False, "Leave out damaged frames of the database.", "--skip-damaged"
+    ),
     as_json: Json = False,
 ) -> None:
     """Recognise places: ranked candidate frames with scores for every label map or image.

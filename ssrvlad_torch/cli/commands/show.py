@@ -3,26 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import Preset
+from ..options import Preset, argument, option
 from ..output import say
 
 
 def show(
-    frame: Annotated[Path, typer.Argument(help="A label map, or an image with --segmenter.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Picture to write.")],
-    labels_as: Annotated[
-        str | None, typer.Option(help="Label space of the ids: a name or a .yaml file.")
-    ] = None,
-    segmenter: Annotated[
-        str | None, typer.Option(help="Network that labels the image; see ssrvlad encode.")
-    ] = None,
-    classes: Annotated[
-        str | None, typer.Option(help="FIRST:LAST, channels of the network that are taken.")
-    ] = None,
+    *,
+    frame: Path = argument("A label map, or an image with --segmenter."),
+    output: Path = option(..., "Picture to write.", "--output", "-o"),
+    labels_as: str | None = option(None, "Label space of the ids: a name or a .yaml file."),
+    segmenter: str | None = option(None, "Network that labels the image; see ssrvlad encode."),
+    classes: str | None = option(None, "FIRST:LAST, channels of the network that are taken."),
     preset: Preset = "default",
 ) -> None:
     """Picture what the method sees in one frame: layers, boundaries and their histograms; with

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..options import Json
+from ..options import Json, argument, option
 from ..output import finish, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
@@ -19,14 +19,14 @@ MISMATCH = 1
 
 
 def verify(
-    model: Annotated[Path, typer.Argument(help="ONNX file of export or fuse.")],
-    labels: Annotated[
-        list[str] | None,
-        typer.Option(help="Label maps to compare on: a folder, glob or file; repeatable."),
-    ] = None,
-    provider: Annotated[
-        str, typer.Option(help="Execution provider of ONNX Runtime, or openvino.")
-    ] = "CPUExecutionProvider",
+    *,
+    model: Path = argument("ONNX file of export or fuse."),
+    labels: list[str] | None = option(
+        None, "Label maps to compare on: a folder, glob or file; repeatable."
+    ),
+    provider: str = option(
+        "CPUExecutionProvider", "Execution provider of ONNX Runtime, or openvino."
+    ),
     as_json: Json = False,
 ) -> None:
     """Compare an exported or fused file on a runtime with the PyTorch module: on its golden pair,

@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from ..options import Weights
+from ..options import Weights, argument, option
 from ..output import say
 
 
 def vocabulary(
-    images: Annotated[Path, typer.Argument(help="Folder of images, and of folders of images.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The .npy file to write.")],
+    *,
+    images: Path = argument("Folder of images, and of folders of images."),
+    output: Path = option(..., "The .npy file to write.", "--output", "-o"),
     weights: Weights = None,
-    words: Annotated[int, typer.Option(min=1, help="Words, 256 or 128 in the paper.")] = 256,
-    regions: Annotated[
-        int, typer.Option(min=1, help="Regions of an image, 400 or 200 in the paper.")
-    ] = 400,
-    seed: Annotated[int, typer.Option(min=0, help="Of the choice of the first words.")] = 0,
+    words: int = option(256, "Words, 256 or 128 in the paper.", min=1),
+    regions: int = option(400, "Regions of an image, 400 or 200 in the paper.", min=1),
+    seed: int = option(0, "Of the choice of the first words.", min=0),
 ) -> None:
     """Train a vocabulary of Region-VLAD on images, by k-means over their regions.
 
