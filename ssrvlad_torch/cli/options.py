@@ -4,7 +4,7 @@ An options class is a frozen dataclass whose fields are options. A command takes
 parameter; `expand` puts the fields in its place on the command line, and the command gets the
 object back:
 
-    def query(database: DatabaseFolder, source: SourceOptions, top: Annotated[int, ...] = 5): ...
+    def query(*, source: SourceOptions, top: int = option(5, "Candidates of each query.")): ...
 
 To add an option to all commands that share a class, add a field to the class:
 ``name: type = option(default, "help")``. To add one to a single command, add a parameter to its
