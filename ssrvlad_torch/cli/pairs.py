@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from ..datasets.label_files import LabelMap
 from ..taxonomy import LabelSpace, colourise
@@ -49,16 +49,12 @@ def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str)
     """Queries in a row, below them their best matches, framed green if right and red if wrong, and
     at the bottom the classes; ``above`` and ``below`` are headings of the rows. There is at least
     one pair."""
+    verdicts = [("right", _RIGHT) if pair.right else ("WRONG", _WRONG) for pair in pairs]
     rows = [
         [_tile(pair.query, space, pair.query_name, _QUERY) for pair in pairs],
         [
-            _tile(
-                pair.match,
-                space,
-                f"{'right' if pair.right else 'WRONG'}: {pair.match_name}",
-                _RIGHT if pair.right else _WRONG,
-            )
-            for pair in pairs
+            _tile(pair.match, space, f"{verdict}: {pair.match_name}", colour)
+            for pair, (verdict, colour) in zip(pairs, verdicts, strict=True)
         ],
     ]
     wide, tall = (max(tile.size[axis] for row in rows for tile in row) for axis in (0, 1))
@@ -83,8 +79,7 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
     size = (round(picture.width * _HEIGHT / picture.height), _HEIGHT)
     picture = picture.resize(size, Image.Resampling.NEAREST)
     top = _TEXT + 2 * _FRAME
-    tile = Image.new("RGB", (size[0] + 2 * _FRAME, size[1] + top + _FRAME), colour)
-    tile.paste(picture, (_FRAME, top))
+    tile = ImageOps.expand(picture, (_FRAME, top, _FRAME, _FRAME), colour)
     font = _font(_TEXT)
     draw = ImageDraw.Draw(tile)
     while draw.textlength(name, font) > size[0]:

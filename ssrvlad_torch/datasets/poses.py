@@ -57,12 +57,12 @@ def read_poses(path: Path) -> dict[str, Pose]:
         if twice is not None:
             raise ValueError(f"two columns {twice!r}")
         if {"frame", "latitude", "longitude"} <= set(columns):
-            fixes = _by_frame(rows, _fix)
+            fixes = _by_frame(rows, Fix, "latitude", "longitude", "course")
             return dict(zip(fixes, poses_of_fixes([*fixes.values()]), strict=True))
         missing = {"frame", "x", "y"} - set(columns)
         if missing:
             raise ValueError(f"no column {min(missing)!r}; expected frame,x,y,heading")
-        return _by_frame(rows, _pose)
+        return _by_frame(rows, Pose, *Pose._fields)
     except (csv.Error, ValueError) as error:
         raise ValueError(f"{path} line {rows.line_num}: {error}") from error
 
@@ -86,28 +86,20 @@ def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
 
 
 def _by_frame(
-    rows: Iterable[dict[str, str]], place: Callable[[dict[str, str]], Place]
+    rows: Iterable[dict[str, str]], kind: Callable[..., Place], *columns: str
 ) -> dict[str, Place]:
-    """The place of each frame, which may be told twice if it is the same."""
+    """The place of each frame, which may be there twice if it is the same."""
     places: dict[str, Place] = {}
     for row in rows:
-        found = place(row)
+        found = kind(*(_number(row, column) for column in columns))
         earlier = places.setdefault(row["frame"], found)
         if repr(earlier) != repr(found):  # in which NaN is as NaN
             raise ValueError(f"frame {row['frame']!r} is at two places")
     return places
 
 
-def _fix(row: dict[str, str]) -> Fix:
-    return Fix(_number(row, "latitude"), _number(row, "longitude"), _number(row, "course"))
-
-
-def _pose(row: dict[str, str]) -> Pose:
-    return Pose(_number(row, "x"), _number(row, "y"), _number(row, "heading"))
-
-
 def _number(row: dict[str, str], column: str) -> float:
-    """What is in a column; only a direction may be missing."""
+    """The number in a column; only a direction may be missing."""
     text = row.get(column) or ""
     value = float(text or "nan") if column in ("heading", "course") else float(text)
     if math.isinf(value):

@@ -76,6 +76,11 @@ class Describer:
         config = replace(self.head.config, labels_as=self.head.label_space)
         return _made_of, (config, self.head.native, self.origin, self.beside)
 
+    @property
+    def device(self) -> torch.device:
+        """Where the head lies."""
+        return next(self.head.buffers()).device
+
     def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
         """The results of some frames, in their order."""
         return self.describe(read(self.head.label_space, items))
@@ -101,7 +106,7 @@ class Describer:
         """Describes frames of one size and dtype; if the batch fails, one by one."""
         try:
             stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
-            descriptors = self.head(stack.to(_device(self.head))).cpu().numpy()
+            descriptors = self.head(stack.to(self.device)).cpu().numpy()
             frames = [
                 Frame(item.file.frame, image=read_image(item.file))
                 for item in (batch if self._methods else ())
@@ -151,7 +156,3 @@ def _read(space: LabelSpace, item: Item) -> Item:
 
 def _skipped(item: Item, reason: object) -> Skipped:
     return Skipped(item.file.frame, f"{item.file.place}: {reason}")
-
-
-def _device(head: SSRVLAD) -> torch.device:
-    return next(head.buffers()).device

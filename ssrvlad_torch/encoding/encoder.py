@@ -166,7 +166,7 @@ def _encode(
     workers = cores() if workers is None else workers
     items = _segmented(files, segmenter, workers) if segmenter else map(Item, files)
     batches = iter(lambda: list(islice(items, BATCH)), [])
-    reads_only = next(describer.head.buffers()).device.type != "cpu"
+    reads_only = describer.device.type != "cpu"
     free = reads_only or describer.head.native
     threads = min(workers, MOST_THREADS if free else MOST_THREADS_OF_TORCH)
     processes = min(workers - threads, len(files) // WORTH_A_PROCESS)

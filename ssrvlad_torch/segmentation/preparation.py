@@ -48,30 +48,26 @@ class SegmenterConfig:
     classes: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
+        number, some = (int, float), self.classes
         sides = self.size if isinstance(self.size, tuple) else (self.size or 1,)
-        if len(sides) not in (1, 2) or not _are_numbers(sides, len(sides), int, above=0):
-            raise ValueError(
-                f"size must be height and width in pixels, or the shorter side, got {self.size!r}"
-            )
-        check_pixels(sides[0], sides[-1])
-        if self.longest is not None and not _are_numbers((self.longest,), 1, int, above=0):
-            raise ValueError(f"longest must be a number of pixels, got {self.longest!r}")
-        if not _are_numbers((self.multiple,), 1, int, above=0):
-            raise ValueError(f"multiple must be a number of pixels, got {self.multiple!r}")
-        if not _are_numbers((self.white,), 1, (int, float), above=0):
-            raise ValueError(f"white must be a number above 0, got {self.white!r}")
-        if not _are_numbers(self.mean, 3, (int, float)):
-            raise ValueError(f"mean must be three numbers, got {self.mean!r}")
-        if not _are_numbers(self.std, 3, (int, float), above=0):
-            raise ValueError(f"std must be three numbers above 0, got {self.std!r}")
-        if self.colour_order not in ("rgb", "bgr"):
-            raise ValueError(f"colour_order must be rgb or bgr, got {self.colour_order!r}")
-        if not isinstance(self.output, str | None):
-            raise ValueError(f"output must be a name, got {self.output!r}")
-        if self.classes is not None and (
-            not _are_numbers(self.classes, 2, int, above=-1) or self.classes[0] >= self.classes[1]
+        few = len(sides) in (1, 2) and _are_numbers(sides, len(sides), int, above=0)
+        side = "height and width in pixels, or the shorter side"
+        longest = self.longest is None or _are_numbers((self.longest,), 1, int, above=0)
+        ends = some is None or (_are_numbers(some, 2, int, above=-1) and some[0] < some[1])
+        for name, fits, expected in (
+            ("size", few, side),
+            ("longest", longest, "a number of pixels"),
+            ("multiple", _are_numbers((self.multiple,), 1, int, above=0), "a number of pixels"),
+            ("white", _are_numbers((self.white,), 1, number, above=0), "a number above 0"),
+            ("mean", _are_numbers(self.mean, 3, number), "three numbers"),
+            ("std", _are_numbers(self.std, 3, number, above=0), "three numbers above 0"),
+            ("colour_order", self.colour_order in ("rgb", "bgr"), "rgb or bgr"),
+            ("output", isinstance(self.output, str | None), "a name"),
+            ("classes", ends, "FIRST:LAST, LAST not included"),
         ):
-            raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {self.classes!r}")
+            if not fits:
+                raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
+        check_pixels(sides[0], sides[-1])
 
     @property
     def resizes(self) -> bool:
