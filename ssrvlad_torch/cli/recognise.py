@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cache
 from inspect import signature
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,10 +19,11 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
 from ..database.metadata import Beside
+from ..database.reading import Damage
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
-from ..encoding.results import cores
+from ..encoding.results import Skipped, cores
 from ..evaluation.metrics import Convention
 from ..evaluation.report import Descriptors
 from ..recognition.matching import Matches
@@ -63,24 +64,58 @@ def beside(database: Database, given: RecognitionOptions) -> tuple[Beside, ...]:
     return () if given.fuse is False or given.as_paper else database.beside
 
 
-def judged(
-    queries: FrameSet,
-    references: FrameSet,
-    steps: Steps,
+class Found(NamedTuple):
+    """What was found of the frames of a source in a database.
+
+    Attributes:
+        queries, references: the frames.
+        recognised: the candidates of every query.
+        temporal: t of Eq. 3, for each sequence if they differ.
+        skipped: frames that could not be encoded.
+    """
+
+    queries: FrameSet
+    references: FrameSet
+    recognised: Recognised
+    temporal: int | dict[str, int]
+    skipped: list[Skipped]
+
+
+def look_up(
+    database: Database,
+    source: Source,
+    options: RecognitionOptions,
     top: int,
-    shut: torch.Tensor | None = None,
-) -> Recognised:
-    """What is found of encoded queries; ``shut`` as for `barred`."""
-    return recognise_places(
+    steps: Steps | None = None,
+    damage: list[Damage] | None = None,
+    shut: Callable[[FrameSet, FrameSet], torch.Tensor | None] = lambda *_: None,
+) -> Found:
+    """The candidates of every frame of a source in a database.
+
+    Args:
+        database: of the references.
+        source: of the queries.
+        options: what is done with the descriptors.
+        top: candidates of each query.
+        steps: in place of those of the options; then the label maps alone are used.
+        damage: as for `Database.load`.
+        shut: from queries and references to ``(Q, R)`` bool, references that are no candidates.
+    """
+    also = () if steps else beside(database, options)
+    steps = steps or steps_of(options)
+    references, t = load_references(database, options.reach, damage)
+    queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else (), also)
+    found = recognise_places(
         queries.descriptors,
         references.descriptors,
         queries.sequences,
         references.sequences,
         steps,
         top,
-        shut,
+        shut(queries, references),
         {name: (values, references.beside[name]) for name, values in queries.beside.items()},
     )
+    return Found(queries, references, found, t, skipped)
 
 
 def by_database(
@@ -92,16 +127,18 @@ def by_database(
 ) -> Recognition:
     """The candidates of every query in a database, for a page if there is one. A convention that
     looks at all pairs uses their cosines, and no step is taken."""
-    steps = AS_PAPER if wants_similarity(convention) else steps_of(options)
-    also = () if wants_similarity(convention) else beside(database, options)
-    references, t = load_references(database, options.reach)
-    queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else (), also)
-    found = judged(queries, references, steps, CANDIDATES if page else TOP)
-    queries = with_single_descriptors(queries)
+    pairs = wants_similarity(convention)
+    queries, references, found, t, skipped = look_up(
+        database, source, options, CANDIDATES if page else TOP, AS_PAPER if pairs else None
+    )
+    swept = queries.descriptors
+    if swept.ndim == 3:
+        usual = swept[:, COLUMNS.index(0)].contiguous()
+        queries = dataclasses.replace(queries, descriptors=usual)
     config = settings_of(database, source.labels_as)
     given = page.pictures if page else ()
     similarity = None
-    if wants_similarity(convention):
+    if pairs:
         similarity = score(queries.descriptors, references.descriptors).numpy()
     return Recognition(
         references=Places.of_set(references, source.whole),
@@ -124,23 +161,23 @@ def by_database(
     )
 
 
-def by_index(
+def look_up_by_index(
     database: Database,
-    queries: FrameSet,
-    steps: Steps,
+    source: Source,
+    options: RecognitionOptions,
     top: int,
     sequences: Sequence[str] | None,
     exclude: int | None,
-) -> tuple[Recognised, FrameSet]:
-    """What is recognised over the candidates of a database's index, and the database's frames.
+) -> Found:
+    """The same over the candidates of a database's index, without a sweep.
 
     Args:
-        queries: single descriptors.
-        steps: there is no sweep.
-        top: candidates of each query.
+        database, source, options, top: as for `look_up`.
         sequences: the only ones that candidates may be of, if given.
         exclude: so many frames on each side of a query in its own sequence are no candidates.
     """
+    steps = steps_of(options)
+    queries, skipped = encode_queries(database, source)
     ids, names = queries.frames, queries.sequences
 
     @cache
@@ -150,16 +187,9 @@ def by_index(
         )
 
     long = names.count(names[0]) >= LEAST if names else False
-    frames = search(steps.standardise and long).frames
-    return recognise_by_search(search, names, frames.sequences, steps, top), frames
-
-
-def with_single_descriptors(queries: FrameSet) -> FrameSet:
-    """The descriptors of the usual anchor, where there are several."""
-    swept = torch.as_tensor(queries.descriptors)
-    if swept.ndim == 2:
-        return queries
-    return dataclasses.replace(queries, descriptors=swept[:, COLUMNS.index(0)].contiguous())
+    references = search(steps.standardise and long).frames
+    found = recognise_by_search(search, names, references.sequences, steps, top)
+    return Found(queries, references, found, 0, skipped)
 
 
 def sure_enough(found: Recognised, least: float) -> Matches:

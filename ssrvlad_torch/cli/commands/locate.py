@@ -27,20 +27,15 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
     from ...database.database import Database
-    from ...recognition.sweep import COLUMNS
     from ..measure import steps_in_words
-    from ..recognise import beside, judged, steps_of, sure_enough
-    from ..sources import Source, encode_queries, load_references
+    from ..recognise import look_up, sure_enough
+    from ..sources import Source
 
     town = Database.open(database)
     opened = Source.open(source)
     if source.segmenter is None:
         opened = _by_its_network(town, opened)
-    steps = steps_of(recognition)
-    references, t = load_references(town, recognition.reach)
-    also = beside(town, recognition)
-    queries, skipped = encode_queries(town, opened, COLUMNS if steps.sweep else (), also)
-    found = judged(queries, references, steps, top=1)
+    queries, references, found, t, skipped = look_up(town, opened, recognition, top=1)
     scores, rows = sure_enough(found, recognition.min_confidence)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
     for picture, score, row, sure in zip(queries.frames, *columns, strict=True):

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option
 from ..output import finish, note, print_json, say
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from ..recognise import Found
 
 
 def query(
@@ -46,60 +52,60 @@ def query(
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
     from ...database.database import Database
+    from ...database.frames import FrameSet
     from ...database.reading import Damage
     from ...database.selection import neighbours, select
-    from ...recognition.sweep import COLUMNS
-    from ..measure import steps_in_words
-    from ..recognise import barred, beside, by_index, judged, steps_of, sure_enough
-    from ..sources import Source, encode_queries, load_references
+    from ..recognise import barred, look_up, look_up_by_index
+    from ..sources import Source
 
-    opened = Source.open(source)
-    first, last = _window(window)
+    opened, (first, last) = Source.open(source), _window(window)
     if index and (recognition.reach or window or skip_damaged or recognition.fuse):
         raise ValueError(
             "--index does not go with a temporal sum, --window, --skip-damaged or --fuse"
         )
-    town, damage = Database.open(database, as_of), list[Damage]()
-    steps = steps_of(recognition)
-    also = () if index else beside(town, recognition)
-    queries, skipped = encode_queries(
-        town, opened, COLUMNS if steps.sweep and not index else (), also
-    )
+    town = Database.open(database, as_of)
     if index:
-        all_found, references = by_index(town, queries, steps, top, from_sequence, exclude)
-        t: int | dict[str, int] = 0
+        found = look_up_by_index(town, opened, recognition, top, from_sequence, exclude)
     else:
-        references, t = load_references(town, recognition.reach, damage if skip_damaged else None)
-        for entry in damage:
+
+        def shut(queries: FrameSet, references: FrameSet) -> Tensor | None:
+            limited = from_sequence or window
+            where = select(references, from_sequence, first, last) if limited else None
+            near = None if exclude is None else neighbours(queries.frames, references, exclude)
+            return barred(len(queries.frames), len(references.frames), where, near)
+
+        damage = list[Damage]() if skip_damaged else None
+        found = look_up(town, opened, recognition, top, damage=damage, shut=shut)
+        for entry in damage or ():
             note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
-        limited = from_sequence or window
-        where = select(references, from_sequence, first, last) if limited else None
-        near = None if exclude is None else neighbours(queries.frames, references, exclude)
-        shut = barred(len(queries.frames), len(references.frames), where, near)
-        all_found = judged(queries, references, steps, top, shut)
     least = -math.inf if threshold is None else threshold
-    matches = sure_enough(all_found, recognition.min_confidence)
-    sure, used = all_found.confidence.tolist(), all_found.used
-    found = [
-        [
-            (references.frames[row], score)
+    _print(found, recognition.min_confidence, least, "candidates of the index, " * index, as_json)
+    finish(found.skipped)
+
+
+def _print(found: Found, min_confidence: float, least: float, way: str, as_json: bool) -> None:
+    """A line for each query: its candidates that score more than the least, if it is sure."""
+    from ..measure import steps_in_words
+    from ..recognise import sure_enough
+
+    used, t = found.recognised.used, found.temporal
+    matches = sure_enough(found.recognised, min_confidence)
+    columns = *(part.tolist() for part in matches), found.recognised.confidence.tolist()
+    for frame, scores, rows, confidence in zip(found.queries.frames, *columns, strict=True):
+        ranked = [
+            (found.references.frames[row], score)
             for row, score in zip(rows, scores, strict=True)
             if row >= 0 and score > least
         ]
-        for scores, rows in zip(*(m.tolist() for m in matches), strict=True)
-    ]
-    for frame, ranked, confidence in zip(queries.frames, found, sure, strict=True):
-        candidates = [{"frame": name, "score": score} for name, score in ranked]
         if as_json:
+            candidates = [{"frame": name, "score": score} for name, score in ranked]
             told = {"confidence": confidence, "temporal": t, "steps": used}
             print_json({"query": frame, "candidates": candidates, **told})
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
             say(f"{frame}: {listed or 'no candidate'} (confidence {confidence:.2f})")
     if not as_json:
-        way = "candidates of the index, " if index else ""
         note(way + steps_in_words(used, t))
-    finish(skipped)
 
 
 def _window(text: str | None) -> tuple[int | None, int | None]:
