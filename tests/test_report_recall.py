@@ -12,15 +12,15 @@ from ssrvlad_torch.evaluation.report.recall import recall_rates
 from ssrvlad_torch.recognition.matching import match
 
 
-@pytest.mark.parametrize(("convention", "of_all"), [("exact", False), ("vpr-bench", True)])
-def test_rates_and_intervals_are_those_of_the_metrics(convention, of_all):
+@pytest.mark.parametrize("convention", ["exact", "vpr-bench"])
+def test_rates_and_intervals_are_those_of_the_metrics(convention):
     queries, references = noisy(80, 90, 4.0)
     found = match(queries.descriptors, references.descriptors, top=30)
     scores, indices = (best.numpy() for best in found)
     truth = [np.array([row] if row % 5 else [], np.int64) for row in range(80)]
     n = range(1, 31)
     expected = evaluate(scores, indices, truth, at=n, convention=convention, resamples=70)
-    rates = recall_rates(judge(scores, indices, truth), 30, of_all, resamples=70)
+    rates = recall_rates(judge(scores, indices, truth), 30, convention, resamples=70)
     assert rates.n.tolist() == [*n]
     np.testing.assert_allclose(rates.rate, [expected["recall_at"][str(k)] for k in n], atol=1e-12)
     ends = np.array([expected["intervals"]["recall_at"][str(k)] for k in n])
@@ -34,7 +34,7 @@ def test_by_hand():
     truth = [np.array(rows, np.int64) for rows in ([0], [0], [9], [])]
     outcomes = judge(scores, indices, truth)
     np.testing.assert_allclose(recall_rates(outcomes, 3).rate, np.array([1, 2, 2]) / 3)
-    np.testing.assert_allclose(recall_rates(outcomes, 3, of_all=True).rate, [0.25, 0.5, 0.5])
+    np.testing.assert_allclose(recall_rates(outcomes, 3, "vpr-bench").rate, [0.25, 0.5, 0.5])
 
 
 @pytest.mark.parametrize("queries", [0, 2])

@@ -100,7 +100,7 @@ def evaluate(
 
     def figures(weights: Floats) -> dict[str, Floats]:
         return {
-            **_recall_rates(outcomes, convention, at, weights),
+            **recall_rates_at(outcomes, convention, at, weights),
             **_summaries(outcomes, convention, curves, weights),
         }
 
@@ -141,9 +141,10 @@ def _curves(
     return lambda weights: ranking.curve(weights, weights @ outcomes.has_match)
 
 
-def _recall_rates(
-    outcomes: Outcomes, convention: Convention, at: list[int], weights: Floats
+def recall_rates_at(
+    outcomes: Outcomes, convention: Convention, at: Iterable[int], weights: Floats
 ) -> dict[str, Floats]:
+    """RecallRate@N by N as text, ``(B,)`` each; each query counts ``weights`` ``(B, Q)`` times."""
     asked = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
     total = weights @ asked
     rates = {}

@@ -70,7 +70,7 @@ def render(report: Report) -> str:
     metrics, outcomes = report.metrics, report.outcomes
     convention, points = metrics["convention"], metrics["thresholds"]
     exact = precision_recall_curve(outcomes, report.truth)
-    rates = recall_rates(outcomes, report.candidates, of_all=convention == "vpr-bench")
+    rates = recall_rates(outcomes, report.candidates, convention)
     operating, rows = dict(operating_rows(points)), figure_rows(metrics)
     environment = Environment(
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
