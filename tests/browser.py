@@ -1,7 +1,5 @@
 """A headless Chromium, spoken to over pipes in its own protocol, and a web server of one folder."""
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import functools

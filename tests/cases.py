@@ -1,7 +1,5 @@
 """Label maps and settings on which every path must give what the reference gives."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +15,13 @@ CAMVID = Path(__file__).parents[2] / "shared" / "data" / "camvid"
 
 needs_camvid = pytest.mark.skipif(
     not CAMVID.is_dir(), reason="the CamVid labels of ../shared/data are not on this machine"
+)
+
+
+REAL = CAMVID.parent
+
+needs_real = pytest.mark.skipif(
+    not (REAL / "networks").is_dir(), reason="the networks of ../shared/data are not here"
 )
 
 

@@ -3,8 +3,6 @@ Property tests try the same examples in every run; test_random_run.py tries othe
 What the tests of the command line share: the command line itself, six frames, a database of them.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -7,8 +7,6 @@ Every writer and every look at what it left is a fork of this process, which imp
 uses it: its threads would not survive the fork.
 """
 
-from __future__ import annotations
-
 import ctypes
 import errno
 import os

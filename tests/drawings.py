@@ -1,7 +1,5 @@
 """Tiny hand-drawn masks, label maps and how to read them; shared by the tests."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import torch

@@ -1,7 +1,5 @@
 """Drives on disk, label maps and photos, and what is true of them; shared by the tests."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,13 +1,16 @@
 """Parts of the method in a graph, run by ONNX Runtime on tensors; shared by the tests."""
 
-from __future__ import annotations
-
+import base64
+import json
+import zlib
 from collections.abc import Callable, Sequence
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import onnx
 import onnxruntime
 import torch
 from torch import Tensor
@@ -62,6 +65,27 @@ def to_planes(line: Tensor, shape: Sequence[int]) -> Tensor:
     planes = rows[:, :height, :width].to(torch.uint8)
     assert torch.equal(to_line(planes), line), "pixels in the margins"
     return planes
+
+
+def edit_golden(source: Path, target: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """A copy of an exported file with another golden pair."""
+    model = onnx.load(source)
+    (entry,) = (each for each in model.metadata_props if each.key == "ssrvlad.golden")
+    golden = json.loads(entry.value)
+    change(golden)
+    entry.value = json.dumps(golden)
+    onnx.save(model, target)
+    return target
+
+
+def turned(name: str) -> Callable[[dict[str, Any]], None]:
+    """For `edit_golden`: an array upside down, as if a wrong runtime had seen the right one."""
+
+    def turn(golden: dict[str, Any]) -> None:
+        content = zlib.decompress(base64.b64decode(golden[name]["data"]))
+        golden[name]["data"] = base64.b64encode(zlib.compress(content[::-1])).decode()
+
+    return turn
 
 
 @cache

@@ -1,9 +1,9 @@
 """Label maps on disk, and records of frames that were never seen; shared by the tests."""
 
-from __future__ import annotations
-
 import struct
+import sys
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +59,16 @@ def flip_byte(path: Path, position: int, bits: int = 0x55) -> None:
     path.write_bytes(content)
 
 
+def spoil(database: Path, descriptor: Tensor) -> Path:
+    """Changes one bit of a stored descriptor; its file."""
+    for file in (database / "data").glob("*.lance"):
+        place = file.read_bytes().find(descriptor.numpy().tobytes())
+        if place >= 0:
+            flip_byte(file, place + 8, 1)
+            return file
+    raise AssertionError(f"{database} does not hold this descriptor")
+
+
 def record(frame: str, **fields: object) -> FrameRecord:
     """The record of a frame by its id."""
     plain = {"height": 24, "width": 32, "digest": f"digest of {frame}"}
@@ -69,6 +79,19 @@ def descriptors(seed: int, count: int, length: int = 480) -> Tensor:
     """``(count, length)`` float32 of length 1."""
     numbers = torch.randn(count, length, generator=torch.Generator().manual_seed(seed))
     return torch.nn.functional.normalize(numbers, dim=1)
+
+
+def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[str]:
+    """The command that runs a script in a process which cannot import some packages."""
+    code = (
+        "import runpy, sys\n"
+        f"sys.modules |= dict.fromkeys({list(blocked)!r})\n"
+        f"sys.path.insert(0, {str(script.parent)!r})\n"
+        f"sys.argv = {[str(script), *map(str, arguments)]!r}\n"
+        "runpy.run_path(sys.argv[0], run_name='__main__')\n"
+        f"assert not {{*{list(blocked)!r}}} & {{n for n, m in sys.modules.items() if m}}\n"
+    )
+    return [sys.executable, "-c", code]
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

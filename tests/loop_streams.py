@@ -1,9 +1,10 @@
 """Streams of descriptors and settings of the loop detector, drawn at random; shared by tests."""
 
-from __future__ import annotations
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from helpers import write_street
 from hypothesis import strategies as st
 
 from ssrvlad_torch.loops.config import LoopConfig
@@ -32,6 +33,17 @@ def noisy_stream(
     padded[..., :120] = vectors / lengths
     sequences = [f"drive {sum(n >= c for c in changes)}" for n in range(length)]
     return padded, sequences
+
+
+SEEDS = (*range(40), *range(10, 24))
+"""A drive of forty places that comes back to fourteen of them."""
+
+
+def write_drive(folder: Path) -> Path:
+    """The label maps of `SEEDS`."""
+    for number, seed in enumerate(SEEDS):
+        write_street(folder / f"{number:02d}.png", seed)
+    return folder
 
 
 configs = st.builds(LoopConfig, exclude=st.integers(0, 20), threshold=st.floats(0.1, 0.9))

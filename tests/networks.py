@@ -1,7 +1,5 @@
 """Tiny segmentation networks that are right, as modules and as ONNX graphs; shared by the tests."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

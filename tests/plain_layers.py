@@ -1,7 +1,5 @@
 """Layers of networks as loops over NumPy arrays: what the tests hold the real ones against."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 

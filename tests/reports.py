@@ -1,7 +1,5 @@
 """Evaluations to report, and the page that comes of them, taken apart; shared by the tests."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from html.parser import HTMLParser
 

@@ -1,7 +1,5 @@
 """Small data for the scripts that write pages, and those scripts as modules; shared by tests."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Iterable
 from dataclasses import replace
@@ -49,19 +47,21 @@ def photo(labels: np.ndarray) -> np.ndarray:
     return (colourise(labels, TRAIN_IDS) // 2 + texture).astype(np.uint8)
 
 
-def write_camvid(root: Path, count: int) -> Path:
-    """A drive in the layout of CamVid, its labels renamed from the synthetic city's."""
+def write_camvid(root: Path, count: int, drives: Iterable[str] = ("0001TP",)) -> Path:
+    """Drives in the layout of CamVid, through one city each, its labels renamed."""
     names = np.full(256, 11, np.uint8)
     names[[0, 1, 2, 4, 5, 8, 10]] = 3, 4, 1, 7, 2, 5, 0
-    for number, labels in enumerate(frames(count)):
-        pictures = {
-            "labels": names[labels],
-            "predicted_espnetv2": labels,
-            "images": photo(labels),
-        }
-        for folder, picture in pictures.items():
-            (root / "0001TP" / folder).mkdir(parents=True, exist_ok=True)
-            Image.fromarray(picture).save(root / "0001TP" / folder / f"0001TP_{number:06d}.png")
+    for seed, drive in enumerate(drives):
+        for number, labels in enumerate(frames(count, seed)):
+            pictures = {
+                "labels": names[labels],
+                "predicted_espnetv2": labels,
+                "images": photo(labels),
+            }
+            for folder, picture in pictures.items():
+                path = root / drive / folder / f"{drive}_{number:06d}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(picture).save(path)
     return root
 
 

@@ -3,9 +3,7 @@
 import numpy as np
 import torch
 from helpers import street
-from networks import (
-    photo,
-)
+from networks import photo, write_graph
 from PIL import Image
 
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
@@ -31,6 +29,14 @@ def write_photos(folder, seeds=range(5), size=(24, 32)):
     for seed in seeds:
         write_image(folder / f"{seed}.png", photo(street(seed, *size)))
     return folder
+
+
+def write_settings(folder, more=""):
+    """``net.onnx``, which labels this world, and ``net.yaml``, its settings."""
+    write_graph(folder / "net.onnx")
+    path = folder / "net.yaml"
+    path.write_text(f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n{more}")
+    return path
 
 
 def counted(network):

@@ -1,7 +1,5 @@
 """AlexNet-Places365 up to conv3: published sizes, and the network as loops."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from plain_layers import convolve, local_response_norm, max_pool, relu

@@ -1,7 +1,5 @@
 """Each stage as arithmetic against the stage on tensors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -71,9 +69,7 @@ def test_votes_are_counted_and_the_commonest_kind_wins(seed, height, width, rows
     )
     expected = np.zeros((2, *grid, UNKNOWN + 1), int)
     np.add.at(
-        expected,
-        (np.arange(2)[:, None, None], of_rows[:, None], of_columns, table[image]),
-        1,
+        expected, (np.arange(2)[:, None, None], of_rows[:, None], of_columns, table[image]), 1
     )
     expected[..., NO_LAYER] += expected[..., UNKNOWN]
     kinds = [*range(NO_LAYER + 1), UNKNOWN]

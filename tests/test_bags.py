@@ -1,7 +1,5 @@
 """Pictures in ROS bags, which the library that reads them wrote."""
 
-from __future__ import annotations
-
 import io
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Descriptors of pictures beside those of label maps: stored, verified, exported, fused."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -9,8 +7,9 @@ import pytest
 import torch
 from drawings import SPACE
 from helpers import descriptors, street
-from networks import photo, write_graph
+from networks import photo
 from PIL import Image
+from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.baselines import Frame
@@ -131,14 +130,9 @@ def test_two_methods_that_err_apart_are_better_together():
 def photos(tmp_path, monkeypatch):
     """``monday``, 31 photos, ``today``, the same, and a network that labels them."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    write_graph(tmp_path / "net.onnx")
-    settings = f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: {SPACE}\n"
-    (tmp_path / "net.yaml").write_text(settings)
+    write_settings(tmp_path, f"labels_as: {SPACE}\n")
     for drive in ("monday", "today"):
-        (tmp_path / drive).mkdir()
-        for seed in range(31):
-            picture = Image.fromarray(photo(street(seed, 60, 80)))
-            picture.save(tmp_path / drive / f"{seed}.png")
+        write_photos(tmp_path / drive, range(31), (60, 80))
     return tmp_path
 
 

@@ -1,7 +1,5 @@
 """Caffe's networks: the wire format of protocol buffers, written here from its definition."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import numpy as np

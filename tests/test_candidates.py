@@ -1,7 +1,5 @@
 """The filter over candidates, against the filter over all rows."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings

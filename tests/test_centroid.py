@@ -1,6 +1,6 @@
 import numpy as np
 import torch
-from drawings import BLOCK, DOT, EMPTY, mask, planes
+from drawings import DOT, EMPTY, mask, planes
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -32,13 +32,6 @@ def test_equal_to_the_reference(seed, height, width):
     for b, layers in enumerate(unpack(some).numpy()):
         for k, layer in enumerate(layers):
             assert tuple(table[b, k].tolist()) == (reference.centroid(layer) or (-1, -1))
-
-
-def test_by_hand():
-    block = planes(mask(BLOCK), ~mask(BLOCK))
-    group, y, x = centroids(block)
-    assert group.tolist() == [0, 1]
-    assert (y[0].item(), x[0].item()) == (3, 4)  # 2.5 and 3.5: halves go up
 
 
 def test_a_layer_without_pixels_is_left_out():

@@ -1,7 +1,5 @@
 """The command line as a user meets it: help, exit codes, one-line errors, Ctrl-C."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -15,8 +13,9 @@ import numpy as np
 import pytest
 import typer
 from drives import write_maps, write_photos
-from networks import photo, write_graph
+from networks import photo
 from PIL import Image
+from segmenting import write_settings
 
 from ssrvlad_torch import __version__
 from ssrvlad_torch.cli.app import app
@@ -256,8 +255,7 @@ def test_ctrl_c_during_an_import(module):
 def test_a_run_that_is_ended(tmp_path, segmenter, number, end):
     """The frames that are done land; a run afterwards goes on from there."""
     maps = write_maps(tmp_path / "maps", range(1))
-    write_graph(tmp_path / "net.onnx")
-    (tmp_path / "net.yaml").write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n")
+    write_settings(tmp_path)
     (tmp_path / "drive").mkdir()
     first = tmp_path / "first.png"
     labels = np.asarray(Image.open(maps / "000.png").resize((320, 240), Image.Resampling.NEAREST))

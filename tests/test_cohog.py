@@ -1,7 +1,6 @@
 """CoHOG against OpenCV, scikit-image and loops, and against the stored result of VPR-Bench."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,19 +9,10 @@ import torch
 from PIL import Image
 from skimage.filters.rank import entropy
 from skimage.morphology import disk
+from vpr_bench import CORRIDOR, needs_corridor
 
 from ssrvlad_torch.baselines import Frame, cohog, make
-from ssrvlad_torch.baselines.cohog import (
-    local_entropy,
-    region_descriptors,
-    region_entropies,
-    sobel,
-)
-
-CORRIDOR = Path(__file__).parents[2] / "shared" / "data" / "vprbench" / "corridor"
-needs_corridor = pytest.mark.skipif(
-    not CORRIDOR.is_dir(), reason="the corridor images of ../shared/data are not on this machine"
-)
+from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies, sobel
 
 
 def gray_noise(seed, height, width, grain=4):

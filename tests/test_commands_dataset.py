@@ -1,7 +1,5 @@
 """Data sets on the command line: `--layout`, `--split`, `--role`, `--labels`, and what is true."""
 
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -77,10 +75,15 @@ def test_wrong_use_of_a_data_set(ssrvlad, city, reference, options, message):
 
 def test_a_data_set_is_one_folder(ssrvlad, city, reference):
     code, _, err = ssrvlad("query", reference, city, city, "--layout", "auto")
-    assert (code, err) == (
-        2,
-        ["ssrvlad: --layout wants the folder of one data set, got 2 sources"],
-    )
+    assert (code, err) == (2, ["ssrvlad: --layout wants the folder of one data set, got 2 sources"])
+
+
+def test_headings_can_count(ssrvlad, city, reference):
+    counts = []
+    for limit in ((), ("--tolerance-degrees", 180), ("--tolerance-degrees", 0)):
+        arguments = ("evaluate", reference, city / "query", "--tolerance-metres", 5, *limit)
+        counts.append(json.loads(ssrvlad(*arguments, "--json")[1])["queries_with_match"])
+    assert counts == [8, 8, 0]
 
 
 # ---- ground truth that counts frames

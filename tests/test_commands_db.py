@@ -1,7 +1,5 @@
 """`ssrvlad db verify` and `db export`, and what `encode` and `query` do with a database."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -9,19 +7,10 @@ import numpy as np
 import pytest
 import yaml
 from drives import write_maps
-from helpers import flip_byte
+from helpers import spoil
 
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.taxonomy import label_space
-
-
-def spoil(database):
-    """Changes a bit of one descriptor; its file."""
-    frames = Database.open(database).load()
-    [file] = (database / "data").glob("*.lance")
-    place = file.read_bytes().index(frames.descriptors[2].numpy().tobytes())
-    flip_byte(file, place + 50, 1)
-    return file
 
 
 def test_verify_finds_nothing_in_a_whole_database(ssrvlad, database):
@@ -31,7 +20,7 @@ def test_verify_finds_nothing_in_a_whole_database(ssrvlad, database):
 
 
 def test_verify_names_the_file_and_can_drop_what_is_damaged(ssrvlad, database, maps):
-    file = spoil(database)
+    file = spoil(database, Database.open(database).load().descriptors[2])
     code, _, err = ssrvlad("db", "verify", database)
     assert (code, len(err)) == (3, 1)
     assert f"{file}: 1 frames lost: " in err[0]
@@ -89,7 +78,7 @@ def test_labels_are_read_by_the_stored_label_space_from_any_folder(
 
 
 def test_a_query_reads_on_past_damage_only_if_told_to(ssrvlad, database, maps):
-    file = spoil(database)
+    file = spoil(database, Database.open(database).load().descriptors[2])
     assert ssrvlad("query", database, maps)[0] == 2
     code, out, err = ssrvlad("query", database, maps, "--skip-damaged", "--json", "--top", 9)
     assert (code, len(err)) == (0, 1)
@@ -123,18 +112,6 @@ def test_history_tells_versions_that_other_commands_take(ssrvlad, database, maps
     code, _, err = ssrvlad("db", "info", database, *before)
     assert code == 2
     assert "has no version" in err[0]
-
-
-@pytest.mark.parametrize("form", ["npy", "hloc"])
-def test_export_writes_each_form(ssrvlad, database, tmp_path, form):
-    pytest.importorskip("h5py", reason="needs the extra hloc")
-    file = tmp_path / "out"
-    code, out, _ = ssrvlad("db", "export", database, "--format", form, "-o", file)
-    assert code == 0
-    assert out.splitlines()[0] == str(file)
-    if form == "npy":
-        expected = Database.open(database).load().descriptors.numpy()
-        np.testing.assert_array_equal(np.load(file), expected)
 
 
 def test_encode_tells_what_is_gone_and_prunes_it(ssrvlad, database, maps):

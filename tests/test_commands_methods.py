@@ -1,7 +1,5 @@
 """`ssrvlad evaluate --method`, and `ssrvlad vocabulary`."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

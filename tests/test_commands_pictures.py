@@ -1,39 +1,32 @@
 """The command line on images: a network by name, its own class names, what maps where."""
 
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import onnx
 import pytest
+from cases import REAL, needs_real
 from drawings import SPACE
-from helpers import street
-from networks import photo, write_graph
 from PIL import Image
+from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.cli import sources
 from ssrvlad_torch.taxonomy import label_space
 
-REAL = Path(__file__).resolve().parents[2] / "shared" / "data"
 TRUTH = "same_place_odd_even.json"
 
 
 @pytest.fixture
 def network(tmp_path):
     """A graph that says what its classes are, and a file of its settings."""
-    path = write_graph(tmp_path / "net.onnx")
+    settings = write_settings(tmp_path)
+    path = tmp_path / "net.onnx"
     names = {label.id: label.name for label in label_space(SPACE).classes}
     model = onnx.load(path)
     onnx.helper.set_model_props(model, {"id2label": json.dumps(names)})
     onnx.save(model, path)
-    settings = tmp_path / "net.yaml"
-    settings.write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\n")
-    (tmp_path / "photos").mkdir()
-    for seed in range(3):
-        Image.fromarray(photo(street(seed, 60, 80))).save(tmp_path / "photos" / f"{seed}.png")
+    write_photos(tmp_path / "photos", range(3), (60, 80))
     return settings
 
 
@@ -115,7 +108,7 @@ def test_show_takes_an_image(network, ssrvlad, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not REAL.is_dir(), reason="the real networks of ../shared/data are not here")
+@needs_real
 def test_a_real_network_finds_what_its_stored_predictions_find(ssrvlad, tmp_path):
     """ESPNetv2 on every other picture of CamVid against the label maps of those between."""
     camvid, town = REAL / "camvid", tmp_path / "town"

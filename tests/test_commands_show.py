@@ -1,7 +1,5 @@
 """`ssrvlad show` and `ssrvlad demo`: the commands that draw."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from helpers import street

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import HOLES, MASKS, SPECKS, SPIRAL, blobs, mask, planes
+from drawings import MASKS, SPIRAL, blobs, mask, planes
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -69,12 +69,6 @@ def test_a_spiral_is_one_region():
     spiral = mask(SPIRAL)
     assert torch.equal(drop_regions(planes(spiral), int(spiral.sum())), planes(spiral))
     assert not drop_regions(planes(spiral), int(spiral.sum()) + 1).any()
-
-
-def test_by_hand():
-    filled = unpack(fill_holes(planes(mask(HOLES)), 4))[0, 0].numpy()
-    assert np.argwhere(filled & ~mask(HOLES)).tolist() == [[2, 5], [3, 6]]
-    assert unpack(drop_regions(planes(mask(SPECKS)), 4))[0, 0].sum() == mask(SPECKS).sum() - 5
 
 
 def test_images_and_layers_do_not_touch():

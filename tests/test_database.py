@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pytest
 import torch
 import yaml
-from helpers import descriptors, record
+from helpers import descriptors, record, spoil
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -425,20 +425,9 @@ def test_every_changed_byte_of_a_data_file_is_refused_and_named_or_without_effec
     assert loaded(path) == before
 
 
-def spoil(path, frame):
-    """Changes one bit of one descriptor."""
-    numbers = Database.open(path).load()
-    bits = numbers.descriptors[numbers.frames.index(frame)].numpy().tobytes()
-    content = data_file(path).read_bytes()
-    place = content.index(bits) + 100
-    data_file(path).write_bytes(
-        content[:place] + bytes([content[place] ^ 1]) + content[place + 1 :]
-    )
-
-
 def test_damage_to_a_descriptor_is_named_left_out_if_asked_and_dropped(path):
     expected = loaded(path)
-    spoil(path, "day/9")
+    spoil(path, descriptors(0, 4)[3])
     with pytest.raises(
         ValueError,
         match=r"town\.ssrdb is damaged: data/\w+\.lance: the checksum of frame 'day/9' differs",

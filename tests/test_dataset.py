@@ -8,14 +8,7 @@ import pytest
 from helpers import write_street
 from trees import outline, plant
 
-from ssrvlad_torch.datasets.dataset import (
-    Dataset,
-    Frame,
-    Traverse,
-    files_in,
-    folders_in,
-    shortened,
-)
+from ssrvlad_torch.datasets.dataset import Dataset, Frame, Traverse, files_in, folders_in, shortened
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 
 HERE = Pose(1, 2, 0.5)
@@ -118,10 +111,7 @@ def test_files_carry_id_and_pose():
         ("a/1", Path("1.png"), HERE),
         ("a/2", Path("2.png"), UNKNOWN),
     ]
-    assert [(f.frame, f.path) for f in images] == [
-        ("a/1", Path("1.jpg")),
-        ("a/3", Path("3.jpg")),
-    ]
+    assert [(f.frame, f.path) for f in images] == [("a/1", Path("1.jpg")), ("a/3", Path("3.jpg"))]
 
 
 def test_every_other_file_of_each_sequence():

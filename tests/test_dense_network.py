@@ -1,7 +1,5 @@
 """Networks with features and class probabilities, from ONNX files and with random weights."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

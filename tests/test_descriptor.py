@@ -1,7 +1,5 @@
 """The whole method against the reference, and what the module accepts and refuses."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import json

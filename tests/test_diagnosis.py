@@ -1,7 +1,5 @@
 """Where a runtime goes wrong: runtimes that are wrong on purpose, and OpenVINO on wide integers."""
 
-from __future__ import annotations
-
 import io
 import re
 from pathlib import Path

@@ -468,8 +468,7 @@ encode_to_database(head, find_label_files([sys.argv[2]]), database, options)
 
 
 @pytest.mark.parametrize(
-    ("number", "code"),
-    [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -9)],
+    ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -9)]
 )
 def test_a_signal_ends_a_run_and_the_next_run_completes_it(maps, number, code):
     """All that was told done is there; after SIGKILL all that was committed."""

@@ -1,6 +1,5 @@
 """The halves of encoding are those of the whole; how long they take is no test's business."""
 
-from _encoding_rates import encoding_rates
 from helpers import write_street
 
 from ssrvlad_torch import SSRVLAD
@@ -15,13 +14,6 @@ def some_files(folder):
     for number in range(20):
         write_street(folder / "a" / f"{number}.png", number)
     return find_label_files([str(folder / "a")])
-
-
-def test_every_way_is_timed_as_often(tmp_path):
-    timings, starts = encoding_rates(HEAD, some_files(tmp_path), workers=2, repetitions=2)
-    assert list(timings) == ["read", "describe", "one", "all"]
-    assert [len(timing.seconds) for timing in timings.values()] == [2] * 4
-    assert len(starts) == 2
 
 
 def test_reading_and_then_describing_is_encoding(tmp_path):

@@ -1,8 +1,6 @@
 """The adapters for RTAB-Map and hloc, called as their hosts call them, and COLMAP itself on pairs
 of ours."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import json

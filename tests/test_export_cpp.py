@@ -1,21 +1,16 @@
 """The C++ header and its example against the module; needs CMake, zlib and the headers of ONNX
 Runtime: in the folder that ORT_ROOT names, or as a CMake package."""
 
-from __future__ import annotations
-
-import base64
-import json
 import os
 import shutil
 import subprocess
-import zlib
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from drives import write_maps
+from graphs import edit_golden, turned
 from helpers import street
 from networks import photo, write_graph
 from PIL import Image
@@ -165,23 +160,10 @@ def test_photographs_find_their_place_with_one_file_and_with_two(place, drive, m
     assert len(lines) == 5
 
 
-def turned_golden(source, target, name):
-    """A copy of a file whose golden input is upside down: what a runtime that is wrong would make
-    of the right one."""
-    model = onnx.load(source)
-    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
-    golden = json.loads(entry.value)
-    content = zlib.decompress(base64.b64decode(golden[name]["data"]))
-    golden[name]["data"] = base64.b64encode(zlib.compress(content[::-1])).decode()
-    entry.value = json.dumps(golden)
-    onnx.save(model, target)
-    return target
-
-
 def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_path):
-    head = turned_golden(drive / "head.onnx", tmp_path / "head.onnx", "labels")
-    fused = turned_golden(drive / "place.onnx", tmp_path / "place.onnx", "image")
-    net = turned_golden(drive / "net.onnx", tmp_path / "net.onnx", "image")
+    head = edit_golden(drive / "head.onnx", tmp_path / "head.onnx", turned("labels"))
+    fused = edit_golden(drive / "place.onnx", tmp_path / "place.onnx", turned("image"))
+    net = edit_golden(drive / "net.onnx", tmp_path / "net.onnx", turned("image"))
     photograph = drive / "photo.npy"
     for model in (
         [fused],
@@ -206,12 +188,7 @@ def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_
     ],
 )
 def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, message):
-    model = onnx.load(drive / "head.onnx")
-    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
-    golden = json.loads(entry.value)
-    change(golden)
-    entry.value = json.dumps(golden)
-    onnx.save(model, tmp_path / "x.onnx")
+    edit_golden(drive / "head.onnx", tmp_path / "x.onnx", change)
     np.save(tmp_path / "map.npy", np.zeros((4, 5), np.uint8))
     code, _, (line,) = place(tmp_path / "x.onnx", tmp_path / "map.npy")
     assert code == 2

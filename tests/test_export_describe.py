@@ -1,7 +1,5 @@
 """The C++ library and its program against the reference; needs a C++ compiler only."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

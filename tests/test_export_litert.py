@@ -1,8 +1,6 @@
 """A file of fixed size, converted by onnx2tf, in LiteRT. Both want other versions of libraries than
 this package: ``SSRVLAD_LITERT`` names a Python that has them (onnx2tf, ai-edge-litert)."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 

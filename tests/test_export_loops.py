@@ -1,7 +1,5 @@
 """The loop detector without torch: the rules of the package's, and the command line's answers."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import json
@@ -15,9 +13,9 @@ import numpy as np
 import onnx
 import pytest
 import torch
-from helpers import street, write_street
+from helpers import street, without
 from hypothesis import given
-from loop_streams import configs, noisy_stream, streams
+from loop_streams import SEEDS, configs, noisy_stream, streams, write_drive
 from onnx import TensorProto, helper
 from PIL import Image
 
@@ -29,18 +27,7 @@ from ssrvlad_torch.loops.config import LoopConfig
 EXPORT = Path(__file__).parents[1] / "export"
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
 HEAD = SSRVLAD(CONFIG)
-SEEDS = (*range(40), *range(10, 24))
-"""A drive of forty places that comes back to fourteen of them."""
 SETTINGS = ("--exclude", 5, "--threshold", 0.7)
-
-WITHOUT = """
-import runpy, sys
-for name in ("torch", "ssrvlad_torch"):
-    sys.modules[name] = None
-sys.argv = {arguments!r}
-sys.path.insert(0, {folder!r})
-runpy.run_path(sys.argv[0], run_name="__main__")
-"""
 
 
 def load_script():
@@ -68,23 +55,7 @@ def head(tmp_path_factory):
 
 @pytest.fixture
 def drive(tmp_path):
-    folder = tmp_path / "drive"
-    for number, seed in enumerate(SEEDS):
-        write_street(folder / f"{number:02d}.png", seed)
-    return folder
-
-
-def alone(*arguments, **options):
-    """The script in a process of its own that has neither torch nor this package."""
-    words = [str(EXPORT / "loops_onnx.py"), *map(str, arguments)]
-    code = WITHOUT.format(arguments=words, folder=str(EXPORT))
-    return subprocess.Popen(
-        [sys.executable, "-c", code],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        **options,
-    )
+    return write_drive(tmp_path / "drive")
 
 
 def objects(out):
@@ -151,8 +122,9 @@ def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, 
         ssrvlad("loops", drive, "--labels-as", "camvid-11", *SETTINGS, "--no-sweep", "--json")[1]
     )
     assert sum(line["reason"] == "accepted" for line in expected) > 3
-    process = alone(head, "-" if live else drive, *SETTINGS)
-    with process:
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    command = (EXPORT / "loops_onnx.py", head, "-" if live else drive, *SETTINGS)
+    with subprocess.Popen(without(("torch", "ssrvlad_torch"), *command), **pipes) as process:
         lines = []
         for path in sorted(drive.iterdir()) if live else []:
             process.stdin.write(os.fsencode(path) + b"\n")

@@ -1,7 +1,5 @@
 """The exported file in OpenVINO on a CPU against the module; needs the extra openvino."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

@@ -1,24 +1,20 @@
 """The page in a headless Chromium against the module; needs Chromium and npm."""
 
-from __future__ import annotations
-
-import base64
 import contextlib
 import hashlib
 import json
 import shutil
 import subprocess
 import tempfile
-import zlib
 from pathlib import Path
 
 import numpy as np
-import onnx
 import pytest
 import torch
 from browser import CHROMIUM, browser, served
 from drawings import SPACE
 from drives import write_maps
+from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, street, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
@@ -191,14 +187,7 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
 
 
 def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):
-    """Mirrored golden maps stand for what a wrong runtime would make of the right ones."""
-    model = onnx.load(site / "default.onnx")
-    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
-    golden = json.loads(entry.value)
-    content = zlib.decompress(base64.b64decode(golden["labels"]["data"]))[::-1]
-    golden["labels"]["data"] = base64.b64encode(zlib.compress(content)).decode()
-    entry.value = json.dumps(golden)
-    onnx.save(model, site / "wrong.onnx")
+    edit_golden(site / "default.onnx", site / "wrong.onnx", turned("labels"))
     query = f"?model=wrong.onnx&labels=maps/{files_of(site)[0].name}"
     open_page(page, query, FAILED)
     assert "computed wrong in this browser: golden pair" in page.run(f"{FAILED}.textContent")

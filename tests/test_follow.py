@@ -1,7 +1,5 @@
 """`recognition.follow`: the sequence filter against a plain dense one, and what it is for."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Fused files against the segmenter and the module run one after the other."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path
@@ -12,6 +10,7 @@ import numpy.typing as npt
 import onnx
 import pytest
 import torch
+from cases import REAL, needs_real
 from drawings import SPACE, blobs
 from graphs import session
 from helpers import street
@@ -31,7 +30,6 @@ from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
-REAL = Path(__file__).resolve().parents[2] / "shared" / "data"
 Images = npt.NDArray[Any]
 
 
@@ -207,7 +205,7 @@ def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not REAL.is_dir(), reason="the real networks of ../shared/data are not here")
+@needs_real
 @pytest.mark.parametrize("name", ["espnetv2", "dabnet"])
 def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     config = SSRVLADConfig()

@@ -1,7 +1,5 @@
 """What docs/ tells a user to type, typed: commands of ssrvlad and Python, page by page."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,10 +7,7 @@ from graphs import run
 
 from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
-from ssrvlad_torch.deployment.stages.harmonics import (
-    coefficients_in_graph,
-    harmonics_in_graph,
-)
+from ssrvlad_torch.deployment.stages.harmonics import coefficients_in_graph, harmonics_in_graph
 from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS
 from ssrvlad_torch.stages.harmonics import (
     Harmonics,

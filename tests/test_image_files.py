@@ -9,12 +9,7 @@ from helpers import COLOUR, GRAY, flip_byte, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile, read_ahead
-from ssrvlad_torch.datasets.image_files import (
-    SUFFIXES,
-    decode_image,
-    find_image_files,
-    read_image,
-)
+from ssrvlad_torch.datasets.image_files import SUFFIXES, decode_image, find_image_files, read_image
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 SMOOTH = np.linspace((0, 40, 250), (250, 90, 0), 20 * 30).reshape(20, 30, 3).astype(np.uint8)

@@ -1,7 +1,5 @@
 """What is heavy is imported only where it is used. Who may import whom: see pyproject.toml."""
 
-from __future__ import annotations
-
 import importlib
 import subprocess
 import sys

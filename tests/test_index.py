@@ -3,7 +3,7 @@
 import pytest
 import torch
 import torch.nn.functional as F
-from helpers import descriptors, flip_byte
+from helpers import descriptors, spoil
 
 from ssrvlad_torch import Database, match, standardise
 from ssrvlad_torch.database import index_search
@@ -90,8 +90,7 @@ def test_a_damaged_row_that_is_found_is_refused(tmp_path):
     numbers = descriptors(0, 300, 9)
     database.append([f"a/{n}" for n in range(300)], numbers)
     build_index(database)
-    [file] = (tmp_path / "db" / "data").glob("*.lance")
-    flip_byte(file, file.read_bytes().index(numbers[5].numpy().tobytes()) + 8, 1)
+    spoil(tmp_path / "db", numbers[5])
     with pytest.raises(ValueError, match="is damaged"):
         search_index(Database.open(tmp_path / "db"), numbers[5][None], 1)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import CROSS, CROWDED_CROSSING, DIAGONAL, DOT, EMPTY, LINE, MASKS, TEE, mask, planes
+from drawings import MASKS, mask, planes
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,32 +29,6 @@ def intersections(some):
     found = keypoints.intersections(some)
     assert torch.equal(run_on_planes(both_in_graph, some)[1], found)
     return found
-
-
-def positions(some: torch.Tensor) -> list[list[int]]:
-    return unpack(some)[0, 0].nonzero().tolist()
-
-
-@pytest.mark.parametrize(
-    ("drawing", "ends", "crossings"),
-    [
-        (EMPTY, [], []),
-        (DOT, [[1, 2]], []),
-        (LINE, [[1, 1], [1, 5]], []),
-        (DIAGONAL, [[0, 0], [4, 4]], []),
-        (CROSS, [[0, 3], [3, 0], [3, 6], [6, 3]], [[3, 3]]),
-        (TEE, [[1, 1], [1, 7], [4, 4]], [[1, 4]]),
-    ],
-    ids=["empty", "dot", "line", "diagonal", "cross", "tee"],
-)
-def test_by_hand(drawing, ends, crossings):
-    assert positions(end_points(planes(mask(drawing)))) == ends
-    assert positions(intersections(planes(mask(drawing)))) == crossings
-
-
-def test_one_point_an_intersection():
-    crossings = positions(intersections(planes(mask(CROWDED_CROSSING))))
-    assert len(crossings) == 1
 
 
 @pytest.mark.parametrize("name", MASKS)

@@ -14,17 +14,6 @@ from ssrvlad_torch.deployment.words import grid_of
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown, split
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
 
-INTEGER_DTYPES = [
-    torch.uint8,
-    torch.int8,
-    torch.int16,
-    torch.int32,
-    torch.int64,
-    torch.uint16,
-    torch.uint32,
-    torch.uint64,
-]
-
 
 @pytest.mark.parametrize("name", label_space_names())
 def test_every_id_goes_to_its_category(name):
@@ -34,10 +23,11 @@ def test_every_id_goes_to_its_category(name):
     assert categories.tolist() == [[[label.category_index for label in space.classes]]]
 
 
-@pytest.mark.parametrize("dtype", INTEGER_DTYPES)
-def test_any_integer_dtype(dtype):
+@pytest.mark.parametrize("bits", [8, 16, 32, 64])
+@pytest.mark.parametrize("kind", ["int", "uint"])
+def test_any_integer_dtype(kind, bits):
     space = label_space("camvid-11")
-    labels = torch.tensor([[[3, 11, 7]]]).to(dtype)
+    labels = torch.tensor([[[3, 11, 7]]]).to(getattr(torch, f"{kind}{bits}"))
     categories = categorise(labels, *category_table(space))
     assert categories.dtype == torch.uint8
     assert categories.tolist() == [[[0, NO_LAYER, 2]]]

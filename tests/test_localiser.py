@@ -1,15 +1,13 @@
 """Pictures in, places out, in Python."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 import pytest
 from drawings import SPACE
 from helpers import street
-from networks import PLAIN, Strided, photo, write_graph
-from PIL import Image
+from networks import PLAIN, Strided, photo
+from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD, Database, Localiser, Segmenter
 from ssrvlad_torch.datasets.label_files import find_label_files
@@ -19,18 +17,13 @@ from ssrvlad_torch.segmentation.networks import runs_code
 
 @pytest.fixture
 def settings(tmp_path):
-    write_graph(tmp_path / "net.onnx")
-    path = tmp_path / "net.yaml"
-    path.write_text(f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: {SPACE}\n")
-    return path
+    return write_settings(tmp_path, f"labels_as: {SPACE}\n")
 
 
 @pytest.fixture
 def folder(tmp_path):
     """Thirty photos, half of them with a pose."""
-    (tmp_path / "monday").mkdir()
-    for seed in range(30):
-        Image.fromarray(photo(street(seed, 60, 80))).save(tmp_path / "monday" / f"{seed}.png")
+    write_photos(tmp_path / "monday", range(30), (60, 80))
     rows = [f"monday/{seed},{seed},{-seed},0.5" for seed in range(15)]
     (tmp_path / "poses.csv").write_text("\n".join(["frame,x,y,heading", *rows]))
     return tmp_path / "monday"

@@ -1,7 +1,5 @@
 """Loops over files, in Python and as a user of ``ssrvlad loops`` meets them."""
 
-from __future__ import annotations
-
 import io
 import json
 import os
@@ -13,6 +11,7 @@ from contextlib import closing
 
 import pytest
 from helpers import street, write_street
+from loop_streams import SEEDS, write_drive
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Database
@@ -28,8 +27,6 @@ from ssrvlad_torch.loops.stream import (
     open_detector,
 )
 
-SEEDS = (*range(40), *range(10, 24))
-"""A drive of forty places that comes back to fourteen of them."""
 SETTINGS = ("--exclude", 5, "--no-sweep")
 LOOPS = {f"drive/{n}": f"drive/{n - 30}" for n in range(45, 54)}
 """The filter is sure after five of the fourteen."""
@@ -38,9 +35,7 @@ LOOPS = {f"drive/{n}": f"drive/{n - 30}" for n in range(45, 54)}
 @pytest.fixture
 def drive(tmp_path):
     """A folder of label maps with poses."""
-    folder = tmp_path / "drive"
-    for number, seed in enumerate(SEEDS):
-        write_street(folder / f"{number:02d}.png", seed)
+    folder = write_drive(tmp_path / "drive")
     lines = [f"drive/{n:02d},{10 * seed},0,0" for n, seed in enumerate(SEEDS)]
     (folder / "poses.csv").write_text("\n".join(["frame,x,y,heading", *lines]) + "\n")
     return folder

@@ -1,7 +1,5 @@
 """pages/loops.py on streams made by hand in place of tours: its tables against plain counts."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The Local Semantic Tensor against its equations as loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """LoST-X as a method: windows of references, keypoints, ranking again, errors."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Networks in MATLAB files, with their layers as structs and as objects."""
 
-from __future__ import annotations
-
 import base64
 import sys
 

@@ -38,20 +38,6 @@ def test_the_label_space_is_whole():
     assert LabelSpace.from_dict(metadata().label_space) == label_space("camvid-11")
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (lambda p: p.pop(PREFIX + "golden"), r"no metadata ssrvlad\.golden: .*`ssrvlad export`"),
-        (lambda p: p.update({PREFIX + "config": "{"}), r"metadata ssrvlad\.config is not JSON"),
-    ],
-)
-def test_what_is_not_ours_is_named(change, message):
-    properties = metadata().to_properties()
-    change(properties)
-    with pytest.raises(ValueError, match=message):
-        Metadata.from_properties(properties)
-
-
 def test_what_could_not_be_read_is_not_written():
     big = {"image": np.broadcast_to(np.zeros(1, np.uint8), (65, 1024, 1024))}
     with pytest.raises(ValueError, match="golden image is 65 MiB; expected at most 64"):

@@ -1,7 +1,5 @@
 """scripts/pages/methods.py on small data: its page, and how costs are measured."""
 
-from __future__ import annotations
-
 import types
 
 import numpy as np

@@ -25,10 +25,7 @@ def rows(*matches):
     return [np.array(match, np.int64) for match in matches]
 
 
-@pytest.mark.parametrize(
-    ("n", "expected"),
-    [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)],
-)
+@pytest.mark.parametrize(("n", "expected"), [(1, 1 / 3), (2, 2 / 3), (3, 2 / 3), (4, 3 / 3)])
 def test_recall_rate_by_hand(n, expected):
     """The first true match of the queries stands at place 1, 2 and 4; the last query has none."""
     indices = np.array([[5, 1, 2, 3], [1, 6, 2, 3], [9, 8, 0, 7], [0, 1, 2, 3]])

@@ -2,7 +2,6 @@ import kornia.morphology
 import numpy as np
 import pytest
 import torch
-from drawings import MASKS, mask
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -69,30 +68,3 @@ def test_dilation_is_kornias(radius):
     kernel = torch.ones(2 * radius + 1, 2 * radius + 1)
     expected = kornia.morphology.dilation(unpack(planes).float(), kernel)
     assert torch.equal(unpack(dilate(planes, radius)), expected.bool())
-
-
-def test_closing_adds_and_opening_removes():
-    planes = random_planes(5)
-    assert torch.equal(open_and_close(planes, 0, 2) & planes, planes)
-    assert torch.equal(open_and_close(planes, 1, 0) | planes, planes)
-
-
-def test_radius_zero_is_the_same_tensor():
-    planes = random_planes(6)
-    assert torch.equal(open_and_close(planes, 0, 0), planes)
-
-
-def test_a_radius_beyond_the_image():
-    planes = torch.tensor([[[1, 0], [0, 0]]], dtype=torch.uint8)
-    assert (dilate(planes, 50) == 1).all()
-    assert (erode(planes, 50) == 0).all()
-
-
-@pytest.mark.parametrize("name", MASKS)
-def test_order_is_opening_then_closing(name):
-    layer = mask(MASKS[name])
-    element = reference.square(1)
-    opened = reference.dilate(reference.erode(layer, element), element)
-    expected = reference.erode(reference.dilate(opened, element), element)
-    planes = torch.from_numpy(layer.astype(np.uint8))[None]
-    np.testing.assert_array_equal(open_and_close(planes, 1, 1)[0].bool(), expected)

@@ -1,7 +1,5 @@
 """`recognition.motion`: beliefs move as each step says, and back by the transpose."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import Tensor

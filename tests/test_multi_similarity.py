@@ -1,7 +1,5 @@
 """The multi-similarity loss against its formula, pair by pair."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """The native core against the stages in torch: the same bits and counts."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import shutil

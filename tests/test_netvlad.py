@@ -1,7 +1,5 @@
 """NetVLAD as a method: a real-sized file, its descriptors, its errors."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

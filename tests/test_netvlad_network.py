@@ -1,7 +1,5 @@
 """Input scaling and whitening around VGG-16 and the NetVLAD layer."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

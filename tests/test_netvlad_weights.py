@@ -1,7 +1,5 @@
 """The published forms of NetVLAD's weights, each written here as its authors write it."""
 
-from __future__ import annotations
-
 from collections import OrderedDict
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """docs/tutorial.ipynb: it runs, and gives what is kept in it."""
 
-from __future__ import annotations
-
 import nbformat
 import tutorial
 

@@ -7,10 +7,7 @@ import pytest
 from drawings import SPACE
 from helpers import street
 from networks import PLAIN, photo, write_graph
-from segmenting import (
-    BYTES,
-    assert_right,
-)
+from segmenting import BYTES, assert_right
 
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig

@@ -1,7 +1,5 @@
 """The property tests once more, on many random examples."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

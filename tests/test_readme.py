@@ -1,7 +1,5 @@
 """What README.md and the help texts tell a user to type, typed."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

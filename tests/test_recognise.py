@@ -1,7 +1,5 @@
 """`recognition.recognise` and `recognition.confidence`."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import torch.nn.functional as F

@@ -56,12 +56,6 @@ def test_cells_of_many_pixels():
     assert reduce_by_majority(categories, (1, 1)).item() == 0
 
 
-def test_a_pole_of_half_a_cell_stays():
-    categories = torch.full((1, 30, 40), 5, dtype=torch.uint8)
-    categories[:, :, 21:23] = 3
-    assert (reduce_by_majority(categories, (10, 10))[0, :, 5] == 3).all()
-
-
 def test_native_size_is_untouched():
     categories = torch.zeros(1, 5, 6, dtype=torch.uint8)
     assert reduction.reduce_by_majority(categories, (5, 6)) is categories

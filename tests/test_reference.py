@@ -1,14 +1,15 @@
 """The reference against hand-worked answers: everything else is held to it."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest
 from drawings import (
     BLOCK,
     CROSS,
+    CROWDED_CROSSING,
+    DIAGONAL,
     DOT,
+    EMPTY,
     HOLES,
     LINE,
     MASKS,
@@ -88,10 +89,12 @@ def guo_hall_by_the_paper(layer: np.ndarray) -> np.ndarray:
     [
         (LINE, [[1, 1], [1, 5]], []),
         (DOT, [[1, 2]], []),
+        (EMPTY, [], []),
+        (DIAGONAL, [[0, 0], [4, 4]], []),
         (CROSS, [[0, 3], [3, 0], [3, 6], [6, 3]], [[3, 3]]),
         (TEE, [[1, 1], [1, 7], [4, 4]], [[1, 4]]),  # the pixels beside it have crossing number 2
     ],
-    ids=["line", "dot", "cross", "tee"],
+    ids=["line", "dot", "empty", "diagonal", "cross", "tee"],
 )
 def test_keypoints_of_drawings(drawing, ends, intersections):
     assert np.argwhere(reference.end_points(mask(drawing))).tolist() == ends
@@ -112,6 +115,7 @@ def test_touching_intersections_keep_the_first_in_raster_order():
     for y, x in np.argwhere(kept):
         around = kept[max(0, y - 1) : y + 2, max(0, x - 1) : x + 2]
         assert around.sum() == 1
+    assert reference.intersections(mask(CROWDED_CROSSING)).sum() == 1
 
 
 @pytest.mark.parametrize(
@@ -146,6 +150,14 @@ def test_shape_context_by_hand():
     expected[1, 1] = 1  # down, distance 2
     expected[2, 2] = 1  # left, distance 3
     np.testing.assert_array_equal(histogram, expected)
+
+
+def test_axes_and_diagonals_begin_their_sector():
+    offsets = [(0, 1), (1, 1), (1, 0), (1, -1), (0, -1), (-1, -1), (-1, 0), (-1, 1)]
+    for sectors, step, chosen in ((12, 3, offsets[::2]), (8, 1, offsets)):
+        for number, offset in enumerate(chosen):
+            histogram = reference.shape_context((0, 0), np.array([offset]), (2,), sectors)
+            assert histogram[0, number * step] == 1
 
 
 def test_majority_of_a_cell_and_its_ties():

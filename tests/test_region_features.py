@@ -1,7 +1,5 @@
 """conv3 regions of images, with the network from each form of its weights."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """VLAD over regions against loops, and Region-VLAD as a method."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

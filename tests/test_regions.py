@@ -1,7 +1,5 @@
 """Regions of high energy: a hand-worked case, and the authors' way with scikit-image."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -19,12 +17,7 @@ def test_a_hand_worked_case():
             [[0.5, 0.5, 0.0], [0.0, 0.0, 0.0], [0.0, 3.0, 3.0]],
         ]
     )
-    expected = [
-        [5.5, 3.0],
-        [5.5, 6.0],
-        [2.1 + 0.9 + 1.9 + 2.6, 1.0],
-        [1.9, 0.0],
-    ]
+    expected = [[5.5, 3.0], [5.5, 6.0], [2.1 + 0.9 + 1.9 + 2.6, 1.0], [1.9, 0.0]]
     torch.testing.assert_close(region_descriptors(maps, 10), torch.tensor(expected))
     torch.testing.assert_close(region_descriptors(maps, 3), torch.tensor(expected[:3]))
 

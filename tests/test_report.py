@@ -1,7 +1,5 @@
 """The page of an evaluation, taken apart: what it says, and that it needs nothing but itself."""
 
-from __future__ import annotations
-
 import dataclasses
 import errno
 import json

@@ -1,7 +1,5 @@
 """Charts of the page: what is drawn is what was measured, and the script can find its place."""
 
-from __future__ import annotations
-
 import dataclasses
 import re
 

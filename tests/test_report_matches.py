@@ -1,7 +1,5 @@
 """Which matches are shown, and what the parts of two descriptors add to their cosine."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

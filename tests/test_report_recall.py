@@ -1,7 +1,5 @@
 """RecallRate@N for every N, held to the figures of the metrics."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from reports import noisy, report_of

@@ -1,7 +1,5 @@
 """The reduced similarity matrix, held to the whole one, and its pictures."""
 
-from __future__ import annotations
-
 import base64
 import dataclasses
 import io

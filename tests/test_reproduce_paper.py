@@ -1,7 +1,5 @@
 """pages/reproduce_paper.py on small data: its page, its cache, and the paper's numbers."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """What README.md quotes of the results is what the results say."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

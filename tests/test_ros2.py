@@ -1,8 +1,6 @@
 """The ROS 2 package: its core as it is, the node over a bag, with the messages of rosbags and a
 stand-in for rclpy."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import math
@@ -17,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from helpers import street
+from loop_streams import SEEDS
 
 from ssrvlad_torch import SSRVLAD, Database, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.datasets.label_files import digest
@@ -31,8 +30,6 @@ live_loops = importlib.import_module("ssrvlad_ros.live_loops")
 sys.path.remove(str(PACKAGE))
 
 CAMVID = [(each.id, each.name) for each in label_space("camvid-11").classes]
-SEEDS = (*range(40), *range(10, 24))
-"""A drive of forty places that comes back to fourteen of them."""
 CONFIG = LoopConfig(exclude=5, sweep=False)
 SECOND = 10**9
 

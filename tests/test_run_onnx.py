@@ -1,13 +1,8 @@
 """The script without torch against the command line with it."""
 
-from __future__ import annotations
-
-import base64
 import importlib.util
 import json
 import subprocess
-import sys
-import zlib
 from functools import partial
 from pathlib import Path
 
@@ -16,28 +11,19 @@ import onnx
 import pytest
 import torch
 from drives import write_maps
-from helpers import COLOUR, GRAY, flip_byte, street, write_png
+from graphs import edit_golden, turned
+from helpers import COLOUR, GRAY, flip_byte, street, without, write_png
 from networks import photo, write_graph
 from onnx import TensorProto, helper
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
-from ssrvlad_torch.deployment.export import head_model
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 SCRIPT = Path(__file__).parents[1] / "export" / "run_onnx.py"
 CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=40)
-
-WITHOUT = """
-import runpy, sys
-for name in {blocked!r}:
-    sys.modules[name] = None
-sys.argv = {arguments!r}
-runpy.run_path(sys.argv[0], run_name="__main__")
-assert not {{"torch", "ssrvlad_torch"}} & {{n for n, m in sys.modules.items() if m}}
-"""
 
 
 def load_script():
@@ -52,8 +38,8 @@ script = load_script()
 
 def alone(*arguments, blocked=("torch", "ssrvlad_torch")):
     """The script in a process of its own that cannot import these."""
-    code = WITHOUT.format(blocked=blocked, arguments=[str(SCRIPT), *map(str, arguments)])
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    command = without(blocked, SCRIPT, *arguments)
+    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 @pytest.fixture(scope="module")
@@ -83,9 +69,8 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, m
     queries = write_maps(tmp_path / "tuesday", range(4, 9))
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
     wanted = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
-    ran = alone(
-        tmp_path / "head.onnx", queries, "--database", tmp_path / "t.npy", "--top", 3, "--json"
-    )
+    asked = (queries, "--database", tmp_path / "t.npy", "--top", 3, "--json")
+    ran = alone(tmp_path / "head.onnx", *asked)
     assert ran.returncode == 0, ran.stderr
     for line, own in zip(wanted.splitlines(), ran.stdout.splitlines(), strict=True):
         expected, found = json.loads(line), json.loads(own)
@@ -220,27 +205,11 @@ def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
     code, out, _ = run(head, "--check")
     assert code == 0
     assert float(out.split()[-1]) <= 1e-6
-    model = head_model(CONFIG)
-    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
-    golden = json.loads(entry.value)
-    golden["unknown"]["shape"] = [1, 2]
-    entry.value = json.dumps(golden)
-    onnx.save(model, tmp_path / "edited.onnx")
+    edit_golden(head, tmp_path / "edited.onnx", lambda g: g["unknown"].update(shape=[1, 2]))
     assert run(tmp_path / "edited.onnx", "--check")[:2] == (
         1,
         "largest difference for the golden pair: inf\n",
     )
-
-
-def with_golden(head, target, change):
-    """A copy of a file with another golden pair."""
-    model = onnx.load(head)
-    entry = next(p for p in model.metadata_props if p.key == "ssrvlad.golden")
-    golden = json.loads(entry.value)
-    change(golden)
-    entry.value = json.dumps(golden)
-    onnx.save(model, target)
-    return target
 
 
 def test_a_file_of_another_format_is_refused(head, maps, tmp_path, run, ssrvlad):
@@ -258,13 +227,7 @@ def test_a_file_of_another_format_is_refused(head, maps, tmp_path, run, ssrvlad)
 
 
 def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, tmp_path, run):
-    """The first of the golden maps, turned, stands for what such a runtime would make of it."""
-
-    def turn(golden):
-        labels = script._array(golden["labels"])[:, ::-1].copy()
-        golden["labels"]["data"] = base64.b64encode(zlib.compress(labels.tobytes())).decode()
-
-    wrong = with_golden(head, tmp_path / "wrong.onnx", turn)
+    wrong = edit_golden(head, tmp_path / "wrong.onnx", turned("labels"))
     code, out, (line,) = run(wrong, maps)
     assert (code, out) == (2, "")
     assert "wrong.onnx is computed wrong here (largest difference for the golden pair: " in line
@@ -280,7 +243,7 @@ def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, tmp_pa
     ],
 )
 def test_a_damaged_golden_pair_is_one_line(head, maps, tmp_path, run, change, message):
-    code, _, (line,) = run(with_golden(head, tmp_path / "x.onnx", change), maps)
+    code, _, (line,) = run(edit_golden(head, tmp_path / "x.onnx", change), maps)
     assert code == 2
     assert message in line
 

@@ -84,27 +84,6 @@ def test_every_offset_falls_where_the_reference_puts_it(sectors):
         assert entry == bins.total or histogram[entry] == 1
 
 
-def test_axes_begin_their_sector():
-    bins = log_polar_bins(2, 2, (1,), 12, CPU)
-    right, down, left, up = bins.table[1, 2], bins.table[2, 1], bins.table[1, 0], bins.table[0, 1]
-    assert [right.item(), down.item(), left.item(), up.item()] == [0, 3, 6, 9]
-
-
-def test_diagonals_begin_their_sector():
-    bins = log_polar_bins(4, 4, (18,), 8, CPU)
-    for step in (1, 2, 3):
-        corners = [(step, step), (step, -step), (-step, -step), (-step, step)]
-        assert [bins.table[3 + y, 3 + x].item() for y, x in corners] == [1, 3, 5, 7]
-
-
-def test_a_ring_ends_on_its_limit():
-    bins = log_polar_bins(6, 6, (9, 25), 1, CPU)
-    assert bins.table[5, 5 + 3].item() == 0
-    assert bins.table[5 + 3, 5 + 1].item() == 1
-    assert bins.table[5 + 3, 5 + 4].item() == 1
-    assert bins.table[5 + 5, 5 + 1].item() == bins.total
-
-
 def sums_in_graph(references, context, limits, sectors=12):
     (sums,) = run_on_planes(sums_with(sectors), context, to_line(references), *limits)
     return sums

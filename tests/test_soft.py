@@ -1,7 +1,5 @@
 """The twin as a whole: near the hard descriptor, with gradients that lead to it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """The stages of the twin: on zeros and ones what the hard stages give, and gradients everywhere."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch
@@ -16,11 +14,7 @@ from ssrvlad_torch.soft.stages.boundaries import soft_boundaries
 from ssrvlad_torch.soft.stages.centroid import soft_centroids, soft_points
 from ssrvlad_torch.soft.stages.grid_pooling import soft_pool
 from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_coefficients
-from ssrvlad_torch.soft.stages.keypoints import (
-    soft_end_points,
-    soft_intersections,
-    soft_keypoints,
-)
+from ssrvlad_torch.soft.stages.keypoints import soft_end_points, soft_intersections, soft_keypoints
 from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft_layers, soft_merge
 from ssrvlad_torch.soft.stages.morphology import soft_dilate, soft_erode, soft_open_and_close
 from ssrvlad_torch.soft.stages.reduction import soft_majority

@@ -1,7 +1,5 @@
 """`recognition.standardise` and `recognition.sweep`."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import torch.nn.functional as F

@@ -1,7 +1,5 @@
 """``SSRVLAD(..., surrogate=True)``: the numbers of the head, the gradient of its twin."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from drawings import SPACE

@@ -1,7 +1,5 @@
 """`SSRVLAD.sweep`: descriptors from several anchors."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import pytest

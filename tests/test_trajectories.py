@@ -1,7 +1,5 @@
 """Poses in the forms of others: KITTI, TUM, GPS, EXIF, @UTM@ names."""
 
-from __future__ import annotations
-
 import csv
 import math
 

@@ -1,7 +1,5 @@
 """What `verify` finds in files that are as they should be, and in those that are not."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -130,8 +128,7 @@ def nudge_tables(model: onnx.ModelProto) -> None:
 
 
 @pytest.mark.parametrize(
-    "change",
-    [nudge_tables, with_property("interface", lambda text: text.replace("18", "17"))],
+    "change", [nudge_tables, with_property("interface", lambda text: text.replace("18", "17"))]
 )
 def test_any_edit_of_a_head_is_found(files, tmp_path, change):
     file = changed(files["labels"], tmp_path / "edited.onnx", change, sealed=False)

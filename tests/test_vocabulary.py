@@ -1,7 +1,5 @@
 """Vocabularies: own files, the authors' pickles, and training from a folder of images."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import sys

@@ -1,19 +1,12 @@
 """The layout of VPR-Bench."""
 
-from pathlib import Path
-
 import pytest
 from helpers import write_street
 from trees import outline, plant, roles
+from vpr_bench import CORRIDOR, needs_corridor
 
 from ssrvlad_torch.datasets.image_files import read_image
 from ssrvlad_torch.datasets.layouts import open_dataset
-
-CORRIDOR = Path(__file__).parents[2] / "shared" / "data" / "vprbench" / "corridor"
-
-needs_corridor = pytest.mark.skipif(
-    not CORRIDOR.is_dir(), reason="the images of ../shared/data are not on this machine"
-)
 
 
 @pytest.fixture

@@ -1,7 +1,5 @@
 """Where weights are looked for, what is read of a checkpoint, and what is refused."""
 
-from __future__ import annotations
-
 import pickle
 from collections import OrderedDict
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a user installs: the wheel, built from the source distribution, away from the repository."""
 
-from __future__ import annotations
-
 import os
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Small data sets on disk in the layouts in which they are published; shared by the tests."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 2021; MIT): best scores, first ten candidates, ground truth, and the figures.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from itertools import pairwise
@@ -19,6 +17,12 @@ VPR_BENCH = Path(__file__).parents[2] / "shared" / "data" / "vprbench"
 
 needs_vpr_bench = pytest.mark.skipif(
     not VPR_BENCH.is_dir(), reason="the VPR-Bench results of ../shared/data are not here"
+)
+
+
+CORRIDOR = VPR_BENCH / "corridor"
+needs_corridor = pytest.mark.skipif(
+    not CORRIDOR.is_dir(), reason="the corridor images of ../shared/data are not here"
 )
 
 

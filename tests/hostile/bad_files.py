@@ -1,7 +1,5 @@
 """Hostile and damaged files, small to write: each function writes one and returns its path."""
 
-from __future__ import annotations
-
 import io
 import os
 import struct

@@ -3,8 +3,6 @@
 Prints counts as JSON at least every second. `scripts/fuzz` runs it for all doors.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import json
 import os

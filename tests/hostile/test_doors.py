@@ -4,8 +4,6 @@ A line of a table: how the file is made, the command, what its one line says. ``
 of label maps, ``town.ssrdb`` a database of them, ``bad`` what the line makes.
 """
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Callable
@@ -42,11 +40,12 @@ def here(tmp_path, monkeypatch, ssrvlad, kept):
     return tmp_path
 
 
-def one_line(ssrvlad, command: str, message: str, expected: int = 2) -> None:
+def one_line(ssrvlad, command: str, message: str) -> str:
     code, _, err = ssrvlad(*command.split())
-    assert (code, len(err)) == (expected, 1), err
+    assert (code, len(err)) == (2, 1), err
     assert message in err[0]
     assert err[0].isprintable()
+    return err[0]
 
 
 LABEL_MAPS: list[tuple[Make, str]] = [
@@ -56,10 +55,7 @@ LABEL_MAPS: list[tuple[Make, str]] = [
     (lambda p: bad.array(p / "x.npy", (1 << 40, 1 << 40)), "has 0 bytes for an array"),
     (lambda p: bad.array(p / "x.npy", (2, 2), b"1234", "|O"), "holds Python objects"),
     (lambda p: bad.ones(p / "x.npy", (2, 2), "complex128"), "expected an (H, W) integer label map"),
-    (lambda p: bad.ones(p / "x.npy", (0, 3)), "expected an (H, W) integer label map"),
     (lambda p: bad.text(p / "x.png", "no picture"), "cannot identify the image"),
-    (lambda p: bad.text(p / "x.png", ""), "cannot identify the image"),
-    (lambda p: bad.text(p / "x.npy", "\x93NUMPY" + "\0" * 40), "magic string"),
     (lambda p: (p / "x.png").symlink_to("nowhere"), "No such file"),
 ]
 
@@ -81,8 +77,8 @@ def test_label_maps(here, ssrvlad, make, message):
 def test_a_label_map_alone(here, ssrvlad, make, message):
     make(here)
     name = next(file.name for file in here.glob("x.*"))
-    one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", message)
-    one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", f"{name}: ")
+    said = one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", message)
+    assert f"{name}: " in said
 
 
 @pytest.mark.parametrize("limit", ["5", "many"])
@@ -151,8 +147,7 @@ YAML: list[tuple[str, str]] = [
 @pytest.mark.parametrize(("content", "message"), YAML)
 def test_label_spaces(here, ssrvlad, content, message):
     bad.text(here / "own.yaml", content)
-    one_line(ssrvlad, "encode maps -o new.ssrdb --labels-as own.yaml", "own.yaml")
-    one_line(ssrvlad, "labels own.yaml", message)
+    assert "own.yaml" in one_line(ssrvlad, "labels own.yaml", message)
 
 
 @pytest.mark.parametrize(("content", "message"), YAML[:5])
@@ -178,8 +173,7 @@ NO_FILES: list[tuple[Make, str]] = [
 
 @pytest.mark.parametrize(("make", "message"), NO_FILES)
 @pytest.mark.parametrize(
-    "command",
-    ["encode maps -o new.ssrdb --labels-as bad.yaml", "labels bad.yaml"],
+    "command", ["encode maps -o new.ssrdb --labels-as bad.yaml", "labels bad.yaml"]
 )
 def test_a_label_space_that_is_no_file(here, ssrvlad, make, message, command):
     make(here)
@@ -203,19 +197,9 @@ def test_ground_truth(here, ssrvlad, make, message):
     one_line(ssrvlad, f"evaluate town.ssrdb maps --ground-truth {name}", message)
 
 
-POSES: list[tuple[str, str]] = [
-    ("frame,x,y\n0,inf,1\n", "poses.csv line 2: x is inf; expected a finite number"),
-    ("frame,x,y\n0,1,1\n0,2,1\n", "poses.csv line 3: frame '0' is at two places"),
-    ("frame,x,y,x\n0,1,1,2\n", "poses.csv line 1: two columns 'x'"),
-    ("frame,x,y\n0,one,1\n", "poses.csv line 2"),
-    ("frame,x,y\n0,1\n", "poses.csv line 2"),
-    ("", "poses.csv line 0: no column 'frame'"),
-]
-
-
-@pytest.mark.parametrize(("content", "message"), POSES)
-def test_poses(here, ssrvlad, content, message):
-    bad.text(here / "maps" / "poses.csv", content)
+def test_poses(here, ssrvlad):
+    bad.text(here / "maps" / "poses.csv", "frame,x,y\n0,inf,1\n")
+    message = "poses.csv line 2: x is inf; expected a finite number"
     one_line(ssrvlad, "encode maps -o new.ssrdb --labels-as camvid-11", message)
 
 
