@@ -1,7 +1,8 @@
 """A writer that is killed at every call that changes its database or at random moments, or whose
 calls fail; see `test_crashes.py`. To be run with ``crashing.c`` preloaded: ``crashes.py SHIM FOLDER
 every N`` for every N-th call, ``random N`` for N moments, ``fail N`` to let every N-th call fail,
-``record 0`` to print the calls of one `append`. It prints how many writers were disturbed.
+``record 0`` to print the calls of one `merge`; several such pairs one after another. It prints how
+many writers were disturbed, and ``--`` between parts.
 
 Every writer and every look at what it left is a fork of this process, which imports Lance but never
 uses it: its threads would not survive the fork.
@@ -154,6 +155,10 @@ def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
 
 
 if __name__ == "__main__":
-    library, folder, kind, number = ctypes.CDLL(sys.argv[1]), sys.argv[2], *sys.argv[3:]
-    act = {"every": every, "random": at_random, "fail": fail, "record": record}[kind]
-    act(Path(folder, "db"), library, int(number))
+    library, folder, *parts = sys.argv[1:]
+    acts = {"every": every, "random": at_random, "fail": fail, "record": record}
+    for part, (kind, number) in enumerate(zip(parts[::2], parts[1::2], strict=True)):
+        print(end="--\n" if part else "", flush=True)
+        target = Path(folder, kind)
+        target.mkdir(exist_ok=True)
+        acts[kind](target / "db", ctypes.CDLL(library), int(number))

@@ -9,7 +9,7 @@ import torch
 from cases import camvid_labels, degenerate, hand_drawn, needs_camvid
 from drawings import SPACE, VOID, blobs
 from graphs import session
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from test_export import CUSTOM, city, hundreds_of_label_maps, noise, of_preset, random_blobs
 
@@ -58,7 +58,6 @@ def test_degenerate_and_hand_drawn_maps(name):
     np.testing.assert_allclose(descriptor[0], expected, rtol=0, atol=1e-6)
 
 
-@settings(max_examples=25)
 @given(st.integers(0, 10_000))
 def test_blobs_and_noise(seed):
     assert_parity(noise(seed)[None], of_preset("default"))

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
@@ -42,7 +42,6 @@ def drive(rows: int, queries: int, seed: int = 0, strength: float = 0.25) -> Ten
     return scores
 
 
-@settings(max_examples=25, deadline=None)
 @given(
     seed=st.integers(0, 1000),
     lengths=st.lists(st.integers(1, 12), min_size=1, max_size=3),

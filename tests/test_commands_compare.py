@@ -10,6 +10,7 @@ from drives import write_maps, write_photos, write_truth
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 CAMVID = ("--labels-as", "camvid-11")
+SMALL = ("--set", "cohog.size=128")
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def town(tmp_path):
 
 def test_methods_on_label_maps_and_on_images_of_one_data_set(compare, town):
     names = ("ssr-vlad", "label-grid", "hog", "tiny-image", "cohog")
-    settings = ("--set", "ssr-vlad.temporal=0", "--set", "hog.rows=2")
+    settings = ("--set", "ssr-vlad.temporal=0", "--set", "hog.rows=2", *SMALL)
     code, rows, err = compare(town, "--method", ",".join(names), *CAMVID, *settings)
     assert (code, err, tuple(rows)) == (0, [], names)
     for row in rows.values():
@@ -73,7 +74,7 @@ def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
         write_photos(tmp_path / "town" / drive / "images", range(12), ".jpg")
         write_maps(tmp_path / "town" / drive / "labels", range(12))
     names = "ssr-vlad,label-grid,hog,cohog"
-    options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json")
+    options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json", *SMALL)
     rows = json.loads(ssrvlad("compare", tmp_path / "town", *options)[1])["rows"]
     assert [row["method"] for row in rows[::2]] == names.split(",")
     for single, stepped in zip(rows[::2], rows[1::2], strict=True):

@@ -113,7 +113,7 @@ def described(page, site, preset, file):
 
 
 @presets
-def test_the_golden_pair_and_the_matches(page, site, preset):
+def test_the_golden_pair_the_matches_and_what_is_drawn(page, site, preset):
     labels = files_of(site)[2]
     query = f"?model={preset}.onnx&database={preset}.npy&labels=maps/{labels.name}"
     open_page(page, query, f"{SHOWN} || {FAILED}")
@@ -130,12 +130,11 @@ def test_the_golden_pair_and_the_matches(page, site, preset):
     shown = [row.split() for row in rows_shown]
     assert [frame for frame, _ in shown] == [f"maps/{files_of(site)[row].stem}" for row in rows]
     assert [float(score) for _, score in shown] == pytest.approx(scores, abs=1e-4)
+    assert_drawn_as_found(page, site, preset, 4)
 
 
-@presets
-def test_what_is_drawn_is_what_the_module_finds(page, site, preset):
-    open_page(page)
-    number = 4
+def assert_drawn_as_found(page, site, preset, number):
+    """What the page draws of a label map is what the module finds in it."""
     found = described(page, site, preset, files_of(site)[number])
     view = view_of(site, preset)
     np.testing.assert_allclose(found["descriptor"], view.descriptor[number], atol=1e-6)
@@ -277,10 +276,10 @@ def reading(name):
     }})()"""
 
 
-@pytest.mark.parametrize("width", [1280, 390])
-def test_nothing_is_wider_than_the_window(page, site, tmp_path, width):
+def test_nothing_is_wider_than_the_window(page, site, tmp_path):
     query = f"?model=default.onnx&database=default.npy&labels=maps/{files_of(site)[1].name}"
     open_page(page, query, SHOWN)
-    page.screenshot(tmp_path / "page.png", width)
-    assert Image.open(tmp_path / "page.png").height > 900
-    assert page.run("document.documentElement.scrollWidth <= innerWidth")
+    for width in (1280, 390):
+        page.screenshot(tmp_path / "page.png", width)
+        assert Image.open(tmp_path / "page.png").height > 900
+        assert page.run("document.documentElement.scrollWidth <= innerWidth")

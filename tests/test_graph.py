@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import numpy as np
 import onnx
 import pytest
@@ -148,12 +145,3 @@ def test_equal_tables_are_stored_once():
 def test_a_symbol_has_no_truth():
     with pytest.raises(TypeError, match="no value before the graph runs"):
         bool(Graph({"x": ("bool", [])}).inputs[0])
-
-
-def test_a_missing_extra_is_named():
-    code = (
-        "import sys; sys.modules['onnxscript'] = None;"
-        "from ssrvlad_torch.deployment.graph import Graph; Graph({})"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert "pip install ssrvlad-torch[onnx]" in done.stderr

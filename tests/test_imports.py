@@ -7,45 +7,48 @@ from pathlib import Path
 
 import pytest
 
+LIGHT = """
+import sys, ssrvlad_torch
+from ssrvlad_torch import SSRVLADConfig, LabelSpace
+from ssrvlad_torch.taxonomy import label_space
+label_space(SSRVLADConfig().labels_as).digest
+assert "torch" not in sys.modules
+from ssrvlad_torch.baselines import make
+make("label-grid")
+name = "ssrvlad_torch.baselines"
+print(*sorted(m.removeprefix(name) for m in sys.modules if m.startswith(name)))
+import ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.picture
+heavy = "skimage scipy matplotlib kornia onnx onnxscript onnxruntime sklearn"
+assert not {*heavy.split()} & {*sys.modules}
+"""
 
-def test_the_package_loads_without_the_extras():
-    """Core stays light: neither scikit-image, scipy, matplotlib nor kornia comes with an import."""
-    heavy = (
-        "skimage",
-        "scipy",
-        "matplotlib",
-        "kornia",
-        "onnx",
-        "onnxscript",
-        "onnxruntime",
-        "sklearn",
-    )
-    code = (
-        "import sys, ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.picture;"
-        f"print([m for m in {heavy!r} if m in sys.modules])"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+
+def test_what_is_heavy_is_imported_only_where_it_is_used():
+    """Settings, label spaces and names need no torch, the package none of its extras, and of the
+    methods only that is imported which is made."""
+    done = subprocess.run([sys.executable, "-c", LIGHT], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [".label_grid", ".protocol", ".vectors"]
 
 
 WITHOUT = """
 import sys
-sys.modules["skimage"] = sys.modules["matplotlib"] = None
+sys.modules |= dict.fromkeys(("skimage", "matplotlib", "onnxscript"))
 import numpy as np
 from ssrvlad_torch import SSRVLAD
 def reference(): import ssrvlad_torch.reference
 def show(): SSRVLAD().explain(np.zeros((1, 9, 9), int)).show()
-for given in (reference, show):
+def graph(): from ssrvlad_torch.deployment.graph import Graph; Graph({})
+for given in (reference, show, graph):
     try: given()
     except ImportError as error: print(error)
 """
 
 
 def test_a_missing_extra_is_named():
-    done = subprocess.run(
-        [sys.executable, "-c", WITHOUT], capture_output=True, text=True, check=True
-    )
+    command = [sys.executable, "-c", WITHOUT]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.count("pip install ssrvlad-torch[eval]") == 2
+    assert done.stdout.count("pip install ssrvlad-torch[onnx]") == 1
 
 
 ELSEWHERE = """
@@ -74,13 +77,3 @@ SCRIPTS = Path(__file__).parents[1] / "scripts" / "pages"
 def test_what_the_scripts_of_pages_import_is_there(script):
     """Most of their tests are slow ones."""
     importlib.import_module(script)
-
-
-def test_settings_label_spaces_and_names_need_no_torch():
-    code = (
-        "import sys, ssrvlad_torch; from ssrvlad_torch import SSRVLADConfig, LabelSpace;"
-        "from ssrvlad_torch.taxonomy import label_space;"
-        "label_space(SSRVLADConfig().labels_as).digest; print('torch' in sys.modules)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"

@@ -10,11 +10,7 @@ from helpers import COLOUR, COLOUR_ALPHA, GRAY, GRAY_ALPHA, flip_byte, street, w
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.label_files import (
-    digest,
-    find_label_files,
-    read_label_map,
-)
+from ssrvlad_torch.datasets.label_files import digest, find_label_files, read_label_map
 from ssrvlad_torch.taxonomy import colourise, label_space
 
 CAMVID = label_space("camvid-11")

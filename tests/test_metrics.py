@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
 
-from ssrvlad_torch.evaluation.metrics import (
-    CONVENTIONS,
-    evaluate,
-    precision_recall_curve,
-)
+from ssrvlad_torch.evaluation.metrics import CONVENTIONS, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 
 INF = math.inf

@@ -240,7 +240,8 @@ def test_wrong_settings_are_refused(core):
 def test_sanitisers_find_nothing(tmp_path):
     program = tmp_path / "sanitised"
     folder = ROOT / "ssrvlad_torch" / "native"
-    flags = ["-std=c++17", "-O0", "-g", "-pthread", "-DSSRVLAD_ONE_TARGET", f"-I{folder}"]
+    flags = ["-std=c++17", "-O0", "-pthread", "-DSSRVLAD_ONE_TARGET", f"-I{folder}"]
+    flags += ["-Wall", "-Wextra", "-Werror"]
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
     sources = [ROOT / "tests" / "sanitised.cpp", folder / "ssrvlad.cpp"]
     subprocess.run(["g++", *flags, *checks, *sources, "-o", program], check=True)

@@ -1,7 +1,5 @@
 """The protocol, the registry, and what the methods share."""
 
-import subprocess
-import sys
 from importlib import import_module
 
 import numpy as np
@@ -82,19 +80,6 @@ def test_a_frame_without_what_a_method_reads_is_named(name):
     (need,) = method.needs
     with pytest.raises(ValueError, match=f"method {name} needs {need}, but frame b/7 "):
         method.encode_reference([Frame("b/7")])
-
-
-def test_a_method_is_imported_only_when_it_is_made():
-    code = (
-        "import sys; from ssrvlad_torch.baselines import make; make('label-grid');"
-        "print(*sorted(m for m in sys.modules if m.startswith('ssrvlad_torch.baselines')))"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    names = [name.removeprefix("ssrvlad_torch.") for name in done.stdout.split()]
-    assert names == [
-        "baselines",
-        *(f"baselines.{n}" for n in ("label_grid", "protocol", "vectors")),
-    ]
 
 
 @pytest.mark.parametrize(

@@ -17,12 +17,7 @@ from reports import Page, frame_set, noisy, report_of
 
 from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows
 from ssrvlad_torch.evaluation.report import Picture, stored_scores, write_report
-from ssrvlad_torch.evaluation.report.page import (
-    MATCHES_OF_A_KIND,
-    MOST_STEPS,
-    fraction,
-    render,
-)
+from ssrvlad_torch.evaluation.report.page import MATCHES_OF_A_KIND, MOST_STEPS, fraction, render
 from ssrvlad_torch.files import check_output
 from ssrvlad_torch.taxonomy import CATEGORIES, colourise
 

@@ -13,14 +13,14 @@ import torch
 from drives import write_maps
 from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, flip_byte, street, without, write_png
-from networks import photo, write_graph
+from networks import PLAIN, photo, write_graph
 from onnx import TensorProto, helper
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
-from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 SCRIPT = Path(__file__).parents[1] / "export" / "run_onnx.py"
 CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=40)
@@ -47,6 +47,17 @@ def head(tmp_path_factory):
     path = tmp_path_factory.mktemp("heads") / "head.onnx"
     export_head(CONFIG, path)
     return path
+
+
+@pytest.fixture(scope="module")
+def fused(tmp_path_factory):
+    """A network and the head in one file, ``place.onnx``, and in two, ``net.onnx`` and
+    ``head.onnx``; and the network as a segmenter. Not to be changed."""
+    folder = tmp_path_factory.mktemp("fused")
+    segmenter = Segmenter(OnnxNetwork(write_graph(folder / "seg.onnx")), CONFIG.labels_as, PLAIN)
+    fuse(segmenter, CONFIG, folder / "place.onnx")
+    fuse(segmenter, CONFIG, folder / "net.onnx", folder / "head.onnx")
+    return folder, segmenter
 
 
 @pytest.fixture
@@ -294,12 +305,9 @@ def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
     assert f"takes labels of {shape}, got {(1, *labels[:-1].shape)}" in errors[0]
 
 
-def test_a_photograph_needs_no_option(tmp_path, run):
+def test_a_photograph_needs_no_option(fused, tmp_path, run):
     """It is turned upright, and normalised by the file."""
-    settings = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1))
-    network = OnnxNetwork(write_graph(tmp_path / "seg.onnx"))
-    segmenter = Segmenter(network, CONFIG.labels_as, settings)
-    fuse(segmenter, CONFIG, tmp_path / "place.onnx")
+    place, segmenter = fused[0] / "place.onnx", fused[1]
     pixels = photo(street(3, 60, 90))
     exif = Image.Exif()
     exif[0x0112] = 3  # upside down
@@ -308,11 +316,11 @@ def test_a_photograph_needs_no_option(tmp_path, run):
     wanted = SSRVLAD(CONFIG)(torch.from_numpy(segmenter([pixels])[0])[None]).numpy()
     out = tmp_path / "out.npy"
     frames = (tmp_path / "a.png", tmp_path / "b.npy")
-    assert run(tmp_path / "place.onnx", *frames, "--save-descriptors", out)[0] == 0
+    assert run(place, *frames, "--save-descriptors", out)[0] == 0
     np.testing.assert_allclose(np.load(out), wanted.repeat(2, axis=0), atol=1e-6)
-    assert run(tmp_path / "place.onnx", "--check")[0] == 0
+    assert run(place, "--check")[0] == 0
     Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
-    code, _, err = run(tmp_path / "place.onnx", tmp_path / "map.png")
+    code, _, err = run(place, tmp_path / "map.png")
     assert code == 3 and "expected a photograph, got a label map" in err[0]
 
 
@@ -362,12 +370,9 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     assert (code, "expected a file without --sweep" in err[0]) == (2, True)
 
 
-def test_network_and_head_in_two_files(tmp_path, run):
+def test_network_and_head_in_two_files(fused, tmp_path, run):
     """The same as in one file, and files that do not belong together are refused."""
-    network = Segmenter(OnnxNetwork(write_graph(tmp_path / "seg.onnx")), CONFIG.labels_as)
-    net, head, place = (tmp_path / f"{name}.onnx" for name in ("net", "head", "place"))
-    fuse(network, CONFIG, net, head)
-    fuse(network, CONFIG, place)
+    net, head, place = (fused[0] / f"{name}.onnx" for name in ("net", "head", "place"))
     pixels = np.stack([photo(street(seed, 60, 90)) for seed in range(2)])
     for number, image in enumerate(pixels):
         np.save(tmp_path / f"{number}.npy", image)
@@ -388,10 +393,8 @@ def test_network_and_head_in_two_files(tmp_path, run):
         assert message in line
 
 
-def test_a_network_that_labels_otherwise_is_refused(tmp_path, run):
-    network = Segmenter(OnnxNetwork(write_graph(tmp_path / "seg.onnx")), CONFIG.labels_as)
-    fuse(network, CONFIG, tmp_path / "net.onnx", tmp_path / "head.onnx")
-    model = onnx.load(tmp_path / "net.onnx")
+def test_a_network_that_labels_otherwise_is_refused(fused, tmp_path, run):
+    model = onnx.load(fused[0] / "net.onnx")
     (bias,) = (t for t in model.graph.initializer if t.name == "network/bias")
     bias.CopyFrom(
         onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(bias)[::-1].copy(), bias.name)
@@ -399,7 +402,7 @@ def test_a_network_that_labels_otherwise_is_refused(tmp_path, run):
     onnx.save(model, tmp_path / "net.onnx")
     np.save(tmp_path / "a.npy", photo(street(3, 60, 90)))
     code, _, (line,) = run(
-        tmp_path / "head.onnx", tmp_path / "a.npy", "--network", tmp_path / "net.onnx"
+        fused[0] / "head.onnx", tmp_path / "a.npy", "--network", tmp_path / "net.onnx"
     )
     assert code == 2
     assert "net.onnx is computed wrong here" in line

@@ -118,7 +118,7 @@ for result in in_order(slow, range(1000), 0, 2):
 """
 
 
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
 def test_workers_end_with_their_parent_however_it_ends(number):
     """Nor do they hold its pipes: who reads them sees their end."""
     command = [sys.executable, "-c", PARENT, str(Path(__file__).parent)]
