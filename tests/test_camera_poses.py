@@ -21,23 +21,6 @@ HALF = math.sqrt(0.5)
 EAST, NORTH, WEST = 0.0, math.pi / 2, math.pi
 
 
-@pytest.mark.parametrize(
-    ("quaternion", "axis"),
-    [
-        ((1, 0, 0, 0), (0, 0, 1)),
-        ((HALF, HALF, 0, 0), (0, 1, 0)),  # a quarter turn about x takes the world's y to z
-        ((HALF, 0, HALF, 0), (-1, 0, 0)),  # about y: its -x
-        ((HALF, 0, 0, HALF), (0, 0, 1)),  # about the axis of view: nothing
-        ((0, 1, 0, 0), (0, 0, -1)),  # half a turn about x: it looks back
-        ((0.5, 0.5, -0.5, 0.5), (1, 0, 0)),
-    ],
-)
-def test_turns_worked_by_hand(quaternion, axis):
-    assert optical_axis(quaternion) == pytest.approx(axis, abs=1e-12)
-    assert optical_axis([-part for part in quaternion]) == pytest.approx(axis, abs=1e-12)
-    assert optical_axis([7 * part for part in quaternion]) == pytest.approx(axis, abs=1e-12)
-
-
 @given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: math.hypot(*q) > 1e-3))
 def test_the_axis_is_the_third_row_of_the_rotation(quaternion):
     w, x, y, z = quaternion

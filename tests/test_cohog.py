@@ -12,7 +12,7 @@ from skimage.morphology import disk
 from vpr_bench import CORRIDOR, needs_corridor
 
 from ssrvlad_torch.baselines import Frame, cohog, make
-from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies, sobel
+from ssrvlad_torch.baselines.cohog import local_entropy, region_descriptors, region_entropies
 
 
 def gray_noise(seed, height, width, grain=4):
@@ -65,14 +65,6 @@ def test_descriptors_equal_a_loop(size):
     assert found.dtype == torch.float32
     for picture, regions in zip(pictures, found, strict=True):
         np.testing.assert_allclose(regions.numpy(), plain_descriptors(picture), rtol=0, atol=1e-5)
-
-
-def test_sobel_is_that_of_opencv():
-    picture = np.random.default_rng(0).random((20, 30))
-    found = sobel(torch.from_numpy(picture)[None])
-    for along, order in zip(found, ((1, 0), (0, 1)), strict=True):
-        wanted = cv2.Sobel(picture, cv2.CV_64F, *order, ksize=5)
-        np.testing.assert_allclose(along[0].numpy(), wanted, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(("size", "radius"), [((100, 100), 5), ((7, 30), 5), ((13, 11), 2)])

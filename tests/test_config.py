@@ -18,11 +18,6 @@ def test_the_paper_has_its_numbers():
     assert (paper.rings, paper.sectors, paper.length, paper.working_size) == (5, 12, 480, None)
 
 
-def test_it_is_frozen():
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        SSRVLADConfig().rings = 6  # type: ignore[misc]
-
-
 OTHER = {
     "working_size": 121,
     "opening": 0.02,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.evaluation.curves import rank, roc_auc
@@ -31,52 +31,6 @@ def test_curve_by_hand():
     assert curve.recall_at_full_precision == 0.5
 
 
-def test_all_right_is_one_and_all_wrong_is_zero():
-    assert curve_of([0.3, 0.2, 0.1], [1, 1, 1], 3).auc == 1.0
-    assert curve_of([0.3, 0.2, 0.1], [1, 1, 1], 3).recall_at_full_precision == 1.0
-    assert curve_of([0.3, 0.2, 0.1], [0, 0, 0], 3).auc == 0.0
-    assert curve_of([0.3, 0.2, 0.1], [0, 0, 0], 3).recall_at_full_precision == 0.0
-
-
-def test_equal_scores_are_accepted_together():
-    curve = curve_of([0.5] * 4, [1, 0, 1, 0], 3)
-    assert curve.thresholds.tolist() == [0.5]
-    assert curve.precision.tolist() == [0.5]
-    assert curve.auc == pytest.approx(0.5 * 2 / 3)
-
-
-def test_the_best_score_wrong_means_no_recall_at_full_precision():
-    assert curve_of([0.9, 0.8, 0.7], [0, 1, 1], 3).recall_at_full_precision == 0.0
-
-
-@pytest.mark.parametrize("correct", [[1, 0, 1], [0, 1, 1]])
-def test_right_and_wrong_tied_at_the_top_mean_no_recall_at_full_precision(correct):
-    """In whatever order the tied queries come."""
-    curve = curve_of([0.9, 0.9, 0.7], correct, 3)
-    assert curve.recall_at_full_precision == 0.0
-    assert curve.precision.tolist() == [0.5, 2 / 3]
-
-
-def test_a_query_without_candidate_is_never_accepted():
-    curve = curve_of([0.9, -INF, -INF], [1, 0, 0], 3)
-    assert curve.thresholds.tolist() == [0.9]
-    assert curve.precision.tolist() == [1.0]
-    assert curve.recall.tolist() == [1 / 3]
-
-
-def test_negative_scores_are_scores():
-    curve = curve_of([-0.5, -0.9], [1, 0], 2)
-    assert curve.thresholds.tolist() == [-0.5, -0.9]
-    assert curve.recall_at_full_precision == 0.5
-
-
-def test_no_candidate_at_all_gives_an_empty_curve():
-    curve = curve_of([-INF, -INF], [0, 0], 2)
-    assert len(curve.precision) == len(curve.recall) == len(curve.thresholds) == 0
-    assert curve.auc == 0.0
-    assert curve.recall_at_full_precision == 0.0
-
-
 def test_without_positives_recall_is_nan():
     curve = curve_of([0.9, 0.8], [0, 0], 0)
     assert np.isnan(curve.recall).all()
@@ -88,6 +42,14 @@ SCORES = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
 
 
 @given(st.lists(st.tuples(SCORES, st.booleans()), max_size=30), st.integers(0, 5))
+@example([(0.3, True), (0.2, True), (0.1, True)], 0)  # all right
+@example([(0.3, False), (0.2, False)], 3)  # all wrong
+@example([(0.5, True), (0.5, False), (0.5, True), (0.5, False)], 1)  # one threshold
+@example([(0.9, False), (0.8, True), (0.7, True)], 1)  # the best is wrong
+@example([(0.9, False), (0.9, True), (0.7, True)], 1)  # right and wrong tied at the top
+@example([(0.9, True), (-INF, False), (-INF, False)], 2)  # queries without candidate
+@example([(-0.25, True), (-0.9, False)], 1)  # scores below zero
+@example([(-INF, False), (-INF, False)], 2)  # no candidate at all
 def test_curve_equals_a_loop_over_thresholds(queries, more_positives):
     scores = np.array([score for score, _ in queries], float)
     correct = np.array([right and score > -INF for score, right in queries], bool)

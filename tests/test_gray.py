@@ -20,13 +20,6 @@ def test_gray_is_that_of_pillow():
     np.testing.assert_array_equal(gray(torch.from_numpy(image)[None])[0].numpy(), expected)
 
 
-def test_gray_of_the_corners_of_the_colour_cube():
-    corners = torch.tensor([[[255, 255, 255], [0, 0, 0], [255, 0, 0], [0, 255, 0], [0, 0, 255]]])
-    found = gray(corners.to(torch.uint8)[None])
-    assert found.dtype == torch.uint8
-    assert found.tolist() == [[[255, 0, 76, 150, 29]]]
-
-
 def test_frames_of_one_size_become_one_tensor():
     frames = [Frame(f"a/{i}", image=noise(i, 6, 7, 3)) for i in range(3)]
     together = grays(frames, "hog")
@@ -48,8 +41,3 @@ def test_resize_is_that_of_opencv(before, after):
     for picture, resized in zip(pictures, found, strict=True):
         expected = cv2.resize(picture, after[::-1], interpolation=cv2.INTER_LINEAR)
         np.testing.assert_array_equal(resized.numpy(), expected.reshape(after))
-
-
-def test_resize_to_the_same_size_changes_nothing():
-    picture = torch.from_numpy(noise(2, 1, 30, 40))
-    assert torch.equal(resize(picture, 30, 40), picture)

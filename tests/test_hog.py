@@ -6,7 +6,7 @@ import torch
 from skimage.feature import hog as skimage_hog
 
 from ssrvlad_torch.baselines import Frame, make
-from ssrvlad_torch.baselines.hog import CELL, ORIENTATIONS, cell_histograms, central_differences
+from ssrvlad_torch.baselines.hog import CELL, ORIENTATIONS
 
 
 def noise(seed, height=96, width=160):
@@ -35,34 +35,10 @@ def test_hog_is_that_of_scikit_image(seed):
     np.testing.assert_allclose(found.numpy(), blocks / np.linalg.norm(blocks), rtol=0, atol=1e-5)
 
 
-def test_cell_histograms_equal_a_loop():
-    rng = np.random.default_rng(0)
-    bins, votes = rng.integers(0, 5, (2, 32, 48)), rng.random((2, 32, 48)).astype(np.float32)
-    expected = np.zeros((2, 2, 3, 5))
-    for b, y, x in np.ndindex(bins.shape):
-        expected[b, y // CELL, x // CELL, bins[b, y, x]] += votes[b, y, x]
-    found = cell_histograms(torch.from_numpy(bins), torch.from_numpy(votes), 5)
-    np.testing.assert_allclose(found.numpy(), expected, rtol=1e-5)
-
-
-def test_central_differences_are_zero_at_the_border():
-    ramp = torch.arange(12.0).view(1, 3, 4)
-    along_x, along_y = central_differences(ramp)
-    assert along_x[0].tolist() == [[0, 2, 2, 0]] * 3
-    assert along_y[0].tolist() == [[0] * 4, [8] * 4, [0] * 4]
-
-
 def stripes(upright):
     wave = (127 + 120 * np.sin(np.arange(160) / 3)).astype(np.uint8)
     picture = np.broadcast_to(wave if upright else wave[:96, None], (96, 160))
     return np.repeat(picture[..., None], 3, axis=2)
-
-
-def test_stripes_fall_into_the_bin_of_their_gradient():
-    found = make("hog").encode_query(frames([stripes(True), stripes(False)]))
-    best = found.view(2, -1, ORIENTATIONS).argmax(2)
-    assert (best[0] == 0).all()
-    assert (best[1] == ORIENTATIONS // 2).all()
 
 
 def test_contrast_does_not_matter_and_shape_does():

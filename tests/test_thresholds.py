@@ -39,13 +39,6 @@ def test_points_at_a_precision(curve):
     assert (point.score, point.precision, point.recall, point.accepted) == (0.3, 0.8, 0.8, 5)
 
 
-def test_points_at_a_recall(curve):
-    point = at_recall(curve, 0.5)
-    assert (point.score, point.precision, point.recall, point.accepted) == (0.4, 0.75, 0.6, 4)
-    assert at_recall(curve, 0.4).score == 0.8
-    assert at_recall(curve, 0.81) is None
-
-
 def test_points_that_are_never_reached():
     wrong = curve_of([0.9, 0.8], [0, 1], 2)
     assert at_precision(wrong, 0.99) is None

@@ -197,15 +197,6 @@ def test_the_bank_is_mirrored_where_the_image_is(loop, problem):
 # ---- data, network, measures
 
 
-def test_batches_follow_from_their_number(patch, problem):
-    data = load("_train_data", patch)
-    one, same, other = (data.draw(problem.training, 4, number, True) for number in (5, 5, 6))
-    assert all(torch.equal(here, there) for here, there in zip(one, same, strict=True))
-    assert not torch.equal(one.images, other.images)
-    assert one.images.shape == (4, 3, *SIZE)
-    assert set(one.targets.unique().tolist()) <= set(range(12))
-
-
 def test_a_label_map_moves_with_its_image(patch, problem):
     """What is seen narrower is so in both, and what comes from outside is void."""
     data = load("_train_data", patch)
@@ -218,22 +209,6 @@ def test_a_label_map_moves_with_its_image(patch, problem):
     for number, brightness in enumerate(order):
         of_pixels = torch.stack([brightness, ids[number, 0][inside[number, 0]]])
         assert torch.corrcoef(of_pixels)[0, 1] > 0.9
-
-
-def test_mirrored_views_are_mirrored(patch, problem):
-    data = load("_train_data", patch)
-    batch = data.draw(problem.training, 8, 0, zoomed=False)
-    assert batch.mirrored.any()
-    assert not batch.mirrored.all()
-    for targets, row, mirrored in zip(batch.targets, batch.rows, batch.mirrored, strict=True):
-        expected = problem.training.targets[row].long()
-        assert torch.equal(targets, expected.flip(-1) if mirrored else expected)
-
-
-def test_the_network_is_compact_and_takes_any_size(patch):
-    compact = load("_train_network", patch).CompactNetwork(11)
-    assert sum(weight.numel() for weight in compact.parameters()) < 1_000_000
-    assert compact(torch.rand(2, 3, 33, 50)).shape == (2, 11, 33, 50)
 
 
 def test_intersection_over_union_by_hand(loop):
