@@ -62,7 +62,7 @@ class Describer:
     Args:
         head: the method.
         origin: of the records, see `Database.add_origin`.
-        beside: what else describes frames; their files are then images.
+        beside: further methods that describe frames; their files are then images.
     """
 
     def __init__(self, head: SSRVLAD, origin: str = "", beside: Sequence[Beside] = ()) -> None:

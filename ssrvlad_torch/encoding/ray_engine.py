@@ -34,9 +34,9 @@ class Part(NamedTuple):
     """The results of some frames.
 
     Attributes:
-        results: of all but those written.
-        written: new frames, in files of the database that do not count yet.
-        empty: how many of those written are empty.
+        results: of all but the written ones.
+        written: new frames, in files of the database that are not committed.
+        empty: how many written frames are empty.
     """
 
     results: list[Described | Skipped]
@@ -90,12 +90,7 @@ def encode_with_ray(
 
 
 class PartEncoder:
-    """Encodes the files of a part, and writes those that are new.
-
-    Args:
-        describer: what encodes.
-        database: where the database is, for every node.
-    """
+    """Encodes the files of a part, and writes the new ones to a database that every node finds."""
 
     def __init__(self, describer: Describer, database: str) -> None:
         self.describer = describer

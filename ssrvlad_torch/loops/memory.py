@@ -79,14 +79,9 @@ class Vectors:
         return np.array(rows, np.float32).reshape(-1, len(self._total))
 
     def scores(self, swept: Floats) -> Floats:
-        """Cosines of a new frame to all others, less the mean of all frames so far, its own too.
-
-        Args:
-            swept: ``(S, D)`` descriptors of one frame from S anchors, the usual one in the middle.
-
-        Returns:
-            ``(N,)`` float32, of the best anchor, -inf for an empty frame.
-        """
+        """``(N,)`` float32 cosines of a new frame to all others, less the mean of all frames so far
+        with its own; -inf for an empty frame. ``swept`` ``(S, D)`` are its descriptors from S
+        anchors, the usual one in the middle; the best anchor counts."""
         mean = (self._total + swept[len(swept) // 2]) / (self._counted + 1)
         mean = mean.astype(np.float32)
         less = swept - mean

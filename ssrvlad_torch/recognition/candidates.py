@@ -1,9 +1,9 @@
 """Follow over candidates: the filter of `follow` where the map is too large to score every row.
 
 The belief holds the candidates that a search finds for the present query, and the rows to which
-those that were believed in before may have moved. All other rows are one more state, *elsewhere*:
-spread evenly, with the mean evidence of a sample of the map. Where the candidates are all rows
-nothing is elsewhere, and the numbers are those of `follow`.
+earlier believed ones may have moved. All other rows are one more state, *elsewhere*: spread evenly,
+with the mean evidence of a sample of the map. Where all rows are candidates, the numbers are those
+of `follow`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Search(Protocol):
 
 
 class State(NamedTuple):
-    """What is believed after a query.
+    """The belief after a query.
 
     Attributes:
         rows: ``(N,)`` int64, rising.
@@ -127,12 +127,9 @@ class Track:
         self._length = len(sequences)
 
     def step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
-        """Takes in a query; without a belief before it, the first of its sequence.
-
-        Returns:
-            what is believed, and how much likelier the query is after those before it than alone,
-            as a logarithm.
-        """
+        """Takes in a query; without a belief before it, the first of its sequence. Gives the
+        belief, and how much likelier the query is after those before it than alone, as a
+        logarithm."""
         rows = search.candidates(query)
         rows = rows if before is None else torch.cat((rows, self._reached(before)))
         rows = torch.from_numpy(np.unique(rows.numpy()))
@@ -160,13 +157,8 @@ class Track:
         return state, math.log(total / alone)
 
     def before(self, state: State, after: State, future: Future) -> Future:
-        """The backward algorithm.
-
-        Args:
-            state: whose future is looked for.
-            after: the next one.
-            future: of that.
-        """
+        """The backward algorithm: how likely the later queries are from each state, by the next
+        state and its own future."""
         motion, others = self.motion, self._length - len(after.rows)
         seen = future.mapped * after.told
         apart = future.elsewhere * after.told_elsewhere
@@ -204,7 +196,7 @@ class Track:
         return mapped, each * (self._length - len(rows)), unmapped
 
     def _predicted(self, state: State, rows: Tensor) -> tuple[Tensor, float, float]:
-        """What is believed of rows, of the others and of no row, before the query is seen."""
+        """The belief in rows, in the others and in no row, before the query is seen."""
         motion = self.motion
         places, there, inside = self._targets(state.rows, rows)
         come = (self._ways @ state.mapped).transpose(0, 1)

@@ -19,15 +19,8 @@ _LEAST = 1e-4
 
 
 def confidence_of_places(near: Tensor, mode: str) -> Tensor:
-    """Of places that were found by `follow`.
-
-    Args:
-        near: ``(Q,)``, the probability of the neighbourhood of each first candidate.
-        mode: ``"online"`` or ``"offline"``.
-
-    Returns:
-        ``(Q,)`` float32, 0 to 1.
-    """
+    """``(Q,)`` float32, 0 to 1, of places that `follow` found in a mode; ``near`` ``(Q,)`` is the
+    probability of the neighbourhood of each first candidate."""
     offset, slope = OFFLINE if mode == "offline" else ONLINE
     return torch.sigmoid(offset + slope * torch.logit(near.float(), _LEAST))
 
@@ -35,15 +28,13 @@ def confidence_of_places(near: Tensor, mode: str) -> Tensor:
 def confidence_of_scores(
     scores: Tensor, rows: Tensor | None = None, spread: tuple[float, float] | None = None
 ) -> Tensor:
-    """Of a single frame, by how far its first candidate stands out and leads.
+    """Of a single frame, by how far its first candidate stands out and leads: float32, 0 to 1; 0
+    without a candidate, or without others to compare it with.
 
     Args:
         scores: ``(N,)`` cosines of one query, -inf where there can be no match.
         rows: ``(N,)`` of the map, to which the scores belong; without, they are of all rows.
         spread: mean and standard deviation of the nearness of all rows; without, of these.
-
-    Returns:
-        float32, 0 to 1; 0 where there is no candidate, or nothing to hold it against.
     """
     if not len(scores) or not bool((scores > -torch.inf).any()):
         return torch.tensor(0.0)

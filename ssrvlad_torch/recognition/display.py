@@ -10,12 +10,8 @@ _MOST_QUERIES, _MOST_CANDIDATES = 10, 5
 
 
 def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
-    """The best candidates of the first queries, each as its row with its score.
-
-    Args:
-        scores, rows: ``(Q, top)``, of the candidates.
-        columns: ``(Q,)`` each, further numbers of a query by their names.
-    """
+    """The best candidates of the first queries, each as its row with its score; ``columns`` are
+    ``(Q,)`` further numbers of a query by their names."""
     queries, top = rows.shape
     shown = min(top, _MOST_CANDIDATES)
     names = ["query", *(f"candidate {n}" for n in range(1, shown + 1)), *columns]

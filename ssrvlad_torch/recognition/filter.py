@@ -97,14 +97,8 @@ class Filter:
         self._begins, self.gain = True, 0.0
 
     def step(self, scores: Tensor) -> None:
-        """Takes in the next frame.
-
-        Args:
-            scores: ``(R,)`` float cosines, -inf where there can be no match.
-
-        Raises:
-            ValueError: it is not a score for each row.
-        """
+        """Takes in the next frame by its scores ``(R,)``, float cosines, -inf where there can be no
+        match; another shape is a ValueError."""
         self.take(self.evidence(scores))
 
     def take(self, told: Tensor) -> None:
@@ -132,12 +126,7 @@ class Filter:
         return torch.zeros_like(self._inside).index_copy_(0, self._cells, told)
 
     def after(self, belief: Belief, told: Tensor) -> tuple[Belief, float]:
-        """The belief one frame later, and how likely that frame was.
-
-        Args:
-            belief: before it.
-            told: its evidence.
-        """
+        """The belief one frame later, by the frame's evidence, and how likely that frame was."""
         if not len(self):
             return belief._replace(unmapped=1.0), 1.0
         motion, mapped = self.motion, moved(belief.mapped, self.motion)
@@ -152,12 +141,8 @@ class Filter:
         return Belief(mapped, cells.div_(total), unmapped / total), total
 
     def before(self, told: Tensor, after: Future) -> Future:
-        """The backward algorithm: how likely the later frames are from each state.
-
-        Args:
-            told: evidence of the next frame.
-            after: likewise for the frames after it; not normalised.
-        """
+        """The backward algorithm: how likely the later frames are from each state, by the evidence
+        of the next frame and the same for the frames after it; not normalised."""
         motion, seen = self.motion, after.mapped * told
         anywhere = float((prior_of_speeds() * seen).sum()) / max(1, len(self))
         left = (1 - motion.unmapped) * anywhere + motion.unmapped * after.unmapped
@@ -170,7 +155,7 @@ class Filter:
         return Future(mapped.div_(size), unmapped / size)
 
     def no_future(self) -> Future:
-        """What `before` starts from."""
+        """The start of the backward algorithm."""
         return Future(self._inside.expand(len(SPEEDS), -1), 1.0)
 
 

@@ -1,8 +1,8 @@
 """Fusion: the scores of several methods as one, no labels needed.
 
-Label maps and pictures err at different places. What a method says of a query is put on one scale,
-in standard deviations from its mean over all references, and each method weighs by how far its
-first candidates stand out on the traverse at hand. Not in the paper.
+Label maps and pictures err at different places. The scores of a method for a query are put on one
+scale, in standard deviations from their mean over all references, and each method weighs by how far
+its first candidates stand out on the traverse. Not in the paper.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ _LEAST_SPREAD = 1e-6
 class FusedScores(Scores):
     """The scores of one traverse of queries by several methods as one, made as they are asked for.
 
-    They are of the form of cosines, for `follow` and `recognise_by_scores`. A method that has no
-    score of a pair, for it is empty to it, leaves it to the others. Of fewer queries than
-    `standardise.LEAST` the methods weigh alike: so few do not tell which to trust.
+    They have the form of cosines, for `follow` and `recognise_by_scores`. Where a method has no
+    score of a pair, the others decide. Of fewer queries than `standardise.LEAST` the methods weigh
+    alike: so few do not show which to trust.
 
     Args:
         members: of each method ``(Q, R)`` float, at most 1, higher for what is more alike; -inf
@@ -88,13 +88,8 @@ def ahead(scores: Tensor) -> float:
 
 @torch.no_grad()
 def fused(scores: Sequence[Tensor], weights: Sequence[float], among: int | None = None) -> Tensor:
-    """``(R,)`` scores of one query by several methods as one; -inf where no method has a score.
-
-    Args:
-        scores: of each method ``(R,)``.
-        weights: of each method.
-        among: mean and deviation are those of the first so many rows; without, of all.
-    """
+    """``(R,)`` scores of one query by several methods, fused by their weights; -inf where no method
+    has a score. Mean and deviation are those of the first ``among`` rows; without, of all."""
     scaled = [_scaled(one, among) for one in scores]
     z, mean, spread = (
         sum(weight * part for weight, part in zip(weights, parts, strict=True))

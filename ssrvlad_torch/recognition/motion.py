@@ -77,20 +77,14 @@ class Motion:
 
 
 def nearness(scores: Tensor) -> Tensor:
-    """Less the logarithm of half the squared Euclidean distance of descriptors of length 1."""
+    """Minus the logarithm of half the squared Euclidean distance of descriptors of length 1."""
     return (1 - scores).clamp_(min=_ROUNDING).log_().neg_()
 
 
 def lead(near: Tensor, rows: Tensor | None = None) -> Tensor:
-    """How much nearer the first candidate is than the best one elsewhere, see `ELSEWHERE`.
-
-    Args:
-        near: ``(Q, N)`` nearness.
-        rows: ``(N,)`` of the map, rising; without, ``near`` is of all rows.
-
-    Returns:
-        ``(Q,)``, infinite where nothing is elsewhere.
-    """
+    """``(Q,)``: how much nearer the first candidate is than the best one elsewhere, see
+    `ELSEWHERE`; infinite where nothing is elsewhere. ``near`` ``(Q, N)`` is the nearness of the
+    rows ``(N,)``, rising, of the map, or of all."""
     rows = torch.arange(near.shape[1]) if rows is None else rows
     apart = (rows - rows[near.argmax(1)][:, None]).abs()
     return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
@@ -123,8 +117,8 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
         spread: mean and standard deviation of the nearness of all rows; without, of these.
 
     Returns:
-        ``(R,)`` float32, ``exp(weight * (z - level))``, 0 where there can be no match. Scores that
-        are all equal or all -inf say nothing: 1 everywhere.
+        ``(R,)`` float32, ``exp(weight * (z - level))``, 0 where there can be no match; 1 everywhere
+        if scores are all equal or all -inf.
     """
     z = nearness(scores.float())
     mean, deviation = _moments(z) if spread is None else spread
@@ -135,16 +129,9 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
 
 
 def moved(belief: Tensor, motion: Motion, back: bool = False) -> Tensor:
-    """Where a belief is one frame later.
-
-    Args:
-        belief: ``(8, cells)`` float32 by speed and cell, 0 in the first and last `GAP` cells.
-        motion: its chances.
-        back: the transpose, for the backward algorithm.
-
-    Returns:
-        likewise, without what jumps; what left the map is in the gaps, but for the outer ones.
-    """
+    """A belief ``(8, cells)`` float32 by speed and cell, one frame later, without what jumps;
+    ``back`` is the transpose, for the backward algorithm. The first and last `GAP` cells stay 0;
+    what left the map is in the gaps between sequences."""
     after, end = torch.empty_like(belief), belief.shape[1] - GAP
     after[:, :GAP] = after[:, end:] = 0
     for first in range(GAP, end, CELLS):

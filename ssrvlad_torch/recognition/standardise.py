@@ -1,7 +1,7 @@
-"""Standardise: what all frames of a traverse have in common says nothing of their places.
+"""Standardise: subtract from each traverse what all its frames have in common.
 
-Schubert, Neubert and Protzel (ICRA 2020) take the mean of each traverse off its descriptors: light,
-season, camera and the mistakes of a network shift the descriptors of a traverse alike.
+Light, season, camera and the mistakes of a network shift the descriptors of a traverse alike, and
+say nothing of places. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse.
 """
 
 from __future__ import annotations
@@ -63,14 +63,8 @@ def _less_mean(single: Tensor) -> Tensor:
 
 
 def less(vectors: Tensor, mean: Tensor) -> Tensor:
-    """Vectors of length 1 or zero less a mean, normalised again.
-
-    Zeros stay zero, and a vector that is the mean stays as it is.
-
-    Args:
-        vectors: ``(..., D)`` float32.
-        mean: of a shape that fits.
-    """
+    """Vectors ``(..., D)`` float32 of length 1 or zero, less a mean and normalised again. Zeros
+    stay zero, and a vector that equals the mean stays as it is."""
     away = vectors - mean
     alone = away.abs().amax(dim=-1, keepdim=True) <= _ROUNDING
     after = torch.where(alone, vectors, F.normalize(away, dim=-1))

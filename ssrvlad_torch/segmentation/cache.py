@@ -24,10 +24,9 @@ class LabelMapCache:
 
     Args:
         folder: the whole cache, of all networks.
-        key: of what the network computes and of its preparation: a folder inside.
+        key: of the network and its preparation: a folder inside.
         space: label space of the label maps.
-        largest: bytes that the whole may hold; beyond, those that were not used for the longest
-            time are removed.
+        largest: bytes that the whole may hold; beyond, the least recently used are removed.
     """
 
     def __init__(self, folder: Path, key: str, space: LabelSpace, largest: int = LARGEST) -> None:

@@ -16,13 +16,9 @@ from .onnx_network import OnnxNetwork
 
 
 def digest_of(network: nn.Module, probe: bytes) -> str:
-    """A text that another network does not share.
-
-    Args:
-        network: of an ONNX graph the files are read, of a frozen module its program, of others the
-            code of the classes, their plain attributes, weights and buffers.
-        probe: what it makes of some picture, for what cannot be read, as functions in attributes.
-    """
+    """A text that another network does not share: of the files of an ONNX graph, of the program of
+    a frozen module; of others, of the code of the classes, their plain attributes, weights and
+    buffers, and of ``probe``, the network's output for some picture, for what cannot be read."""
     if isinstance(network, OnnxNetwork):
         return network.digest()
     content = hashlib.blake2b(digest_size=16)

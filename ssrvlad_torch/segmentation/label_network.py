@@ -19,9 +19,8 @@ _BYTES = {"white": 255, "mean": (0, 0, 0), "std": (1, 1, 1)}
 
 
 class LabelNetwork(nn.Module):
-    """Pictures -> label maps: preparation, network, and the class of every pixel.
-
-    This is what `Segmenter` runs and what `fuse` writes as a graph.
+    """Pictures -> label maps: preparation, network, and the class of every pixel. `Segmenter` runs
+    it, and `fuse` writes it as a graph.
 
     Args:
         network: any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`.

@@ -26,8 +26,8 @@ class Form(NamedTuple):
 
     Attributes:
         shape: lengths of its axes, ``None`` where one is free; ``None`` where even their number is.
-        dtype: in the words of the library that it is from.
-        kind: ``"scores"`` if it holds floating numbers, ``"ids"`` for integers, or ``""``.
+        dtype: as the library calls it.
+        kind: ``"scores"`` for floating numbers, ``"ids"`` for integers, or ``""``.
     """
 
     shape: tuple[int | None, ...] | None

@@ -181,12 +181,8 @@ def _of_function(name: str, arguments: dict[str, Any]) -> nn.Module:
 
 
 class MaskScores(nn.Module):
-    """Class scores of a network that gives masks, each with the scores of its class.
-
-    Args:
-        network: of the family of MaskFormer.
-        task: what OneFormer is told, ``(1, length)``; for the others ``None``.
-    """
+    """Class scores of a network of the MaskFormer family, which gives masks, each with the scores
+    of its class; ``task`` ``(1, length)`` is the input of OneFormer alone."""
 
     def __init__(self, network: nn.Module, task: Tensor | None) -> None:
         super().__init__()
@@ -233,11 +229,8 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
 
 
 def _settings_of(processor: Any, given: dict[str, Any]) -> dict[str, Any]:
-    """The settings of an image processor, where they are not given.
-
-    Raises:
-        ValueError: the processor does what no setting says.
-    """
+    """The settings of an image processor, where not given; a step without a setting is a
+    ValueError."""
     settings: dict[str, Any] = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
     if processor.do_normalize:
         settings |= {"mean": tuple(processor.image_mean), "std": tuple(processor.image_std)}

@@ -92,12 +92,8 @@ class SegmenterConfig:
 
 
 class Form(nn.Module):
-    """The last step of a preparation: the dtype and the layout that a graph takes.
-
-    Args:
-        dtype: of the numbers; bytes are rounded to.
-        channels_last: ``(B, H, W, 3)`` in place of ``(B, 3, H, W)``.
-    """
+    """The last step of a preparation: the dtype (to bytes, numbers are rounded) and the layout that
+    a graph takes, ``(B, H, W, 3)`` in place of ``(B, 3, H, W)`` with ``channels_last``."""
 
     def __init__(self, dtype: torch.dtype = torch.float32, channels_last: bool = False) -> None:
         super().__init__()
