@@ -8,7 +8,7 @@ import torch
 from drives import vpr_bench, write_maps, write_photos, write_truth
 from helpers import write_street
 
-from ssrvlad_torch.baselines.alexnet import AlexNetPlaces365
+from ssrvlad_torch.baselines.region_features import AlexNetPlaces365
 from ssrvlad_torch.baselines.vocabulary import read_vocabulary
 from ssrvlad_torch.baselines.weights import random_network
 

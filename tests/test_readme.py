@@ -14,7 +14,7 @@ from PIL import Image
 from test_cli import COMMANDS
 
 from ssrvlad_torch import Database
-from ssrvlad_torch.baselines.alexnet import AlexNetPlaces365
+from ssrvlad_torch.baselines.region_features import AlexNetPlaces365
 from ssrvlad_torch.baselines.weights import random_network
 from ssrvlad_torch.cli import main as cli
 from ssrvlad_torch.datasets.synthetic_city import write_city

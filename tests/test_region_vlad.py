@@ -9,8 +9,7 @@ from plain_layers import Array, unit
 from test_region_features import images, write
 
 from ssrvlad_torch.baselines import Frame, make
-from ssrvlad_torch.baselines.alexnet import AlexNetPlaces365
-from ssrvlad_torch.baselines.region_features import RegionFeatures
+from ssrvlad_torch.baselines.region_features import AlexNetPlaces365, RegionFeatures
 from ssrvlad_torch.baselines.region_vlad import RegionVLAD, vlad
 
 
