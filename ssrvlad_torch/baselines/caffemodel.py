@@ -65,7 +65,7 @@ def _array(blob: Any) -> Tensor:
 
 
 def _network_message() -> tuple[Any, type[Exception]]:
-    """An empty ``NetParameter``, and what it raises for bytes that are none."""
+    """An empty ``NetParameter``, and the error that it raises for damaged bytes."""
     try:
         from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
         from google.protobuf.descriptor_pb2 import FileDescriptorProto

@@ -96,7 +96,7 @@ def _saved_objects(content: dict[str, Any], path: Path) -> Iterator[Any]:
 
 
 def _weights(layer: Any) -> npt.NDArray[Any] | None:
-    """The cell of a layer's weights, None for a layer without and for what is no layer."""
+    """The cell of a layer's weights; None if it has none or is no layer."""
     names = getattr(getattr(layer, "dtype", None), "names", None) or ()
     if not {"name", "weights"} <= set(names) or layer.size != 1:
         return None

@@ -182,18 +182,19 @@ def labels_of(frame: Frame, method: str) -> tuple[LabelMap, str]:
 
 
 def label_kind(frame: Frame) -> tuple[object, ...]:
-    """What the label maps of a batch have in common; of a frame without one, nothing."""
+    """Shape, dtype and label space, which the label maps of a batch share; empty without a label
+    map."""
     labels = frame.labels
     return () if labels is None else (labels.shape, labels.dtype, frame.labels_as)
 
 
 def image_shape(frame: Frame) -> tuple[int, ...]:
-    """What the images of a batch have in common; of a frame without one, nothing."""
+    """The shape, which the images of a batch share; empty without an image."""
     return () if frame.image is None else frame.image.shape
 
 
 def noting(frames: Iterable[Item], note: Callable[[Item], object]) -> Iterator[Item]:
-    """The same frames; each is noted as it is taken."""
+    """The frames unchanged; ``note`` is called with each as it is taken."""
     for frame in frames:
         note(frame)
         yield frame

@@ -113,7 +113,7 @@ def run(
 
 
 def _kept(method: Method, frames: Sequence[Frame], wanted: Any, steps: Steps) -> Tensor:
-    """What the steps need of queries whose encodings are vectors."""
+    """The descriptors of queries that the steps need."""
     if steps.sweep and isinstance(method, Sweeping):
         return method.encode_sweep(frames)
     assert isinstance(wanted, Tensor)

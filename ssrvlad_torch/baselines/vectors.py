@@ -1,4 +1,4 @@
-"""What methods have in common whose encodings are vectors, compared by their cosine."""
+"""The common part of methods whose encodings are vectors, compared by their cosine."""
 
 from __future__ import annotations
 

@@ -74,7 +74,7 @@ class Drives:
         return cls(_joined([references, queries]), references, queries)
 
     def posed(self) -> Drives:
-        """The same without the frames whose pose is not known."""
+        """The same without the frames of unknown pose."""
         return self._keep(lambda frame: frame.has_pose, "a pose")
 
     def complete(self, kinds: Sequence[str]) -> Drives:

@@ -187,7 +187,7 @@ class Reach:
 
 @dataclass(frozen=True)
 class StepOptions:
-    """What is done between descriptors and a decision."""
+    """The steps between descriptors and a decision."""
 
     standardise: bool = option(True, "Subtract the mean descriptor of each traverse.")
     sweep: bool = option(
@@ -208,7 +208,7 @@ class StepOptions:
 
 @dataclass(frozen=True)
 class RecognitionOptions(StepOptions):
-    """What is done with descriptors before a place is decided."""
+    """All steps from the descriptors of a database to a decision."""
 
     temporal: str | None = option(
         None,
@@ -233,11 +233,7 @@ class RecognitionOptions(StepOptions):
 
     @property
     def reach(self) -> Reach:
-        """What is summed on each side.
-
-        Raises:
-            ValueError: it is neither frames nor metres.
-        """
+        """The reach of the temporal sum; other text than frames or metres is a ValueError."""
         if self.temporal is not None:
             return Reach.of(self.temporal)
         return Reach(3 if self.as_paper else 0)
@@ -245,7 +241,7 @@ class RecognitionOptions(StepOptions):
 
 @dataclass(frozen=True)
 class TruthOptions:
-    """What counts as a true match, and by whose convention the figures are computed."""
+    """The definition of a true match, and the convention of the figures."""
 
     ground_truth: Path | None = option(
         None,
@@ -266,7 +262,7 @@ class TruthOptions:
 
 @dataclass(frozen=True)
 class MethodOptions:
-    """Another method, and its settings as they were typed."""
+    """Another method, and its settings as the user typed them."""
 
     method: str | None = option(
         None, f"Another method, which reads label maps or images: {', '.join(METHODS)}."

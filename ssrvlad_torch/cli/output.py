@@ -93,7 +93,7 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
 
 
 def print_table(table: Table) -> None:
-    """A table on stdout; where that is no terminal it is as wide as it needs to be."""
+    """A table on stdout; outside a terminal it is as wide as it needs to be."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else _WIDE)
@@ -108,7 +108,7 @@ def print_json(value: Mapping[str, Any]) -> None:
 
 
 def fused_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
-    """What each of several methods weighs in each sequence; nothing for one method alone."""
+    """The weights of several methods in each sequence; nothing for one method alone."""
     if not any(weights):
         return []
     names = (f"{name} {'/'.join(f'{each[name]:.2f}' for each in weights)}" for name in weights[0])
@@ -126,7 +126,7 @@ def interval(ends: Sequence[float]) -> str:
 
 
 def finish(skipped: Sequence[Skipped]) -> None:
-    """Ends a command that did all it could: names what was skipped, and exits with code 3."""
+    """Ends a command: names the skipped frames, if there are any, and exits with code 3."""
     for frame in skipped[:_NAMED]:
         note(f"skipped {frame.frame}: {frame.reason}")
     if len(skipped) > _NAMED:

@@ -89,7 +89,7 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
 
 
 def _legend(width: int, space: LabelSpace, seen: set[int]) -> Image.Image:
-    """The classes that are seen and their colours, in as many lines as it takes."""
+    """The classes in the pictures with their colours, on as many lines as needed."""
     draw, font = ImageDraw.Draw(Image.new("RGB", (1, 1))), _font(_TEXT)
     line = _TEXT + 8
     places, x, y = [], 0, 0

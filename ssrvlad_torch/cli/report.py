@@ -89,7 +89,7 @@ class Page:
 def title_and_settings(
     references: Path, queries: Sequence[str], truth: TrueMatches
 ) -> tuple[str, dict[str, str]]:
-    """The title of a page, and what was compared, in words."""
+    """The title of a page, and the compared frames, in words."""
     names = shortened(["/".join(Path(place).parts[-2:]) or place for place in queries])
     title = f"{names} against {references.name or references}"
     return title, {
@@ -138,7 +138,7 @@ def _words(value: object) -> str:
 
 
 def _notes(recognition: Recognition, matches: Known) -> list[str]:
-    """What was left out."""
+    """How many queries were left out or skipped, and why."""
     unknown, skipped = sum(rows is None for rows in matches), recognition.skipped
     notes = []
     if unknown:

@@ -37,13 +37,13 @@ LabelsAs = str | os.PathLike[str] | LabelSpace
 
 @dataclass(frozen=True)
 class Source:
-    """Where frames come from.
+    """The source of frames.
 
     Attributes:
-        given: what the user typed.
-        dataset: what was chosen of the data set, if it is one.
+        given: the options of the user.
+        dataset: the chosen part of the data set, if it is one.
         whole: the data set with all its sequences.
-        labels_as: label space of the label maps, as given or as the data set knows it.
+        labels_as: label space of the label maps, as given or as the data set declares it.
     """
 
     given: SourceOptions

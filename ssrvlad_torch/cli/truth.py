@@ -1,4 +1,4 @@
-"""Which references show the place of each query, by the options that say so."""
+"""Which references show the place of each query, by the options of the user."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class TrueMatches:
 
     @classmethod
     def by(cls, given: TruthOptions, said: DatasetTruth | None) -> TrueMatches:
-        """By the options, or, if none of the three is given, by what the data set says."""
+        """By the options, or, if none of the three is given, by the data set."""
         own = (given.ground_truth, given.tolerance_metres, given.tolerance_frames)
         file, metres, frames = (
             own if own != (None,) * 3 or not said else (said.file, said.metres, said.frames)

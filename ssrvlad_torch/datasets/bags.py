@@ -105,7 +105,7 @@ class _Topic:
             yield time, content
 
     def message(self, row: int) -> Any:
-        """A message by its number; those of the last few calls are at hand."""
+        """A message by its number; the last few messages are kept in memory."""
         with self._lock:
             if row < self._next and row not in self._recent:
                 self._start()
@@ -137,7 +137,8 @@ def _opened(path: Path, topic: str, state: str) -> _Topic:
 
 
 def _picture(message: Any) -> bytes:
-    """The picture of a message as an image file: compressed as it is, or as ``.npy``."""
+    """The picture of a message as an image file: compressed ones unchanged, raw ones as
+    ``.npy``."""
     if hasattr(message, "format"):
         content: bytes = message.data.tobytes()
         return content

@@ -26,7 +26,7 @@ _DRIVE = re.compile(r"(0001TP|0006R0|0016E5|Seq05VD|05VD)(?:_.*)?")
 
 
 class _Pair(NamedTuple):
-    """A folder of images and one of label maps, whose names have an ending more."""
+    """A folder of images and one of label maps, whose names end in ``ending``."""
 
     images: Path
     labels: Path

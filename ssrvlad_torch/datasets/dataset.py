@@ -129,7 +129,7 @@ class Dataset:
 
     @property
     def warnings(self) -> list[str]:
-        """What is missing, a line each: the notes, and how many frames lack what others have."""
+        """What is missing, a line each: the notes, and how many frames lack a file or a pose."""
         frames = list(self.frames)
         lacking = {
             "image": [frame for frame in frames if frame.image is None],
@@ -224,7 +224,7 @@ class Dataset:
         return self._files(lambda frame: frame.label, every, start)
 
     def image_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
-        """The images, as a segmenter takes them; arguments and errors as for `label_files`."""
+        """The images, as a segmenter takes them; see `label_files`."""
         if not any(frame.image for frame in self.frames):
             raise ValueError(f"{self.root} ({self.layout}) has no images")
         return self._files(lambda frame: frame.image, every, start)

@@ -42,8 +42,8 @@ def heading_of_course(course: float) -> float:
 
 
 def read_exif(picture: Path) -> Fix | None:
-    """What the EXIF tags of a picture say; ``None`` if they have no position. A direction from
-    magnetic north is left out."""
+    """The position and direction in the EXIF tags of a picture; ``None`` without a position. A
+    direction from magnetic north is left out."""
     tag = ExifTags.GPS
     try:
         with Image.open(picture) as opened:

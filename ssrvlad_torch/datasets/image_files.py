@@ -61,11 +61,11 @@ def read_image(file: FrameFile) -> Pixels:
 
 
 def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
-    """Pictures under names that say where they were taken: links to files where the disk can, PNGs
-    of what lies in a stack or a bag.
+    """Pictures under names with their positions: links to files where the disk can, PNGs of rows of
+    a stack or a bag.
 
     Raises:
-        ValueError: something is in the folder, or a picture has no pose or cannot be read.
+        ValueError: the folder is not empty, or a picture has no pose or cannot be read.
         OSError: the folder cannot be written.
     """
     empty_folder(folder)

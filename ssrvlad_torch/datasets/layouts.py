@@ -1,4 +1,4 @@
-"""Opening a data set: its layout is recognised by what lies on disk."""
+"""Opening a data set, whose layout is recognised by its files."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def _choose(root: Path, name: str | None) -> Layout:
 
 
 def _found(root: Path, most: int = 1000) -> str:
-    """What lies in a folder and in its folders, in words."""
+    """The content of a folder and of its folders, in words."""
     inside = [
         f"{folder.name}/{entry.name}"
         for folder in folders_in(root)

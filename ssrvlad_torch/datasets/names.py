@@ -63,9 +63,7 @@ def _see_that_it_is_there(known: str, folder: str, name: str) -> None:
 
 
 def absolute(path: Path) -> str:
-    """An absolute path without ``.`` and ``..``; what is no text in it is written in escapes.
-
-    A symbolic link keeps the name that it was given.
-    """
+    """An absolute path without ``.`` and ``..``; bytes that are no text are escaped. A symbolic
+    link keeps its own name."""
     whole = os.fspath(path.resolve()) if ".." in path.parts else os.path.abspath(path)  # noqa: PTH100
     return whole.encode("utf-8", "backslashreplace").decode()

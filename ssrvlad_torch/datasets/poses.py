@@ -80,7 +80,7 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 
 def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
-    """Poses of one drive in metres; see `eastings_northings` for what is raised."""
+    """Poses of one drive in metres; for errors see `eastings_northings`."""
     places = zip(eastings_northings(fixes), fixes, strict=True)
     return [Pose(*place, heading_of_course(fix.course)) for place, fix in places]
 

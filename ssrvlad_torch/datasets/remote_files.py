@@ -1,4 +1,4 @@
-"""Frames that lie where pyarrow can reach them: ``s3://``, ``gs://``, ``hdfs://``, ``file://``."""
+"""Frames in file systems of pyarrow: ``s3://``, ``gs://``, ``hdfs://``, ``file://``."""
 
 from __future__ import annotations
 

@@ -18,11 +18,8 @@ _FIELDS = 15
 
 
 def read_name(name: str) -> tuple[Pose, float]:
-    """The pose and the time in seconds that a name says; NaN where it says none. A name that does
-    not begin with ``@``, two numbers and ``@`` says nothing.
-
-    Args:
-        name: of a file, without its suffix.
+    """The pose and the time in seconds in a file's name, given without its suffix; NaN where
+    missing. A name that does not begin with ``@``, two numbers and ``@`` holds neither.
 
     Example:
         >>> read_name("@0303189.3@5787193.0@31@U@@@@@90@@@@@@")[0]
@@ -36,10 +33,8 @@ def read_name(name: str) -> tuple[Pose, float]:
 
 
 def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
-    """A name that says the pose, and the time if it is known; its note is the name as it was.
-
-    Raises:
-        ValueError: the position is unknown.
+    """A name with the pose, and the time if it is known; its note is the former name. An unknown
+    position is a ValueError.
 
     Example:
         >>> write_name("000007", Pose(303189.3, 5787193.0, 0.0))

@@ -29,7 +29,7 @@ BATCH = 16
 
 
 class Item(NamedTuple):
-    """A frame on its way: its file, the file's signature before it was read, and what was read."""
+    """A frame in work: its file, the file's signature before it was read, and its label map."""
 
     file: FrameFile
     signature: str = ""
@@ -78,7 +78,7 @@ class Describer:
 
     @property
     def device(self) -> torch.device:
-        """Where the head lies."""
+        """The device of the head."""
         return next(self.head.buffers()).device
 
     def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:

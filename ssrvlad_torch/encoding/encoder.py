@@ -140,7 +140,7 @@ def encode(
 
 
 def encoded(result: Described | Skipped) -> Encoded | Skipped:
-    """A frame as it comes from a worker, its descriptor a tensor."""
+    """The result of a worker, its descriptor a tensor."""
     if isinstance(result, Skipped):
         return result
     beside = {name: torch.from_numpy(values) for name, values in result.beside.items()}

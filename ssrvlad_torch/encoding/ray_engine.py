@@ -129,7 +129,7 @@ class Actor:
 
 
 def _parts(encoder: PartEncoder, plan: Plan, workers: int) -> Iterator[Part]:
-    """What Ray makes of the files of a plan, as it is done."""
+    """The results of Ray for the files of a plan, as they arrive."""
     import ray.data
 
     rows = [

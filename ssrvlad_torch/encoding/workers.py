@@ -118,7 +118,7 @@ class _Worker:
         return result
 
     def end(self) -> None:
-        """Ends the process; what it has in hand is lost."""
+        """Ends the process; its current work is lost."""
         self._process.kill()
         self._process.communicate()
 

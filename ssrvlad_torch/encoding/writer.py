@@ -44,7 +44,7 @@ class Writer:
         self._options.progress(1)
 
     def add_written(self, written: Written, empty: int) -> None:
-        """Takes new frames, so many of them empty, that `Database.write_apart` wrote."""
+        """Takes new frames that `Database.write_apart` wrote, ``empty`` of them empty."""
         self._apart.append(written)
         self.summary.encoded += len(written.frames)
         self.summary.empty += empty

@@ -37,7 +37,7 @@ class PrecisionRecall:
 
     @cached_property
     def precision(self) -> Floats:
-        """``(..., T)``; where nothing is accepted yet, the precision at recall 0."""
+        """``(..., T)``; the precision at recall 0 where nothing is accepted yet."""
         fraction = self.true_positives / np.maximum(self.accepted, 1)
         return np.where(self.accepted > 0, fraction, self._at_recall_zero[..., None])
 

@@ -131,7 +131,7 @@ def _is_ids(value: object) -> bool:
 
 
 def _grouped(pairs: Iterable[Sequence[str]]) -> Pairs:
-    """References by query; an empty reference only says that the query is known."""
+    """References by query; an empty reference marks a known query without a true match."""
     grouped: Pairs = {}
     for query, reference in pairs:
         grouped.setdefault(query, []).extend([reference] if reference else [])

@@ -40,7 +40,7 @@ class LoopScore(NamedTuple):
 
     @property
     def recall(self) -> float:
-        """Recognised / revisits; NaN if nothing was there to be recognised."""
+        """Recognised / revisits; NaN without a revisit."""
         return self.recognised / self.revisits if self.revisits else math.nan
 
 

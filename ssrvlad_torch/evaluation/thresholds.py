@@ -34,16 +34,15 @@ class OperatingPoint(NamedTuple):
 
 
 def at_precision(curve: PrecisionRecall, precision: float) -> OperatingPoint | None:
-    """The lowest threshold at which the precision, 0 to 1, is at least so much; ``None`` if it
-    never is. The precision may be less at a threshold above it."""
+    """The lowest threshold at which the precision is at least ``precision``, 0 to 1, or ``None``.
+    The precision may be less at a threshold above it."""
     _check_fraction("precision", precision)
     reached = np.flatnonzero(curve.precision >= precision)
     return _point(curve, int(reached[-1])) if len(reached) else None
 
 
 def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
-    """The highest threshold at which the recall, 0 to 1, is at least so much; ``None`` if it never
-    is."""
+    """The highest threshold at which the recall is at least ``recall``, 0 to 1, or ``None``."""
     _check_fraction("recall", recall)
     reached = np.flatnonzero(curve.recall >= recall)
     return _point(curve, int(reached[0])) if len(reached) else None

@@ -306,7 +306,7 @@ class LoopDetector:
             raise ValueError(f"frame {frame!r}: expected a stamp from {last} on, got {stamp}")
 
     def _look(self, frame: str, swept: Floats, others: Mapping[str, Floats]) -> LoopResult:
-        """Takes in the next frame, and says what becomes of it."""
+        """Takes in the next frame, and gives its result."""
         old = max(0, len(self) - self.config.exclude)
         self._extend(len(self) - min(RECENT, self.config.exclude))
         compared, empty = ~self._memory.empty, not swept[len(swept) // 2].any()
@@ -331,7 +331,7 @@ class LoopDetector:
         return LoopResult(frame, reason, name, score, probability, ahead)
 
     def _scores(self, swept: Floats, others: Mapping[str, Floats], old: int) -> Tensor:
-        """``(N,)`` of a frame by all methods, as they stand out from the old ones."""
+        """``(N,)`` scores of a frame by all methods, scaled by those of the old frames."""
         own = torch.from_numpy(self._memory.scores(swept))
         if not others:
             return own
@@ -355,7 +355,7 @@ class LoopDetector:
         return torch.cat((evidence(others, MOTION, spread), evidence(same, own, spread)))
 
     def _extend(self, rows: int) -> None:
-        """Lets the filter know so many frames."""
+        """Adds frames to the filter, up to a number of rows."""
         fresh = self._memory.frames[len(self._filter) : max(0, rows)]
         self._filter.extend([frame.rpartition("/")[0] for frame in fresh])
 

@@ -80,7 +80,7 @@ def _judged(
 
 
 def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> None:
-    """Each sequence by itself: from where one ends to where the next begins nothing drove."""
+    """Draws each sequence by itself, not joined to the next."""
     shown = {"trajectory": True, "start": True}
     for _, group in groupby(range(len(poses)), lambda row: sequences[row]):
         rows = [*group]
@@ -105,7 +105,7 @@ def _draw_loops_from_above(axes: Axes, poses: Floats, here: Rows, there: Rows, c
 
 
 def _below(axes: Axes) -> None:
-    """A legend that covers nothing."""
+    """A legend below the axes."""
     from matplotlib.lines import Line2D
 
     loop = Line2D([], [], marker=".", color=_DARK, lw=0.8, label="frame, and line to its candidate")

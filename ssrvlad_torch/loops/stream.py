@@ -67,7 +67,7 @@ def encode_files(
     workers: int | None = None,
     segmenter: Segmenter | None = None,
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes the files whose frames a detector does not know yet; see `encoding.encode`."""
+    """Encodes the files of frames that a detector does not know yet; see `encoding.encode`."""
     fresh = [file for file in files if file.frame not in detector]
     return encode(detector.encoder(), fresh, workers, segmenter, detector.beside)
 
@@ -78,14 +78,12 @@ def encode_as_they_come(
     sequence: str | None = None,
     segmenter: Segmenter | None = None,
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes files one by one, each as soon as its name is there.
-
-    Frames that the detector knew at the start are left out. The ``poses.csv`` in or beside a file's
-    folder is read once.
+    """Encodes files one by one, each as soon as its name arrives. Frames that the detector knew at
+    the start are left out. A ``poses.csv`` in or beside a file's folder is read once.
 
     Args:
         detector: whose head describes the frames.
-        names: lines with one file name each; empty ones are passed over.
+        names: lines with one file name each; empty ones are ignored.
         sequence: the name of the sequence in place of the folder's.
         segmenter: makes label maps of images; without, the files are label maps.
     """

@@ -70,7 +70,7 @@ class Filter:
         return len(self._cells)
 
     def extend(self, sequences: Sequence[str]) -> None:
-        """Adds rows at the end of the map; nothing is believed of them yet."""
+        """Adds rows at the end of the map, with no belief in them yet."""
         if not sequences:
             return
         changes = [a != b for a, b in zip(sequences, [self._sequence, *sequences], strict=False)]
@@ -89,7 +89,7 @@ class Filter:
         self.belief = self.belief._replace(mapped=mapped, cells=cells)
 
     def restart(self) -> None:
-        """Forgets the place: another sequence begins."""
+        """Forgets the place, for another sequence."""
         unmapped = self.motion.unmapped if len(self) else 1.0
         each = (1 - unmapped) / max(1, len(self))
         cells = self._inside * each

@@ -111,7 +111,7 @@ def follow(
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:
-    """The rows of each sequence; those of one stand together."""
+    """The rows of each sequence, which are contiguous."""
     first = 0
     for _, same in itertools.groupby(sequences):
         last = first + len(list(same))
@@ -166,7 +166,7 @@ def _online(
 
 
 def _looking_back(track: Filter, kept: Sequence[tuple[int, Belief, Tensor]]) -> Belief:
-    """The first belief in the light of what the later frames told."""
+    """The first belief in the light of the later frames' evidence."""
     future = track.no_future()
     for _, _, told in reversed(kept[1:]):
         future = track.before(told, future)

@@ -80,7 +80,7 @@ def weights_of(leads: Sequence[float]) -> tuple[float, ...]:
 
 def ahead(scores: Tensor) -> float:
     """How far the first candidate of a query is ahead of the best one elsewhere, in standard
-    deviations of the nearness of ``(R,)`` scores; 0 where that cannot be told."""
+    deviations of the nearness of ``(R,)`` scores; 0 if there are too few."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0
     return float(lead(_scaled(scores).z[None]))

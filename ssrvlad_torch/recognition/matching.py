@@ -250,7 +250,7 @@ _STANDING = 0.01
 
 
 def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
-    """Eq. 3 for frames whose neighbours are all among them."""
+    """Eq. 3 for frames with all their neighbours."""
     total = torch.zeros_like(single)
     for offset in range(-min(reach, len(single) - 1), min(reach, len(single) - 1) + 1):
         here = slice(max(0, -offset), len(single) - max(0, offset))
@@ -260,10 +260,9 @@ def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
 
 
 def _improve(scores: Tensor, indices: Tensor, found: Tensor, first: int) -> None:
-    """Puts what was found into lists of candidates, in place.
+    """Merges found candidates into the lists, in place.
 
-    Most queries find nothing in a later block that is better than what they have, and one look
-    at the block's best score tells.
+    Most queries find nothing better in a later block, which the block's best score shows at once.
     """
     rows = (found.amax(dim=1) > scores[:, -1]).nonzero()[:, 0]
     if len(rows):

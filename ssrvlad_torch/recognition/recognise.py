@@ -195,7 +195,7 @@ def recognise_by_search(
 
 
 class _Outcome(NamedTuple):
-    """What was found of one sequence of queries, and how."""
+    """The outcome of one sequence of queries, and the steps that it took."""
 
     matches: Matches
     confidence: Tensor
@@ -212,7 +212,7 @@ def _of_each(
     top: int,
     judge: Callable[[range], _Outcome],
 ) -> Recognised:
-    """What is found of all queries, sequence by sequence."""
+    """Judges the queries sequence by sequence, and joins the outcomes."""
     judged = {run: judge(run) for run in runs(sequences)}
     used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
@@ -287,7 +287,7 @@ def _judged(
 
 
 def _placed(places: Places, empty: Tensor, mode: Mode) -> tuple[Matches, Tensor]:
-    """Candidates and confidences of what was followed; an empty query has none."""
+    """Candidates and confidences of queries that were followed; an empty query has none."""
     ranked = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     found = Matches(
         ranked.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf),

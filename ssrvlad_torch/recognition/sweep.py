@@ -91,7 +91,7 @@ _SCORES = 1 << 24
 
 
 def _lead(queries: Tensor, references: Rows) -> float:
-    """How far first candidates are ahead, on average; 0 where that cannot be told."""
+    """How far first candidates are ahead, on average; 0 if there are too few references."""
     if len(references) <= 2 * ELSEWHERE + 1:
         return 0.0
     leads = []

@@ -1,4 +1,4 @@
-"""What tells one network from another: all that makes it compute what it does."""
+"""The identity of a network: a digest of all that decides its output."""
 
 from __future__ import annotations
 

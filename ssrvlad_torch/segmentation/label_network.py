@@ -67,7 +67,7 @@ class LabelNetwork(nn.Module):
         return take_output(result, self.space, self.config.output, self.config.classes, last)
 
     def place(self, images: Tensor) -> Tensor:
-        """Pictures where the network's weights lie."""
+        """Pictures on the device of the network's weights."""
         return images.to(self._like().device)
 
     def _like(self) -> Tensor:

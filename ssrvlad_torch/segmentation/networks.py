@@ -74,11 +74,8 @@ def open_network(name: str | Path) -> NamedNetwork:
 
 
 def runs_code(name: str) -> bool:
-    """Whether a name stands for code, which runs when it is opened; those of data do not.
-
-    Raises:
-        ValueError: it is a YAML file that names no network.
-    """
+    """Whether opening a network by this name runs code. A YAML file that names no network is a
+    ValueError."""
     path = Path(name)
     if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
         return runs_code(_named(path)[0])
@@ -131,7 +128,7 @@ def _of_file(path: Path) -> NamedNetwork:
 
 
 def _named(path: Path) -> tuple[str, dict[str, Any]]:
-    """The name of the network in a YAML file, and what else it says."""
+    """The name of the network in a YAML file, and the other entries."""
     try:
         document = read_yaml(path)
     except OSError as error:
@@ -275,7 +272,7 @@ def _quiet(name: str) -> Iterator[None]:
 
 
 def _hide_progress() -> None:
-    """No bars where nobody looks."""
+    """Switches off the progress bars of the libraries."""
     with suppress(ImportError):
         from huggingface_hub.utils.tqdm import disable_progress_bars
         from transformers.utils.logging import disable_progress_bar

@@ -282,6 +282,6 @@ def _space(found: NamedNetwork, labels_as: str, config: SegmenterConfig) -> Labe
 
 
 def _lasting(name: str) -> str:
-    """The name of a network as it is understood in any folder."""
+    """The name of a network with an absolute path, valid in any folder."""
     path = Path(name.removeprefix("hf:"))
     return absolute(path) if path.exists() else name

@@ -55,7 +55,7 @@ def locate(
 
 
 def _by_its_network(town: Database, source: Source) -> Source:
-    """The source with the network that made a database, which must be as it was."""
+    """The source with the network that made a database; a changed network is refused."""
     from ...localiser import made_by, see_made_by
 
     origin = made_by(town)

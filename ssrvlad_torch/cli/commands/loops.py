@@ -84,7 +84,8 @@ def loops(
 
 
 def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Skipped]:
-    """The frames that a detector does not know yet, of folders or as their names come in."""
+    """The frames that a detector does not know yet: of folders, or as their names arrive on
+    stdin."""
     from ...loops.stream import encode_as_they_come, encode_files
 
     labels_as, given = detector.head.config.labels_as, source.given

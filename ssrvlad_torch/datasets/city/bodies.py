@@ -90,7 +90,7 @@ def traffic_light(axis: Axis) -> Iterator[Body]:
 
 
 def person(axis: Axis, label: int = PERSON, feet: float = 0.0) -> Iterator[Body]:
-    """A person who stands, or sits with the feet so high."""
+    """A person who stands, or sits with the feet at a height."""
     yield box(axis, label, (-0.2, 0.2), (-0.24, 0.24), (feet, feet + 1.45), (0.03, 0.03))
     yield box(axis, label, (-0.1, 0.1), (-0.1, 0.1), (feet + 1.45, feet + 1.75))
 

@@ -33,11 +33,8 @@ def background(seed: int, pose: Pose, size: tuple[int, int]) -> NDArray[np.uint8
 
 
 def paint(canvas: NDArray[np.uint8], groups: list[Bodies], pose: Pose) -> NDArray[np.uint8]:
-    """Paint bodies over a background: what lies flat in its order, then what stands, far to near.
-
-    Shape:
-        canvas: (H, W) label ids. Output: the same.
-    """
+    """Paint bodies over a background ``(H, W)`` of label ids: flat ones in their order, then
+    standing ones, far to near."""
     seen = [_in_view(group, pose) for group in groups]
     labels = np.concatenate([labels for labels, _ in seen])
     corners = np.concatenate([corners for _, corners in seen])

@@ -114,7 +114,8 @@ def score_chart(outcomes: Outcomes, suggested: Mapping[str, Any] | None) -> Mark
 
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
-    """Scores of the best candidates that are right, wrong, and wrong as the place is not there."""
+    """Scores of the best candidates: right, wrong, and wrong because no reference shows the
+    place."""
     return {name: outcomes.score[kind] for name, kind in _kinds(outcomes).items()}
 
 
@@ -167,7 +168,7 @@ def precisions(curve: PrecisionRecall) -> list[tuple[float, float]]:
 
 
 def _from_recall_zero(curve: PrecisionRecall) -> tuple[Floats, Floats]:
-    """Recall and precision with the point at recall 0; nothing where there are no positives."""
+    """Recall and precision from recall 0 on; empty if there are no positives."""
     if not curve.positives or not len(curve.thresholds):
         return np.zeros(0), np.zeros(0)
     first = curve.precision[0] if curve.start is None else curve.start

@@ -124,5 +124,5 @@ def cosine_scores(queries: Tensor, references: Tensor) -> Scores:
 
 
 def stored_scores(similarity: npt.NDArray[np.floating[Any]]) -> Scores:
-    """Scores that are there already, ``(Q, R)``."""
+    """Scores from a matrix ``(Q, R)``."""
     return lambda rows, columns: similarity[np.ix_(rows, columns)]

@@ -51,7 +51,7 @@ class Chosen(NamedTuple):
 
 
 def choose(scores: Scores, outcomes: Outcomes, truth: Truth, most: int) -> Chosen:
-    """At most so many matches of each kind; of equal cases the earlier query comes first."""
+    """At most ``most`` matches of each kind; of equal cases the earlier query comes first."""
     true_match = np.full(len(outcomes), -1, np.int64)
     alone, true_alone = np.full((2, len(outcomes)), np.nan)
     wrong = ~outcomes.correct & (outcomes.candidate >= 0)

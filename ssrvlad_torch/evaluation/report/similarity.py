@@ -65,7 +65,7 @@ def _edges(frames: int, most: int) -> Rows:
 
 
 def _blocks(edges: Rows, frames: int) -> list[slice]:
-    """Slices of cells with at most so many frames each, or of one cell."""
+    """Slices of cells with at most ``frames`` frames each, or of one cell."""
     cells, blocks, start = len(edges) - 1, [], 0
     while start < cells:
         reach = int(np.searchsorted(edges, edges[start] + frames, side="right")) - 1
