@@ -157,18 +157,18 @@ class Dataset:
         Raises:
             ValueError: a pattern matches no sequence, or none has the role.
         """
+        names = [traverse.name for traverse in self.traverses]
+        chosen = set() if patterns else set(names)
         for pattern in patterns:
-            if not any(fnmatchcase(traverse.name, pattern) for traverse in self.traverses):
-                names = shortened([traverse.name for traverse in self.traverses])
-                raise ValueError(f"{self.root} has no sequence {pattern!r}; it has {names}")
-        kept = tuple(
-            traverse
-            for traverse in self.traverses
-            if not patterns or any(fnmatchcase(traverse.name, pattern) for pattern in patterns)
-        )
+            found = [name for name in names if fnmatchcase(name, pattern)]
+            if not found:
+                has = shortened(names)
+                raise ValueError(f"{self.root} has no sequence {pattern!r}; it has {has}")
+            chosen.update(found)
+        kept = [traverse for traverse in self.traverses if traverse.name in chosen]
         if role and not any(traverse.role == role for traverse in kept):
-            names = shortened([traverse.name for traverse in kept])
-            raise ValueError(f"{self.root} does not say which of {names} is a {role}; name it")
+            several = shortened([traverse.name for traverse in kept])
+            raise ValueError(f"{self.root} does not say which of {several} is a {role}; name it")
         return replace(self, traverses=tuple(t for t in kept if role in (None, t.role)))
 
     def with_frames(self, change: Callable[[tuple[Frame, ...]], Iterable[Frame]]) -> Dataset:
@@ -216,22 +216,18 @@ class Dataset:
         Raises:
             ValueError: there is none, or ``every`` or ``start`` is out of range.
         """
-        if not any(frame.label for frame in self.frames):
-            raise ValueError(
-                f"{self.root} ({self.layout}) has no label maps; segment its images and give the "
-                "folder of the results and their label space"
-            )
-        return self._files(lambda frame: frame.label, every, start)
+        missing = "no label maps; segment its images and give the folder of the results and their "
+        return self._files(lambda frame: frame.label, missing + "label space", every, start)
 
     def image_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
         """The images, as a segmenter takes them; see `label_files`."""
-        if not any(frame.image for frame in self.frames):
-            raise ValueError(f"{self.root} ({self.layout}) has no images")
-        return self._files(lambda frame: frame.image, every, start)
+        return self._files(lambda frame: frame.image, "no images", every, start)
 
     def _files(
-        self, path: Callable[[Frame], Path | None], every: int, start: int
+        self, path: Callable[[Frame], Path | None], missing: str, every: int, start: int
     ) -> list[FrameFile]:
+        if not any(map(path, self.frames)):
+            raise ValueError(f"{self.root} ({self.layout}) has {missing}")
         kept = []
         for traverse in self.traverses:
             files = [

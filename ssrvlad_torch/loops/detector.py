@@ -25,7 +25,7 @@ from ..recognition.fusion import ahead, fused, weights_of
 from ..recognition.motion import LEAST_SPREAD, Motion, evidence, moments, nearness
 from ..recognition.recognise import OWN
 from .config import LoopConfig
-from .memory import Floats, GrowingArray, Memory, Vectors
+from .memory import Floats, GrowingArray, Memory, Vectors, checked_vectors
 from .result import LoopResult, Reason
 
 COLUMNS = (-4, 0, 4)
@@ -180,11 +180,8 @@ class LoopDetector:
         others = {each.name: each.encode_query([frame])[0] for each in self._methods}
         if given.ndim == 1:
             return self.observe(record, given, others)
-        descriptor = (
-            self.head.sweep(given[None], self.columns)[0]
-            if self.columns
-            else self.head(given[None])[0]
-        )
+        swept = self.head.sweep(given[None], self.columns) if self.columns else None
+        [descriptor] = self.head(given[None]) if swept is None else swept
         labels = (given.argmax(0) if given.ndim == 3 else given).cpu().numpy()
         height, width = labels.shape
         record = record._replace(digest=digest(labels), height=height, width=width)
@@ -207,12 +204,13 @@ class LoopDetector:
         Raises:
             ValueError: as for `update`.
         """
-        swept = _vectors(descriptor, record.frame, self.head.config.length)
-        if (beside or {}).keys() != self._others.keys():
-            names, got = ", ".join(self._others) or "nothing", ", ".join(beside or {}) or "nothing"
+        given = beside or {}
+        swept = checked_vectors(descriptor, record.frame, self.head.config.length)
+        if given.keys() != self._others.keys():
+            names, got = (", ".join(each) or "nothing" for each in (self._others, given))
             raise ValueError(f"frame {record.frame!r}: expected {names} beside, got {got}")
         others = {
-            one.name: _vectors((beside or {})[one.name], record.frame, one.width)
+            one.name: checked_vectors(given[one.name], record.frame, one.width)
             for one in self.beside
         }
         with self._updating:
@@ -245,12 +243,9 @@ class LoopDetector:
             database.require(self.head.config, self.beside)
             with self._updating:
                 fresh, last = self._unsaved.copy(), len(self)
-                vectors = self._memory.descriptors(last - len(fresh), last)
-                others = {
-                    name: known.descriptors(last - len(fresh), last)
-                    for name, known in self._others.items()
-                }
-            saved = last - len(fresh)
+                saved = last - len(fresh)
+                vectors = self._memory.descriptors(saved, last)
+                others = {n: known.descriptors(saved, last) for n, known in self._others.items()}
             if len(database) != saved:
                 raise ValueError(
                     f"{database.path} holds {len(database)} frames; {saved} of this stream were "
@@ -285,9 +280,8 @@ class LoopDetector:
         database.require(head.config)
         detector = cls(config, head, database.beside)
         frames = database.load()
-        added = {
-            name: n for n, name in enumerate(dict.fromkeys(database.known().column("sequence")))
-        }
+        names = dict.fromkeys(database.known().column("sequence"))
+        added = {name: number for number, name in enumerate(names)}
         order = sorted(range(len(frames.frames)), key=lambda row: added[frames.sequences[row]])
         vectors = frames.descriptors.numpy()
         for row in order:
@@ -381,24 +375,6 @@ class LoopDetector:
         along = np.cumsum([0.0, *np.hypot(*np.diff(places, axis=0).T)])
         weights = rows[near].double().numpy()
         return float(weights @ (along - along[near.index(candidate)]) / weights.sum())
-
-
-_OFF_LENGTH = 1e-3
-
-
-def _vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
-    vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
-    if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
-        raise ValueError(
-            f"frame {frame!r}: expected a descriptor ({length},), or of an odd number of "
-            f"anchors, got {tuple(descriptor.shape)}"
-        )
-    lengths = np.linalg.norm(vectors, axis=1)
-    if not ((np.abs(lengths - 1) <= _OFF_LENGTH) | (lengths == 0)).all():
-        raise ValueError(
-            f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
-        )
-    return vectors
 
 
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:

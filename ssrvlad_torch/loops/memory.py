@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from torch import Tensor
 
 BLOCK_ROWS = 1024
 """Rows that are made room for at once; a block never moves, so growing copies no descriptor."""
@@ -16,6 +17,7 @@ Floats = npt.NDArray[np.float32]
 _ROUNDING = 1e-6
 """A frame this near to the mean of all is like all others; see `recognition.standardise`."""
 _LEAST_SQUARE = 1e-9
+_OFF_LENGTH = 1e-3
 
 
 class GrowingArray:
@@ -118,3 +120,19 @@ class Memory(Vectors):
         self.frames.append(frame)
         self._poses.append(pose)
         self.add(descriptor)
+
+
+def checked_vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
+    """``(S, D)`` of a frame's descriptor ``(D,)`` or descriptors; others are a ValueError."""
+    vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
+    if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
+        raise ValueError(
+            f"frame {frame!r}: expected a descriptor ({length},), or of an odd number of "
+            f"anchors, got {tuple(descriptor.shape)}"
+        )
+    lengths = np.linalg.norm(vectors, axis=1)
+    if not ((np.abs(lengths - 1) <= _OFF_LENGTH) | (lengths == 0)).all():
+        raise ValueError(
+            f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
+        )
+    return vectors
