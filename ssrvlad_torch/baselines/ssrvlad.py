@@ -42,11 +42,13 @@ class SSRVLADMethod(Vectors):
         self.temporal, self.length = temporal, self.config.length
         self._heads: dict[str, SSRVLAD] = {}
 
+    @torch.no_grad()
     def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
         """``(Q, S, 480)`` float32; of residuals, which have no anchor to move, ``(Q, 480)``."""
         if self.config.aggregation != "harmonics":
             return self.encode_query(frames)
-        described = [self._sweep(batch) for batch in batches(frames, self._batch, self._kind)]
+        alike = batches(frames, self._batch, self._kind)
+        described = [self._describe(batch, COLUMNS) for batch in alike]
         return torch.cat([torch.zeros(0, len(COLUMNS), self.config.length), *described])
 
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
@@ -55,20 +57,11 @@ class SSRVLADMethod(Vectors):
         raw = self.encode_query(noting(frames, lambda one: sequences.append(one.sequence)))
         return temporal_sum(raw, sequences, self.temporal)
 
-    def _describe(self, frames: Sequence[Frame]) -> Tensor:
-        head, maps = self._opened(frames)
-        descriptors: Tensor = head(maps)
-        return descriptors
-
-    @torch.no_grad()
-    def _sweep(self, frames: Sequence[Frame]) -> Tensor:
-        head, maps = self._opened(frames)
-        return head.sweep(maps, COLUMNS)
-
-    def _opened(self, frames: Sequence[Frame]) -> tuple[SSRVLAD, Tensor]:
-        """Label maps of one kind, and what describes them."""
+    def _describe(self, frames: Sequence[Frame], columns: Sequence[int] = ()) -> Tensor:
         maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
-        return self._head(spaces[0]), torch.from_numpy(np.stack(maps))
+        head, stacked = self._head(spaces[0]), torch.from_numpy(np.stack(maps))
+        descriptors: Tensor = head.sweep(stacked, columns) if columns else head(stacked)
+        return descriptors
 
     def _head(self, labels_as: str) -> SSRVLAD:
         if labels_as not in self._heads:

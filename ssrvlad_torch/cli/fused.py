@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import torch
 from torch import Tensor
@@ -15,8 +14,6 @@ from ..recognition.recognise import Steps, recognise_by_scores
 from .measure import TOP, Recognition
 from .recognise import unranked
 
-COSTS = ("encode_ms", "match_ms")
-
 
 def followed(one: Recognition, steps: Steps) -> Recognition:
     """What a method found of single frames, all pairs ranked, followed by the rest of the steps."""
@@ -25,24 +22,22 @@ def followed(one: Recognition, steps: Steps) -> Recognition:
 
 def fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
     """What methods found of single frames, all pairs ranked, as one; then followed, too."""
-    first = members[0]
+    first, told = members[0], [member.told for member in members]
+    methods, names = [each["method"] for each in told], _sequences(first.queries.frames)
     scores = [_scores(member) for member in members]
-    names = _sequences(first.queries.frames)
-    parts = [FusedScores([one[run.start : run.stop] for one in scores]) for run in runs(names)]
+    parts = {run: FusedScores([one[run.start : run.stop] for one in scores]) for run in runs(names)}
+    together = torch.cat([part.whole() for part in parts.values()])
+    costs = {
+        cost: {key: sum(each[cost][key] for each in told) for key in ("average", "min", "max")}
+        for cost in ("encode_ms", "match_ms")
+    }
     weights = {
-        names[run.start]: dict(zip(_names(members), part.weights, strict=True))
-        for run, part in zip(runs(names), parts, strict=True)
+        names[run.start]: dict(zip(methods, part.weights, strict=True))
+        for run, part in parts.items()
     }
-    together = torch.cat([part.whole() for part in parts])
-    told = {
-        **first.told,
-        "method": " + ".join(_names(members)),
-        "temporal": None,
-        "weights": weights,
-        "bytes_a_reference": sum(member.told["bytes_a_reference"] for member in members),
-        **{cost: _summed([member.told[cost] for member in members]) for cost in COSTS},
-    }
-    one = replace(first, told=told)
+    summed = {"bytes_a_reference": sum(each["bytes_a_reference"] for each in told), **costs}
+    as_one = {"method": " + ".join(methods), "temporal": None, "weights": weights, **summed}
+    one = replace(first, told={**first.told, **as_one})
     if first.similarity is not None:
         one = replace(one, similarity=together.numpy())
     single = _by_scores(one, together, replace(steps, follow=None, delay=0))
@@ -63,11 +58,3 @@ def _scores(one: Recognition) -> Tensor:
 
 def _sequences(frames: Sequence[str]) -> list[str]:
     return [frame.rpartition("/")[0] for frame in frames]
-
-
-def _names(members: Sequence[Recognition]) -> list[str]:
-    return [member.told["method"] for member in members]
-
-
-def _summed(costs: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    return {key: sum(cost[key] for cost in costs) for key in ("average", "min", "max")}

@@ -7,7 +7,8 @@ comes from what is known of the frames; `ground_truth_files` reads it from files
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -74,47 +75,41 @@ def from_frame_numbers(
     """
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")
-    of_queries = {_sequence(frame) for frame in queries}
-    of_references = {_sequence(frame) for frame in references}
-    if of_queries <= of_references:
-        number = _numbers({*queries, *references})
-        here = [(_sequence(frame), number[frame]) for frame in queries]
-        there = [(_sequence(frame), number[frame]) for frame in references]
+    of_queries, of_references = (
+        {frame.rpartition("/")[0] for frame in ids} for ids in (queries, references)
+    )
+    shared = of_queries <= of_references
+    if shared:
+        here = there = _places({*queries, *references})
     elif len(of_queries) == len(of_references) == 1:
-        query_number, number = _numbers(set(queries)), _numbers(set(references))
-        if len(query_number) != len(number):
+        here, there = _places({*queries}), _places({*references})
+        if len(here) != len(there):
             raise ValueError(
                 "a tolerance in frames wants two traverses of one length, got "
-                f"{len(query_number)} query frames and {len(number)} reference frames"
+                f"{len(here)} query frames and {len(there)} reference frames"
             )
-        here = [("", query_number[frame]) for frame in queries]
-        there = [("", number[frame]) for frame in references]
     else:
         strange = min(of_queries - of_references)
         raise ValueError(
             f"a tolerance in frames cannot place query sequence {strange!r}: it is none of the "
             f"database's ({', '.join(sorted(of_references))}), and there is more than one"
         )
-    names = np.array([name for name, _ in there])
-    numbers = np.array([number for _, number in there], np.int64)
+    names = np.array([there[frame][0] for frame in references])
+    numbers = np.array([there[frame][1] for frame in references], np.int64)
     return [
-        np.flatnonzero((names == name) & (np.abs(numbers - number) <= frames))
-        for name, number in here
+        np.flatnonzero(((names == name) | (not shared)) & (np.abs(numbers - number) <= frames))
+        for name, number in (here[frame] for frame in queries)
     ]
 
 
-def _sequence(frame: str) -> str:
-    return frame.rpartition("/")[0]
-
-
-def _numbers(frames: set[str]) -> dict[str, int]:
-    """Position of each frame in its sequence."""
-    counts: dict[str, int] = {}
-    numbers = {}
+def _places(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
+    """Sequence of each frame, and its position there."""
+    counts, places = Counter[str](), {}
     for frame in natsorted(sorted(frames)):
-        numbers[frame] = counts.get(_sequence(frame), 0)
-        counts[_sequence(frame)] = numbers[frame] + 1
-    return numbers
+        sequence = frame.rpartition("/")[0]
+        places[frame] = sequence, counts[sequence]
+        counts[sequence] += 1
+    return places
 
 
 def _refuse_missing(name: str, what: str, poses: npt.NDArray[np.float64]) -> None:
