@@ -12,6 +12,7 @@ from pathlib import Path
 
 from ..untrusted import read_json
 from .dataset import Dataset, Layout, Traverse, files_in, folders_in
+from .gps import heading_of_course
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
 from .poses import Pose
@@ -59,8 +60,7 @@ def read_fix(path: Path) -> Pose:
     try:
         fix = read_json(path)
         x, y = _on_map(fix["gpsLatitude"], fix["gpsLongitude"])
-        course = math.radians(fix.get("gpsHeading", math.nan))
-        return Pose(x, y, math.remainder(math.pi / 2 - course, 2 * math.pi))
+        return Pose(x, y, heading_of_course(fix.get("gpsHeading", math.nan)))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{path} must hold numbers gpsLatitude, gpsLongitude and gpsHeading: {error!r}"
