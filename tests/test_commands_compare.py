@@ -4,8 +4,10 @@ import json
 from functools import partial
 from itertools import chain
 
+import numpy as np
 import pytest
 from drives import write_maps, write_photos, write_truth
+from PIL import Image
 
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
@@ -118,6 +120,14 @@ def test_what_cannot_be_taken_together(ssrvlad, town, names):
 def test_a_member_that_does_not_run(compare, town):
     code, rows, _ = compare(town, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad")
     assert code == 3
+    assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
+
+
+def test_a_member_that_fails_on_a_frame(compare, town):
+    Image.fromarray(np.full((60, 80), 99, np.uint8)).save(town / "query" / "labels" / "003.png")
+    code, rows, _ = compare(town, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad", *CAMVID)
+    assert code == 3
+    assert "99" in rows["ssr-vlad"]["reason"]
     assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
 
 

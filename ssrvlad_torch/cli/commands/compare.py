@@ -75,9 +75,8 @@ def compare(
     from ..recognise import parse_settings, steps_of
     from ..truth import TrueMatches
 
-    names, together = (
-        [name.strip() for name in text.split(",") if text] for text in (method, fuse or "")
-    )
+    names = [name.strip() for name in method.split(",")]
+    together = [name.strip() for name in fuse.split(",")] if fuse else []
     if fuse and (len(set(together)) < 2 or not set(together) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
     methods = _make(names, parse_settings(settings or ()), random_weights)
@@ -136,7 +135,7 @@ def _rows(methods: Mapping[str, Method | str], drives: Drives, how: How) -> list
         drives = drives.complete([kind for kind in KINDS if kind in needs])
         rows |= _run(able, drives, how)
     if how.together and _TOGETHER not in rows:
-        missing = next(name for name in how.together if name not in able)
+        missing = next(name for name in how.together if "reason" in rows[name][0])
         rows[_TOGETHER] = [_not_run(" + ".join(how.together), f"{missing} does not run")]
     order = [*methods, _TOGETHER] if how.together else methods
     return [row for name in order for row in rows[name]]
