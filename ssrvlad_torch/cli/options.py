@@ -277,12 +277,8 @@ class MethodOptions:
     @property
     def named(self) -> dict[str, Any]:
         """The settings that have an option of their own, those that were given."""
-        given = {
-            "weights": self.weights,
-            "vocabulary": self.vocabulary,
-            "random_weights": self.random_weights,
-        }
-        return {name: value for name, value in given.items() if value}
+        names = ("weights", "vocabulary", "random_weights")
+        return {name: value for name in names if (value := getattr(self, name))}
 
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:
