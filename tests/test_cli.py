@@ -33,13 +33,6 @@ def leaves(group: object, *names: str) -> Iterator[str]:
 COMMANDS = [*leaves(typer.main.get_command(app))]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_has_help_with_an_example(ssrvlad, command):
-    code, out, _ = ssrvlad(*command.split(), "--help")
-    assert code == 0
-    assert f"Example: ssrvlad {command}" in " ".join(out.split())
-
-
 def test_bare_it_prints_help(ssrvlad):
     code, out, err = ssrvlad()
     assert (code, err) == (0, [])

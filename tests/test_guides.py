@@ -31,6 +31,7 @@ def test_every_snippet(page, run, photos, monkeypatch):  # noqa: F811
 
 
 def test_the_pages_name_files_that_are_there():
-    for page in (*PAGES, ROOT / "CONTRIBUTING.md", ROOT / "SECURITY.md"):
+    others = ("CONTRIBUTING.md", "SECURITY.md", "README.md", "export/README.md")
+    for page in (*PAGES, *(ROOT / name for name in others)):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text("utf-8")):
             assert (page.parent / target).exists(), (page.name, target)

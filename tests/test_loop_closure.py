@@ -342,7 +342,7 @@ def test_one_updates_while_another_saves(tmp_path):
 def city_drive(seed, turns, frames, estates=()):
     """Descriptors and poses of a drive through the synthetic city."""
     head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
-    made = list(SyntheticCity(seed, estates).traverse(frames, size=(120, 160), turns=turns))
+    made = list(SyntheticCity(seed, estates).traverse(frames, size=(60, 80), turns=turns))
     labels = torch.from_numpy(np.stack([frame.labels for frame in made]))
     descriptors = torch.cat([head(part) for part in labels.split(16)])
     return descriptors, np.array([frame.pose for frame in made])
