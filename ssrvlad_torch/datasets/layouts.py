@@ -66,25 +66,24 @@ def open_dataset(
 
 
 def _choose(root: Path, name: str | None) -> Layout:
-    if name is None:
-        layout = next((layout for layout in LAYOUTS if layout.recognises(root)), None)
-        if layout is None:
-            known = "; ".join(f"{layout.name}: {layout.expected}" for layout in LAYOUTS)
-            raise ValueError(
-                f"{root} is in no known layout; found {_found(root)}; expected one of {known}"
-            )
-        return layout
-    layout = next((layout for layout in LAYOUTS if layout.name == name), None)
-    if layout is None:
+    layouts = [layout for layout in LAYOUTS if name in (None, layout.name)]
+    if not layouts:
         names = ", ".join(layout.name for layout in LAYOUTS)
         raise ValueError(f"unknown layout {name!r}; expected one of {names}")
-    if not layout.recognises(root):
+    found = next((layout for layout in layouts if layout.recognises(root)), None)
+    if found is None and name is None:
+        known = "; ".join(f"{layout.name}: {layout.expected}" for layout in layouts)
+        raise ValueError(
+            f"{root} is in no known layout; found {_found(root)}; expected one of {known}"
+        )
+    if found is None:
+        [layout] = layouts
         origin = f"; the data set is at {layout.origin}" if layout.origin else ""
         raise ValueError(
             f"{root} is not in the layout {name}: expected {layout.expected}; found {_found(root)}"
             f"{origin}"
         )
-    return layout
+    return found
 
 
 def _found(root: Path, most: int = 1000) -> str:

@@ -9,11 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from .bootstrap import LEVEL
 from .curves import PrecisionRecall
 from .outcomes import Floats
 
 SURE_PRECISION = 0.95
-LEVEL = 0.95
+_Z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
 
 
 class OperatingPoint(NamedTuple):
@@ -74,8 +75,7 @@ def suggested(curve: PrecisionRecall, precision: float = SURE_PRECISION) -> Oper
 
 def needed(precision: float = SURE_PRECISION) -> int:
     """How many queries, accepted without a mistake, prove a precision."""
-    z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
-    return math.ceil(z2 * precision / (1 - precision))
+    return math.ceil(_Z2 * precision / (1 - precision))
 
 
 def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) -> dict[str, Any]:
@@ -107,11 +107,10 @@ def wilson_low(right: Floats, accepted: Floats) -> Floats:
     Args:
         right, accepted: counts; the fraction is ``right / accepted``. 0 of 0 gives 0.
     """
-    z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
     n = np.maximum(accepted, 1)
     fraction = right / n
-    spread = np.sqrt(z2 * fraction * (1 - fraction) / n + (z2 / n / 2) ** 2)
-    return np.maximum((fraction + z2 / n / 2 - spread) / (1 + z2 / n), 0.0)
+    spread = np.sqrt(_Z2 * fraction * (1 - fraction) / n + (_Z2 / n / 2) ** 2)
+    return np.maximum((fraction + _Z2 / n / 2 - spread) / (1 + _Z2 / n), 0.0)
 
 
 def _point(curve: PrecisionRecall, place: int) -> OperatingPoint:
