@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
-import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor, nn
@@ -14,7 +13,7 @@ from torch import Tensor, nn
 from .bitplanes import unpack
 from .config import SSRVLADConfig
 from .explanation import Explanation
-from .front_end import FrontEnd, label_map
+from .front_end import FrontEnd, as_tensor, label_map
 from .native.operator import UnknownIdError, describe, is_built, method_of, operator
 from .soft.descriptor import SoftSSRVLAD
 from .stages.centroid import centre_table, centroids
@@ -99,7 +98,7 @@ class SSRVLAD(nn.Module):
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
-        labels = _tensor(labels)
+        labels = as_tensor(labels)
         if labels.is_cpu and self.native and not self._takes_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
@@ -132,7 +131,7 @@ class SSRVLAD(nn.Module):
         Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
         ``default`` do not look at them.
         """
-        labels = _tensor(labels)
+        labels = as_tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
             masks = masks_of(layers, self.config)
@@ -167,7 +166,7 @@ class SSRVLAD(nn.Module):
             raise ValueError(
                 f"a sweep is of the aggregation harmonics, got {self.config.aggregation}"
             )
-        labels = _tensor(labels)
+        labels = as_tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
             seen = (self._aggregation.histograms(layers, column) for column in columns)
@@ -226,27 +225,3 @@ _NO_GRADIENT = (
     "the class scores require a gradient and SSRVLAD has none: use SSRVLAD(..., surrogate=True) "
     "to train through it, or scores.detach()"
 )
-
-
-def _tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:
-    """Arrays as tensors that share their memory where they can.
-
-    Raises:
-        ValueError: anything else.
-    """
-    if isinstance(labels, Tensor) and not labels.is_meta and labels.layout is torch.strided:
-        return labels
-    if isinstance(labels, np.ndarray) and labels.dtype.kind in "biufc":
-        native = labels.astype(labels.dtype.newbyteorder("="), copy=False)
-        return torch.from_numpy(np.require(native, requirements=["C", "W"]))
-    if isinstance(labels, Tensor):
-        raise ValueError(
-            f"expected a dense tensor in memory, got {labels.layout} on {labels.device}"
-        )
-    kind = f"{type(labels).__module__.split('.')[0]} {type(labels).__name__}"
-    if isinstance(labels, np.ndarray):
-        kind = f"an array of {labels.dtype}"
-    hint = "; a picture's labels are np.asarray(picture)[None]" if kind.startswith("PIL") else ""
-    raise ValueError(
-        f"expected a (B, H, W) or (B, C, H, W) tensor or NumPy array, got {kind}{hint}"
-    )

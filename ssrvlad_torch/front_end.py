@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -69,3 +73,27 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
             f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
         )
     return best_class(labels)
+
+
+def as_tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:
+    """Arrays as tensors that share their memory where they can.
+
+    Raises:
+        ValueError: anything else.
+    """
+    if isinstance(labels, Tensor) and not labels.is_meta and labels.layout is torch.strided:
+        return labels
+    if isinstance(labels, np.ndarray) and labels.dtype.kind in "biufc":
+        native = labels.astype(labels.dtype.newbyteorder("="), copy=False)
+        return torch.from_numpy(np.require(native, requirements=["C", "W"]))
+    if isinstance(labels, Tensor):
+        raise ValueError(
+            f"expected a dense tensor in memory, got {labels.layout} on {labels.device}"
+        )
+    kind = f"{type(labels).__module__.split('.')[0]} {type(labels).__name__}"
+    if isinstance(labels, np.ndarray):
+        kind = f"an array of {labels.dtype}"
+    hint = "; a picture's labels are np.asarray(picture)[None]" if kind.startswith("PIL") else ""
+    raise ValueError(
+        f"expected a (B, H, W) or (B, C, H, W) tensor or NumPy array, got {kind}{hint}"
+    )

@@ -343,6 +343,22 @@ def in_threads(*works):
     return errors
 
 
+def test_writers_that_start_at_once_make_one_database(tmp_path):
+    path = tmp_path / "db"
+    opening = [
+        lambda n=n: fill(Database.open_or_create(path, CONFIG), [f"{n}/0"]) for n in range(4)
+    ]
+    assert in_threads(*opening) == []
+    assert set(loaded(path)) == {f"{n}/0" for n in range(4)}
+
+
+@pytest.mark.parametrize("version", [0, -1, 99])
+def test_a_version_that_is_not_there_is_refused(path, version):
+    with pytest.raises(ValueError, match=f"has no version {version}") as refusal:
+        Database.open(path, version)
+    assert one_line(refusal)
+
+
 def test_two_threads_that_share_a_database_both_succeed(path):
     database = Database.open(path)
 

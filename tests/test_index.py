@@ -42,6 +42,13 @@ def test_the_report_compares_with_exact_search(town):
     assert report.recall_at[10] >= 0.9
 
 
+def test_equal_frames_are_as_good_as_each_other(tmp_path):
+    database = Database.create(tmp_path / "db", width=32)
+    places = descriptors(0, 20, 32).repeat(20, 1)
+    database.append([f"a/{n:03d}" for n in range(400)], places)
+    assert build_index(database).recall_at[1] == 1
+
+
 def test_scores_are_exact_and_frames_that_were_added_since_are_found(town):
     database, _ = town
     queries = database.load().descriptors[1::13]

@@ -52,7 +52,10 @@ def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown):
 def test_unsigned_ids_do_not_wrap_into_known_ones(dtype, value):
     space = label_space("cityscapes-ids")
     labels = torch.tensor([[[value]]], dtype=dtype)
-    assert categorise(labels, *category_table(space)).item() == UNKNOWN
+    categories = categorise(labels, *category_table(space))
+    assert categories.item() == UNKNOWN
+    with pytest.raises(ValueError, match=rf"label id {value} \(1 pixel\) is not"):
+        refuse_unknown(labels, categories, space)
 
 
 def test_several_unknown_ids():

@@ -203,8 +203,14 @@ BAD_FRAMES = {
         PLACES[0], "drive/a", stamp=3.9
     ),
     "stamp from 4.0 on, got inf": lambda loops: loops.update(PLACES[0], "drive/a", stamp=math.inf),
-    "expected a pose x, y, heading, got 1 numbers": lambda loops: loops.update(
+    r"expected a pose of finite x, y, heading, got \[1.0\]": lambda loops: loops.update(
         PLACES[0], "drive/a", 5.0, pose=[1.0]
+    ),
+    "finite x, y, heading, got '12'": lambda loops: loops.update(
+        PLACES[0], "drive/a", 5.0, pose="12"
+    ),
+    "finite x, y, heading, got .*inf": lambda loops: loops.update(
+        PLACES[0], "drive/a", 5.0, pose=(1.0, math.inf)
     ),
 }
 
@@ -221,6 +227,23 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert (len(loops), "drive/a" in loops) == (5, False)
     after = [each.update(PLACES[1], "drive/z", 6.0) for each in (loops, spared)]
     assert after[0] == after[1]
+
+
+def test_a_stamp_must_not_go_back_past_frames_without_one():
+    loops = detector()
+    loops.update(PLACES[0], "drive/0", 5.0)
+    loops.update(PLACES[1], "drive/1")
+    with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.0"):
+        loops.update(PLACES[2], "drive/2", 4.0)
+    loops.update(PLACES[2], "another/0", 4.0)
+
+
+def test_mirrored_arrays_are_label_maps_too():
+    loops, labels = detector(), street(3)
+    mirrored = loops.update(np.asarray(labels)[:, ::-1], "drive/0")
+    assert mirrored.reason is Reason.NO_CANDIDATE
+    expected = loops.head(np.ascontiguousarray(np.asarray(labels)[:, ::-1])[None])[0]
+    assert np.array_equal(loops.descriptor, expected.numpy())
 
 
 def test_a_checkpoint_is_an_ordinary_database(tmp_path):

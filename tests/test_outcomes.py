@@ -46,3 +46,16 @@ def test_no_queries_have_no_records():
 def test_what_does_not_fit_is_refused(scores, indices, message):
     with pytest.raises(ValueError, match=message):
         judge(scores, indices, rows([0], [0]))
+
+
+@pytest.mark.parametrize(
+    "truth", [np.eye(2, dtype=bool), np.eye(2, dtype=int), list(np.eye(2) > 0)]
+)
+def test_a_matrix_in_place_of_rows_is_refused(truth):
+    with pytest.raises(ValueError, match=r"expected the rows .*got a matrix.*flatnonzero"):
+        judge(np.ones((2, 1)), np.zeros((2, 1), int), truth)
+
+
+def test_a_score_without_a_row_is_refused():
+    with pytest.raises(ValueError, match="a score and no row"):
+        judge(np.array([[0.9]]), np.array([[-1]]), rows([0]))

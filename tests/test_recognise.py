@@ -62,6 +62,14 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one():
     assert kept.used["follow"] == {"q": "offline"}
 
 
+def test_a_single_query_is_never_followed():
+    queries, references = two_traverses(80, 0.8)
+    for query in queries:
+        found = recognise(query[None], references, ["q"], ["r"] * 80)
+        assert found.used["follow"] == {"q": "no"}
+        assert found.matches.scores[0, 0] == pytest.approx(float((references @ query).max()))
+
+
 def test_the_paper_decides_by_the_cosine():
     queries, references = two_traverses(30, 1.0)
     found = recognise(queries, references, ["q"] * 30, ["r"] * 30, AS_PAPER)

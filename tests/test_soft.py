@@ -210,6 +210,8 @@ def test_a_wrong_temperature_is_an_error(temperature):
         (torch.zeros(1, 4, 5, 6), "class scores have 4 classes"),
         (torch.zeros(1, 19, 5, 6, dtype=torch.int64), "must be floating point"),
         (torch.full((1, 19, 5, 6), torch.nan), "NaN"),
+        (torch.zeros(1, 19, 5, 6).index_fill(3, torch.tensor([2]), torch.inf), "5 pixels are inf"),
+        (torch.full((1, 19, 5, 6), -torch.inf), "30 pixels are infinite"),
         (torch.zeros(0, 19, 5, 6), "at least one image"),
     ],
 )

@@ -28,7 +28,8 @@ from ..evaluation.metrics import Convention
 
 DatabaseFolder = Annotated[str, typer.Argument(help="Folder or URI of the database.")]
 AsOf = Annotated[
-    int | None, typer.Option("--as-of", help="Version of the database, see ssrvlad db history.")
+    int | None,
+    typer.Option("--as-of", min=1, help="Version of the database, see ssrvlad db history."),
 ]
 LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
 Preset = Annotated[str, typer.Option(help="paper (SSR-VLAD) or default (ours).")]

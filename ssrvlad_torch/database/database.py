@@ -184,6 +184,8 @@ class Database:
         if engine.is_local(text) and not cls.exists(text):
             there = "is not a database" if Path(text).exists() else "does not exist"
             raise ValueError(f"{text} {there}")
+        if version is not None and version < 1:
+            raise ValueError(f"{text} has no version {version}; the first is 1")
         try:
             table = engine.opened(text, version)
         except OSError as error:
@@ -218,7 +220,11 @@ class Database:
             ValueError: as `require`.
         """
         if not cls.exists(path):
-            return cls.create(path, config, beside=beside)
+            try:
+                return cls.create(path, config, beside=beside)
+            except (OSError, ValueError):
+                if not cls.exists(path):  # or another process made it meanwhile
+                    raise
         database = cls.open(path)
         database.require(config, beside)
         return database

@@ -34,6 +34,8 @@ PROBES = 24
 CANDIDATES = 100
 
 _SAMPLE = 200
+_ROUNDING = 1e-6
+"""Of cosines in float32, by which equal frames may differ."""
 
 Candidates = list[tuple[str, float]]
 """Ids and exact cosines, best first."""
@@ -161,33 +163,34 @@ def _compare(database: Database) -> tuple[dict[int, float], float]:
     frames = list(database.known())
     chosen = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
     queries, exact = _exact(database, np.sort(chosen))
-    found, times = [], []
-    for query, row in zip(queries, np.sort(chosen), strict=True):
+    found, times = torch.full((len(queries), 10), -torch.inf), []
+    for place, (query, row) in enumerate(zip(queries, np.sort(chosen), strict=True)):
         began = time.perf_counter()
         [candidates] = search_index(database, query[None], 11)
         times.append(time.perf_counter() - began)
-        found.append([frame for frame, _ in candidates if frame != frames[row]])
-    best = [[frames[row] for row in rows if row >= 0] for rows in exact.tolist()]
-    recall = {}
-    for n in (1, 10):
-        hits = sum(len({*b[:n]} & {*f[:n]}) for b, f in zip(best, found, strict=True))
-        recall[n] = hits / max(1, sum(len(b[:n]) for b in best))
-    return recall, 1000 * float(np.median(times))
+        scores = [score for frame, score in candidates if frame != frames[row]][:10]
+        found[place, : len(scores)] = torch.tensor(scores)
+    return {n: _recall(exact[:, :n], found[:, :n]) for n in (1, 10)}, 1000 * float(np.median(times))
+
+
+def _recall(exact: Tensor, found: Tensor) -> float:
+    """The part of the best ``(Q, n)`` scores that was found; frames of one score are as good."""
+    there = exact > -torch.inf
+    least = exact.masked_fill(~there, torch.inf).amin(1, keepdim=True) - _ROUNDING
+    return float((found >= least).sum() / there.sum().clamp(min=1))
 
 
 def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
-    """Some rows, and the rows of their 10 best matches but themselves, read batch by batch."""
+    """Some rows, and the scores of their 10 best matches but themselves, read batch by batch."""
     table = database.table()
     queries = torch.from_numpy(
         matrix(table.take(rows.tolist(), columns=[DESCRIPTOR])[DESCRIPTOR]).copy()
     )
     scores = torch.full((len(rows), 10), -torch.inf)
-    indices, first = torch.full((len(rows), 10), -1), 0
+    first = 0
     for batch in read_rows(table):
         own = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
         found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, exclude=own)
-        places = torch.where(found.indices < 0, -1, found.indices + first)
-        scores, order = torch.cat([scores, found.scores], 1).topk(10)
-        indices = torch.cat([indices, places], 1).gather(1, order)
+        scores = torch.cat([scores, found.scores], 1).topk(10).values
         first += len(batch)
-    return queries, indices
+    return queries, scores

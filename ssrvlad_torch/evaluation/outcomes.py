@@ -48,7 +48,8 @@ def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) ->
         truth: true matches of each query.
 
     Raises:
-        ValueError: the shapes do not fit, or a score is NaN or +inf.
+        ValueError: the shapes do not fit, a score is NaN or +inf, a candidate has a score and no
+            row, or the truth is a matrix in place of rows.
     """
     check_candidates(indices, truth)
     if scores.shape != indices.shape or indices.shape[1] == 0:
@@ -57,6 +58,8 @@ def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) ->
             f"got {scores.shape} and {indices.shape}"
         )
     refuse_nan(scores, "scores of candidates")
+    if ((scores > -np.inf) & (indices < 0)).any():
+        raise ValueError("a candidate has a score and no row; expected -inf beside an index of -1")
     hits = hits_of(indices, truth)
     return Outcomes(
         score=scores[:, 0].astype(np.float64),
@@ -76,7 +79,12 @@ def hits_of(indices: Rows, truth: Truth) -> Bools:
 
 
 def check_candidates(indices: Rows, truth: Truth) -> None:
-    """Refuses candidates that are not ``(Q, top)`` for the queries of the ground truth."""
+    """Refuses candidates that are not ``(Q, top)`` for the queries of a ground truth of rows."""
+    if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
+        raise ValueError(
+            "expected the rows of the true matches of each query, got a matrix; they are "
+            "[np.flatnonzero(row) for row in matrix]"
+        )
     if indices.ndim != 2 or len(indices) != len(truth):
         raise ValueError(
             f"expected (Q, top) candidates for {len(truth)} queries, got {indices.shape}"

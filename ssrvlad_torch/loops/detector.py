@@ -20,6 +20,7 @@ from ..database.metadata import Beside
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.beside import methods_of
+from ..front_end import as_tensor
 from ..recognition.filter import Filter
 from ..recognition.fusion import ahead, fused, weights_of
 from ..recognition.motion import LEAST_SPREAD, Motion, evidence, moments, nearness
@@ -173,7 +174,7 @@ class LoopDetector:
         place = _pose(pose, frame_id)
         seconds = math.nan if stamp is None else stamp
         record = FrameRecord(sequence, name, *place, seconds)
-        given = torch.as_tensor(view)
+        given = as_tensor(view)
         if picture is not None and not self.beside:
             raise ValueError("a picture is given, and nothing describes it: expected it beside")
         frame = Frame(frame_id, image=picture)
@@ -218,6 +219,7 @@ class LoopDetector:
             if record.sequence != self._sequence:
                 self._filter.restart()
                 self._began, self._neighbours = len(self), GrowingArray(np.float64)
+                self._stamp = -math.inf
             result = self._look(record.frame, swept, others)
             centre = swept[len(swept) // 2]
             self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
@@ -225,7 +227,8 @@ class LoopDetector:
                 self._others[name].add(vector)
             self._unsaved.append(record)
             self._sequence = record.sequence
-            self._stamp = -math.inf if math.isnan(record.stamp) else record.stamp
+            if not math.isnan(record.stamp):
+                self._stamp = record.stamp
         return result
 
     def save(self, database: Database) -> None:
@@ -380,7 +383,8 @@ class LoopDetector:
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
     if pose is None:
         return math.nan, math.nan, math.nan
-    if len(pose) not in (2, 3):
-        raise ValueError(f"frame {frame!r}: expected a pose x, y, heading, got {len(pose)} numbers")
-    x, y, *heading = map(float, pose)
-    return x, y, heading[0] if heading else math.nan
+    numbers = [] if isinstance(pose, str) else [float(number) for number in pose]
+    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)):
+        raise ValueError(f"frame {frame!r}: expected a pose of finite x, y, heading, got {pose!r}")
+    x, y, heading = (*numbers, math.nan)[:3]
+    return x, y, heading

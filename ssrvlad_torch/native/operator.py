@@ -74,7 +74,11 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
         descriptors.data_ptr(),
     )
     if found > 0:
-        raise UnknownIdError(f"{found} pixels of the label maps have ids outside the label space")
+        known = (table != table[-1]).nonzero()[:, 0] - origin
+        first = int(labels[~torch.isin(labels, known)].min())
+        raise UnknownIdError(
+            f"label id {first} is not in the label space; {found} pixels have such ids"
+        )
     if found < 0:
         problem = "not enough memory for" if found == -1 else "the native core does not take"
         raise RuntimeError(f"{problem} label maps {tuple(labels.shape)}")

@@ -25,6 +25,8 @@ OWN = "ssr-vlad"
 """What the method itself is called among others."""
 
 _SCORES_IN_MEMORY = 1 << 26
+_LEAST_GAIN = 0.01
+"""Of frames as a sequence, see `Filter.gain`; what rounding makes of none is less."""
 
 
 @dataclass(frozen=True)
@@ -179,7 +181,7 @@ def recognise_by_search(
     def judge(run: range) -> _Outcome:
         own, mode = steps.standardise and len(run) >= LEAST, steps.follow
         found = search(own)
-        if not mode or gain(found, reference_sequences, Motion(unmapped=0.0), run) <= 0:
+        if not mode or gain(found, reference_sequences, Motion(unmapped=0.0), run) <= _LEAST_GAIN:
             alone = []
             for query in run:
                 rows = found.candidates(query).sort().values
@@ -307,4 +309,4 @@ def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
     track = Filter(sequences, Motion(unmapped=0.0))
     for query in range(len(scores)):
         track.step(scores[query])
-    return track.gain > 0
+    return track.gain > _LEAST_GAIN

@@ -55,7 +55,8 @@ class SoftSSRVLAD(nn.Module):
           to nothing is seen; exact zeros where nothing is. Autocast does not touch it.
 
     Raises:
-        ValueError: a temperature that is not above 0; input that `SSRVLAD` refuses, or label ids.
+        ValueError: a temperature that is not above 0; input that `SSRVLAD` refuses, label ids,
+            or a pixel whose largest score is infinite.
 
     Example:
         >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
@@ -82,6 +83,7 @@ class SoftSSRVLAD(nn.Module):
             raise ValueError(f"expected (B, C, H, W) class scores, got {tuple(scores.shape)}")
         with torch.autocast(scores.device.type, enabled=False):
             wide = scores.float() if scores.dtype in (torch.half, torch.bfloat16) else scores
+            _refuse_infinite(wide)
             return self._describe(wide, self._seen(wide.detach()) if layers is None else layers)
 
     def _seen(self, scores: Tensor) -> Tensor:
@@ -148,3 +150,14 @@ class SoftSSRVLAD(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(twin)`` shows: the temperature."""
         return f"temperature={self.temperature:g}"
+
+
+def _refuse_infinite(scores: Tensor) -> None:
+    """Refuses pixels whose largest score is infinite: it has no softmax."""
+    largest = scores.detach().amax(1)
+    if not bool(largest.isinf().any()):
+        return
+    raise ValueError(
+        f"class scores of {int(largest.isinf().sum())} pixels are infinite; expected finite ones "
+        "to train through (half precision holds 65504 at most)"
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -78,12 +79,12 @@ def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> Non
     """
     if int(categories.max()) < UNKNOWN:
         return
-    ids, counts = labels.to(torch.int64).unique(return_counts=True)
-    known = torch.tensor([label.id for label in space.classes], device=ids.device)
-    unknown = ~torch.isin(ids, known)
-    first, count, others = int(ids[unknown][0]), int(counts[unknown][0]), int(unknown.sum()) - 1
+    ids, counts = np.unique(labels.cpu().numpy(), return_counts=True)
+    known = {label.id for label in space.classes}
+    pairs = zip(ids.tolist(), counts.tolist(), strict=True)
+    (first, count), *others = [(id, count) for id, count in pairs if id not in known]
     pixels = f"{count} pixel{'s'[: count > 1]}"
-    more = f", like {others} more" if others else ""
+    more = f", like {len(others)} more" if others else ""
     raise ValueError(
         f"label id {first} ({pixels}) is not in label space {space.name}{more}; expected "
         f"{space.describe_ids()}"
