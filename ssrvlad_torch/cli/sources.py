@@ -88,7 +88,7 @@ class Source:
             if folder is not None:
                 raise ValueError("--segmenter-cache wants a --segmenter")
             return None
-        classes = channels(self.given.classes) if self.given.classes else None
+        classes = channels(self.given.classes)
         return Segmenter.load(_network(network), labels_as, folder or _user_cache(), classes)
 
     def described_by(self, name: str | None) -> list[Beside]:
@@ -235,7 +235,7 @@ def _own_space(name: str, classes: str | None, required: bool) -> LabelSpace | N
     network = _network(name)
     if not network.class_names and network.labels_as is None and not required:
         return None
-    return Segmenter.load(network, classes=channels(classes) if classes else None).label_space
+    return Segmenter.load(network, classes=channels(classes)).label_space
 
 
 def _user_cache() -> Path:

@@ -141,12 +141,10 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
     return name, document
 
 
-def channels(text: str) -> tuple[int, int]:
-    """``"0:19"`` as two numbers.
-
-    Raises:
-        ValueError: it is no such text.
-    """
+def channels(text: str | None) -> tuple[int, int] | None:
+    """``"0:19"`` as two numbers, ``None`` as it is; other text is a ValueError."""
+    if text is None:
+        return None
     first, colon, last = text.partition(":")
     if not colon or not last.isdigit() or not (first or "0").isdigit():
         raise ValueError(f"classes must be FIRST:LAST, LAST not included, got {text!r}")

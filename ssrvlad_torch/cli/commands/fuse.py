@@ -36,7 +36,7 @@ def fuse(
     from ...segmentation.networks import channels
     from ...segmentation.segmenter import Segmenter
 
-    segmenter = Segmenter.load(network, labels_as, classes=channels(classes) if classes else None)
+    segmenter = Segmenter.load(network, labels_as, classes=channels(classes))
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
     join(segmenter, config, path, split)

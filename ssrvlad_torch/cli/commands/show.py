@@ -36,8 +36,7 @@ def show(
         head = SSRVLAD.from_preset(preset, labels_as=labels_as)
         file = find_label_files([str(frame)])[0]
     else:
-        taken = channels(classes) if classes else None
-        network = Segmenter.load(segmenter, labels_as or AUTO, classes=taken)
+        network = Segmenter.load(segmenter, labels_as or AUTO, classes=channels(classes))
         head = SSRVLAD.from_preset(preset, labels_as=network.label_space)
         file = find_image_files([str(frame)])[0]
     try:
