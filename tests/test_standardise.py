@@ -25,6 +25,14 @@ def test_each_traverse_loses_its_own_mean():
     torch.testing.assert_close(both.norm(dim=1), torch.ones(80))
 
 
+def test_the_mean_so_far_ends_as_the_mean_of_all():
+    frames = traverse(50, 3, 2.0)
+    running = standardise(frames, running=True)
+    assert torch.equal(running[0], frames[0])
+    torch.testing.assert_close(running[-1], standardise(frames)[-1])
+    torch.testing.assert_close(running[:20], standardise(frames[:20], running=True))
+
+
 def test_empty_frames_stay_empty_and_count_in_no_mean():
     frames = traverse(20, 3, 2.0)
     holed = torch.cat((frames[:10], torch.zeros(3, 32), frames[10:]))

@@ -21,7 +21,9 @@ common: with it Recall@1 of single pictures, swept, was 0.69 in place of 0.84 on
 
 
 @torch.no_grad()
-def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) -> Tensor:
+def standardise(
+    descriptors: Vectors, sequences: Sequence[str] | None = None, running: bool = False
+) -> Tensor:
     """Descriptors less the mean of their traverse, and normalised again.
 
     Empty frames, whose descriptors are zero, stay zero and count in no mean.
@@ -29,6 +31,8 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
     Args:
         descriptors: ``(N, D)`` float, or ``(N, S, D)`` of a sweep, whose mean is over all anchors.
         sequences: the traverse of each frame; without, all are one.
+        running: the mean is over the frames so far, as a live stream knows them. The first frame
+            of a traverse is then left as it is.
 
     Returns:
         float32 of the same shape, of length 1 or zero.
@@ -52,14 +56,19 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
     drives = np.array([number[name] for name in names], np.int64)
     for drive in range(drives.max(initial=-1) + 1):
         rows = torch.from_numpy(np.flatnonzero(drives == drive))
-        after[rows] = _less_mean(single[rows])
+        after[rows] = _less_mean(single[rows], running)
     return after
 
 
-def _less_mean(single: Tensor) -> Tensor:
-    flat = single.flatten(0, -2)
-    mean = flat.sum(0, dtype=torch.double) / flat.any(dim=1).sum().clamp(min=1)
-    return less(single, mean.float())
+def _less_mean(single: Tensor, running: bool) -> Tensor:
+    anchors = single if single.ndim == 3 else single[:, None]
+    counted, totals = anchors.any(dim=2).sum(1), anchors.sum(1, dtype=torch.double)
+    if running:
+        counted, totals = counted.cumsum(0), totals.cumsum(0)
+    else:
+        counted, totals = counted.sum(0, keepdim=True), totals.sum(0, keepdim=True)
+    mean = (totals / counted.clamp(min=1)[:, None]).float()
+    return less(anchors, mean[:, None]).view_as(single)
 
 
 def less(vectors: Tensor, mean: Tensor) -> Tensor:
