@@ -31,17 +31,16 @@ class ImageNames:
     """The name that hloc has for each frame: its file's path below a folder.
 
     Args:
-        folder: of all images, which may be in folders of it; a frame ``today/000042`` is the file
-            ``000042`` with the suffix of an image in a folder ``today``.
+        folder: of all images, which may be in folders of it; the image of a frame
+            ``monday/left/000042`` is the only one whose path ends so, without its suffix.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._names: dict[str, list[str]] = {}
+        self._paths: dict[str, list[Path]] = {}
         for path in sorted(folder.rglob("*")):
             if path.suffix.lower() in SUFFIXES:
-                frame = f"{path.absolute().parent.name}/{path.stem}"
-                self._names.setdefault(frame, []).append(path.relative_to(folder).as_posix())
+                self._paths.setdefault(path.stem, []).append(path)
 
     def __getitem__(self, frame: str) -> str:
         """The name of a frame.
@@ -49,7 +48,11 @@ class ImageNames:
         Raises:
             ValueError: there is no such image, or more than one.
         """
-        names = self._names.get(frame, [])
+        names = [
+            path.relative_to(self.folder).as_posix()
+            for path in self._paths.get(frame.rpartition("/")[2], [])
+            if path.absolute().with_suffix("").as_posix().endswith(f"/{frame}")
+        ]
         if len(names) != 1:
             found = " and ".join(names) or "none"
             raise ValueError(f"expected one image of frame {frame!r} in {self.folder}, got {found}")

@@ -220,6 +220,18 @@ def test_accepted_loops_become_pairs(tmp_path, hloc):
     assert out.read_text() == "a/8 a/0"
 
 
+def test_a_frame_is_the_image_whose_path_ends_so(tmp_path, hloc):
+    for drive, numbers in (("00", [1]), ("01", [1, 2])):
+        write_photos(tmp_path / "images" / drive / "left", numbers, ".jpg")
+    line = '{"query": "%s", "candidates": [{"frame": "00/left/001"}]}'
+    out = tmp_path / "pairs.txt"
+    for query, name in (("01/left/001", "01/left/001"), ("left/002", "01/left/002")):
+        assert hloc(line % query, "--images", tmp_path / "images", "-o", out)[0] == 0
+        assert out.read_text() == f"{name}.jpg 00/left/001.jpg"
+    code, _, (error,) = hloc(line % "left/001", "--images", tmp_path / "images", "-o", out)
+    assert code == 2 and "got 00/left/001.jpg and 01/left/001.jpg" in error
+
+
 LOOP = '{"frame": "a/8", "reason": "accepted", "candidate": "a/0"}'
 
 
