@@ -132,7 +132,7 @@ def test_a_sweep_is_that_of_the_module(shape, tmp_path):
     assert verify(tmp_path / "sweep.onnx").passed
 
 
-@pytest.mark.parametrize("shape", [None, (1, 150, 200)])
+@pytest.mark.parametrize("shape", [None, (2, 150, 200)])
 def test_no_bits_no_loops_and_nothing_in_64_bits(shape):
     model = model_of(of_preset("default"), shape=shape)
     used = {node.op_type for node in model.graph.node}

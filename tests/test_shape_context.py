@@ -41,7 +41,7 @@ def table_of(sectors):
     return build
 
 
-@pytest.mark.parametrize("sectors", [1, 2, 3, 4, 5, 7, 8, 12, 16, 24, 359, 360])
+@pytest.mark.parametrize("sectors", [1, 2, 3, 5, 8, 12, 20, 359, 360])
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (31, 40), (150, 200)])
 def test_the_table_in_a_graph_is_the_same(size, sectors):
     for rings in (1, 5):
@@ -68,7 +68,7 @@ def sums_with(sectors):
     return build
 
 
-@pytest.mark.parametrize("sectors", [1, 2, 3, 4, 5, 7, 8, 12, 16, 24, 360])
+@pytest.mark.parametrize("sectors", [1, 2, 3, 5, 8, 12, 20, 360])
 def test_every_offset_falls_where_the_reference_puts_it(sectors):
     height, width = 31, 40
     limits = SSRVLADConfig.from_preset("paper", sectors=sectors, radius=0.6).ring_limits(
