@@ -26,7 +26,7 @@ import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -48,6 +48,7 @@ LEAST_COSINE = 0.8
 _BLOCK = 1 << 14
 _HIGHEST_ID, _EVEN = 40, 0.8
 _MOST_GOLDEN = 64 << 20
+_NPY = b"\x93NUMPY"
 _ONLY_FATAL = 4
 
 
@@ -166,6 +167,8 @@ class Model:
         return held
 
     def _scores(self, path: Path) -> Array:
+        if not _is_npy(path):
+            raise ValueError("expected scores (C, H, W) in a .npy file, got another kind of file")
         scores = _npy(path)
         if scores.ndim != 3 or scores.dtype.kind != "f" or not np.isfinite(scores).all():
             raise ValueError(f"expected finite scores (C, H, W), got {scores.shape} {scores.dtype}")
@@ -250,7 +253,10 @@ class Database:
     """
 
     def __init__(self, path: Path, fingerprint: str) -> None:
-        self.descriptors = np.load(path, mmap_mode="r", allow_pickle=False)
+        try:
+            self.descriptors = _npy(path, "r")
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
         self.frames = beside(path, "frames").read_text(encoding="utf-8").splitlines()
         if self.descriptors.ndim != 2 or len(self.descriptors) != len(self.frames):
             raise ValueError(f"{path}: {self.descriptors.shape} for {len(self.frames)} frames")
@@ -310,7 +316,13 @@ def save(path: Path, descriptors: Sequence[Array], frames: Sequence[str], finger
     """Writes descriptors as a database: the array, ids and fingerprint beside it.
 
     The array, which says that the database is there, is written last and as a whole.
+
+    Raises:
+        ValueError: an id has several lines.
+        OSError: they cannot be written.
     """
+    for frame in frames:
+        _see_line(frame)
     beside(path, "frames").write_text("".join(f"{frame}\n" for frame in frames), encoding="utf-8")
     beside(path, "fingerprint").write_text(f"{fingerprint}\n")
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
@@ -352,6 +364,8 @@ def run(given: argparse.Namespace) -> int:
     for frame, path in find_frames(given.source):
         if frame in kept:
             raise ValueError(f"{path} is a second frame {frame}")
+        if given.save_descriptors:
+            _see_line(frame)
         try:
             descriptor = model.describe(path)
         except ValueError as error:
@@ -473,12 +487,26 @@ def _refuse_unless_right(path: Path, golden: Golden) -> None:
         note(f"{path}: {golden}: the head was checked roughly; `ssrvlad verify` checks it exactly")
 
 
+def _see_line(frame: str) -> None:
+    """Refuses an id that cannot stand in a file of one id a line."""
+    if frame.splitlines() != [frame]:
+        raise ValueError(f"a database holds an id a line; frame {frame!r} has several")
+
+
 def _is_npy(path: Path) -> bool:
     return path.suffix.lower() == ".npy"
 
 
-def _npy(path: Path) -> Array:
-    return np.asarray(np.load(path, allow_pickle=False))
+def _npy(path: Path, mmap_mode: Literal["r"] | None = None) -> Array:
+    """The array in a `.npy` file.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    with path.open("rb") as file:
+        if file.read(len(_NPY)) != _NPY:
+            raise ValueError("expected an array in a .npy file, got another kind of file")
+    return np.asanyarray(np.load(path, mmap_mode, allow_pickle=False))
 
 
 def _label_picture(path: Path) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
+from operator import index
 from typing import Any, Protocol
 
 import numpy.typing as npt
@@ -154,7 +155,8 @@ class SSRVLAD(nn.Module):
 
         Args:
             labels: as for a call.
-            columns: S anchors, in columns of the working grid right of the usual one.
+            columns: S anchors, in columns of the working grid right of the usual one, at least one
+                and none beyond a million.
 
         Returns:
             ``(B, S, 480)`` float32; that of column 0 is the descriptor.
@@ -162,6 +164,7 @@ class SSRVLAD(nn.Module):
         Raises:
             ValueError: the descriptors have no such anchor, as those of ``paper``.
         """
+        columns = _anchors(columns)
         if not isinstance(self._aggregation, Harmonics):
             raise ValueError(
                 f"a sweep is of the aggregation harmonics, got {self.config.aggregation}"
@@ -214,12 +217,28 @@ class SweepHead(SSRVLAD):
 
     def __init__(self, config: SSRVLADConfig, columns: Sequence[int]) -> None:
         super().__init__(config)
-        self.columns = tuple(columns)
+        self.columns = _anchors(columns)
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch from all anchors."""
         return self.sweep(labels, self.columns)
 
+
+def _anchors(columns: Sequence[int]) -> tuple[int, ...]:
+    """Columns of a sweep, checked."""
+    try:
+        checked = tuple(map(index, columns))
+    except TypeError:
+        checked = ()
+    if not checked or max(map(abs, checked)) > _FARTHEST:
+        raise ValueError(
+            f"columns: expected one or more integers from -{_FARTHEST} to {_FARTHEST}, "
+            f"got {columns!r}"
+        )
+    return checked
+
+
+_FARTHEST = 1_000_000
 
 _NO_GRADIENT = (
     "the class scores require a gradient and SSRVLAD has none: use SSRVLAD(..., surrogate=True) "

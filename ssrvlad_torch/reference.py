@@ -66,7 +66,7 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
         layer has a keypoint, for harmonics one without layers.
 
     Raises:
-        ValueError: an id outside the label space.
+        ValueError: it is no label map, or an id is outside the label space.
     """
     layers = layers_of(label_map, config)
     if config.aggregation == "harmonics":
@@ -76,6 +76,11 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
 
 def layers_of(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[Mask]:
     """The eight layers of one image on its working grid; arguments and errors as for `describe`."""
+    label_map = np.asarray(label_map)
+    if label_map.ndim != 2 or label_map.size == 0 or label_map.dtype.kind not in "iu":
+        raise ValueError(
+            f"expected an (H, W) label map of integers, got {label_map.shape} {label_map.dtype}"
+        )
     categories = categorise(label_map, label_space(config.labels_as))
     categories = reduce_by_majority(categories, config.grid(*categories.shape))
     return [categories == k for k in range(CATEGORY_COUNT)]

@@ -2,6 +2,8 @@
 
 import json
 
+import numpy as np
+import pytest
 from drives import write_maps
 
 from ssrvlad_torch import SSRVLADConfig
@@ -32,6 +34,54 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
         2,
         ["ssrvlad: --temporal wants frames, as 3, or metres, as 10m, got '3x'"],
     )
+
+
+def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
+    for option, name in [
+        (("--sweep",), "--sweep"),
+        (("--follow", "online", "--delay", 2), "--follow and --delay"),
+        (("--temporal", 1), "--temporal"),
+        (("--fuse",), "--fuse"),
+    ]:
+        code, _, err = ssrvlad("query", database, maps, "--as-paper", *option)
+        assert (code, len(err)) == (2, 1), option
+        assert err[0].startswith("ssrvlad: --as-paper stands for --no-standardise --no-sweep")
+        assert err[0].endswith(f"got {name} as well")
+    alike = ("--no-sweep", "--follow", "no", "--temporal", 3, "--no-fuse")
+    as_paper = ssrvlad("query", database, maps, "--as-paper")
+    assert ssrvlad("query", database, maps, "--as-paper", *alike) == as_paper
+    assert as_paper[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--window", "10:4"), "--window wants a FIRST that is not above LAST, got '10:4'"),
+        (
+            ("--threshold", "nan"),
+            "Invalid value for '--threshold': Input should be less than or equal to 1",
+        ),
+        (
+            ("--threshold", 2),
+            "Invalid value for '--threshold': Input should be less than or equal to 1",
+        ),
+    ],
+)
+def test_values_that_say_nothing(ssrvlad, database, maps, options, message):
+    code, _, err = ssrvlad("query", database, maps, *options)
+    assert (code, err) == (2, [f"ssrvlad: {message}"])
+
+
+def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
+    (tmp_path / "other").mkdir()
+    np.save(tmp_path / "other" / "0.npy", np.full((24, 32), 77, np.uint8))
+    code, out, err = ssrvlad("query", database, tmp_path / "other")
+    assert (code, out) == (3, "")
+    assert err[:2] == [
+        "ssrvlad: no query could be described",
+        "ssrvlad: no frame could be described: is --labels-as what the ids of these label maps "
+        "mean?",
+    ]
 
 
 def test_a_sum_in_metres_tells_its_t(ssrvlad, database, maps):

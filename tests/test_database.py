@@ -182,10 +182,33 @@ def test_descriptors_of_another_shape_are_refused(path, shape):
         Database.open(path).append(["a/1", "a/2"], torch.zeros(shape))
 
 
-@pytest.mark.parametrize("value", [torch.nan, torch.inf])
-def test_descriptors_that_are_not_finite_are_refused(path, value):
-    with pytest.raises(ValueError, match="not finite"):
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (torch.nan, "not finite"),
+        (torch.inf, "not finite"),
+        (3e38, "too large for float32 to measure"),
+        (1e-30, "too small for float32 to measure"),
+    ],
+)
+def test_descriptors_without_a_length_are_refused(path, value, said):
+    with pytest.raises(ValueError, match=said):
         Database.open(path).append(["a/1"], torch.full((1, 480), value))
+
+
+@pytest.mark.parametrize("frame", ["", " ", "a/", "/1", " a/1", "a/1\n"])
+def test_what_is_no_id_is_refused(path, frame):
+    with pytest.raises(ValueError, match=f"expected a frame id, .*, got {frame!r}"):
+        Database.open(path).append([frame], torch.ones(1, 480))
+    with pytest.raises(ValueError, match="has no name"):
+        Database.open(path).append([record("a/1")._replace(name="")], torch.ones(1, 480))
+
+
+def test_a_text_is_no_list_of_ids(path):
+    with pytest.raises(ValueError, match="expected a list of frames, got the text 'ab'"):
+        Database.open(path).append("ab", torch.ones(2, 480))
+    with pytest.raises(ValueError, match="got the text 'day/1'"):
+        Database.open(path).remove("day/1")
 
 
 @pytest.mark.parametrize("frames", [["a/1", "day/2"], ["day/2", "a/1"], ["a/1", "a/1"]])

@@ -72,6 +72,13 @@ def test_a_place_that_cannot_be_written_is_an_error_and_leaves_nothing(database,
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
 
 
+def test_an_id_of_several_lines_is_refused_where_ids_are_lines(database, tmp_path):
+    database.append([record("a/1\u2028b")], descriptors(1, 1))
+    with pytest.raises(ValueError, match=r"an id a line, and 1 of .* first is 'a/1\\u2028b'"):
+        export_database(database, "npy", tmp_path / "out.npy")
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
+
+
 def test_hlocs_file_needs_no_call_of_posix(database, tmp_path, monkeypatch):
     pytest.importorskip("h5py", reason="needs the extra hloc")
     monkeypatch.delattr("os.posix_fallocate")

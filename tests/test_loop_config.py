@@ -2,9 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
 
 from ssrvlad_torch.loops.config import LoopConfig
+
+
+def test_numbers_of_numpy_are_numbers():
+    config = LoopConfig(exclude=np.int64(3), threshold=np.float32(0.5))
+    assert config == LoopConfig(exclude=3, threshold=0.5) and type(config.exclude) is int
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,9 @@ def test_precision_and_recall_by_poses(loops, drive):
         "precision 1.000 (9 of 9 loops are right), recall 0.643 (9 of 14 revisits)"
     )
     assert re.match(r"surest threshold 0\.\d+: precision 1\.000, by its 95 % ", suggestion)
-    assert suggestion.endswith("; 73 loops without a mistake would prove 0.95")
+    assert suggestion.endswith(
+        "; to prove a precision of 0.95 takes at least 73 loops without a mistake"
+    )
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     *frames, told = objects(out)
     assert len(frames) == 54
@@ -244,6 +246,15 @@ def test_a_memory_is_gone_on_from(loops, drive, tmp_path):
     stored = Database.open(memory).load()
     assert stored.frames == tuple(f"drive/{n:02d}" for n in range(54))
     assert stored.poses[:, 0].tolist() == [10 * seed for seed in SEEDS]
+
+
+def test_a_memory_says_what_ids_mean(ssrvlad, drive, tmp_path):
+    memory = tmp_path / "memory.ssrdb"
+    missing = "ssrvlad: Missing option '--labels-as': what the ids of the label maps mean"
+    assert ssrvlad("loops", drive, "--memory", memory)[2] == [missing]
+    assert ssrvlad("encode", drive, "-o", memory, "--labels-as", "camvid-11")[0] == 0
+    code, out, _ = ssrvlad("loops", drive, "--memory", memory, "--sequence", "again")
+    assert code == 0 and "frames:" in out
 
 
 def test_a_memory_of_another_preset_is_refused(loops, drive, tmp_path):

@@ -4,8 +4,10 @@ import math
 
 import numpy as np
 import pytest
+import torch
 from vpr_bench import frozen_corridor, needs_vpr_bench, stored_results
 
+from ssrvlad_torch import match
 from ssrvlad_torch.evaluation.metrics import CONVENTIONS, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
 
@@ -68,6 +70,17 @@ def test_evaluate_by_hand():
     assert metrics["recall_at_100_precision"] == 1 / 4
     assert metrics["queries"] == 5
     assert metrics["queries_with_match"] == 4
+
+
+def test_evaluate_takes_what_match_gives():
+    scores, indices = match(torch.eye(12)[:3], torch.eye(12), top=10)
+    truth = rows([0], [1], [5])
+    arrays = evaluate(scores.numpy(), indices.numpy(), truth)
+    assert evaluate(scores, indices, truth) == arrays
+    similarity, pairs = torch.eye(12)[:3], {"convention": "vpr-tutorial"}
+    of_tensors = evaluate(scores, indices, truth, similarity=similarity, **pairs)
+    of_arrays = evaluate(scores, indices, truth, similarity=similarity.numpy(), **pairs)
+    np.testing.assert_equal(of_tensors, of_arrays)
 
 
 def test_evaluate_without_positives_or_queries_has_no_figures():

@@ -185,6 +185,14 @@ def test_an_unknown_id_is_an_error():
         reference.describe(np.full((3, 3), 99), PLAIN)
 
 
+@pytest.mark.parametrize(
+    "labels", [np.zeros((3, 3)), np.zeros((1, 3, 3), int), np.zeros((0, 3), int)]
+)
+def test_what_is_no_label_map_is_an_error(labels):
+    with pytest.raises(ValueError, match=r"expected an \(H, W\) label map of integers, got \("):
+        reference.describe(labels, PLAIN)
+
+
 def test_an_image_without_category_is_zero():
     descriptor = reference.describe(np.full((8, 8), VOID), PLAIN)
     assert descriptor.shape == (480,)

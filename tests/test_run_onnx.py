@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import shutil
 import subprocess
 from functools import partial
 from pathlib import Path
@@ -184,6 +185,21 @@ def test_a_palette_gives_its_indices(head, tmp_path, run):
     np.testing.assert_array_equal(one, other)
 
 
+def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_path, run):
+    """What a program reads back must be what was written."""
+    folder = tmp_path / "day"
+    folder.mkdir()
+    shutil.copy(sorted(maps.iterdir())[0], folder / "a\nb.png")
+    out = tmp_path / "town.npy"
+    code, _, errors = run(head, folder, "--save-descriptors", out)
+    assert (code, len(errors), out.exists()) == (2, 1, False)
+    assert "a database holds an id a line; frame 'day/a\\nb' has several" in errors[0]
+    assert run(head, folder)[0] == 0
+    with pytest.raises(ValueError, match="has several"):
+        script.save(out, [np.ones(3)], ["a\x85b"], "")
+    assert not list(tmp_path.glob("town*"))
+
+
 def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path, run):
     Image.fromarray(np.full((9, 9), 11, np.uint8)).save(maps / "void.png")
     out = tmp_path / "out.npy"
@@ -289,6 +305,14 @@ def test_class_scores_and_wide_labels(maps, tmp_path, run):
         assert run(tmp_path / "head.onnx", "--check")[0] == 0
         found.append(np.load(out))
     np.testing.assert_array_equal(*found)
+    code, _, errors = run(tmp_path / "head.onnx", file)
+    message = "expected scores (C, H, W) in a .npy file, got another kind of file"
+    assert (code, errors[0]) == (3, f"{file}: {message}")
+    shutil.copy(file, tmp_path / "picture.npy")
+    errors = run(tmp_path / "head.onnx", tmp_path / "picture.npy")[2]
+    assert errors[0].endswith(
+        "picture.npy: expected an array in a .npy file, got another kind of file"
+    )
 
 
 def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
@@ -342,7 +366,8 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
         ((other, maps), "no metadata ssrvlad.*"),
         ((cut, maps), str(cut)),
         ((head, tmp_path / "nowhere"), "holds no frames"),
-        ((head, maps, "--database", damaged), ""),
+        ((head, maps, "--database", damaged), "expected an array in a .npy file"),
+        ((head, maps, "--database", head), f"{head}: expected an array in a .npy file"),
         ((head, maps, maps), "is a second frame monday/"),
     ]:
         code, _, errors = run(*arguments)

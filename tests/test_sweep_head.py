@@ -39,3 +39,9 @@ def test_the_paper_has_no_anchor_to_move(labels):
     head = SSRVLAD.from_preset("paper", labels_as="cityscapes-trainids")
     with pytest.raises(ValueError, match="aggregation harmonics, got residuals"):
         head.sweep(labels, [0])
+
+
+@pytest.mark.parametrize("columns", [[], [2**62], [0.5], ["a"]])
+def test_columns_that_are_none(labels, columns):
+    with pytest.raises(ValueError, match="columns: expected one or more integers"):
+        SSRVLAD(DEFAULT).sweep(labels, columns)

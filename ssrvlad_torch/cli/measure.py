@@ -102,7 +102,8 @@ def counts(metrics: Mapping[str, Any]) -> str:
 
 def proof(suggested: Mapping[str, Any] | None) -> str:
     """How sure the precision at the suggested threshold is, and what would prove more."""
-    want = f"{needed()} accepted without a mistake would prove {SURE_PRECISION:g}"
+    want = f"to prove a precision of {SURE_PRECISION:g} takes at least {needed()} accepted queries "
+    want += "without a mistake"
     if suggested is None:
         return f"suggested: no threshold, no query was recognised; {want}"
     low = suggested["precision_low"]
@@ -115,6 +116,8 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
     """The steps between descriptors and decision, in a line; without ``temporal`` no word on Eq.
     3."""
     widths, followed = used["sweep"].values(), used["follow"].values()
+    if not followed:
+        return "no query could be described"
     told = [
         "standardised" if any(used["standardise"].values()) else "not standardised",
         f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns"

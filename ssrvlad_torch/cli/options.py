@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
@@ -160,6 +160,10 @@ class DriveOptions:
     )
 
 
+PAPER_REACH = 3
+"""Frames on each side of the temporal sum in the paper."""
+
+
 @dataclass(frozen=True)
 class Reach:
     """How far the temporal sum of Eq. 3 reaches on each side: in frames, or, where they are given,
@@ -220,7 +224,7 @@ class RecognitionOptions(StepOptions):
     as_paper: bool = option(
         False,
         "Decide as the paper does: single frames, their cosine, the sum of Eq. 3 with "
-        "t = 3, and no other step.",
+        "t = 3, and no other step. Options that say otherwise are refused.",
         "--as-paper",
     )
     fuse: bool | None = option(
@@ -232,12 +236,29 @@ class RecognitionOptions(StepOptions):
         0.0, "Leave out queries whose first candidate is right with less probability.", min=0, max=1
     )
 
+    def check(self, typed: Collection[str]) -> None:
+        """Refuses what --as-paper contradicts, of the options that were typed.
+
+        Raises:
+            ValueError: names them.
+        """
+        paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "fuse": False}
+        others = [n for n, value in paper.items() if n in typed and getattr(self, n) != value]
+        if self.temporal is not None and self.reach != Reach(PAPER_REACH):
+            others.append("temporal")
+        if self.as_paper and others:
+            names = " and ".join(f"--{name}" for name in others)
+            raise ValueError(
+                f"--as-paper stands for --no-standardise --no-sweep --follow no --temporal "
+                f"{PAPER_REACH} --no-fuse; got {names} as well"
+            )
+
     @property
     def reach(self) -> Reach:
         """The reach of the temporal sum; other text than frames or metres is a ValueError."""
         if self.temporal is not None:
             return Reach.of(self.temporal)
-        return Reach(3 if self.as_paper else 0)
+        return Reach(PAPER_REACH if self.as_paper else 0)
 
 
 @dataclass(frozen=True)
@@ -284,7 +305,8 @@ class MethodOptions:
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:
     """The command as typer takes it: each parameter that is an options class is replaced by the
-    class's fields, and each `option` or `argument` by typer's."""
+    class's fields, and each `option` or `argument` by typer's. A class may have a method ``check``,
+    which is told the names of the options that were typed."""
     parameters: list[inspect.Parameter] = []
     classes: dict[str, type] = {}
     types = get_type_hints(command, include_extras=True)
@@ -299,14 +321,26 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
             parameters.append(_parameter(name, kind, parameter.default))
 
     @wraps(command)
-    def run(**given: Any) -> None:
+    def run(*, context: typer.Context, **given: Any) -> None:
+        typed = [name for name in given if _is_typed(context, name)]
         for name, kind in classes.items():
             given[name] = kind(**{each.name: given.pop(each.name) for each in fields(kind)})
+            if hasattr(kind, "check"):
+                given[name].check(typed)
         command(**given)
 
+    parameters.append(
+        inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    )
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
+
+
+def _is_typed(context: typer.Context, name: str) -> bool:
+    """Whether an option stands on the command line."""
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:

@@ -125,8 +125,15 @@ def interval(ends: Sequence[float]) -> str:
     return "-" if math.isnan(ends[0]) else f"{ends[0]:.3f} to {ends[1]:.3f}"
 
 
-def finish(skipped: Sequence[Skipped]) -> None:
-    """Ends a command: names the skipped frames, if there are any, and exits with code 3."""
+def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
+    """Ends a command: names the skipped frames, if there are any, and exits with code 3.
+
+    Args:
+        skipped: frames, or what else was left out.
+        described: how many frames were described: if none was, perhaps the ids mean something else.
+    """
+    if skipped and described == 0 and all("label space" in frame.reason for frame in skipped):
+        note("no frame could be described: is --labels-as what the ids of these label maps mean?")
     for frame in skipped[:_NAMED]:
         note(f"skipped {frame.frame}: {frame.reason}")
     if len(skipped) > _NAMED:

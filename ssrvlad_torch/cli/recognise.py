@@ -59,8 +59,6 @@ def beside(database: Database, given: RecognitionOptions) -> tuple[Beside, ...]:
             f"--fuse: {database.path} holds no descriptors of pictures; encode them anew with "
             "--with hog"
         )
-    if given.fuse and given.as_paper:
-        raise ValueError("--fuse does not go with --as-paper")
     return () if given.fuse is False or given.as_paper else database.beside
 
 

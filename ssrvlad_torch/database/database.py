@@ -26,7 +26,7 @@ from ..taxonomy import LabelSpace, label_space_names
 from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frame_sets import OF_A_SET, frame_set, in_order, order_of
-from .frames import FrameRecord, FrameSet, Vectors
+from .frames import FrameRecord, FrameSet, Vectors, several
 from .metadata import Beside, Meta, Origin
 from .reading import Damage, read_intact, read_rows
 from .rows import (
@@ -335,13 +335,14 @@ class Database:
         """Adds frames; they are on the disk when it returns.
 
         Args:
-            frames: N records, or bare ids; one that is there already is an error.
+            frames: N records, or bare ids, ``<sequence>/<name>`` or a name without ``/``; neither
+                is empty or has white space at an end. One that is there already is an error.
             descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
             beside: likewise for each name of `beside`.
 
         Raises:
-            ValueError: the numbers do not fit or are not finite, an id is there already, or the
-                database was opened at a version.
+            ValueError: the numbers do not fit, or float32 cannot measure the length of a row; an
+                id is there already, or is no id; or the database was opened at a version.
             OSError: the disk refused; the database is as it was.
         """
         self.adopt([self.write_apart(frames, descriptors, beside)])
@@ -362,10 +363,10 @@ class Database:
         """Removes frames by their ids, in one commit; ids that are not there are passed over.
 
         Raises:
-            ValueError: the database was opened at a version.
+            ValueError: the database was opened at a version, or the ids are one text.
             OSError: the disk refused; the database is as it was.
         """
-        self._change([Written((), tuple(sorted(set(frames))))], "remove")
+        self._change([Written((), tuple(sorted(set(several(frames)))))], "remove")
 
     def write_apart(
         self,
@@ -378,7 +379,7 @@ class Database:
         Arguments as for `append`. What is never adopted is deleted by a later `compact`.
         """
         self._see_writable()
-        records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]
+        records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in several(frames)]
         rows = to_table(
             records, self._checked(records, {DESCRIPTOR: descriptors, **(beside or {})})
         )
@@ -433,6 +434,8 @@ class Database:
             name: fitting(name, descriptors[name], (len(records), width))
             for name, width in self._widths.items()
         }
+        if not all(record.name for record in records):
+            raise ValueError(f"a frame for {self.path} has no name")
         often = Counter(record.frame for record in records).most_common(1)
         if often and often[0][1] > 1:
             raise ValueError(f"frame {often[0][0]!r} is given {often[0][1]} times")

@@ -40,7 +40,7 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         The files written.
 
     Raises:
-        ValueError: the database is damaged.
+        ValueError: the database is damaged, or, for ``npy``, an id has several lines.
         ImportError: the extra ``hloc`` is not installed.
         OSError: the files cannot be written.
     """
@@ -49,6 +49,11 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     if form == "hloc":
         _write_hloc(frames, about, file)
         return [file]
+    if broken := [frame for frame in frames.frames if frame.splitlines() != [frame]]:
+        raise ValueError(
+            f"the form npy holds an id a line, and {len(broken)} of the ids have several, the "
+            f"first is {broken[0]!r}"
+        )
     texts = {
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
         ".json": json.dumps(about, indent=1) + "\n",

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32]"
 
 _NAN = float("nan")
+
+_Several = TypeVar("_Several", bound=Collection[Any])
 
 
 class FrameRecord(NamedTuple):
@@ -53,8 +55,15 @@ class FrameRecord(NamedTuple):
 
     @classmethod
     def of_id(cls, frame: str) -> FrameRecord:
-        """A record of nothing but the frame's id."""
-        sequence, _, name = frame.rpartition("/")
+        """A record of nothing but the frame's id.
+
+        Raises:
+            ValueError: the text is no id.
+        """
+        sequence, slash, name = frame.rpartition("/")
+        parts = (sequence, name) if slash else (name,)
+        if not all(part and part == part.strip() for part in parts):
+            raise ValueError(f"expected a frame id, <sequence>/<name> or <name>, got {frame!r}")
         return cls(sequence, name)
 
 
@@ -91,6 +100,13 @@ class FrameSet:
             f"of {self.descriptors.shape[-1]}{beside}, {int(self.empty.sum())} empty, {posed} with "
             "a pose>"
         )
+
+
+def several(frames: _Several) -> _Several:
+    """The same; a single text, whose letters would be ids, is refused."""
+    if isinstance(frames, str):
+        raise ValueError(f"expected a list of frames, got the text {frames!r}")
+    return frames
 
 
 def natural_key(name: str) -> tuple[Any, str]:

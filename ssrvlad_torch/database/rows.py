@@ -156,7 +156,7 @@ def _powers(count: int) -> Words:
 
 
 def fitting(name: str, descriptors: Vectors, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """Descriptors as an array, if they are finite and of this shape.
+    """Descriptors as an array of this shape, whose rows have a length in float32.
 
     Raises:
         ValueError: they are not.
@@ -167,4 +167,10 @@ def fitting(name: str, descriptors: Vectors, shape: tuple[int, int]) -> npt.NDAr
         raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: values that are not finite")
+    with np.errstate(over="ignore"):
+        squares = np.einsum("ij,ij->i", values, values)
+    if not np.isfinite(squares).all():
+        raise ValueError(f"{name}: values too large for float32 to measure their length")
+    if values[squares == 0].any():
+        raise ValueError(f"{name}: values too small for float32 to measure their length")
     return values

@@ -24,11 +24,10 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from .bootstrap import bootstrap
 from .curves import PrecisionRecall, rank, roc_auc
-from .outcomes import Floats, Outcomes, Rows, Truth, judge
+from .outcomes import Floats, Indices, Outcomes, Scores, Truth, as_array, judge
 from .tutorial import count_pairs
 
 Convention = Literal["exact", "vpr-bench", "vpr-tutorial", "vpr-tutorial-single"]
@@ -43,7 +42,6 @@ FIGURES = {
 }
 """Figures beside RecallRate@N, and what readers call them."""
 
-Similarity = npt.NDArray[np.floating[Any]]
 Curves = Callable[[Floats], PrecisionRecall]
 """From ``(..., Q)`` float64, how often each query counts, to the curve."""
 
@@ -52,7 +50,7 @@ def precision_recall_curve(
     outcomes: Outcomes,
     truth: Truth,
     convention: Convention = "exact",
-    similarity: Similarity | None = None,
+    similarity: Scores | None = None,
 ) -> PrecisionRecall:
     """Precision and recall by a convention; arguments and errors as for `evaluate`, ``outcomes``
     from `judge` of the same queries as ``truth``."""
@@ -60,19 +58,19 @@ def precision_recall_curve(
 
 
 def evaluate(
-    scores: npt.NDArray[np.floating[Any]],
-    indices: Rows,
+    scores: Scores,
+    indices: Indices,
     truth: Truth,
     at: Iterable[int] = (1, 5, 10),
     convention: Convention = "exact",
-    similarity: Similarity | None = None,
+    similarity: Scores | None = None,
     resamples: int = 0,
     seed: int = 0,
 ) -> dict[str, Any]:
     """All figures of the candidates of a set of queries.
 
     Args:
-        scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, as arrays.
+        scores, indices: ``(Q, top)`` from `ssrvlad_torch.match`, tensors or arrays.
         truth: true matches of each query.
         at: the N of RecallRate@N, at most ``top``.
         convention: one of `CONVENTIONS`.
@@ -127,14 +125,14 @@ def figure_rows(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[f
 
 
 def _curves(
-    outcomes: Outcomes, truth: Truth, convention: Convention, similarity: Similarity | None
+    outcomes: Outcomes, truth: Truth, convention: Convention, similarity: Scores | None
 ) -> Curves:
     if convention not in CONVENTIONS:
         raise ValueError(f"convention must be one of {', '.join(CONVENTIONS)}, got {convention!r}")
     if convention.startswith("vpr-tutorial"):
         if similarity is None:
             raise ValueError(f"the convention {convention} wants the similarity of all pairs")
-        return count_pairs(similarity, truth, single=convention.endswith("single")).curve
+        return count_pairs(as_array(similarity), truth, single=convention.endswith("single")).curve
     ranking = rank(outcomes.score, outcomes.correct)
     if convention == "vpr-bench":
         return lambda weights: ranking.curve(weights, weights @ outcomes.correct, start=1.0)
@@ -177,7 +175,7 @@ def _nested(figures: dict[str, Any], at: list[int]) -> dict[str, Any]:
     return {"recall_at": rates, **others}
 
 
-def _check_n(n: int, indices: Rows) -> None:
+def _check_n(n: int, indices: Indices) -> None:
     if n < 1:
         raise ValueError(f"the N of RecallRate@N must be at least 1, got {n}")
     if n > indices.shape[1]:

@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
 
+if TYPE_CHECKING:
+    from torch import Tensor
+
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
+Scores: TypeAlias = "Tensor | npt.NDArray[np.floating[Any]]"
+Indices: TypeAlias = "Tensor | Rows"
 Truth = Sequence[Rows]
 """For each query the rows of the references that are true matches, possibly none."""
 
@@ -39,7 +44,7 @@ class Outcomes:
         return len(self.score)
 
 
-def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) -> Outcomes:
+def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
     """Compares the candidates of each query with the ground truth.
 
     Args:
@@ -51,6 +56,7 @@ def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) ->
         ValueError: the shapes do not fit, a score is NaN or +inf, a candidate has a score and no
             row, or the truth is a matrix in place of rows.
     """
+    scores, indices = as_array(scores), as_array(indices)
     check_candidates(indices, truth)
     if scores.shape != indices.shape or indices.shape[1] == 0:
         raise ValueError(
@@ -68,6 +74,12 @@ def judge(scores: npt.NDArray[np.floating[Any]], indices: Rows, truth: Truth) ->
         has_match=np.array([len(matches) > 0 for matches in truth], bool),
         rank=np.where(hits.any(axis=1), hits.argmax(axis=1) + 1, 0).astype(np.int64),
     )
+
+
+def as_array(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """A tensor, wherever it lies, as an array."""
+    detached = getattr(values, "detach", None)
+    return np.asarray(detached().cpu() if detached else values)
 
 
 def hits_of(indices: Rows, truth: Truth) -> Bools:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import operator
 from dataclasses import dataclass
+from numbers import Real
 
 
 @dataclass(frozen=True)
@@ -26,9 +28,11 @@ class LoopConfig:
 
     def __post_init__(self) -> None:
         exclude, threshold = self.exclude, self.threshold
-        if isinstance(exclude, bool) or not isinstance(exclude, int) or exclude < 0:
+        whole = hasattr(exclude, "__index__") and not isinstance(exclude, bool)
+        if not whole or exclude < 0:
             raise ValueError(f"exclude: expected an integer from 0, got {exclude!r}")
-        number = isinstance(threshold, (int, float)) and not isinstance(threshold, bool)
+        object.__setattr__(self, "exclude", operator.index(exclude))
+        number = isinstance(threshold, Real) and not isinstance(threshold, bool)
         if not number or not 0 <= threshold <= 1:
             raise ValueError(f"threshold: expected a number from 0 to 1, got {threshold!r}")
         if not isinstance(self.sweep, bool):

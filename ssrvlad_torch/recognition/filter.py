@@ -12,6 +12,9 @@ from torch import Tensor
 
 from .motion import CELLS, GAP, SPEEDS, Motion, evidence, moved, prior_of_speeds
 
+_HIGHEST = 1.001
+"""A cosine of 1, however roughly it was computed."""
+
 
 class Belief(NamedTuple):
     """Probabilities.
@@ -98,7 +101,7 @@ class Filter:
 
     def step(self, scores: Tensor) -> None:
         """Takes in the next frame by its scores ``(R,)``, float cosines, -inf where there can be no
-        match; another shape is a ValueError."""
+        match; another shape, NaN and a score above 1 are a ValueError."""
         self.take(self.evidence(scores))
 
     def take(self, told: Tensor) -> None:
@@ -119,6 +122,9 @@ class Filter:
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
+        if not bool((scores <= _HIGHEST).all()):
+            most = "NaN" if bool(scores.isnan().any()) else f"{float(scores.max()):g}"
+            raise ValueError(f"expected scores of at most 1, as cosines are, got {most}")
         return self.spaced(evidence(scores, self.motion))
 
     def spaced(self, told: Tensor) -> Tensor:

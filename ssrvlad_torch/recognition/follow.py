@@ -83,7 +83,8 @@ def follow(
         motion: what sequences do.
 
     Raises:
-        ValueError: the scores do not fit the sequences, or a setting is outside its range.
+        ValueError: the scores do not fit the sequences, are NaN or above 1; the frames of a
+            sequence do not stand together; or a setting is outside its range.
 
     Example:
         >>> scores = torch.eye(30)[10:20]
@@ -111,9 +112,16 @@ def follow(
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:
-    """The rows of each sequence, which are contiguous."""
-    first = 0
-    for _, same in itertools.groupby(sequences):
+    """The rows of each sequence.
+
+    Raises:
+        ValueError: those of one do not stand together.
+    """
+    first, seen = 0, set[str]()
+    for sequence, same in itertools.groupby(sequences):
+        if sequence in seen:
+            raise ValueError(f"expected the frames of {sequence!r} together, got some at {first}")
+        seen.add(sequence)
         last = first + len(list(same))
         yield range(first, last)
         first = last

@@ -52,10 +52,7 @@ def encode(
         say(f"{output}: {summary}")
     for frame in summary.gone:
         note(f"{frame} is in {output} and its file is gone; --prune removes it")
-    of_another_space = all("label space" in frame.reason for frame in summary.skipped)
-    if summary.skipped and of_another_space and not summary.described:
-        note("no frame could be described: is --labels-as what the ids of these label maps mean?")
-    finish(summary.skipped)
+    finish(summary.skipped, summary.described)
 
 
 def _encode(

@@ -78,7 +78,7 @@ def evaluate(
         page.write(found, matches, metrics, title, settings)
         if not as_json:
             say(f"report: {page.path}")
-    finish(found.skipped)
+    finish(found.skipped, len(found.queries.frames))
 
 
 def _check(method: MethodOptions, recognition: RecognitionOptions, source: SourceOptions) -> None:

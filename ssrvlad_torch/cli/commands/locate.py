@@ -51,7 +51,7 @@ def locate(
             say(f"{picture}: {place}, score {score:.4f}, confidence {sure:.2f}, {_where(*pose)}")
     if not as_json:
         note(steps_in_words(found.used, t))
-    finish(skipped)
+    finish(skipped, len(queries))
 
 
 def _by_its_network(town: Database, source: Source) -> Source:

@@ -31,7 +31,10 @@ def loops(
         LoopConfig.exclude, "Number of last frames that are no candidates.", min=0
     ),
     threshold: float = option(
-        LoopConfig.threshold, "Lowest probability at which a loop is reported.", min=0, max=1
+        LoopConfig.threshold,
+        "Report a loop only if its probability is at least this.",
+        min=0,
+        max=1,
     ),
     sweep: bool = option(LoopConfig.sweep, "Describe each frame from three anchors."),
     memory: Path | None = option(
@@ -51,20 +54,24 @@ def loops(
 
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
+    from ...database.database import Database
     from ...encoding.results import Skipped
     from ...loops.picture import draw_loops
     from ...loops.stream import detect_loops, loops_of, open_detector, report
     from ...picture import require_picture, write_picture
-    from ..sources import Source
+    from ..sources import Source, only_label_space
 
     config = LoopConfig(exclude, threshold, sweep)
     given = Source.open(source)
-    if given.labels_as is None:
+    labels_as = given.labels_as
+    if labels_as is None and memory and Database.exists(memory):
+        labels_as = only_label_space(Database.open(memory))
+    if labels_as is None:
         raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
     if picture:
         require_picture(picture)
     also = given.described_by(beside)
-    detector, database = open_detector(config, memory, preset, given.labels_as, also)
+    detector, database = open_detector(config, memory, preset, labels_as, also)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
     with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
@@ -80,7 +87,7 @@ def loops(
         title, drives = " ".join(source.paths), [f.rpartition("/")[0] for f in detector.frames]
         figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives)
         write_picture(figure, picture)
-    finish(skipped)
+    finish(skipped, len(results))
 
 
 def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Skipped]:
@@ -131,6 +138,6 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
     say(
         f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
         f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
-        f"{figure(point['recall'])}; {needed()} loops without a mistake would prove "
-        f"{SURE_PRECISION:g}"
+        f"{figure(point['recall'])}; to prove a precision of {SURE_PRECISION:g} takes at least "
+        f"{needed()} loops without a mistake"
     )

@@ -20,7 +20,12 @@ def query(
     source: SourceOptions,
     recognition: RecognitionOptions,
     top: int = option(5, "Candidates of each query.", min=1),
-    threshold: float | None = option(None, "Leave out candidates whose score is not above this."),
+    threshold: float | None = option(
+        None,
+        "Leave out candidates whose score is not above this: a cosine of single frames, a "
+        "probability where the queries were followed.",
+        max=1,
+    ),
     from_sequence: list[str] | None = option(
         None, "Take candidates of this sequence only; repeatable."
     ),
@@ -80,7 +85,7 @@ def query(
             note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
     least = -math.inf if threshold is None else threshold
     _print(found, recognition.min_confidence, least, "candidates of the index, " * index, as_json)
-    finish(found.skipped)
+    finish(found.skipped, len(found.queries))
 
 
 def _print(found: Found, min_confidence: float, least: float, way: str, as_json: bool) -> None:
@@ -115,6 +120,9 @@ def _window(text: str | None) -> tuple[int | None, int | None]:
     try:
         if not colon:
             raise ValueError
-        return int(first) if first else None, int(last) if last else None
+        low, high = int(first) if first else None, int(last) if last else None
     except ValueError:
         raise ValueError(f"--window wants FIRST:LAST in whole numbers, got {text!r}") from None
+    if low is not None and high is not None and low > high:
+        raise ValueError(f"--window wants a FIRST that is not above LAST, got {text!r}")
+    return low, high
