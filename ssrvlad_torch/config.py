@@ -183,6 +183,11 @@ class SSRVLADConfig:
             settings["labels_as"] = self.labels_as.to_dict()
         return settings
 
+    def used(self) -> dict[str, Any]:
+        """As `to_dict`, without the settings that the aggregation does not use."""
+        unused = _ONLY_HARMONICS if self.aggregation == "residuals" else _ONLY_RESIDUALS
+        return {name: value for name, value in self.to_dict().items() if name not in unused}
+
     @property
     def preset(self) -> str:
         """Name of the preset that these settings are, or ``"custom"``."""
@@ -205,10 +210,8 @@ class SSRVLADConfig:
         settings that it stands for, so a database outlives a change of what a preset means.
         A setting that the aggregation does not use does not enter.
         """
-        unused = _ONLY_HARMONICS if self.aggregation == "residuals" else _ONLY_RESIDUALS
-        settings = self.to_dict()
-        for name in ("labels_as", *unused):
-            del settings[name]
+        settings = self.used()
+        del settings["labels_as"]
         if self.aggregation == "residuals":
             del settings["aggregation"]  # the paper's has no name, and keeps its fingerprint
         text = json.dumps({"revision": METHOD_REVISION, **settings}, sort_keys=True)

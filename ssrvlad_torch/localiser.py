@@ -142,8 +142,8 @@ class Localiser:
             picture: ``(H, W, 3)`` uint8 in RGB, or an image file.
 
         Returns:
-            the best place, however unsure: see its confidence. ``None`` if nothing in the picture
-            can be described, or no frame of the database has anything in common with it.
+            the best place, however unsure: see its confidence. ``None`` if the picture is
+            empty or all frames are.
 
         Raises:
             ValueError: it is no picture, the network fails, or the database is empty or damaged.

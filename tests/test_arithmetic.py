@@ -31,13 +31,13 @@ OF_SIZES = "Or And ConstantOfShape Greater Less Range ScatterElements Shape Size
 
 
 @cache
-def model_of(config, dtype="uint8", shape=None, given="labels"):
+def model_of(config, dtype=None, shape=None, given="labels"):
     """The exported head; not to be changed."""
     return head_model(config, given, dtype, form="arithmetic", shape=shape)
 
 
 @cache
-def run_of(config, dtype="uint8", shape=None, given="labels"):
+def run_of(config, dtype=None, shape=None, given="labels"):
     head = session(model_of(config, dtype, shape, given).SerializeToString())
     return lambda batch: head.run(None, {given: batch})
 

@@ -73,6 +73,14 @@ def test_queries_without_ground_truth_are_left_out_and_counted(evaluate, tmp_pat
     assert metrics["recall_at"]["1"] == 1.0
 
 
+def test_queries_of_the_ground_truth_that_are_not_there_are_counted(evaluate, tmp_path):
+    truth = {f"tuesday/{n}": ["monday/001"] for n in ("001", "10", "9")}
+    path = write_truth(tmp_path / "truth.json", truth)
+    _, _, err = evaluate("--ground-truth", path)
+    strange = f"2 of the queries that {path} names are not there, the first is tuesday/9"
+    assert f"ssrvlad: {strange}" in err
+
+
 @pytest.mark.parametrize("how", ["frames", "matrix"])
 def test_a_skipped_query_keeps_its_place(evaluate, tmp_path, how):
     """What counts frames counts the unreadable one, too."""

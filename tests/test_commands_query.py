@@ -126,6 +126,7 @@ def test_info(ssrvlad, database):
     assert code == 0
     assert "frames: 6" in out
     assert "sequences: monday 6" in out
+    assert "beside" not in out and "thinning" not in out and "anchor vanishing-column" in out
     info = json.loads(ssrvlad("db", "info", database, "--json")[1])
     assert info["preset"] == "default"
     assert info["label_spaces"] == {"camvid-11": 6}

@@ -44,8 +44,8 @@ With = Annotated[
     Literal["hog"] | None,
     typer.Option(
         "--with",
-        help="Describe each image by this method, too: recognition then uses both. Say it when the "
-        "database is made. It wants a --segmenter.",
+        help="Describe each image by this method, too: recognition then uses both. Only when the "
+        "database is new. It wants a --segmenter.",
     ),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
@@ -156,7 +156,7 @@ class DriveOptions:
     labels_as: str | None = option(
         None,
         "Label space of the label maps: a name or a .yaml file. Without it, the data "
-        "set's. With it, a PNG that could be an image or a label map is a label map.",
+        "set's. Without it, PNGs that could be either are taken as images.",
     )
 
 
@@ -203,8 +203,8 @@ class StepOptions:
     follow: Literal["offline", "online", "no"] = option(
         "offline",
         "Judge each query together with its sequence: with all queries (offline), with "
-        "the earlier ones (online), or alone (no). Queries that do not form a sequence are "
-        "judged alone.",
+        "the earlier ones (online), or alone (no). Queries whose scores do not form a sequence "
+        "are judged alone; the last line says what was done.",
     )
     delay: int = option(
         0, "With --follow online: later queries to wait for before an answer.", min=0

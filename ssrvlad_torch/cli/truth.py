@@ -15,7 +15,7 @@ from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
 from ..evaluation.ground_truth import from_frame_numbers, from_poses
-from ..evaluation.ground_truth_files import Known, from_file
+from ..evaluation.ground_truth_files import Known, from_file, named_queries
 from .options import TruthOptions
 from .output import note
 
@@ -108,6 +108,12 @@ class TrueMatches:
             return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
         if self.file is not None:
             counted = from_file(self.file, queries.counted, references.counted)
+            strange = {*named_queries(self.file)} - {*queries.counted}
+            if strange:
+                note(
+                    f"{len(strange)} of the queries that {self.file} names are not there, "
+                    f"the first is {_in_order(strange)[0]}"
+                )
         else:
             assert self.frames is not None
             counted = [*from_frame_numbers(queries.counted, references.counted, self.frames)]

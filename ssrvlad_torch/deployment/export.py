@@ -30,7 +30,7 @@ def export_head(
     config: SSRVLADConfig,
     path: str | Path,
     input: str = "labels",
-    dtype: str = "uint8",
+    dtype: str | None = None,
     columns: Sequence[int] = (),
     form: str = "standard",
     shape: tuple[int, int, int] | None = None,
@@ -57,7 +57,8 @@ def export_head(
         config: the settings.
         path: the file; what was there is replaced, whole or not at all.
         input: ``"labels"`` or ``"logits"``.
-        dtype: of the labels, ``"uint8"``, ``"int32"`` or ``"int64"``.
+        dtype: of the labels, ``"uint8"``, the default, ``"int32"`` or ``"int64"``; class scores
+            are float32.
         columns: S anchors of `SSRVLAD.sweep`; none for single descriptors.
         form: ``"standard"``, or ``"arithmetic"`` for the aggregation harmonics: the same numbers
             without bitwise operators, loops and shapes that depend on what is in the picture,
@@ -84,13 +85,16 @@ def export_head(
 def head_model(
     config: SSRVLADConfig,
     input: str = "labels",
-    dtype: str = "uint8",
+    dtype: str | None = None,
     columns: Sequence[int] = (),
     form: str = "standard",
     shape: tuple[int, int, int] | None = None,
 ) -> onnx.ModelProto:
     """What `export_head` writes; arguments and errors as there."""
     head = SweepHead(config, columns) if columns else SSRVLAD(config)
+    if input == "logits" and dtype is not None:
+        raise ValueError(f"dtype is of labels, and class scores are float32; got {dtype!r}")
+    dtype = dtype or DTYPES[0]
     _check(config, form, shape)
     inputs = _inputs(head.label_space, input, dtype, shape)
     graph = Graph(inputs)

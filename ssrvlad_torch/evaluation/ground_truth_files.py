@@ -44,16 +44,7 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
         ValueError: the file cannot be read, has another form, size or number of queries, names a
             reference that is not there, or has an entry for none of the queries.
     """
-    path = Path(path)
-    if path.suffix.lower() not in READERS:
-        raise ValueError(
-            f"cannot read the ground truth {path}: expected a file in {', '.join(READERS)}"
-        )
-    try:
-        check_regular(path)
-        found = READERS[path.suffix.lower()](path)
-    except Exception as error:  # what decoders raise on damaged bytes has no bounds
-        raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
+    found = _content(Path(path))
     try:
         if isinstance(found, dict):
             return _of_pairs(found, queries, references)
@@ -62,6 +53,28 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
         return _of_matrix(found, len(queries), len(references))
     except ValueError as error:
         raise ValueError(f"ground truth {path} {error}") from error
+
+
+def named_queries(path: str | Path) -> list[str]:
+    """Ids of the queries that a file of pairs names; none of a file that counts frames.
+
+    Raises:
+        ValueError: the file cannot be read, or has another form.
+    """
+    found = _content(Path(path))
+    return list(found) if isinstance(found, dict) else []
+
+
+def _content(path: Path) -> Pairs | PickledArray | Matrix:
+    if path.suffix.lower() not in READERS:
+        raise ValueError(
+            f"cannot read the ground truth {path}: expected a file in {', '.join(READERS)}"
+        )
+    try:
+        check_regular(path)
+        return READERS[path.suffix.lower()](path)
+    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+        raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
 
 
 def of_known(truth: Known) -> tuple[list[int], list[Rows]]:

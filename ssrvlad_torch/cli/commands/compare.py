@@ -56,9 +56,9 @@ def compare(
 ) -> None:
     """Compare methods on one data set: how well they recognise, with 95 % bootstrap intervals, and
     what they cost. Each method is measured twice: by the scores of single frames, and with the
-    steps below. --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad. All
-    methods get the same frames: those that have what every method needs. A method without images,
-    label maps or weights does not run, and its row says so. --fuse adds up the scores of methods,
+    steps below. --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad.
+    Methods that lack images, label maps or weights are left out. The others are compared on the
+    frames that all of them can use. --fuse adds up the scores of methods,
     each weighted by how far its first candidates are ahead on the queries at hand.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11

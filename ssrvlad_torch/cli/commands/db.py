@@ -27,10 +27,16 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
     """
     from ...database.database import Database
 
-    report = Database.open(database, as_of).info()
+    opened = Database.open(database, as_of)
+    report = opened.info()
     if as_json:
         print_json(report)
         return
+    if report["config"]:
+        used = opened.config.used()
+        report["config"] = {name: v for name, v in report["config"].items() if name in used}
+    if not report["beside"]:
+        del report["beside"]
     for name, value in report.items():
         entries = value.items() if isinstance(value, dict) else ()
         text = ", ".join(f"{key} {entry}" for key, entry in entries) if entries else value

@@ -13,7 +13,7 @@ def export(
     output: Path = option(..., "ONNX file to write.", "--output", "-o"),
     labels_as: LabelsAs,
     given: str = option("labels", "What the file takes: labels or logits.", "--input"),
-    dtype: str = option("uint8", "Of the labels: uint8, int32 or int64."),
+    dtype: str | None = option(None, "Of the labels: uint8, int32 or int64. Without it, uint8."),
     preset: Preset = "default",
     sweep: bool = option(
         False,

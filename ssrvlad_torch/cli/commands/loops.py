@@ -7,11 +7,11 @@ import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from ...evaluation.thresholds import SURE_PRECISION, needed
 from ...loops.config import LoopConfig
-from ..options import Json, MaybePreset, SourceOptions, With, option
+from ..options import Json, MaybePreset, SourceOptions, option
 from ..output import figure, finish, fused_in_words, print_json, say
 
 if TYPE_CHECKING:
@@ -45,7 +45,12 @@ def loops(
         None, "Measure precision and recall: a loop is right within so many metres."
     ),
     preset: MaybePreset = None,
-    beside: With = None,
+    beside: Literal["hog"] | None = option(
+        None,
+        "Describe each image by this method, too: recognition then uses both. With --memory: "
+        "only when the database is new. It wants a --segmenter.",
+        "--with",
+    ),
     as_json: Json = False,
 ) -> None:
     """Find loop closures in a stream of frames while it comes.

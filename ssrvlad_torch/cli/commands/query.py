@@ -22,8 +22,9 @@ def query(
     top: int = option(5, "Candidates of each query.", min=1),
     threshold: float | None = option(
         None,
-        "Leave out candidates whose score is not above this: a cosine of single frames, a "
-        "probability where the queries were followed.",
+        "Leave out candidates whose score is not above this. Scores are cosines of single frames. "
+        "Of followed queries the first is the probability of that place (a few frames around it), "
+        "and each other is the probability of that one frame.",
         max=1,
     ),
     from_sequence: list[str] | None = option(
