@@ -131,7 +131,7 @@ class Localiser:
             ValueError: there are no pictures.
             OSError: the database cannot be written.
         """
-        files = find_image_files([str(source) for source in sources])
+        files = find_image_files([*map(str, sources)], known=self.database.folders())
         self._known = None
         return encode_to_database(self._add, files, self.database, segmenter=self.segmenter)
 

@@ -84,11 +84,12 @@ def test_images_and_a_segmenter_give_what_label_maps_give(ssrvlad, database, pho
     assert torch.equal(by_images.descriptors, by_labels.descriptors)
     assert "0 frames encoded (0 of them empty), 6 already there" in ssrvlad(*command)[1]
 
-    code, out, _ = ssrvlad("query", database, photos, "--top", 1, *segmenter)
+    alike = ["--sequence", "monday"]
+    code, out, _ = ssrvlad("query", database, photos, "--top", 1, *segmenter, *alike)
     assert code == 0
     assert out == ssrvlad("query", database, tmp_path / "monday", "--top", 1)[1]
 
-    options = ["--tolerance-frames", 1, "--json"]
+    options = ["--tolerance-frames", 1, "--json", *alike]
     code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
     assert code == 0
     assert out == ssrvlad("evaluate", db, tmp_path / "monday", *options)[1]

@@ -15,6 +15,19 @@ def test_queries_that_are_in_the_database_are_mentioned(ssrvlad, database, maps)
     assert err == ["ssrvlad: 6 of 6 queries are in the database themselves"]
 
 
+@pytest.mark.parametrize("method", [(), ("--method", "ssr-vlad", "--labels-as", "camvid-11")])
+def test_a_folder_of_the_same_name_is_another_drive(ssrvlad, database, maps, tmp_path, method):
+    """Its frames are named by time, as those of an aligned drive that was later."""
+    other = write_maps(tmp_path / "other" / "monday", range(6))
+    for path in sorted(other.iterdir()):
+        path.rename(path.with_stem(f"1{path.stem}"))
+    references = maps if method else database
+    arguments = ("--tolerance-frames", 0, "--json", *method)
+    code, out, err = ssrvlad("evaluate", references, other, *arguments)
+    assert (code, err) == (0, [])
+    assert json.loads(out)["recall_at"]["1"] == 1
+
+
 @pytest.fixture
 def evaluate(ssrvlad, database, tmp_path):
     """Evaluates six frames of Tuesday, alike those of Monday, against Monday's database."""
@@ -40,6 +53,20 @@ def test_evaluate_names_its_convention_and_gives_intervals_and_thresholds(evalua
     assert points["at_precision"]["1"]["accepted"] == 6
     assert points["at_recall"]["0.5"]["precision"] == 1.0
     assert points["suggested"]["accepted"] == 6 and points["suggested"]["precision_low"] < 0.95
+
+
+def test_a_ground_truth_says_as_much_of_a_path_as_it_likes(ssrvlad, database, tmp_path):
+    """The ids of queries depend on what else is asked; what their paths end in does not."""
+    dusk, night = (write_maps(tmp_path / t / "tuesday", range(6)) for t in ("dusk", "night"))
+    for end in ("tuesday", "dusk/tuesday", f"{tmp_path.name}/dusk/tuesday"):
+        truth = write_truth(tmp_path / "t.json", {f"{end}/003": ["monday/003"]})
+        options = ("--ground-truth", truth, "--json")
+        for queries in ([dusk], [dusk, night]):
+            code, out, err = ssrvlad("evaluate", database, *queries, *options)
+            if end == "tuesday" and len(queries) > 1:
+                assert code == 2 and "may be dusk/tuesday/003 or night/tuesday/003" in err[-1]
+            else:
+                assert (code, json.loads(out)["queries"]) == (0, 1)
 
 
 def test_evaluate_prints_all_figures(evaluate):

@@ -131,3 +131,40 @@ def test_info(ssrvlad, database):
     assert info["preset"] == "default"
     assert info["label_spaces"] == {"camvid-11": 6}
     assert info["config"] == SSRVLADConfig.from_preset("default", labels_as="camvid-11").to_dict()
+
+
+def test_a_folder_of_the_same_name_is_another_drive(ssrvlad, database, maps, tmp_path):
+    other = write_maps(tmp_path / "other" / "monday", range(6))
+    found = _first(ssrvlad("query", database, other, "--top", 1, "--exclude", 5)[1])
+    assert found == {f"other/monday/{n:03d}": f"monday/{n:03d}" for n in range(6)}
+
+
+def test_a_folder_that_the_database_knows_is_its_sequence(ssrvlad, tmp_path):
+    both = [write_maps(tmp_path / drive / "maps", range(6)) for drive in ("day", "dusk")]
+    town = tmp_path / "both.ssrdb"
+    ssrvlad("encode", *both, "-o", town, "--labels-as", "camvid-11")
+    found = _first(ssrvlad("query", town, both[1], "--top", 1, "--exclude", 5)[1])
+    assert found == {f"dusk/maps/{n:03d}": f"day/maps/{n:03d}" for n in range(6)}
+
+
+def test_the_frames_of_another_database_are_named_apart(ssrvlad, database, tmp_path):
+    other, others = write_maps(tmp_path / "other" / "monday", range(6)), tmp_path / "b.ssrdb"
+    ssrvlad("encode", other, "-o", others, "--labels-as", "camvid-11")
+    code, _, err = ssrvlad("query", database, others)
+    assert code == 2 and len(err) == 1 and "name it with --sequence" in err[0]
+    found = _first(ssrvlad("query", database, others, "--sequence", "b", "--top", 1)[1])
+    assert found == {f"b/{n:03d}": f"monday/{n:03d}" for n in range(6)}
+
+
+def test_a_map_that_was_moved_is_asked_for_its_name(ssrvlad, database, maps):
+    (maps.parent / "elsewhere").mkdir()
+    moved = maps.rename(maps.parent / "elsewhere" / "monday")
+    code, _, err = ssrvlad("query", database, moved, "--exclude", 5)
+    assert code == 2 and "which is gone: if" in err[0] and "say --sequence monday" in err[0]
+    out = ssrvlad("query", database, moved, "--exclude", 5, "--sequence", "monday")[1]
+    assert [line.split(": ")[1][:12] for line in out.splitlines()] == ["no candidate"] * 6
+
+
+def _first(out: str) -> dict[str, str]:
+    """The first candidate of each query."""
+    return {line.split(": ")[0]: line.split()[1] for line in out.splitlines()}

@@ -20,7 +20,6 @@ from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import digest, find_label_files
 from ssrvlad_torch.encoding import describer, encoder, writer
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
-from ssrvlad_torch.encoding.plan import folders_of
 from ssrvlad_torch.encoding.results import EncodeOptions
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
@@ -328,11 +327,11 @@ def test_folders_of_one_name_are_told_apart_in_one_run_and_in_several(maps):
     assert maps.database().load().frames == tuple(
         f"0{d}/labels/{n}" for d in "01" for n in (int(d), 7)
     )
-    known = folders_of(maps.database().known())
+    known = maps.database().folders()
     files = maps.files("02/labels", known=known)
     assert encode_to_database(HEAD, files, maps.database()).encoded == 2
-    assert {file.sequence for file in files} == {"labels"}
-    files = maps.files("02/labels", "00/labels", known=folders_of(maps.database().known()))
+    assert {file.sequence for file in files} == {"02/labels"}
+    files = maps.files("02/labels", "00/labels", known=maps.database().folders())
     options = EncodeOptions(complete=True, prune=True)
     summary = encode_to_database(HEAD, files, maps.database(), options)
     assert (counts(summary), summary.pruned) == ((0, 4, 0), 0)
@@ -350,7 +349,7 @@ def test_a_second_folder_of_a_name_never_merges_overwrites_or_prunes(maps):
     with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
         encode_to_database(HEAD, files, maps.database())
     assert torch.equal(maps.database().load().descriptors, before.descriptors)
-    files = maps.files("01/labels", known=folders_of(maps.database().known()))
+    files = maps.files("01/labels", known=maps.database().folders())
     assert {file.sequence for file in files} == {"01/labels"}
     assert encode_to_database(HEAD, files, maps.database()).encoded == 3
     files = maps.files("01/labels", sequence="labels")[1:]
@@ -362,8 +361,10 @@ def test_a_folder_that_was_moved_goes_on_if_its_name_is_given(maps):
     maps.encode()
     (maps.folder / "other").mkdir()
     (maps.folder / "a").rename(maps.folder / "other" / "a")
-    known = folders_of(maps.database().known())
-    with pytest.raises(ValueError, match=r"'a' was encoded from .*, which is gone: .*--sequence a"):
+    known = maps.database().folders()
+    with pytest.raises(
+        ValueError, match=r"'a' of the database was encoded from .*, which is gone: .*--sequence a"
+    ):
         maps.files("other/a", known=known)
     files = maps.files("other/a", sequence="a", known=known)
     assert encode_to_database(HEAD, files, maps.database()).anew == {"file moved": 3}

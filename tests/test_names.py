@@ -1,9 +1,11 @@
 """Names of sequences: short, and never two alike."""
 
+from pathlib import Path
+
 import pytest
 
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.datasets.names import names_of
+from ssrvlad_torch.datasets.names import names_of, see_sequences
 
 
 def test_a_folder_alone_is_named_by_its_last_part():
@@ -28,13 +30,58 @@ def test_a_path_that_ends_another_cannot_be_told_apart():
 
 
 def test_names_that_are_taken_stay(tmp_path):
-    known = {str(tmp_path): "labels"}
+    known = [(str(tmp_path), "labels")]
     assert names_of(["/other/labels", str(tmp_path)], known) == {
         "/other/labels": "other/labels",
         str(tmp_path): "labels",
     }
-    with pytest.raises(ValueError, match=r"'labels' was encoded from /none/labels, which is gone"):
-        names_of(["/other/labels"], {"/none/labels": "labels"})
+    for folder in (f"{tmp_path}.npy", f"{tmp_path}.v2.bag"):
+        Path(folder).touch()
+        stack = Path(folder).with_suffix("")
+        assert names_of(["/other/labels"], [(str(stack), "labels")]) == {
+            "/other/labels": "other/labels"
+        }
+
+
+def test_a_known_folder_has_its_name_by_a_link_too(tmp_path):
+    (tmp_path / "monday").mkdir()
+    (tmp_path / "link").symlink_to("monday")
+    known = [(str(tmp_path / "monday"), "first drive")]
+    assert names_of([str(tmp_path / "link")], known) == {str(tmp_path / "link"): "first drive"}
+
+
+def test_no_other_folder_ends_in_a_name():
+    """The name of a folder is the same whether it comes together with the known ones or later."""
+    known = [("s3://d/00/labels", "00/labels"), ("s3://d/01/labels", "01/labels")]
+    assert names_of(["s3://d/02/labels"], known) == {"s3://d/02/labels": "02/labels"}
+
+
+@pytest.mark.parametrize(
+    ("known", "message"),
+    [
+        (
+            [("/none/labels", "labels")],
+            "'labels' of the database was encoded from /none/labels, wh",
+        ),
+        ([("", "labels")], "'labels' of the database tells no folder: .* say --sequence labels"),
+        (
+            [("/other/labels", "even"), ("/other/labels", "odd")],
+            "/other/labels is sequence 'even' of the database and 'odd', too: .* --sequence",
+        ),
+    ],
+)
+def test_what_may_mean_two_things_is_refused(known, message):
+    with pytest.raises(ValueError, match=message):
+        names_of(["/other/labels"], known)
+
+
+def test_sequences_of_two_databases_are_one_where_a_folder_is():
+    here = [("s3://a/day", "labels"), ("", "own")]
+    see_sequences("b.ssrdb", [("s3://a/day", "labels"), ("s3://c", "c"), ("s3://d", "own")], here)
+    with pytest.raises(
+        ValueError, match=r"'labels' of b.ssrdb is s3://a/night, .* s3://a/day: name"
+    ):
+        see_sequences("b.ssrdb", [("s3://a/night", "labels")], here)
 
 
 def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):

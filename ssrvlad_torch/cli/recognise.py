@@ -23,6 +23,7 @@ from ..database.reading import Damage
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
+from ..datasets.names import Known
 from ..encoding.results import Skipped, cores
 from ..evaluation.metrics import Convention
 from ..evaluation.report import Descriptors
@@ -70,6 +71,7 @@ class Found(NamedTuple):
         recognised: the candidates of every query.
         temporal: t of Eq. 3, for each sequence if they differ.
         skipped: frames that could not be encoded.
+        folders: of the sequences of the queries.
     """
 
     queries: FrameSet
@@ -77,6 +79,7 @@ class Found(NamedTuple):
     recognised: Recognised
     temporal: int | dict[str, int]
     skipped: list[Skipped]
+    folders: Known
 
 
 def look_up(
@@ -102,7 +105,8 @@ def look_up(
     also = () if steps else beside(database, options)
     steps = steps or steps_of(options)
     references, t = load_references(database, options.reach, damage)
-    queries, skipped = encode_queries(database, source, COLUMNS if steps.sweep else (), also)
+    columns = COLUMNS if steps.sweep else ()
+    queries, skipped, folders = encode_queries(database, source, columns, also)
     found = recognise_places(
         queries.descriptors,
         references.descriptors,
@@ -113,7 +117,7 @@ def look_up(
         shut(queries, references),
         {name: (values, references.beside[name]) for name, values in queries.beside.items()},
     )
-    return Found(queries, references, found, t, skipped)
+    return Found(queries, references, found, t, skipped, folders)
 
 
 def by_database(
@@ -126,7 +130,7 @@ def by_database(
     """The candidates of every query in a database, for a page if there is one. A convention that
     looks at all pairs uses their cosines, and no step is taken."""
     pairs = wants_similarity(convention)
-    queries, references, found, t, skipped = look_up(
+    queries, references, found, t, skipped, folders = look_up(
         database, source, options, CANDIDATES if page else TOP, AS_PAPER if pairs else None
     )
     swept = queries.descriptors
@@ -139,8 +143,8 @@ def by_database(
     if pairs:
         similarity = score(queries.descriptors, references.descriptors).numpy()
     return Recognition(
-        references=Places.of_set(references, source.whole),
-        queries=Places.of_set(queries, source.whole, [frame.frame for frame in skipped]),
+        references=Places.of_set(references, source.whole, source.known),
+        queries=Places.of_set(queries, source.whole, folders, [f.frame for f in skipped]),
         found=sure_enough(found, options.min_confidence),
         similarity=similarity,
         descriptors=Descriptors.of(queries.descriptors, references.descriptors, config),
@@ -175,7 +179,7 @@ def look_up_by_index(
         exclude: so many frames on each side of a query in its own sequence are no candidates.
     """
     steps = steps_of(options)
-    queries, skipped = encode_queries(database, source)
+    queries, skipped, folders = encode_queries(database, source)
     ids, names = queries.frames, queries.sequences
 
     @cache
@@ -187,7 +191,7 @@ def look_up_by_index(
     long = names.count(names[0]) >= LEAST if names else False
     references = search(steps.standardise and long).frames
     found = recognise_by_search(search, names, references.sequences, steps, top)
-    return Found(queries, references, found, 0, skipped)
+    return Found(queries, references, found, 0, skipped, folders)
 
 
 def sure_enough(found: Recognised, least: float) -> Matches:
@@ -233,6 +237,7 @@ def by_method(
     if labelled and source.labels_as is None:
         raise ValueError(f"method {method.name} reads label maps; expected their --labels-as")
     there = (find_label_files if labelled else find_image_files)([str(references)])
+    source = dataclasses.replace(source, known={(f.folder, f.sequence) for f in there})
     here = source.label_files() if labelled else source.image_files()
     labels_as = source.labels_as if labelled else None
     all_pairs = wants_similarity(convention) or page is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -20,6 +20,7 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
+from ..datasets.names import Known, see_sequences
 from ..descriptor import query_head
 from ..encoding.beside import beside_by
 from ..encoding.encoder import encode_to_memory
@@ -50,9 +51,10 @@ class Source:
     dataset: Dataset | None
     whole: Dataset | None
     labels_as: str | LabelSpace | None
+    known: Known = ()
 
     @classmethod
-    def open(cls, given: SourceOptions) -> Source:
+    def open(cls, given: SourceOptions, known: Known = ()) -> Source:
         """Opens the data set, if it is one, and notes what it lacks."""
         whole = _open_dataset(given)
         dataset = whole and whole.select(given.split or (), given.role)
@@ -62,7 +64,7 @@ class Source:
         if given.segmenter and labels_as in (None, AUTO):
             labels_as = _own_space(given.segmenter, given.classes, required=labels_as == AUTO)
         labels_as = labels_as or (dataset.labels_as if dataset else None)
-        return cls(given, dataset, whole, labels_as)
+        return cls(given, dataset, whole, labels_as, known)
 
     def database(self) -> Database | None:
         """The database that the source is, if it is one."""
@@ -73,13 +75,10 @@ class Source:
         """The same; of a data set, only the frames with a pose."""
         return dataclasses.replace(self, dataset=self.dataset and self.dataset.posed())
 
-    def frames(
-        self, labels_as: LabelsAs, known: Mapping[str, str] | None = None
-    ) -> tuple[list[FrameFile], Segmenter | None]:
-        """The frames, and what makes label maps of them if they are images. ``known`` holds the
-        names that folders already have, see `names_of`."""
+    def frames(self, labels_as: LabelsAs) -> tuple[list[FrameFile], Segmenter | None]:
+        """The frames, and what makes label maps of them if they are images."""
         segmenter = self.segmenter(labels_as)
-        return self.image_files(known) if segmenter else self.label_files(known), segmenter
+        return self.image_files() if segmenter else self.label_files(), segmenter
 
     def segmenter(self, labels_as: LabelsAs) -> Segmenter | None:
         """What makes label maps of images, if one was given."""
@@ -97,14 +96,14 @@ class Source:
             raise ValueError(f"--with {name} wants images as SOURCE, and a --segmenter")
         return [beside_by(name)] if name else []
 
-    def label_files(self, known: Mapping[str, str] | None = None) -> list[FrameFile]:
+    def label_files(self) -> list[FrameFile]:
         """The frames that are label maps."""
         given = self.given
         if self.dataset:
             return self.dataset.label_files(given.every, given.start)
         try:
             return find_label_files(
-                given.paths, given.sequence, given.every, given.start, known, given.poses
+                given.paths, given.sequence, given.every, given.start, self.known, given.poses
             )
         except ValueError:
             if not attempt(find_label_files, given.paths) and attempt(
@@ -116,13 +115,19 @@ class Source:
                 ) from None
             raise
 
-    def image_files(self, known: Mapping[str, str] | None = None) -> list[FrameFile]:
+    def image_files(self) -> list[FrameFile]:
         """The frames that are images."""
         given = self.given
         if self.dataset:
             return self.dataset.image_files(given.every, given.start)
         return find_image_files(
-            given.paths, given.sequence, given.every, given.start, known, given.poses, given.topic
+            given.paths,
+            given.sequence,
+            given.every,
+            given.start,
+            self.known,
+            given.poses,
+            given.topic,
         )
 
 
@@ -152,9 +157,9 @@ def encode_queries(
     source: Source,
     columns: Sequence[int] = (),
     beside: Sequence[Beside] = (),
-) -> tuple[FrameSet, list[Skipped]]:
-    """The frames of a source, encoded with the settings of a database, and the skipped ones. A
-    source that is a database gives its own frames.
+) -> tuple[FrameSet, list[Skipped], Known]:
+    """The frames of a source, encoded with the settings of a database, the skipped ones, and the
+    folders of their sequences. A source that is a database gives its own frames.
 
     Args:
         database: whose settings are used.
@@ -177,14 +182,27 @@ def encode_queries(
         if not set(beside) <= set(other.beside):
             raise no_pictures
         known = {one.name: frames.beside[one.name] for one in beside}
-        return dataclasses.replace(frames, beside=known), []
+        frames = dataclasses.replace(_renamed(frames, other, source), beside=known)
+        return frames, [], () if source.given.sequence else other.folders()
     config = settings_of(database, source.labels_as)
     if beside and not source.given.segmenter:
         raise no_pictures
     files, segmenter = source.frames(config.labels_as)
     with progress_bar("encoding", len(files)) as bar:
         head, workers = query_head(config, columns), source.given.workers
-        return encode_to_memory(head, files, workers, bar.advance, segmenter, beside)
+        frames, skipped = encode_to_memory(head, files, workers, bar.advance, segmenter, beside)
+    return frames, skipped, {(file.folder, file.sequence) for file in files}
+
+
+def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
+    """The frames of a database that is the source, by the name of the sequence that was given."""
+    if (name := source.given.sequence) is None:
+        see_sequences(str(database.path), database.folders(), source.known)
+        return frames
+    if len(set(frames.sequences)) > 1:
+        raise ValueError(f"--sequence names one sequence, {database.path} holds several")
+    ids = tuple(f"{name}/{frame.rpartition('/')[2]}" for frame in frames.frames)
+    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
 
 
 def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig:

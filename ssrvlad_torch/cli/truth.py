@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +15,9 @@ from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
+from ..datasets.names import Known as KnownFolders
 from ..evaluation.ground_truth import from_frame_numbers, from_poses
-from ..evaluation.ground_truth_files import Known, from_file, named_queries
+from ..evaluation.ground_truth_files import Known, from_file, strange_entries
 from .options import TruthOptions
 from .output import note
 
@@ -29,11 +31,13 @@ class Places:
         poses: ``(N, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
         counted: ids of these and of all other frames that count where frames are counted, in
             order: those that were skipped, and with a data set all that it has of the sequences.
+        folders: of the sequences, where they are known.
     """
 
     frames: tuple[str, ...]
     poses: npt.NDArray[np.float64]
     counted: tuple[str, ...]
+    folders: KnownFolders = ()
 
     @classmethod
     def of(cls, frames: Iterable[Frame | FrameFile], dataset: Dataset | None = None) -> Places:
@@ -41,15 +45,31 @@ class Places:
         taken = list(frames)
         ids = tuple(frame.frame for frame in taken)
         poses = np.array([frame.pose for frame in taken], np.float64).reshape(-1, 3)
-        return cls(ids, poses, _counted(ids, dataset))
+        folders = {(f.folder, f.sequence) for f in taken if isinstance(f, FrameFile)}
+        return cls(ids, poses, _counted(ids, dataset), folders)
 
     @classmethod
     def of_set(
-        cls, frames: FrameSet, dataset: Dataset | None, skipped: Iterable[str] = ()
+        cls,
+        frames: FrameSet,
+        dataset: Dataset | None,
+        folders: KnownFolders,
+        skipped: Iterable[str] = (),
     ) -> Places:
         """The places of encoded frames, counted together with the skipped ones."""
         ids = frames.frames
-        return cls(ids, frames.poses, _counted([*ids, *skipped], dataset))
+        return cls(ids, frames.poses, _counted([*ids, *skipped], dataset), folders)
+
+    @property
+    def paths(self) -> dict[str, str]:
+        """The counted ids, each with the path of its file where its sequence is one folder."""
+        several = Counter(sequence for _, sequence in self.folders)
+        folder = {name: folder for folder, name in self.folders if folder and several[name] == 1}
+        parts = ((frame, *frame.rpartition("/")[::2]) for frame in self.counted)
+        return {
+            frame: PurePath(folder[sequence], name).as_posix() if sequence in folder else frame
+            for frame, sequence, name in parts
+        }
 
 
 @dataclass(frozen=True)
@@ -107,8 +127,8 @@ class TrueMatches:
         if self.metres is not None:
             return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
         if self.file is not None:
-            counted = from_file(self.file, queries.counted, references.counted)
-            strange = {*named_queries(self.file)} - {*queries.counted}
+            counted = from_file(self.file, queries.paths, references.paths)
+            strange = strange_entries(self.file, queries.paths)
             if strange:
                 note(
                     f"{len(strange)} of the queries that {self.file} names are not there, "

@@ -26,7 +26,7 @@ from ..taxonomy import LabelSpace, label_space_names
 from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frame_sets import OF_A_SET, frame_set, in_order, order_of
-from .frames import FrameRecord, FrameSet, Vectors, several
+from .frames import FrameRecord, FrameSet, Vectors, folder_of, several
 from .metadata import Beside, Meta, Origin
 from .reading import Damage, read_intact, read_rows
 from .rows import (
@@ -447,6 +447,21 @@ class Database:
     def known(self) -> KnownFrames:
         """The records of all frames, without their descriptors."""
         return KnownFrames(self._columns(OF_A_RECORD))
+
+    def folders(self, damaged: bool = False) -> set[tuple[str, str]]:
+        """The folders that frames were encoded from, each with its sequence; the folder is empty
+        where it is not known.
+
+        Args:
+            damaged: whether to pass over damaged frames.
+        """
+        names = ["signature", "sequence"]
+        rows = read_rows(self._table, []) if damaged else self._columns(names).to_batches()
+        return {
+            (folder_of(signature), sequence)
+            for batch in rows
+            for signature, sequence in zip(*(batch[n].to_pylist() for n in names), strict=True)
+        }
 
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the

@@ -30,7 +30,8 @@ class FrameRecord(NamedTuple):
         x, y: position in metres, NaN where unknown.
         heading: radians, counter-clockwise from +x, NaN where unknown.
         stamp: when the frame was taken, in seconds, NaN where unknown.
-        signature: a text that changes whenever the frame's source does.
+        signature: a text that changes whenever the frame's source does; of a file, its folder
+            stands before the last ``|``.
         digest: of the label map, in hex.
         height, width: size of the label map in pixels.
         origin: which label space and segmenter made the label map; from `Database.add_origin`.
@@ -52,6 +53,11 @@ class FrameRecord(NamedTuple):
     def frame(self) -> str:
         """The frame's id."""
         return f"{self.sequence}/{self.name}" if self.sequence else self.name
+
+    @property
+    def folder(self) -> str:
+        """The folder of the frame's file, empty where it is not known."""
+        return folder_of(self.signature)
 
     @classmethod
     def of_id(cls, frame: str) -> FrameRecord:
@@ -107,6 +113,11 @@ def several(frames: _Several) -> _Several:
     if isinstance(frames, str):
         raise ValueError(f"expected a list of frames, got the text {frames!r}")
     return frames
+
+
+def folder_of(signature: str) -> str:
+    """The folder in a frame's signature."""
+    return signature.rpartition("|")[0]
 
 
 def natural_key(name: str) -> tuple[Any, str]:

@@ -135,11 +135,6 @@ class RemoteFile(FrameFile):
         return content
 
 
-def folder_of(signature: str) -> str:
-    """The folder in a frame's signature."""
-    return signature.rpartition("|")[0]
-
-
 @cache
 def _file_system(folder: str) -> FileSystem:
     """One connection of this process for all files of a folder."""

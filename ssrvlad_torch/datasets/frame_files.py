@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -16,7 +16,7 @@ from ..untrusted import check_regular, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile
 from .gps import read_exif
-from .names import absolute, is_uri, names_of
+from .names import Known, absolute, is_uri, names_of
 from .poses import UNKNOWN, Pose, find_poses, poses_of_fixes, read_poses
 from .remote_files import remote_files
 from .trajectories import read_trajectory
@@ -48,7 +48,7 @@ def find_frames(
     sequence: str | None = None,
     every: int = 1,
     start: int = 0,
-    known: Mapping[str, str] | None = None,
+    known: Known = (),
     poses: str | None = None,
     topic: str | None = None,
 ) -> list[FrameFile]:
@@ -64,7 +64,7 @@ def find_frames(
             sequence named by the file; in the folder of a URI there are none.
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
-        known: names that folders have already, see `names_of`.
+        known: folders that have a name already, see `names_of`.
         poses: where poses are, see `put_poses`; without, those in ``poses.csv`` in a folder or
             beside it, and in `utm_names`.
         topic: of a bag with several topics of images, see `bag_files`.

@@ -2,44 +2,75 @@
 
 from __future__ import annotations
 
+import glob
 import os
-from collections.abc import Collection, Mapping
+from collections import Counter
+from collections.abc import Collection, Iterable
 from pathlib import Path, PurePath
 from urllib.parse import unquote
 
+Known = Collection[tuple[str, str]]
+"""Folders that have a name: ``(folder, sequence)``; the folder is empty where it is not known."""
 
-def names_of(folders: Collection[str], known: Mapping[str, str] | None = None) -> dict[str, str]:
-    """A name for each folder, no two alike: the last part of its path, and as many before it as
-    needed.
+
+def names_of(folders: Collection[str], known: Known = ()) -> dict[str, str]:
+    """A name for each folder.
+
+    A known folder has the name of its sequence, also by a link. Another one has the last part of
+    its path, and as many before it as it takes until no other folder's path ends so.
 
     Args:
         folders: absolute paths, or URIs.
-        known: names of folders that keep them, by the folder.
+        known: the folders that have a name.
 
     Raises:
-        ValueError: a name is that of a known folder which is gone: the new one may be the same,
-            moved.
+        ValueError: a folder has several names, or can have none; or its name is that of a sequence
+            whose folder is gone or not known, so that it may be the same.
 
     Example:
         >>> names_of(["/data/00/labels", "/data/01/labels", "/data/park"])
         {'/data/00/labels': '00/labels', '/data/01/labels': '01/labels', '/data/park': 'park'}
+        >>> names_of(["/data/01/labels"], [("/data/00/labels", "labels")])
+        {'/data/01/labels': '01/labels'}
     """
-    known = dict(known or {})
-    new = {folder: _parts(folder) for folder in folders if folder not in known}
-    owners = {name: folder for folder, name in known.items()}
-    names = {}
-    for folder, parts in new.items():
-        others = [p for other, p in new.items() if other != folder]
-        for count in range(1, len(parts) + 1):
-            name = "/".join(parts[-count:])
-            if name in owners:
-                _see_that_it_is_there(owners[name], folder, name)
-            elif all(parts[-count:] != other[-count:] for other in others):
-                names[folder] = name
-                break
-        else:
-            raise ValueError(f"{folder} needs a name that no sequence has: give it a --sequence")
-    return {folder: known.get(folder) or names[folder] for folder in folders}
+    given = _grouped((_real(folder), name) for folder, name in known if folder)
+    owners = _grouped((name, folder) for folder, name in known)
+    ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in _ends(path))
+
+    def name(folder: str) -> str:
+        if names := given.get(_real(folder)):
+            return _only(folder, sorted(names))
+        for end in _ends(folder):
+            if end in owners:
+                _see_that_one_is_there(owners[end], folder, end)
+            elif ends[end] == 1:
+                return end
+        raise ValueError(f"{folder} needs a name that no sequence has: give it a --sequence")
+
+    return {folder: name(folder) for folder in folders}
+
+
+def see_sequences(place: str, these: Known, known: Known) -> None:
+    """Refuses a sequence that has the name of a known one and other folders.
+
+    Args:
+        place: what the sequences are of, for the message.
+        these: their folders.
+        known: the folders that have a name.
+
+    Raises:
+        ValueError: there is one.
+    """
+    owners, ours = (
+        _grouped((name, _real(folder)) for folder, name in pairs if folder)
+        for pairs in (known, these)
+    )
+    for name in owners.keys() & ours.keys():
+        if not owners[name] & ours[name]:
+            raise ValueError(
+                f"sequence {name!r} of {place} is {min(ours[name])}, that of the database is "
+                f"{min(owners[name])}: name it with --sequence, {name!r} if it is the same"
+            )
 
 
 def is_uri(place: str) -> bool:
@@ -47,19 +78,56 @@ def is_uri(place: str) -> bool:
     return "://" in place
 
 
-def _parts(folder: str) -> tuple[str, ...]:
+def is_same(folder: str, other: str) -> bool:
+    """Whether two folders are one, perhaps by a link."""
+    return _real(folder) == _real(other)
+
+
+def _real(folder: str) -> str:
+    return os.path.realpath(folder) if folder and not is_uri(folder) else folder
+
+
+def _ends(folder: str) -> list[str]:
+    """What a path ends in, the shortest first."""
     if is_uri(folder):
-        return tuple(part for part in unquote(folder.partition("://")[2]).split("/") if part)
-    path = PurePath(folder)
-    return tuple(part for part in path.parts if part != path.anchor) or (path.anchor,)
+        parts = [part for part in unquote(folder.partition("://")[2]).split("/") if part]
+    else:
+        path = PurePath(folder)
+        parts = [part for part in path.parts if part != path.anchor] or [path.anchor]
+    return ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
 
 
-def _see_that_it_is_there(known: str, folder: str, name: str) -> None:
-    if not is_uri(known) and not Path(known).exists():
+def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, set[str]]:
+    grouped: dict[str, set[str]] = {}
+    for key, value in pairs:
+        grouped.setdefault(key, set()).add(value)
+    return grouped
+
+
+def _only(folder: str, names: list[str]) -> str:
+    if len(names) > 1:
         raise ValueError(
-            f"sequence {name!r} was encoded from {known}, which is gone: if {folder} is the same, "
-            f"moved, say --sequence {name}; else give it a name with --sequence"
+            f"{folder} is sequence {names[0]!r} of the database and {names[1]!r}, too: say which "
+            "with --sequence"
         )
+    return names[0]
+
+
+def _see_that_one_is_there(owners: Collection[str], folder: str, name: str) -> None:
+    if not any(map(_is_there, owners)):
+        known = max(owners)
+        where = f"was encoded from {known}, which is gone" if known else "tells no folder"
+        raise ValueError(
+            f"sequence {name!r} of the database {where}: if {folder} is the same, say "
+            f"--sequence {name}; else give it a name with --sequence"
+        )
+
+
+def _is_there(folder: str) -> bool:
+    """Whether there is a folder, or a file that is a sequence without its suffix."""
+    return is_uri(folder) or bool(
+        folder and (Path(folder).exists() or glob.glob(f"{glob.escape(folder)}.*"))
+    )
 
 
 def absolute(path: Path) -> str:

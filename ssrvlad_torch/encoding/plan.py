@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from ..database.database import Database
-from ..database.frames import FrameRecord
+from ..database.frames import FrameRecord, folder_of
 from ..database.metadata import Origin
 from ..database.rows import KnownFrames
-from ..datasets.frame_file import FrameFile, folder_of
+from ..datasets.frame_file import FrameFile
+from ..datasets.names import is_same
 
 NEW = "new"
 LABEL_SPACE, SEGMENTER = "label space changed", "segmenter changed"
@@ -48,7 +49,7 @@ class Plan:
         of the database that is of another folder is a ValueError."""
         known, origins = database.known(), database.origins
         there = {name for name, entry in origins.items() if _reason(origin, entry) is None}
-        _see_folders(files, known)
+        see_folders(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         for file in files:
             record = known.get(file.frame)
@@ -71,13 +72,6 @@ class Plan:
         return TOUCHED if same else reason
 
 
-def folders_of(known: KnownFrames) -> dict[str, str]:
-    """The sequence of each folder that a database holds frames of."""
-    folders = {folder: frame.rpartition("/")[0] for frame, folder in _folders(known)}
-    folders.pop("", None)
-    return folders
-
-
 def _why_anew(file: FrameFile, record: FrameRecord) -> str | None:
     """Why a frame with a row of the same origin must be encoded; ``None`` if not."""
     signature = file.signature()
@@ -98,9 +92,13 @@ def _reason(now: Origin, then: Origin | None) -> str | None:
     return SEGMENTER if then.segmenter != now.segmenter else None
 
 
-def _see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
+def see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
     """Refuses to merge or overwrite frames of different folders; a sequence that the user named may
-    have frames of several."""
+    have frames of several.
+
+    Raises:
+        ValueError: files have the name of a sequence or of a frame of another folder.
+    """
     sequences = {file.sequence for file in files}
     theirs: dict[str, set[str]] = {}
     for frame, folder in _folders(known):
@@ -108,19 +106,28 @@ def _see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
             theirs.setdefault(sequence, set()).add(folder)
     for sequence, folder in dict.fromkeys((f.sequence, f.folder) for f in files if not f.named):
         there = theirs.get(sequence, {folder})
-        if folder not in there and not any(_is_same(folder, other) for other in there):
+        if not any(is_same(folder, other) for other in there):
             raise ValueError(
                 f"sequence {sequence!r} of the database is {min(there)}, not {folder}: give the "
                 f"name of the sequence with --sequence, {sequence!r} if it is the same, moved"
             )
     for file in files:
-        record = known.get(file.frame) if file.named else None
-        folder = folder_of(record.signature) if record else file.folder
-        if folder != file.folder and Path(folder).exists() and not _is_same(folder, file.folder):
-            raise ValueError(
-                f"frame {file.frame!r} of the database is of {folder}, not of {file.folder}: give "
-                "another name with --sequence"
-            )
+        if file.named and (record := known.get(file.frame)):
+            see_folder(file, record)
+
+
+def see_folder(file: FrameFile, record: FrameRecord) -> None:
+    """Refuses a file of another folder than that of a frame of its name.
+
+    Raises:
+        ValueError: it is, and the folder of the frame is still there.
+    """
+    folder = record.folder
+    if folder and not is_same(folder, file.folder) and Path(folder).exists():
+        raise ValueError(
+            f"frame {file.frame!r} of the database is of {folder}, not of {file.folder}: give "
+            "another name with --sequence"
+        )
 
 
 def _gone(files: Sequence[FrameFile], known: KnownFrames) -> Iterator[str]:
@@ -133,10 +140,3 @@ def _gone(files: Sequence[FrameFile], known: KnownFrames) -> Iterator[str]:
 
 def _folders(known: KnownFrames) -> Iterator[tuple[str, str]]:
     return zip(known, map(folder_of, known.column("signature")), strict=True)
-
-
-def _is_same(folder: str, other: str) -> bool:
-    try:
-        return Path(folder).samefile(other)
-    except OSError:
-        return False

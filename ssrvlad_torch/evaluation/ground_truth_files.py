@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,11 @@ Known = list[Rows | None]
 """True matches of each query; ``None`` where the ground truth says nothing of a query."""
 
 
-def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str]) -> Known:
+Frames = Sequence[str] | Mapping[str, str]
+"""Frame ids ``<sequence>/<name>`` in order; in a mapping each with the whole path of its file."""
+
+
+def from_file(path: str | Path, queries: Frames, references: Frames) -> Known:
     """True matches from a file of any known form, chosen by its suffix and what is in it.
 
     | file | holds |
@@ -32,17 +36,19 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
     | ``.npy`` of objects | VPR-Bench's ``ground_truth_new.npy``: ``[query, [reference, ...]]`` |
 
-    Pairs name frames by their ids. Of a query that no entry names nothing is known: to say that
-    it has no true match, give it an empty list, or in CSV a line with an empty reference. A
+    Pairs name frames by their ids, or by as much of the end of a path as only one frame has. Of a
+    query that no entry names nothing is known: to say that it has no true match, give it an empty
+    list, or in CSV a line with an empty reference. A
     matrix and VPR-Bench's rows count frames from 0 in the order of ``queries`` and ``references``.
 
     Args:
         path: the file.
-        queries, references: frame ids, ``<sequence>/<name>``.
+        queries, references: the frames.
 
     Raises:
         ValueError: the file cannot be read, has another form, size or number of queries, names a
-            reference that is not there, or has an entry for none of the queries.
+            reference that is not there, has an entry for none of the queries, or one that may mean
+            several frames.
     """
     found = _content(Path(path))
     try:
@@ -55,14 +61,14 @@ def from_file(path: str | Path, queries: Sequence[str], references: Sequence[str
         raise ValueError(f"ground truth {path} {error}") from error
 
 
-def named_queries(path: str | Path) -> list[str]:
-    """Ids of the queries that a file of pairs names; none of a file that counts frames.
+def strange_entries(path: str | Path, queries: Frames) -> list[str]:
+    """Entries of a file of pairs that name none of the queries; none of a file that counts frames.
 
     Raises:
         ValueError: the file cannot be read, or has another form.
     """
-    found = _content(Path(path))
-    return list(found) if isinstance(found, dict) else []
+    found, find = _content(Path(path)), _finder(queries)
+    return [entry for entry in found if find(entry) is None] if isinstance(found, dict) else []
 
 
 def _content(path: Path) -> Pairs | PickledArray | Matrix:
@@ -151,17 +157,45 @@ def _grouped(pairs: Iterable[Sequence[str]]) -> Pairs:
     return grouped
 
 
-def _of_pairs(pairs: Pairs, queries: Sequence[str], references: Sequence[str]) -> Known:
+def _of_pairs(pairs: Pairs, queries: Frames, references: Frames) -> Known:
+    asked, known = _finder(queries), _finder(references)
     row = {frame: number for number, frame in enumerate(references)}
-    if queries and not any(query in pairs for query in queries):
-        raise ValueError(f"has an entry for none of the {len(queries)} queries, as {queries[0]}")
-    truth: Known = []
-    for query in queries:
-        strange = [frame for frame in pairs.get(query, ()) if frame not in row]
-        if strange:
-            raise ValueError(f"names reference {strange[0]!r}, which is not in the database")
-        truth.append(_rows(row[f] for f in pairs[query]) if query in pairs else None)
-    return truth
+    matches: dict[str, list[int]] = {}
+    for entry, named in pairs.items():
+        if (query := asked(entry)) is None:
+            continue
+        rows = matches.setdefault(query, [])
+        for frame in named:
+            if (reference := known(frame)) is None:
+                raise ValueError(f"names reference {frame!r}, which is not in the database")
+            rows.append(row[reference])
+    if queries and not matches:
+        first = next(iter(queries))
+        raise ValueError(f"has an entry for none of the {len(queries)} queries, as {first}")
+    return [_rows(matches[query]) if query in matches else None for query in queries]
+
+
+def _finder(frames: Frames) -> Callable[[str], str | None]:
+    """Looks up which frame an entry means: the one of this id, or the only one whose id or path
+    ends so."""
+    paths = frames if isinstance(frames, Mapping) else dict(zip(frames, frames, strict=True))
+    called: dict[str, list[str]] = {}
+    for frame in paths:
+        called.setdefault(frame.rpartition("/")[2], []).append(frame)
+
+    def find(entry: str) -> str | None:
+        if entry in paths:
+            return entry
+        ends = [
+            frame
+            for frame in called.get(entry.rpartition("/")[2], ())
+            if any(name.endswith(f"/{entry}") for name in (frame, paths[frame]))
+        ]
+        if len(ends) > 1:
+            raise ValueError(f"has an entry {entry!r}, which may be {ends[0]} or {ends[1]}")
+        return ends[0] if ends else None
+
+    return find
 
 
 def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:

@@ -15,13 +15,14 @@ from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.metadata import Beside
 from ..datasets.frame_files import FrameFile, with_poses
+from ..datasets.names import absolute, names_of
 from ..datasets.poses import find_poses
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode
+from ..encoding.plan import see_folder
 from ..encoding.results import Encoded, Skipped
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest
 from ..evaluation.outcomes import Rows
-from ..files import absolute_folder
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
 from .config import LoopConfig
@@ -77,6 +78,7 @@ def encode_as_they_come(
     names: Iterable[str],
     sequence: str | None = None,
     segmenter: Segmenter | None = None,
+    database: Database | None = None,
 ) -> Iterator[Encoded | Skipped]:
     """Encodes files one by one, each as soon as its name arrives. Frames that the detector knew at
     the start are left out. A ``poses.csv`` in or beside a file's folder is read once.
@@ -86,20 +88,32 @@ def encode_as_they_come(
         names: lines with one file name each; empty ones are ignored.
         sequence: the name of the sequence in place of the folder's.
         segmenter: makes label maps of images; without, the files are label maps.
+        database: that the detector was loaded from, if any: a folder that it knows keeps its name.
     """
     known, encoder = frozenset(detector.frames), detector.encoder()
+    records, folders = (database.known(), database.folders()) if database else ({}, set())
     find = functools.cache(find_poses)
+
+    @functools.cache
+    def name(folder: str) -> str:
+        found = sequence or names_of([folder], folders)[folder]
+        folders.add((folder, found))
+        return found
+
     for line in names:
         if not line.strip():
             continue
         path = Path(line.rstrip("\r\n"))
-        file = FrameFile(sequence or absolute_folder(path.parent).name, path.stem, path)
-        if file.frame in known:
-            continue
+        frame = str(path)
         try:
+            file = FrameFile(name(absolute(path.parent)), path.stem, path)
+            if (frame := file.frame) in records:
+                see_folder(file, records[frame])
+            if frame in known:
+                continue
             posed = [*with_poses([file], find)]
         except ValueError as error:
-            yield Skipped(file.frame, str(error))
+            yield Skipped(frame, str(error))
             continue
         yield from encode(encoder, posed, 1, segmenter, detector.beside)
 

@@ -67,7 +67,6 @@ def _encode(
     from ...database.database import Database
     from ...descriptor import SSRVLAD
     from ...encoding.encoder import encode_to_database
-    from ...encoding.plan import folders_of
     from ...encoding.ray_engine import encode_with_ray
     from ...encoding.results import EncodeOptions
     from ..sources import only_label_space
@@ -90,8 +89,9 @@ def _encode(
     if database:
         database.require(config, also)
     head = SSRVLAD(config)
-    known = folders_of(database.known()) if database else {}
-    files, segmenter = source.frames(labels_as, known)
+    if database:
+        source = dataclasses.replace(source, known=database.folders())
+    files, segmenter = source.frames(labels_as)
     if not database:
         database = Database.create(output, config, beside=also)
     with progress_bar("encoding", len(files)) as bar:

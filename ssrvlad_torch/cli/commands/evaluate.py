@@ -59,12 +59,12 @@ def evaluate(
     if pictures and (report is None or method.method):
         raise ValueError("--pictures wants a --report of a database")
     page = None if report is None else Page(report, pictures or ())
-    opened = Source.open(source)
+    town = None if method.method else Database.open(database, as_of)
+    opened = Source.open(source, town.folders() if town else ())
     true = TrueMatches.by(truth, opened.dataset.truth if opened.dataset else None)
-    if method.method is None:
+    if town:
         opened = opened.posed() if true.metres is not None else opened
-        references = Database.open(database, as_of)
-        found = by_database(references, opened, recognition, truth.convention, page)
+        found = by_database(town, opened, recognition, truth.convention, page)
     else:
         found = by_method(method, database, opened, recognition, truth.convention, page)
     matches = true.among(found.references, found.queries)

@@ -32,10 +32,10 @@ def locate(
     from ..sources import Source
 
     town = Database.open(database)
-    opened = Source.open(source)
+    opened = Source.open(source, town.folders())
     if source.segmenter is None:
         opened = _by_its_network(town, opened)
-    queries, references, found, t, skipped = look_up(town, opened, recognition, top=1)
+    queries, references, found, t, skipped, _ = look_up(town, opened, recognition, top=1)
     scores, rows = sure_enough(found, recognition.min_confidence)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
     for picture, score, row, sure in zip(queries.frames, *columns, strict=True):

@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,6 +16,7 @@ from ..options import Json, MaybePreset, SourceOptions, option
 from ..output import figure, finish, fused_in_words, print_json, say
 
 if TYPE_CHECKING:
+    from ...database.database import Database
     from ...encoding.results import Encoded, Skipped
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
@@ -79,7 +81,8 @@ def loops(
     detector, database = open_detector(config, memory, preset, labels_as, also)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    with closing(detect_loops(detector, _frames(given, detector), database)) as stream:
+    frames = _frames(given, detector, database)
+    with closing(detect_loops(detector, frames, database)) as stream:
         for result in stream:
             if isinstance(result, Skipped):
                 skipped.append(result)
@@ -95,19 +98,27 @@ def loops(
     finish(skipped, len(results))
 
 
-def _frames(source: Source, detector: LoopDetector) -> Iterator[Encoded | Skipped]:
+def _frames(
+    source: Source, detector: LoopDetector, database: Database | None
+) -> Iterator[Encoded | Skipped]:
     """The frames that a detector does not know yet: of folders, or as their names arrive on
     stdin."""
+    from ...encoding.plan import see_folders
     from ...loops.stream import encode_as_they_come, encode_files
 
     labels_as, given = detector.head.config.labels_as, source.given
     if STDIN not in given.paths:
+        if database:
+            source = replace(source, known=database.folders())
         files, segmenter = source.frames(labels_as)
+        if database:
+            see_folders(files, database.known())
         return encode_files(detector, files, given.workers, segmenter)
     if len(given.paths) > 1 or not given.takes_all:
         raise ValueError(f"{STDIN}, the names on stdin, stands alone, without --every and --start")
     names = map(os.fsdecode, sys.stdin.buffer)
-    return encode_as_they_come(detector, names, given.sequence, source.segmenter(labels_as))
+    segmenter = source.segmenter(labels_as)
+    return encode_as_they_come(detector, names, given.sequence, segmenter, database)
 
 
 def _print_result(result: LoopResult, as_json: bool) -> None:

@@ -64,12 +64,13 @@ def query(
     from ..recognise import barred, look_up, look_up_by_index
     from ..sources import Source
 
-    opened, (first, last) = Source.open(source), _window(window)
+    first, last = _window(window)
     if index and (recognition.reach or window or skip_damaged or recognition.fuse):
         raise ValueError(
             "--index does not go with a temporal sum, --window, --skip-damaged or --fuse"
         )
     town = Database.open(database, as_of)
+    opened = Source.open(source, town.folders(skip_damaged))
     if index:
         found = look_up_by_index(town, opened, recognition, top, from_sequence, exclude)
     else:
