@@ -87,16 +87,18 @@ def test_of_a_query_that_no_entry_names_nothing_is_known(read, name, content):
 
 
 def test_an_entry_may_be_the_end_of_a_path(read):
-    """As long an end as its writer took: longer than the id, or shorter; the id itself comes
-    first."""
+    """As long an end as its writer took: longer than the id, or shorter. Of references the id
+    itself comes first."""
     paths = {f"labels/{n}": f"/d/day/labels/{n}" for n in (1, 2)}
     paths |= {f"night/labels/{n}": f"/d/night/labels/{n}" for n in (2, 3)}
     entries = {"x/1": ["day/labels/2", "labels/2", "labels/3", "night/labels/2"]}
     assert read("t.json", entries, ["x/1"], paths) == [[1, 2, 3]]
     entries = {"day/labels/1": [], "3": ["b"], "dusk/labels/2": ["nowhere"], "labels/3": ["a"]}
     assert read("t.json", entries, paths, ["a", "b"]) == [[], None, None, [0, 1]]
-    with pytest.raises(ValueError, match="has an entry '2', which may be labels/2 or night/lab"):
+    with pytest.raises(ValueError, match="has an entry '2', which may be /d/day/labels/2 or /d"):
         read("t.json", {"2": []}, paths, ["a"])
+    with pytest.raises(ValueError, match=r"'labels/2', which may be .*day/labels/2 or .*night/lab"):
+        read("t.json", {"labels/2": []}, paths, ["a"])
     with pytest.raises(ValueError, match="names reference 'ight/labels/3', which is not"):
         read("t.json", {"a": ["ight/labels/3"]}, ["a"], paths)
 

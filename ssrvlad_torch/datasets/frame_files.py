@@ -58,8 +58,8 @@ def find_frames(
     Args:
         kind: which files are frames.
         sources: folders, files, globs, or URIs of folders that pyarrow can reach, as
-            ``s3://bucket/monday``. The files of a folder are one sequence, named by the shortest
-            path that tells the folders apart; hidden files are left out. A glob that matches no
+            ``s3://bucket/monday``. The files of a folder are one sequence, named by `names_of`;
+            hidden files are left out. A glob that matches no
             frame stands for the folders that it matches. A ``.npy`` stack given by itself is a
             sequence named by the file; in the folder of a URI there are none.
         sequence: the name of the sequence in place of the folder's.

@@ -36,9 +36,10 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> Known:
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
     | ``.npy`` of objects | VPR-Bench's ``ground_truth_new.npy``: ``[query, [reference, ...]]`` |
 
-    Pairs name frames by their ids, or by as much of the end of a path as only one frame has. Of a
-    query that no entry names nothing is known: to say that it has no true match, give it an empty
-    list, or in CSV a line with an empty reference. A
+    Pairs name references by their ids, or by as much of the end of a path as only one frame has,
+    and queries by the latter: their ids depend on what else is asked. Of a query that no entry
+    names nothing is known: to say that it has no true match, give it an empty list, or in CSV a
+    line with an empty reference. A
     matrix and VPR-Bench's rows count frames from 0 in the order of ``queries`` and ``references``.
 
     Args:
@@ -166,7 +167,7 @@ def _of_pairs(pairs: Pairs, queries: Frames, references: Frames) -> Known:
             continue
         rows = matches.setdefault(query, [])
         for frame in named:
-            if (reference := known(frame)) is None:
+            if (reference := frame if frame in row else known(frame)) is None:
                 raise ValueError(f"names reference {frame!r}, which is not in the database")
             rows.append(row[reference])
     if queries and not matches:
@@ -176,23 +177,25 @@ def _of_pairs(pairs: Pairs, queries: Frames, references: Frames) -> Known:
 
 
 def _finder(frames: Frames) -> Callable[[str], str | None]:
-    """Looks up which frame an entry means: the one of this id, or the only one whose id or path
-    ends so."""
+    """Looks up which frame an entry means: the only one whose id or path ends so, or one of this id
+    that has no path."""
     paths = frames if isinstance(frames, Mapping) else dict(zip(frames, frames, strict=True))
     called: dict[str, list[str]] = {}
     for frame in paths:
         called.setdefault(frame.rpartition("/")[2], []).append(frame)
 
     def find(entry: str) -> str | None:
-        if entry in paths:
+        if paths.get(entry) == entry:
             return entry
         ends = [
             frame
             for frame in called.get(entry.rpartition("/")[2], ())
-            if any(name.endswith(f"/{entry}") for name in (frame, paths[frame]))
+            if any(f"/{name}".endswith(f"/{entry}") for name in (frame, paths[frame]))
         ]
         if len(ends) > 1:
-            raise ValueError(f"has an entry {entry!r}, which may be {ends[0]} or {ends[1]}")
+            raise ValueError(
+                f"has an entry {entry!r}, which may be {paths[ends[0]]} or {paths[ends[1]]}"
+            )
         return ends[0] if ends else None
 
     return find
