@@ -24,6 +24,8 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
     assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
     assert "6 references are too few to tell how sure" in err[-1]
+    followed = ssrvlad("query", database, maps)[2][-1]
+    assert "followed: offline" in followed and "scores: first the probability" in followed
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
     assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]
