@@ -113,8 +113,8 @@ def _print(found: Found, min_confidence: float, least: float, way: str, as_json:
             say(f"{frame}: {listed or 'no candidate'} (confidence {confidence:.2f})")
     if not as_json:
         scores = "; scores: first the probability of the place, then those of single frames"
-        told = steps_in_words(used, t)
-        note(way + told + scores * any(mode != "no" for mode in used["follow"].values()))
+        followed = any(mode != "no" for mode in used["follow"].values())
+        note(way + steps_in_words(used, t) + scores * followed)
 
 
 def _window(text: str | None) -> tuple[int | None, int | None]:
