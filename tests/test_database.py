@@ -198,7 +198,7 @@ def test_descriptors_without_a_length_are_refused(path, value, said):
 
 @pytest.mark.parametrize("frame", ["", " ", "a/", "/1", " a/1", "a/1\n"])
 def test_what_is_no_id_is_refused(path, frame):
-    with pytest.raises(ValueError, match=f"expected a frame id, .*, got {frame!r}"):
+    with pytest.raises(ValueError, match="expected a frame id, <sequence>/<name> or <name>, got "):
         Database.open(path).append([frame], torch.ones(1, 480))
     with pytest.raises(ValueError, match="has no name"):
         Database.open(path).append([record("a/1")._replace(name="")], torch.ones(1, 480))
