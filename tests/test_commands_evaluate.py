@@ -12,7 +12,7 @@ from PIL import Image
 def test_queries_that_are_in_the_database_are_mentioned(ssrvlad, database, maps):
     code, _, err = ssrvlad("evaluate", database, maps, "--tolerance-frames", 1)
     assert code == 0
-    assert err == ["ssrvlad: 6 of 6 queries are in the database themselves"]
+    assert err == ["ssrvlad: 6 of 6 queries have ids of the database"]
 
 
 @pytest.mark.parametrize("method", [(), ("--method", "ssr-vlad", "--labels-as", "camvid-11")])

@@ -103,7 +103,11 @@ class SourceOptions:
         None, "With --layout: take the references only, or the queries only."
     )
     labels: Path | None = option(None, "With --layout: other label maps than the data set's own.")
-    sequence: str | None = option(None, "Name of the sequence. Without it, the name of the folder.")
+    sequence: str | None = option(
+        None,
+        "Name of the sequence. Without it, the one that the folder has in the database, or else "
+        "the end of the folder's path that no other folder has.",
+    )
     poses: str | None = option(
         None,
         "Where frames were taken: a .csv file, a file of KITTI or TUM, or exif. Without "
@@ -267,8 +271,9 @@ class TruthOptions:
 
     ground_truth: Path | None = option(
         None,
-        "Pairs of frame ids (.json, .csv), a 0/1 matrix (.npy, .npz, .csv) or VPR-Bench's "
-        "ground_truth_new.npy. Without any, the ground truth of the data set.",
+        "Pairs of frames, by their ids or what only their paths end in (.json, .csv), a 0/1 "
+        "matrix (.npy, .npz, .csv) or VPR-Bench's ground_truth_new.npy. Without any, the "
+        "ground truth of the data set.",
     )
     tolerance_metres: float | None = option(
         None, "Or: true matches are at most so many metres away, by poses.csv."

@@ -112,15 +112,15 @@ class TrueMatches:
 
     def among(self, references: Places, queries: Places) -> Known:
         """The rows of the references that are true matches of each query; ``None`` where nothing is
-        known. Notes how many such queries there are, and how many queries are references
-        themselves."""
+        known. Notes how many such queries there are, and how many queries have the id of a
+        reference."""
         truth = self._find(references, queries) if queries.frames else []
         unknown = sum(rows is None for rows in truth)
         if unknown:
             note(f"{unknown} of {len(truth)} queries are left out: {self.file} does not name them")
         themselves = len(set(queries.frames) & set(references.frames))
         if themselves:
-            note(f"{themselves} of {len(queries.frames)} queries are in the database themselves")
+            note(f"{themselves} of {len(queries.frames)} queries have ids of the database")
         return truth
 
     def _find(self, references: Places, queries: Places) -> Known:

@@ -36,11 +36,11 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> Known:
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
     | ``.npy`` of objects | VPR-Bench's ``ground_truth_new.npy``: ``[query, [reference, ...]]`` |
 
-    Pairs name references by their ids, or by as much of the end of a path as only one frame has,
-    and queries by the latter: their ids depend on what else is asked. Of a query that no entry
-    names nothing is known: to say that it has no true match, give it an empty list, or in CSV a
-    line with an empty reference. A
-    matrix and VPR-Bench's rows count frames from 0 in the order of ``queries`` and ``references``.
+    Pairs name references by their ids, or by any end of a path that only one frame has, and queries
+    by the latter: their ids depend on what else is asked. Of a query that no entry names nothing is
+    known: to say that it has no true match, give it an empty list, or in CSV a line with an empty
+    reference. A matrix and VPR-Bench's rows count frames from 0 in the order of ``queries`` and
+    ``references``.
 
     Args:
         path: the file.
@@ -194,7 +194,8 @@ def _finder(frames: Frames) -> Callable[[str], str | None]:
         ]
         if len(ends) > 1:
             raise ValueError(
-                f"has an entry {entry!r}, which may be {paths[ends[0]]} or {paths[ends[1]]}"
+                f"has an entry {entry!r}, which may be {paths[ends[0]]} or {paths[ends[1]]}: "
+                "expected more of the path"
             )
         return ends[0] if ends else None
 

@@ -37,7 +37,8 @@ def query(
     ),
     exclude: int | None = option(
         None,
-        "Leave out candidates of the query's own sequence that are so many frames away or fewer.",
+        "Leave out candidates of the query's own sequence that are so many frames away or "
+        "fewer. It is that of the query's folder, if the database has it, or --sequence.",
         min=0,
     ),
     index: bool = option(
