@@ -197,7 +197,7 @@ def encode_queries(
 def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
     """The frames of a database that is the source, by the name of the sequence that was given."""
     if (name := source.given.sequence) is None:
-        see_sequences(str(database.path), database.folders(), source.known)
+        see_sequences(database.folders(), source.known)
         return frames
     if len(set(frames.sequences)) > 1:
         raise ValueError(f"--sequence names one sequence, {database.path} holds several")

@@ -50,26 +50,22 @@ def names_of(folders: Collection[str], known: Known = ()) -> dict[str, str]:
     return {folder: name(folder) for folder in folders}
 
 
-def see_sequences(place: str, these: Known, known: Known) -> None:
-    """Refuses a sequence that has the name of a known one and other folders.
+def see_sequences(these: Known, known: Known) -> None:
+    """Refuses a folder whose sequence has the name of a known one of other folders.
 
     Args:
-        place: what the sequences are of, for the message.
-        these: their folders.
+        these: folders, with their sequences.
         known: the folders that have a name.
 
     Raises:
         ValueError: there is one.
     """
-    owners, ours = (
-        _grouped((name, _real(folder)) for folder, name in pairs if folder)
-        for pairs in (known, these)
-    )
-    for name in owners.keys() & ours.keys():
-        if not owners[name] & ours[name]:
+    owners = _grouped((name, _real(folder)) for folder, name in known if folder)
+    for folder, name in these:
+        if folder and _real(folder) not in owners.get(name, {_real(folder)}):
             raise ValueError(
-                f"sequence {name!r} of {place} is {min(ours[name])}, that of the database is "
-                f"{min(owners[name])}: name it with --sequence, {name!r} if it is the same"
+                f"sequence {name!r} of the database is {min(owners[name])}, not {folder}: give the "
+                f"name of the sequence with --sequence, {name!r} if it is the same, moved"
             )
 
 

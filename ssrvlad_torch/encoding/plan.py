@@ -14,7 +14,7 @@ from ..database.frames import FrameRecord, folder_of
 from ..database.metadata import Origin
 from ..database.rows import KnownFrames
 from ..datasets.frame_file import FrameFile
-from ..datasets.names import is_same
+from ..datasets.names import is_same, see_sequences
 
 NEW = "new"
 LABEL_SPACE, SEGMENTER = "label space changed", "segmenter changed"
@@ -99,18 +99,8 @@ def see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
     Raises:
         ValueError: files have the name of a sequence or of a frame of another folder.
     """
-    sequences = {file.sequence for file in files}
-    theirs: dict[str, set[str]] = {}
-    for frame, folder in _folders(known):
-        if (sequence := frame.rpartition("/")[0]) in sequences and folder:
-            theirs.setdefault(sequence, set()).add(folder)
-    for sequence, folder in dict.fromkeys((f.sequence, f.folder) for f in files if not f.named):
-        there = theirs.get(sequence, {folder})
-        if not any(is_same(folder, other) for other in there):
-            raise ValueError(
-                f"sequence {sequence!r} of the database is {min(there)}, not {folder}: give the "
-                f"name of the sequence with --sequence, {sequence!r} if it is the same, moved"
-            )
+    theirs = {(folder, frame.rpartition("/")[0]) for frame, folder in _folders(known)}
+    see_sequences({(file.folder, file.sequence) for file in files if not file.named}, theirs)
     for file in files:
         if file.named and (record := known.get(file.frame)):
             see_folder(file, record)
