@@ -39,7 +39,8 @@ def plain_scores(difference, sequences):
             difference[q, j] for j in range(difference.shape[1]) if sequences[j] == sequences[i]
         ]
         deviation = np.std(around)
-        scores[q, i] = (np.mean(around) - difference[q, i]) / deviation if deviation > 1e-9 else 0
+        z = (np.mean(around) - difference[q, i]) / deviation if deviation > 1e-9 else 0
+        scores[q, i] = 1 - np.exp(-z)
     return scores
 
 

@@ -105,7 +105,8 @@ class Method(Protocol):
         """
 
     def scores(self, queries: Any, references: Any) -> Tensor:
-        """``(Q, R)`` float32, higher for frames that look more alike, ``-inf`` for no candidate.
+        """``(Q, R)`` float32, at most 1, higher for frames that look more alike, ``-inf`` for no
+        candidate.
 
         A row does not depend on the other rows. The memory beside the result is bounded.
         """

@@ -48,8 +48,9 @@ class TinyImage:
     8 x 8 pixels then has its mean subtracted and is divided by its standard deviation (zero where
     it has none). D is the mean absolute difference of a query and a reference. With the mean m
     and the standard deviation s of D over the references of a sequence, the score of its frames
-    is (m - D) / s: how much more like the query they are than the rest. Where all are alike, as
-    in a sequence of one frame, it is 0.
+    is 1 - exp(-(m - D) / s), at most 1: the higher, the more like the query than the rest. Where
+    all are alike, as in a sequence of one frame, it is 0. SeqSLAM takes (m - D) / s itself, which
+    puts candidates in the same order; of this form its nearness (`recognition.motion`) is that.
 
     Args:
         width, height: of the tiny picture, multiples of 8.
@@ -110,13 +111,18 @@ def normalise_patches(pictures: Tensor) -> Tensor:
 
 
 def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
-    """Contrast enhancement, ``(Q, R)`` float32, higher for what is more alike, of differences ``(Q,
-    R)`` along the references of each sequence; ``sequence`` is ``(R,)`` numbers."""
+    """Contrast enhancement, ``(Q, R)`` float32, at most 1, higher for what is more alike.
+
+    Args:
+        difference: ``(Q, R)`` of queries and references.
+        sequence: ``(R,)`` numbers, of the references.
+    """
     scores = torch.zeros_like(difference, dtype=torch.float32)
     for number in sequence.unique():
         own = sequence == number
         part = difference[:, own].double()
         deviation, mean = torch.std_mean(part, 1, correction=0, keepdim=True)
         flat = deviation < _LEAST_DEVIATION
-        scores[:, own] = ((mean - part) / deviation.masked_fill(flat, torch.inf)).float()
+        z = (mean - part) / deviation.masked_fill(flat, torch.inf)
+        scores[:, own] = -torch.expm1(-z).float()
     return scores

@@ -155,8 +155,8 @@ def recognise_by_scores(
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
-    """As `recognise`, by scores ``(Q, R)`` float, -inf where there can be no match, of methods
-    whose encodings are no vectors: they can only be followed. There what is above 1 counts as 1."""
+    """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match, of
+    methods whose encodings are no vectors: they can only be followed."""
     steps = replace(steps or Steps(), standardise=False, sweep=False)
 
     def judge(run: range) -> _Outcome:
@@ -280,9 +280,8 @@ def _judged(
 ) -> tuple[tuple[Matches, Tensor], str]:
     """Candidates and confidences of one sequence, and how it was followed."""
     mode = steps.follow
-    bounded = scores.clamp(max=1) if isinstance(scores, Tensor) else scores
-    if mode is not None and _is_sequence(bounded, sequences):
-        places = follow(bounded, sequences, mode=mode, delay=steps.delay, top=top)
+    if mode is not None and _is_sequence(scores, sequences):
+        places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
         return _placed(places, empty, mode), mode
     alone = (scores[query] for query in range(len(scores)))
