@@ -26,7 +26,7 @@ from ..taxonomy import LabelSpace, label_space_names
 from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frame_sets import OF_A_SET, frame_set, in_order, order_of
-from .frames import FrameRecord, FrameSet, Vectors, folder_of, several
+from .frames import FrameRecord, FrameSet, Vectors, several
 from .metadata import Beside, Meta, Origin
 from .reading import Damage, read_intact, read_rows
 from .rows import (
@@ -456,12 +456,17 @@ class Database:
             damaged: whether to pass over damaged frames.
         """
         names = ["signature", "sequence"]
-        rows = read_rows(self._table, []) if damaged else self._columns(names).to_batches()
-        return {
-            (folder_of(signature), sequence)
-            for batch in rows
-            for signature, sequence in zip(*(batch[n].to_pylist() for n in names), strict=True)
-        }
+        if damaged:
+            rows = (batch.select(names) for batch in read_rows(self._table, []))
+            table = pa.Table.from_batches(rows, pa.schema(map(self._table.schema.field, names)))
+        else:
+            table = self._columns(names)
+        parts = pc.split_pattern(table["signature"], "|", max_splits=1, reverse=True)
+        without = pc.equal(pc.list_value_length(parts), 1)
+        folder = pc.if_else(without, "", pc.list_element(parts, 0))
+        pairs = pa.table({"folder": folder, "sequence": table["sequence"]})
+        found = pairs.group_by(pairs.column_names).aggregate([])
+        return set(zip(*found.to_pydict().values(), strict=True))
 
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
