@@ -162,7 +162,7 @@ def test_a_map_that_grows_is_the_map_that_was_whole():
         ({"sequences": ["m"] * 4}, "each of 4 rows, got"),
         ({"sequences": ["m", "m", "n", "m", "n"]}, "frames of 'm' together, got some at 3"),
         ({"queries": ["a", "b", "a"]}, "frames of 'a' together"),
-        ({"scores": torch.full((3, 5), torch.nan)}, "at most 1, as cosines are, got NaN"),
+        ({"scores": torch.full((3, 5), torch.nan)}, "at most 1, as cosines are, got nan"),
         ({"scores": torch.full((3, 5), 2.0)}, "at most 1, as cosines are, got 2"),
     ],
 )

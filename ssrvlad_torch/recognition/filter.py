@@ -122,9 +122,9 @@ class Filter:
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
-        if not bool((scores <= _HIGHEST).all()):
-            most = "NaN" if bool(scores.isnan().any()) else f"{float(scores.max()):g}"
-            raise ValueError(f"expected scores of at most 1, as cosines are, got {most}")
+        most = float(scores.amax()) if len(scores) else 0.0
+        if not most <= _HIGHEST:
+            raise ValueError(f"expected scores of at most 1, as cosines are, got {most:g}")
         return self.spaced(evidence(scores, self.motion))
 
     def spaced(self, told: Tensor) -> Tensor:

@@ -144,7 +144,8 @@ def _places(
     place.
     """
     scored = scores > -torch.inf
-    best = best_of(rows.masked_fill(~scored, -torch.inf) if scored.any() else rows, top)
+    some = 0 < int(scored.sum()) < len(rows)
+    best = best_of(rows.masked_fill(~scored, -torch.inf) if some else rows, top)
     near, row = torch.tensor(0.0), int(best.indices[0])
     if row >= 0:
         own = sequences[bisect_right(sequences, row, key=lambda part: part.start) - 1]
