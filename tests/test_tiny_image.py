@@ -106,3 +106,11 @@ def test_a_batch_equals_one_by_one_whatever_the_sizes():
     assert torch.equal(drive.pictures, together)
     assert (len(drive), drive.nbytes) == (20, 20 * 2048 * 4)
     assert torch.equal(drive[3:5].pictures, together[3:5])
+
+
+def test_a_reference_unlike_all_others_keeps_a_score():
+    difference = torch.full((1, 9000), 0.5)
+    difference[0, 7] = 50.0
+    scores = enhance(difference, torch.zeros(9000, dtype=torch.int64))
+    assert scores.isfinite().all()
+    assert scores.argmin() == 7

@@ -21,6 +21,8 @@ PATCH = 8
 _BATCH = 16
 _SCORES_AT_ONCE = 1 << 20
 _LEAST_DEVIATION = 1e-4
+_LEAST_Z = -80.0
+"""Its exponential is a float32: every reference keeps a score."""
 
 
 @dataclass(frozen=True)
@@ -48,9 +50,10 @@ class TinyImage:
     8 x 8 pixels then has its mean subtracted and is divided by its standard deviation (zero where
     it has none). D is the mean absolute difference of a query and a reference. With the mean m
     and the standard deviation s of D over the references of a sequence, the score of its frames
-    is 1 - exp(-(m - D) / s), at most 1: the higher, the more like the query than the rest. Where
-    all are alike, as in a sequence of one frame, it is 0. SeqSLAM takes (m - D) / s itself, which
-    puts candidates in the same order; of this form its nearness (`recognition.motion`) is that.
+    is 1 - exp(-(m - D) / s): the higher, the more like the query than the rest. Where all are
+    alike, as in a sequence of one frame, it is 0. SeqSLAM scores by (m - D) / s itself. This form
+    keeps its order, is at most 1, and `recognition.motion.nearness` turns it back; from 16
+    deviations on float32 rounds it to 1.
 
     Args:
         width, height: of the tiny picture, multiples of 8.
@@ -123,6 +126,6 @@ def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
         part = difference[:, own].double()
         deviation, mean = torch.std_mean(part, 1, correction=0, keepdim=True)
         flat = deviation < _LEAST_DEVIATION
-        z = (mean - part) / deviation.masked_fill(flat, torch.inf)
+        z = ((mean - part) / deviation.masked_fill(flat, torch.inf)).clamp(min=_LEAST_Z)
         scores[:, own] = -torch.expm1(-z).float()
     return scores

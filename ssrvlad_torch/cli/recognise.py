@@ -23,7 +23,7 @@ from ..database.reading import Damage
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
-from ..datasets.names import Known
+from ..datasets.names import KnownFolders
 from ..encoding.results import Skipped, cores
 from ..evaluation.metrics import Convention
 from ..evaluation.report import Descriptors
@@ -79,7 +79,7 @@ class Found(NamedTuple):
     recognised: Recognised
     temporal: int | dict[str, int]
     skipped: list[Skipped]
-    folders: Known
+    folders: KnownFolders
 
 
 def look_up(

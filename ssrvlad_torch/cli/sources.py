@@ -20,7 +20,7 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
-from ..datasets.names import Known, see_sequences
+from ..datasets.names import KnownFolders, see_sequences
 from ..descriptor import query_head
 from ..encoding.beside import beside_by
 from ..encoding.encoder import encode_to_memory
@@ -45,16 +45,17 @@ class Source:
         dataset: the chosen part of the data set, if it is one.
         whole: the data set with all its sequences.
         labels_as: label space of the label maps, as given or as the data set declares it.
+        known: folders that have a name already, those of the database, see `names_of`.
     """
 
     given: SourceOptions
     dataset: Dataset | None
     whole: Dataset | None
     labels_as: str | LabelSpace | None
-    known: Known = ()
+    known: KnownFolders = ()
 
     @classmethod
-    def open(cls, given: SourceOptions, known: Known = ()) -> Source:
+    def open(cls, given: SourceOptions, known: KnownFolders = ()) -> Source:
         """Opens the data set, if it is one, and notes what it lacks."""
         whole = _open_dataset(given)
         dataset = whole and whole.select(given.split or (), given.role)
@@ -157,7 +158,7 @@ def encode_queries(
     source: Source,
     columns: Sequence[int] = (),
     beside: Sequence[Beside] = (),
-) -> tuple[FrameSet, list[Skipped], Known]:
+) -> tuple[FrameSet, list[Skipped], KnownFolders]:
     """The frames of a source, encoded with the settings of a database, the skipped ones, and the
     folders of their sequences. A source that is a database gives its own frames.
 

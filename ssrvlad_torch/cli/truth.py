@@ -15,7 +15,7 @@ from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
-from ..datasets.names import Known as KnownFolders
+from ..datasets.names import KnownFolders
 from ..evaluation.ground_truth import from_frame_numbers, from_poses
 from ..evaluation.ground_truth_files import Known, from_file, strange_entries
 from .options import TruthOptions

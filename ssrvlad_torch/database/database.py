@@ -28,13 +28,14 @@ from . import engine
 from .frame_sets import OF_A_SET, frame_set, in_order, order_of
 from .frames import FrameRecord, FrameSet, Vectors, several
 from .metadata import Beside, Meta, Origin
-from .reading import Damage, read_intact, read_rows
+from .reading import Damage, is_damaged, read_intact, read_rows
 from .rows import (
     DESCRIPTOR,
     OF_A_RECORD,
     Arrays,
     KnownFrames,
     fitting,
+    folders_of,
     matrix,
     schema,
     to_table,
@@ -42,7 +43,6 @@ from .rows import (
 
 if TYPE_CHECKING:
     from lance import LanceDataset
-    from lance.fragment import LanceFragment
 
 
 class Version(NamedTuple):
@@ -449,24 +449,18 @@ class Database:
         return KnownFrames(self._columns(OF_A_RECORD))
 
     def folders(self, damaged: bool = False) -> set[tuple[str, str]]:
-        """The folders that frames were encoded from, each with its sequence; the folder is empty
-        where it is not known.
+        """See `folders_of`.
 
         Args:
             damaged: whether to pass over damaged frames.
         """
         names = ["signature", "sequence"]
-        if damaged:
-            rows = (batch.select(names) for batch in read_rows(self._table, []))
-            table = pa.Table.from_batches(rows, pa.schema(map(self._table.schema.field, names)))
-        else:
-            table = self._columns(names)
-        parts = pc.split_pattern(table["signature"], "|", max_splits=1, reverse=True)
-        without = pc.equal(pc.list_value_length(parts), 1)
-        folder = pc.if_else(without, "", pc.list_element(parts, 0))
-        pairs = pa.table({"folder": folder, "sequence": table["sequence"]})
-        found = pairs.group_by(pairs.column_names).aggregate([])
-        return set(zip(*found.to_pydict().values(), strict=True))
+        if not damaged:
+            return folders_of(self._columns(names))
+        rows = (batch.select(names) for batch in read_rows(self._table, []))
+        return folders_of(
+            pa.Table.from_batches(rows, pa.schema(map(self._table.schema.field, names)))
+        )
 
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
@@ -535,7 +529,7 @@ class Database:
 
         def plan(table: LanceDataset) -> Any:
             damage.clear()
-            gone = [fragment for fragment in table.get_fragments() if _tell(fragment, damage)]
+            gone = [fragment for fragment in table.get_fragments() if is_damaged(fragment, damage)]
             if not gone:
                 return None
             whole = (batch for fragment in gone for batch in read_intact(fragment, []))
@@ -622,11 +616,3 @@ def _there(table: LanceDataset, rows: pa.Table) -> list[str]:
     there = pc.is_in(rows["frame"], table.to_table(columns=["frame"])["frame"])
     ids: list[str] = rows["frame"].filter(there).to_pylist()
     return ids
-
-
-def _tell(fragment: LanceFragment, damage: list[Damage]) -> bool:
-    """Whether a fragment is damaged, and how."""
-    before = len(damage)
-    for _ in read_intact(fragment, damage):
-        pass
-    return len(damage) > before

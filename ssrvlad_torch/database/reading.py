@@ -74,6 +74,14 @@ def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.Re
         damage.append(Damage(file, rows - kept, reason))
 
 
+def is_damaged(fragment: LanceFragment, damage: list[Damage]) -> bool:
+    """Whether a fragment is damaged; how is told in damage."""
+    before = len(damage)
+    for _ in read_intact(fragment, damage):
+        pass
+    return len(damage) > before
+
+
 def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
     """The rows of a fragment, and why some cannot be read; of these, the blocks that can be."""
     done = 0

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from .frames import FrameRecord, Vectors
 
@@ -77,10 +78,25 @@ class KnownFrames(Mapping[str, FrameRecord]):
     def __len__(self) -> int:
         return len(self._rows)
 
+    def folders(self) -> set[tuple[str, str]]:
+        """See `folders_of`."""
+        return folders_of(pa.table(self._columns, OF_A_RECORD))
+
     def column(self, name: str) -> list[Any]:
         """One attribute of all records, in their order."""
         values: list[Any] = self._columns[OF_A_RECORD.index(name)].to_pylist()
         return values
+
+
+def folders_of(table: pa.Table) -> set[tuple[str, str]]:
+    """The folders that rows were encoded from, each with its sequence; the folder is empty where it
+    is not known."""
+    parts = pc.split_pattern(table["signature"], "|", max_splits=1, reverse=True)
+    without = pc.equal(pc.list_value_length(parts), 1)
+    folder = pc.if_else(without, "", pc.list_element(parts, 0))
+    pairs = pa.table({"folder": folder, "sequence": table["sequence"]})
+    found = pairs.group_by(pairs.column_names).aggregate([])
+    return set(zip(*found.to_pydict().values(), strict=True))
 
 
 def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[np.float32]:

@@ -16,7 +16,7 @@ from ..untrusted import check_regular, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile
 from .gps import read_exif
-from .names import Known, absolute, is_uri, names_of
+from .names import KnownFolders, absolute, is_uri, names_of
 from .poses import UNKNOWN, Pose, find_poses, poses_of_fixes, read_poses
 from .remote_files import remote_files
 from .trajectories import read_trajectory
@@ -48,7 +48,7 @@ def find_frames(
     sequence: str | None = None,
     every: int = 1,
     start: int = 0,
-    known: Known = (),
+    known: KnownFolders = (),
     poses: str | None = None,
     topic: str | None = None,
 ) -> list[FrameFile]:

@@ -9,11 +9,11 @@ from collections.abc import Collection, Iterable
 from pathlib import Path, PurePath
 from urllib.parse import unquote
 
-Known = Collection[tuple[str, str]]
+KnownFolders = Collection[tuple[str, str]]
 """Folders that have a name: ``(folder, sequence)``; the folder is empty where it is not known."""
 
 
-def names_of(folders: Collection[str], known: Known = ()) -> dict[str, str]:
+def names_of(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
     """A name for each folder.
 
     A known folder has the name of its sequence, also by a link. Another one has the last part of
@@ -50,7 +50,7 @@ def names_of(folders: Collection[str], known: Known = ()) -> dict[str, str]:
     return {folder: name(folder) for folder in folders}
 
 
-def see_sequences(these: Known, known: Known) -> None:
+def see_sequences(these: KnownFolders, known: KnownFolders) -> None:
     """Refuses a folder whose sequence has the name of a known one of other folders.
 
     Args:

@@ -99,8 +99,8 @@ def see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
     Raises:
         ValueError: files have the name of a sequence or of a frame of another folder.
     """
-    theirs = {(folder, frame.rpartition("/")[0]) for frame, folder in _folders(known)}
-    see_sequences({(file.folder, file.sequence) for file in files if not file.named}, theirs)
+    ours = {(file.folder, file.sequence) for file in files if not file.named}
+    see_sequences(ours, known.folders())
     for file in files:
         if file.named and (record := known.get(file.frame)):
             see_folder(file, record)
@@ -123,10 +123,6 @@ def see_folder(file: FrameFile, record: FrameRecord) -> None:
 def _gone(files: Sequence[FrameFile], known: KnownFrames) -> Iterator[str]:
     """Frames of the folders of files, without a file."""
     there, folders = {file.frame for file in files}, {file.folder for file in files}
-    for frame, folder in _folders(known):
-        if folder in folders and frame not in there:
+    for frame, signature in zip(known, known.column("signature"), strict=True):
+        if folder_of(signature) in folders and frame not in there:
             yield frame
-
-
-def _folders(known: KnownFrames) -> Iterator[tuple[str, str]]:
-    return zip(known, map(folder_of, known.column("signature")), strict=True)

@@ -26,7 +26,8 @@ OWN = "ssr-vlad"
 
 _SCORES_IN_MEMORY = 1 << 26
 _LEAST_GAIN = 0.01
-"""Of frames as a sequence, see `Filter.gain`; what rounding makes of none is less."""
+"""Of frames as a sequence, see `Filter.gain`. Rounding made 2e-7 of single queries and 4e-6 of 2000
+equal ones; the drives of docs/fusion.md gain 18 and more."""
 
 
 @dataclass(frozen=True)
