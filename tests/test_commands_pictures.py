@@ -91,6 +91,20 @@ def test_labels_lists_what_is_left_out(network, ssrvlad):
     assert of_space["classes"][3] == {"id": 3, "name": "road", "category": "ground"}
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("camvid-1", "unknown label space 'camvid-1': did you mean camvid-11"),
+        ("net.onxx", "no network 'net.onxx'"),
+        ("mapillary-vistas-1.2", ""),
+    ],
+)
+def test_labels_tells_a_space_from_a_network(ssrvlad, name, message):
+    code, _, err = ssrvlad("labels", name)
+    assert (code, len(err)) == ((2, 1) if message else (0, 0))
+    assert message in "".join(err)
+
+
 def test_channels_are_named(network, ssrvlad, tmp_path):
     code, _, err = ssrvlad(
         "encode", tmp_path / "photos", "-o", tmp_path / "town", "--segmenter", network,

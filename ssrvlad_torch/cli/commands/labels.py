@@ -21,7 +21,7 @@ def labels(
     from ...segmentation.segmenter import Segmenter
     from ...taxonomy import CATEGORIES, label_space, label_space_names
 
-    own = name not in label_space_names() and not _is_space(name)
+    own = name not in label_space_names() and _is_network(name)
     space = Segmenter.load(name).label_space if own else label_space(name)
     rows = []
     for label in space.classes:
@@ -44,11 +44,13 @@ def labels(
     )
 
 
-def _is_space(name: str) -> bool:
-    """Whether a YAML file defines a label space, and not the settings of a network."""
-    if not name.endswith((".yaml", ".yml")):
-        return False
+def _is_network(name: str) -> bool:
+    """Whether a name is one of a network, and not of a label space: a plain word, or a YAML file
+    that tells of no network."""
     from pathlib import Path
 
-    document = read_yaml(name) if Path(name).is_file() else None
-    return not isinstance(document, dict) or "network" not in document
+    path = Path(name)
+    if path.suffix not in (".yaml", ".yml"):
+        return ":" in name or bool(path.suffix) or path.exists()
+    document = read_yaml(name) if path.is_file() else None
+    return isinstance(document, dict) and "network" in document
