@@ -18,8 +18,8 @@ from .datasets.frame_file import FrameFile
 from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
 from .descriptor import SSRVLAD, query_head
-from .encoding.beside import beside_by, methods_of
 from .encoding.encoder import encode_to_database
+from .encoding.extra_descriptors import extra_descriptor, extra_methods
 from .encoding.results import Summary
 from .recognition.recognise import Steps, recognise
 from .recognition.sweep import COLUMNS
@@ -72,7 +72,7 @@ class Localiser:
         see_made_by(database, segmenter)
         config = dataclasses.replace(database.config, labels_as=segmenter.label_space)
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
-        self._methods = methods_of(database.beside)
+        self._methods = extra_methods(database.beside)
         self._known: FrameSet | None = None
 
     @classmethod
@@ -101,7 +101,7 @@ class Localiser:
             ImportError: a missing extra.
         """
         segmenter = Segmenter.load(network, labels_as)
-        also = [beside_by(beside)] if beside else []
+        also = [extra_descriptor(beside)] if beside else []
         if Database.exists(database) and preset is None and not also:
             return cls(segmenter, Database.open(database))
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=segmenter.label_space)

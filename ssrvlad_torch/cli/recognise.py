@@ -18,7 +18,7 @@ from ..baselines.run import run
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
-from ..database.metadata import Beside
+from ..database.metadata import ExtraDescriptor
 from ..database.reading import Damage
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import find_image_files, read_image
@@ -53,7 +53,7 @@ def steps_of(given: StepOptions) -> Steps:
     return Steps(given.standardise, given.sweep, follow, given.delay)
 
 
-def beside(database: Database, given: RecognitionOptions) -> tuple[Beside, ...]:
+def beside(database: Database, given: RecognitionOptions) -> tuple[ExtraDescriptor, ...]:
     """The further methods that describe queries: those of the database, unless told not to."""
     if given.fuse and not database.beside:
         raise ValueError(

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..database.metadata import Beside
+from ..database.metadata import ExtraDescriptor
 from ..database.reading import Damage
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
@@ -22,8 +22,8 @@ from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders, see_sequences
 from ..descriptor import query_head
-from ..encoding.beside import beside_by
 from ..encoding.encoder import encode_to_memory
+from ..encoding.extra_descriptors import extra_descriptor
 from ..encoding.results import Skipped
 from ..recognition.follow import runs
 from ..recognition.matching import frames_within, temporal_sum
@@ -91,11 +91,11 @@ class Source:
         classes = channels(self.given.classes)
         return Segmenter.load(_network(network), labels_as, folder or _user_cache(), classes)
 
-    def described_by(self, name: str | None) -> list[Beside]:
+    def described_by(self, name: str | None) -> list[ExtraDescriptor]:
         """What else describes the images, if a method is named."""
         if name and not self.given.segmenter:
             raise ValueError(f"--with {name} wants images as SOURCE, and a --segmenter")
-        return [beside_by(name)] if name else []
+        return [extra_descriptor(name)] if name else []
 
     def label_files(self) -> list[FrameFile]:
         """The frames that are label maps."""
@@ -157,7 +157,7 @@ def encode_queries(
     database: Database,
     source: Source,
     columns: Sequence[int] = (),
-    beside: Sequence[Beside] = (),
+    beside: Sequence[ExtraDescriptor] = (),
 ) -> tuple[FrameSet, list[Skipped], KnownFolders]:
     """The frames of a source, encoded with the settings of a database, the skipped ones, and the
     folders of their sequences. A source that is a database gives its own frames.

@@ -27,7 +27,7 @@ from ..taxonomy import label_space as label_space_of
 from . import engine
 from .frame_sets import OF_A_SET, frame_set, in_order, order_of
 from .frames import FrameRecord, FrameSet, Vectors, several
-from .metadata import Beside, Meta, Origin
+from .metadata import ExtraDescriptor, Meta, Origin
 from .reading import Damage, is_damaged, read_intact, read_rows
 from .rows import (
     DESCRIPTOR,
@@ -131,7 +131,7 @@ class Database:
         path: str | Path,
         config: SSRVLADConfig | None = None,
         width: int | None = None,
-        beside: Sequence[Beside] = (),
+        beside: Sequence[ExtraDescriptor] = (),
     ) -> Database:
         """A new, empty database.
 
@@ -212,7 +212,7 @@ class Database:
 
     @classmethod
     def open_or_create(
-        cls, path: str | Path, config: SSRVLADConfig, beside: Sequence[Beside] = ()
+        cls, path: str | Path, config: SSRVLADConfig, beside: Sequence[ExtraDescriptor] = ()
     ) -> Database:
         """The database at ``path``, new if there is none.
 
@@ -256,7 +256,7 @@ class Database:
         return int(self._table.schema.field(DESCRIPTOR).type.list_size)
 
     @property
-    def beside(self) -> tuple[Beside, ...]:
+    def beside(self) -> tuple[ExtraDescriptor, ...]:
         """What else describes every frame."""
         return self._meta.beside
 
@@ -275,7 +275,7 @@ class Database:
         spaces = [self._meta.origins.get(key, Origin()).label_space for key in keys]
         return list({space.digest: space for space in spaces if space}.values())
 
-    def require(self, config: SSRVLADConfig, beside: Sequence[Beside] = ()) -> None:
+    def require(self, config: SSRVLADConfig, beside: Sequence[ExtraDescriptor] = ()) -> None:
         """Refuses descriptors made with other settings.
 
         Args:

@@ -1,5 +1,4 @@
-"""What a database says of its rows: the settings, what else describes frames, and what made the
-label maps."""
+"""The metadata of a database: settings, extra descriptors, and the origins of label maps."""
 
 from __future__ import annotations
 
@@ -16,13 +15,13 @@ FORMAT = "ssrvlad-database-4"
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 
 
-class Beside(NamedTuple):
-    """What describes every frame beside the method itself, by its picture.
+class ExtraDescriptor(NamedTuple):
+    """A descriptor that every frame has beside that of the method, made from its picture.
 
     Attributes:
-        name: of the method, and of the column of its descriptors.
-        width: numbers of a descriptor.
-        fingerprint: a text, equal where the descriptors compare.
+        name: name of its method, and of its column.
+        width: its length.
+        fingerprint: descriptors are comparable only if their fingerprints are equal.
     """
 
     name: str
@@ -31,12 +30,12 @@ class Beside(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """What made label maps.
+    """The label space of label maps, and the network that made them.
 
     Attributes:
-        label_space: what their ids mean, as it was defined; ``None`` where unknown.
-        segmenter: identity of the network that made them, empty where they were there.
-        network: name of that network, to be opened by; empty where unknown. No part of the key.
+        label_space: the full definition; ``None`` if unknown.
+        segmenter: identity of the network; empty if the label maps were read from files.
+        network: name that opens the network again; empty if unknown. It is not part of the key.
     """
 
     label_space: LabelSpace | None = None
@@ -45,7 +44,7 @@ class Origin(NamedTuple):
 
     @property
     def key(self) -> str:
-        """16 hex digits, equal where the segmenter and the `LabelSpace.digest` are."""
+        """16 hex digits, a hash of `LabelSpace.digest` and the segmenter."""
         return _digest(json.dumps([self.label_space and self.label_space.digest, self.segmenter]))
 
     def __str__(self) -> str:
@@ -53,45 +52,47 @@ class Origin(NamedTuple):
         return f"{name} by {self.network or self.segmenter}" if self.segmenter else name
 
     def to_entry(self) -> dict[str, str]:
-        """All of its content, as an entry of a table's metadata."""
+        """The origin as an entry of a table's metadata."""
         space = self.label_space and self.label_space.to_dict()
         return {_ORIGIN + self.key: json.dumps({**self._asdict(), "label_space": space})}
 
     @classmethod
     def from_json(cls, text: str) -> Origin:
-        """The value of an entry."""
+        """The origin that the value of an entry describes."""
         content = json.loads(text)
         space = content.pop("label_space")
         return cls(space and LabelSpace.from_dict(space), **content)
 
 
 class Meta(NamedTuple):
-    """A table's metadata: the settings, if any, what is beside, and the origins by their keys."""
+    """A table's metadata: settings (or ``None``), extra descriptors, and origins by their keys."""
 
     config: SSRVLADConfig | None
-    beside: tuple[Beside, ...]
+    beside: tuple[ExtraDescriptor, ...]
     origins: dict[str, Origin]
 
     @staticmethod
-    def to_dict(config: SSRVLADConfig | None, beside: Sequence[Beside] = ()) -> dict[str, str]:
-        """Of a table without origins."""
+    def to_dict(
+        config: SSRVLADConfig | None, beside: Sequence[ExtraDescriptor] = ()
+    ) -> dict[str, str]:
+        """The entries of a new table, which has no origins."""
         text = json.dumps(
             {
                 "format": FORMAT,
                 "fingerprint": config.fingerprint if config else "",
                 "config": config and config.to_dict(),
-                "beside": [one._asdict() for one in beside],
+                "beside": [extra._asdict() for extra in beside],
             }
         )
         return {_META: text, _DIGEST: _digest(text)}
 
     @classmethod
     def of(cls, entries: Mapping[bytes, bytes], path: str) -> Meta:
-        """What the entries of the table at a path say.
+        """The metadata in the entries of the table at ``path``.
 
         Raises:
-            ValueError: it is no database of this format, is damaged, or was made by another version
-                of the method.
+            ValueError: the table is not a database of this format, is damaged, or was made by
+                another version of the method.
         """
         texts = {key.decode(): value.decode() for key, value in entries.items()}
         text = texts.get(_META, "")
@@ -101,7 +102,7 @@ class Meta(NamedTuple):
         if form != FORMAT:
             raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
         if texts.get(_DIGEST) != _digest(text):
-            raise ValueError(f"{path} is damaged: the checksum of its settings does not fit")
+            raise ValueError(f"{path} is damaged: the checksum of its settings does not match")
         origins = {
             name.removeprefix(_ORIGIN): Origin.from_json(entry)
             for name, entry in texts.items()
@@ -109,9 +110,9 @@ class Meta(NamedTuple):
         }
         for key, origin in origins.items():
             if origin.key != key:
-                raise ValueError(f"{path} is damaged: origin {key} does not fit its content")
+                raise ValueError(f"{path} is damaged: origin {key} does not match its content")
         content = json.loads(text)
-        beside = tuple(Beside(**one) for one in content.get("beside", ()))
+        beside = tuple(ExtraDescriptor(**extra) for extra in content.get("beside", ()))
         return cls(_config(content, path), beside, origins)
 
 

@@ -15,13 +15,13 @@ import torch
 from ..baselines.protocol import Frame
 from ..config import SSRVLADConfig
 from ..database.frames import FrameRecord
-from ..database.metadata import Beside
+from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace
-from .beside import methods_of
+from .extra_descriptors import extra_methods
 from .results import Skipped
 
 BATCH = 16
@@ -65,11 +65,13 @@ class Describer:
         beside: further methods that describe frames; their files are then images.
     """
 
-    def __init__(self, head: SSRVLAD, origin: str = "", beside: Sequence[Beside] = ()) -> None:
+    def __init__(
+        self, head: SSRVLAD, origin: str = "", beside: Sequence[ExtraDescriptor] = ()
+    ) -> None:
         self.head = head
         self.origin = origin
         self.beside = tuple(beside)
-        self._methods = methods_of(beside)
+        self._methods = extra_methods(beside)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """The settings with the label space, which may be a file of this machine; no tables."""
@@ -135,7 +137,7 @@ class Describer:
 
 
 def _made_of(
-    config: SSRVLADConfig, native: bool, origin: str, beside: Sequence[Beside]
+    config: SSRVLADConfig, native: bool, origin: str, beside: Sequence[ExtraDescriptor]
 ) -> Describer:
     head = SSRVLAD(config)
     head.native = head.native and native

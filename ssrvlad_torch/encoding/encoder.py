@@ -12,7 +12,7 @@ import torch
 
 from ..database.database import Database
 from ..database.frames import FrameSet
-from ..database.metadata import Beside
+from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
 from ..segmentation.segmenter import Segmenter
@@ -84,7 +84,7 @@ def encode_to_memory(
     workers: int | None = None,
     progress: Progress = tell_nobody,
     segmenter: Segmenter | None = None,
-    beside: Sequence[Beside] = (),
+    beside: Sequence[ExtraDescriptor] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
     """Encodes frames in order; arguments as for `encode`."""
     frames: list[Encoded] = []
@@ -115,7 +115,7 @@ def encode(
     files: Sequence[FrameFile],
     workers: int | None = None,
     segmenter: Segmenter | None = None,
-    beside: Sequence[Beside] = (),
+    beside: Sequence[ExtraDescriptor] = (),
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames in order.
 
@@ -147,7 +147,7 @@ def encoded(result: Described | Skipped) -> Encoded | Skipped:
     return Encoded(result.record, torch.from_numpy(result.descriptor), beside)
 
 
-def _see_fit(head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[Beside]) -> None:
+def _see_fit(head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]) -> None:
     if beside and not segmenter:
         raise ValueError(f"{beside[0].name} describes pictures: expected images and a segmenter")
     if segmenter and segmenter.label_space != head.label_space:

@@ -49,7 +49,7 @@ class Plan:
         of the database that is of another folder is a ValueError."""
         known, origins = database.known(), database.origins
         there = {name for name, entry in origins.items() if _reason(origin, entry) is None}
-        see_folders(files, known)
+        check_folders(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         for file in files:
             record = known.get(file.frame)
@@ -92,7 +92,7 @@ def _reason(now: Origin, then: Origin | None) -> str | None:
     return SEGMENTER if then.segmenter != now.segmenter else None
 
 
-def see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
+def check_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
     """Refuses to merge or overwrite frames of different folders; a sequence that the user named may
     have frames of several.
 
@@ -103,10 +103,10 @@ def see_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
     see_sequences(ours, known.folders())
     for file in files:
         if file.named and (record := known.get(file.frame)):
-            see_folder(file, record)
+            check_folder(file, record)
 
 
-def see_folder(file: FrameFile, record: FrameRecord) -> None:
+def check_folder(file: FrameFile, record: FrameRecord) -> None:
     """Refuses a file of another folder than that of a frame of its name.
 
     Raises:

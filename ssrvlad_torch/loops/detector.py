@@ -16,10 +16,10 @@ from torch import Tensor
 from ..baselines.protocol import Frame
 from ..database.database import Database
 from ..database.frames import FrameRecord
-from ..database.metadata import Beside
+from ..database.metadata import ExtraDescriptor
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
-from ..encoding.beside import methods_of
+from ..encoding.extra_descriptors import extra_methods
 from ..front_end import as_tensor
 from ..recognition.filter import Filter
 from ..recognition.fusion import ahead, fused, weights_of
@@ -81,11 +81,11 @@ class LoopDetector:
         self,
         config: LoopConfig | None = None,
         head: SSRVLAD | None = None,
-        beside: Sequence[Beside] = (),
+        beside: Sequence[ExtraDescriptor] = (),
     ) -> None:
         self.config = config or LoopConfig()
         self.head = head or SSRVLAD()
-        self.beside, self._methods = tuple(beside), methods_of(beside)
+        self.beside, self._methods = tuple(beside), extra_methods(beside)
         self._memory = Memory(self.head.config.length)
         self._others = {one.name: Vectors(one.width) for one in beside}
         self._leads = [0.0] * (1 + len(self._others))

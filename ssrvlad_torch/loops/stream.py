@@ -13,13 +13,13 @@ import numpy as np
 
 from ..config import SSRVLADConfig
 from ..database.database import Database
-from ..database.metadata import Beside
+from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile, with_poses
 from ..datasets.names import absolute, names_of
 from ..datasets.poses import find_poses
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode
-from ..encoding.plan import see_folder
+from ..encoding.plan import check_folder
 from ..encoding.results import Encoded, Skipped
 from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest
 from ..evaluation.outcomes import Rows
@@ -37,7 +37,7 @@ def open_detector(
     memory: Path | None,
     preset: str | None,
     labels_as: str | LabelSpace,
-    beside: Sequence[Beside] = (),
+    beside: Sequence[ExtraDescriptor] = (),
 ) -> tuple[LoopDetector, Database | None]:
     """A detector, and the database that it was loaded from and is saved to, if any.
 
@@ -108,7 +108,7 @@ def encode_as_they_come(
         try:
             file = FrameFile(name(absolute(path.parent)), path.stem, path)
             if (frame := file.frame) in records:
-                see_folder(file, records[frame])
+                check_folder(file, records[frame])
             if frame in known:
                 continue
             posed = [*with_poses([file], find)]

@@ -103,7 +103,7 @@ def _frames(
 ) -> Iterator[Encoded | Skipped]:
     """The frames that a detector does not know yet: of folders, or as their names arrive on
     stdin."""
-    from ...encoding.plan import see_folders
+    from ...encoding.plan import check_folders
     from ...loops.stream import encode_as_they_come, encode_files
 
     labels_as, given = detector.head.config.labels_as, source.given
@@ -112,7 +112,7 @@ def _frames(
             source = replace(source, known=database.folders())
         files, segmenter = source.frames(labels_as)
         if database:
-            see_folders(files, database.known())
+            check_folders(files, database.known())
         return encode_files(detector, files, given.workers, segmenter)
     if len(given.paths) > 1 or not given.takes_all:
         raise ValueError(f"{STDIN}, the names on stdin, stands alone, without --every and --start")

@@ -17,14 +17,14 @@ from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.index import build_index, search_index
-from ssrvlad_torch.database.metadata import Beside
+from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.database.rows import intact
-from ssrvlad_torch.encoding.beside import beside_by
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptor
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 FRAMES = ["day/10", "day/2", "night/1"]
-OWN = Beside("own", 7, "seven numbers")
+OWN = ExtraDescriptor("own", 7, "seven numbers")
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def town(photos, ssrvlad):
 
 def test_encode_stores_what_the_method_makes_of_each_picture(town, photos, ssrvlad):
     database = Database.open(town)
-    assert database.beside == (beside_by("hog"),)
+    assert database.beside == (extra_descriptor("hog"),)
     frames = database.load()
     images = [np.asarray(Image.open(photos / f"{frame}.png")) for frame in frames.frames]
     expected = HOG().encode_query([Frame("", image=image) for image in images])
@@ -203,7 +203,7 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
 
 
 def test_descriptors_of_another_version_do_not_compare(photos):
-    changed = beside_by("hog")._replace(fingerprint="7 x 7 cells")
+    changed = extra_descriptor("hog")._replace(fingerprint="7 x 7 cells")
     database = Database.create(photos / "town", CONFIG, beside=[changed])
     with pytest.raises(ValueError, match=r"hog gives other descriptors here \(6 x 10 cells, 8"):
         Localiser.from_pretrained(photos / "net.yaml", database.path)
@@ -266,7 +266,7 @@ def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
 def test_a_detector_closes_more_loops_with_both():
     noisy = laps(0, 2.0), laps(1, 2.0)
     alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
-    seen = OWN._replace(name="hog", width=480, fingerprint=beside_by("hog").fingerprint)
+    seen = OWN._replace(name="hog", width=480, fingerprint=extra_descriptor("hog").fingerprint)
     detector = LoopDetector(LoopConfig(exclude=20), beside=[seen])
     assert run(detector, *noisy) > max(alone) + 5
     assert detector.weights.keys() == {"ssr-vlad", "hog"}
@@ -274,7 +274,7 @@ def test_a_detector_closes_more_loops_with_both():
 
 
 def test_a_detector_keeps_what_is_beside(tmp_path):
-    detector = LoopDetector(LoopConfig(exclude=2), beside=[beside_by("hog")])
+    detector = LoopDetector(LoopConfig(exclude=2), beside=[extra_descriptor("hog")])
     database = Database.create(tmp_path / "memory", detector.head.config, beside=detector.beside)
     pictures = [photo(street(seed, 60, 80)) for seed in range(6)]
     for row, picture in enumerate(pictures):
@@ -305,7 +305,7 @@ def test_loops_take_pictures(photos, ssrvlad):
     )
     assert code == 0
     assert "followed online, fused: ssr-vlad 0." in out
-    assert Database.open(photos / "memory").beside == (beside_by("hog"),)
+    assert Database.open(photos / "memory").beside == (extra_descriptor("hog"),)
     code, out, _ = ssrvlad("loops", photos / "today", *given, "--labels-as", SPACE)
     assert code == 0
     assert "31 frames" in out
