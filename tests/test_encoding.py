@@ -313,7 +313,7 @@ def test_frames_whose_file_is_gone_are_told_and_removed_if_asked(maps):
     summary = maps.encode("a", complete=True, prune=True)
     assert (summary.gone, summary.pruned) == ([], 2)
     assert maps.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
-    with pytest.raises(ValueError, match="prune wants to know all files"):
+    with pytest.raises(ValueError, match="prune needs all files"):
         EncodeOptions(prune=True)
 
 

@@ -74,7 +74,7 @@ def test_a_place_that_cannot_be_written_is_an_error_and_leaves_nothing(database,
 
 def test_an_id_of_several_lines_is_refused_where_ids_are_lines(database, tmp_path):
     database.append([record("a/1\u2028b")], descriptors(1, 1))
-    with pytest.raises(ValueError, match=r"an id a line, and 1 of .* first is 'a/1\\u2028b'"):
+    with pytest.raises(ValueError, match=r"one id per line, and 1 of .* first is 'a/1\\u2028b'"):
         export_database(database, "npy", tmp_path / "out.npy")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
 

@@ -14,11 +14,11 @@ from segmenting import write_photos, write_settings
 from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.baselines.hog import HOG
+from ssrvlad_torch.database.checksums import intact
 from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.index import build_index, search_index
 from ssrvlad_torch.database.metadata import ExtraDescriptor
-from ssrvlad_torch.database.rows import intact
 from ssrvlad_torch.encoding.extra_descriptors import extra_descriptor
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 

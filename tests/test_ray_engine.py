@@ -109,7 +109,7 @@ def test_what_was_committed_before_an_interruption_stays(tmp_path, files, databa
 @pytest.mark.parametrize(
     ("error", "message"),
     [
-        (ZeroDivisionError("of nothing"), "^Ray gave up: of nothing$"),
+        (ZeroDivisionError("of nothing"), "^Ray failed: of nothing$"),
         (OSError("no room"), "^no room$"),
     ],
 )

@@ -10,7 +10,7 @@ import lance
 import torch
 
 from ssrvlad_torch import match
-from ssrvlad_torch.database.rows import matrix
+from ssrvlad_torch.database.checksums import matrix
 from ssrvlad_torch.recognition.matching import Matches
 
 KINDS: dict[str, tuple[str, int, dict[str, Any]]] = {

@@ -1,4 +1,4 @@
-"""Other forms of a database: NumPy, and hloc's HDF5."""
+"""Export of a database to NumPy or to hloc's HDF5."""
 
 from __future__ import annotations
 
@@ -19,25 +19,24 @@ from .frames import FrameSet
 
 Format = Literal["npy", "hloc"]
 
-_BYTES_OF_A_GROUP = 1024
+_GROUP_BYTES = 1024
 
 
 def export_database(database: Database, form: Format, file: Path) -> list[Path]:
-    """Writes raw descriptors and the names of their frames in another form.
+    """Writes raw descriptors and frame ids, in natural order, to files of another format.
 
     Args:
-        database: what is exported, its frames in order.
-        form: ``npy``, an ``(R, D)`` float32 array, and beside it a text file with a frame's id a
-            line, a JSON file with the fingerprint and the settings, and an array for each method
-            of `Database.beside`; ``hloc``, an HDF5 file with
-            a group a frame, named by its id, that holds ``global_descriptor``, ``(D,)`` float32,
-            as hloc's ``extract_features`` writes it
-            (https://github.com/cvg/Hierarchical-Localization), and a data set for each method of
-            `Database.beside`; the settings are its attributes.
-        file: where.
+        database: the database.
+        form: ``npy``: an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON
+            file with fingerprint and settings, and an array for each extra descriptor.
+            ``hloc``: an HDF5 file with one group per frame, named by its id. The group holds
+            ``global_descriptor``, ``(D,)`` float32, as hloc's ``extract_features`` writes it
+            (https://github.com/cvg/Hierarchical-Localization), and a data set for each extra
+            descriptor. Fingerprint and settings are in the file's attribute ``ssrvlad``.
+        file: the array or the HDF5 file; other files are written beside it.
 
     Returns:
-        The files written.
+        The files that were written.
 
     Raises:
         ValueError: the database is damaged, or, for ``npy``, an id has several lines.
@@ -51,8 +50,8 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         return [file]
     if broken := [frame for frame in frames.frames if frame.splitlines() != [frame]]:
         raise ValueError(
-            f"the form npy holds an id a line, and {len(broken)} of the ids have several, the "
-            f"first is {broken[0]!r}"
+            f"the form npy holds one id per line, and {len(broken)} of the ids have several "
+            f"lines, the first is {broken[0]!r}"
         )
     texts = {
         ".frames.txt": "".join(f"{frame}\n" for frame in frames.frames),
@@ -61,19 +60,19 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     if database.fingerprint:
         texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
     arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.beside.items()}
-    for each, values in {file: frames.descriptors, **arrays}.items():
-        with _written(each) as temporary, temporary.open("wb") as stream:
+    for path, values in {file: frames.descriptors, **arrays}.items():
+        with _replacing(path) as temporary, temporary.open("wb") as stream:
             np.save(stream, values.numpy())
-    beside = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
-    for each, text in beside.items():
-        with _written(each) as temporary:
+    text_files = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
+    for path, text in text_files.items():
+        with _replacing(path) as temporary:
             temporary.write_text(text, encoding="utf-8")
-    return [file, *arrays, *beside]
+    return [file, *arrays, *text_files]
 
 
 @contextmanager
-def _written(file: Path) -> Iterator[Path]:
-    """As `replacing`; what HDF5 and the system say of a full disk becomes one line."""
+def _replacing(file: Path) -> Iterator[Path]:
+    """As `replacing`, but errors of HDF5 and of the system are one line."""
     with replacing(file) as temporary:
         try:
             yield temporary
@@ -88,8 +87,8 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
         import h5py
     except ImportError as error:
         raise ImportError("hloc's files need: pip install ssrvlad-torch[hloc]") from error
-    with _written(file) as temporary:
-        _see_room(temporary, frames)
+    with _replacing(file) as temporary:
+        _reserve_space(temporary, frames)
         with h5py.File(temporary, "w", libver="latest") as target:
             target.attrs["ssrvlad"] = json.dumps(about)
             arrays = {"global_descriptor": frames.descriptors, **frames.beside}
@@ -99,11 +98,15 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
                     group.create_dataset(name, data=values[row].numpy())
 
 
-def _see_room(file: Path, frames: FrameSet) -> None:
-    """Refuses a disk without room for an HDF5 file: HDF5 ends the process where it runs out."""
+def _reserve_space(file: Path, frames: FrameSet) -> None:
+    """Reserves disk space for an HDF5 file, because HDF5 aborts the process when the disk is full.
+
+    Raises:
+        OSError: the disk has not enough space.
+    """
     names = sum(len(frame.encode()) for frame in frames.frames)
     arrays = [frames.descriptors, *frames.beside.values()]
-    groups = len(arrays) * _BYTES_OF_A_GROUP * (len(frames.frames) + 1)
+    groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
     expected = 4 * sum(values.numel() for values in arrays) + groups + names
     if shutil.disk_usage(file.parent).free < expected:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))

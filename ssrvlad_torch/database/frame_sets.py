@@ -1,53 +1,87 @@
-"""Rows of a database's table as a `FrameSet`, in the order of a person."""
+"""The rows of a database in memory as a `FrameSet`, in natural order."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from .checksums import matrix
 from .frames import FrameSet, natural_key
-from .rows import DESCRIPTOR, POSE, Arrays
+from .reading import Damage, read_rows
+from .rows import DESCRIPTOR, POSE, schema
 
-OF_A_SET = ["frame", "sequence", *POSE, "stamp", "empty"]
-"""Columns of a table that `frame_set` wants, beside descriptors."""
+if TYPE_CHECKING:
+    from lance import LanceDataset
+
+FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
+"""The columns that a `FrameSet` holds beside descriptors."""
 
 _COLUMNS_AT_ONCE = 16
 
 
+def load_frame_set(
+    table: LanceDataset, widths: Mapping[str, int], damage: list[Damage] | None
+) -> FrameSet:
+    """Loads all frames of a table and verifies them; arguments and errors as for `Database.load`.
+
+    Args:
+        widths: of the columns of descriptors.
+    """
+    rows = table.count_rows()
+    arrays = {name: np.empty((rows, width), np.float32) for name, width in widths.items()}
+    tables, done = [schema({}).empty_table().select(FRAME_SET_COLUMNS)], 0
+    for batch in read_rows(table, damage):
+        for name, values in arrays.items():
+            values[done : done + len(batch)] = matrix(batch[name])
+        done += len(batch)
+        copied = batch.select(FRAME_SET_COLUMNS).take(pa.array(np.arange(len(batch))))
+        tables.append(pa.table(copied))  # a slice would keep the whole batch in memory
+    others = pa.concat_tables(tables)
+    twice = others.num_rows - len(pc.unique(others["frame"]))
+    if twice:
+        raise ValueError(f"{table.uri} is damaged: it holds {twice} frames twice")
+    order = order_of(others)
+    arrays = {name: _sort_rows(values[:done], order) for name, values in arrays.items()}
+    return frame_set(others.take(order), arrays)
+
+
 def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
-    """Rows by sequence and name as a person would sort them."""
+    """The rows sorted by sequence and name, both in natural order."""
     coded = pc.dictionary_encode(table["sequence"]).combine_chunks()
     sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
     rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
     ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
-    by_name = _by_name(pc.replace_substring_regex(table["frame"], "(?s)^.*/", ""))
+    by_name = _order_of_names(pc.replace_substring_regex(table["frame"], "(?s)^.*/", ""))
     return by_name[np.argsort(ranks[by_name], kind="stable")]
 
 
-def _by_name(names: pa.ChunkedArray) -> npt.NDArray[np.int64]:
-    """Names in natural order. Where they differ in digits only, that is the order of characters."""
+def _order_of_names(names: pa.ChunkedArray) -> npt.NDArray[np.int64]:
+    """Natural order of names; names that differ only in digits are sorted by character."""
     if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:
         return np.asarray(pc.sort_indices(names)).astype(np.int64)
     keys = [natural_key(name) for name in names.to_pylist()]
     return np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
 
 
-def in_order(
+def _sort_rows(
     descriptors: npt.NDArray[np.float32], order: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.float32]:
-    """Rows in another order, in place: a million of them need no second place."""
+    """Brings rows into an order in place, some columns at a time to save memory."""
     if (order[1:] > order[:-1]).all():
         return descriptors
     for first in range(0, descriptors.shape[1], _COLUMNS_AT_ONCE):
-        some = slice(first, first + _COLUMNS_AT_ONCE)
-        descriptors[:, some] = descriptors[order, some]
+        columns = slice(first, first + _COLUMNS_AT_ONCE)
+        descriptors[:, columns] = descriptors[order, columns]
     return descriptors
 
 
-def frame_set(table: pa.Table, descriptors: Arrays) -> FrameSet:
-    """The frames of rows with the columns `OF_A_SET`, and their descriptors by column."""
+def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[np.float32]]) -> FrameSet:
+    """The frames of a table with `FRAME_SET_COLUMNS`, and their descriptors by column."""
     import torch
 
     beside = {name: torch.from_numpy(values) for name, values in descriptors.items()}

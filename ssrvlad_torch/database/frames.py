@@ -1,4 +1,4 @@
-"""Frames as a database takes and gives them, and the order of their names."""
+"""Frames of a database: their records, sets of them in memory, and the order of their names."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32]"
 
 _NAN = float("nan")
 
-_Several = TypeVar("_Several", bound=Collection[Any])
+_Collection = TypeVar("_Collection", bound=Collection[Any])
 
 
 class FrameRecord(NamedTuple):
-    """What is stored of a frame beside its descriptor.
+    """What a database stores of a frame beside its descriptors.
 
     Attributes:
-        sequence, name: a frame's id is ``<sequence>/<name>``, or the name where there is no
+        sequence, name: the frame's id is ``<sequence>/<name>``, or the name if there is no
             sequence. A name holds no ``/``.
-        x, y: position in metres, NaN where unknown.
-        heading: radians, counter-clockwise from +x, NaN where unknown.
-        stamp: when the frame was taken, in seconds, NaN where unknown.
-        signature: a text that changes whenever the frame's source does; of a file, its folder
-            stands before the last ``|``.
+        x, y: position in metres, NaN if unknown.
+        heading: radians, counter-clockwise from +x, NaN if unknown.
+        stamp: time when the frame was taken, in seconds, NaN if unknown.
+        signature: a text that changes whenever the frame's file does: the file's folder, ``|``, and
+            its state.
         digest: of the label map, in hex.
         height, width: size of the label map in pixels.
-        origin: which label space and segmenter made the label map; from `Database.add_origin`.
+        origin: label space and segmenter of the label map, a key of `Database.origins`.
     """
 
     sequence: str
@@ -56,15 +56,15 @@ class FrameRecord(NamedTuple):
 
     @property
     def folder(self) -> str:
-        """The folder of the frame's file, empty where it is not known."""
+        """The folder of the frame's file, empty if unknown."""
         return folder_of(self.signature)
 
     @classmethod
     def of_id(cls, frame: str) -> FrameRecord:
-        """A record of nothing but the frame's id.
+        """A record with only the frame's id.
 
         Raises:
-            ValueError: the text is no id.
+            ValueError: the text is not an id.
         """
         sequence, slash, name = frame.rpartition("/")
         parts = (sequence, name) if slash else (name,)
@@ -75,16 +75,16 @@ class FrameRecord(NamedTuple):
 
 @dataclass(frozen=True)
 class FrameSet:
-    """Frames in memory, those of a sequence one after another in the order of their names.
+    """Frames in memory, by sequence and name in natural order.
 
     Attributes:
         frames: ids.
         sequences: the sequence of each frame.
         descriptors: ``(R, D)`` float32, raw: neither summed over time nor centred.
-        poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
-        stamps: ``(R,)`` float64, seconds, NaN where unknown.
+        poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN if unknown.
+        stamps: ``(R,)`` float64, seconds, NaN if unknown.
         empty: ``(R,)`` bool, frames whose descriptor is zero; they match nothing.
-        beside: of further methods ``(R, D')`` float32 by name, see `Database.beside`.
+        beside: ``(R, D')`` float32 of each extra descriptor by name, see `Database.beside`.
     """
 
     frames: tuple[str, ...]
@@ -108,8 +108,8 @@ class FrameSet:
         )
 
 
-def several(frames: _Several) -> _Several:
-    """The same; a single text, whose letters would be ids, is refused."""
+def require_list(frames: _Collection) -> _Collection:
+    """The frames unchanged; raises ValueError for a single text, whose letters would be ids."""
     if isinstance(frames, str):
         raise ValueError(f"expected a list of frames, got the text {frames!r}")
     return frames
@@ -121,7 +121,7 @@ def folder_of(signature: str) -> str:
 
 
 def natural_key(name: str) -> tuple[Any, str]:
-    """Sort key that puts ``frame10`` after ``frame9``, as a person would, ``1`` after ``01``."""
+    """Sort key of natural order: ``frame10`` after ``frame9``, and ``1`` after ``01``."""
     return _natural()(name), name
 
 

@@ -1,10 +1,11 @@
-"""An index on disk, for databases that do not fit in memory: inverted lists of descriptors
-quantised to a bit a number (RaBitQ, arXiv 2405.12497), made and searched by Lance (IVF_RQ). Of the
-kinds of index that Lance has it is the quickest to build and the smallest, and finds as much:
-docs/scale.md.
+"""An index on disk, for databases that do not fit in memory.
 
-What the index finds is scored again with the stored descriptors, so that scores are exact and only
-a candidate that it passes over is lost. Frames that were added since it was built are searched too.
+It has inverted lists of descriptors quantised to one bit per number (RaBitQ, arXiv 2405.12497),
+built and searched by Lance (IVF_RQ). Of the kinds of index in Lance it is the fastest to build and
+the smallest, with the same recall: docs/scale.md.
+
+Frames that the index finds are scored again with the stored descriptors: scores are exact, but a
+candidate may be missed. Frames added after it was built are searched as well.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ import numpy.typing as npt
 import torch
 
 from ..recognition.matching import match
+from .checksums import intact, matrix
 from .reading import read_rows
-from .rows import DESCRIPTOR, intact, matrix
+from .rows import DESCRIPTOR
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,21 +37,21 @@ CANDIDATES = 100
 
 _SAMPLE = 200
 _ROUNDING = 1e-6
-"""Of cosines in float32, by which equal frames may differ."""
+"""Cosines of equal frames may differ by this in float32."""
 
 Candidates = list[tuple[str, float]]
-"""Ids and exact cosines, best first."""
+"""Pairs of frame id and exact cosine, best first."""
 
 
 class IndexReport(NamedTuple):
-    """What an index is worth.
+    """Size, speed and recall of an index.
 
     Attributes:
-        lists: number of inverted lists, of which `PROBES` are looked through for a query.
-        seconds: how long it took to build.
-        recall_at: for N of 1 and 10, the fraction of the exact N best matches of a sample of
-            frames, the frame itself aside, that are among the N best by the index.
-        milliseconds: of a query by the index, the median of the sample.
+        lists: number of inverted lists; a query searches `PROBES` of them.
+        seconds: time to build it.
+        recall_at: for N of 1 and 10, the fraction of the exact N best matches that are among the N
+            best by the index; over a sample of frames, none of which matches itself.
+        milliseconds: median time of a query over the sample.
     """
 
     lists: int
@@ -59,10 +61,10 @@ class IndexReport(NamedTuple):
 
 
 def build_index(database: Database) -> IndexReport:
-    """Builds the index of a database, or builds it anew, and compares it with exact search.
+    """Builds the index of a database, replaces an earlier one, and compares it with exact search.
 
     Raises:
-        ValueError: there are too few frames to learn from, or the database is damaged.
+        ValueError: the database has fewer than `LEAST_ROWS` frames, or is damaged.
         OSError: the index cannot be written.
     """
     rows = len(database)
@@ -73,7 +75,7 @@ def build_index(database: Database) -> IndexReport:
         )
     lists = max(1, rows // ROWS_OF_A_LIST)
     began = time.perf_counter()
-    if database.width % 8:  # no whole bytes of bits
+    if database.width % 8:  # one bit per number would not fill whole bytes
         database.write_index(DESCRIPTOR, "IVF_FLAT", lists)
     else:
         database.write_index(DESCRIPTOR, "IVF_RQ", lists, num_bits=1)
@@ -94,20 +96,20 @@ def search_index(
         database: has an index.
         queries: ``(Q, D)`` float.
         top: number of candidates.
-        sequences: the only ones that candidates may be of; without, all.
+        sequences: sequences of candidates, by default all.
 
     Raises:
-        ValueError: there is no index, or a row that was found is damaged.
+        ValueError: the database has no index, or a row that was found is damaged.
     """
-    table, condition = indexed(database), filter_of(sequences)
+    table, condition = require_index(database), condition_of(sequences)
     return [_search(table, query, top, condition) for query in queries]
 
 
-def indexed(database: Database) -> LanceDataset:
+def require_index(database: Database) -> LanceDataset:
     """The table of a database that has an index.
 
     Raises:
-        ValueError: it has none.
+        ValueError: the database has no index.
     """
     table = database.table()
     if not any(DESCRIPTOR in index.field_names for index in table.describe_indices()):
@@ -118,10 +120,10 @@ def indexed(database: Database) -> LanceDataset:
 def nearest(
     table: LanceDataset, query: Tensor, count: int, condition: str | None, columns: list[str]
 ) -> pa.Table:
-    """Columns of the rows nearest to ``(D,)`` a query by the index, and their row ids.
+    """Columns of the rows nearest to a ``(D,)`` query by the index, and their row ids.
 
     Args:
-        condition: the rows that may be found, in SQL; without, all.
+        condition: restricts the rows, in SQL; ``None`` for all.
     """
     return table.to_table(
         columns=columns,
@@ -143,15 +145,15 @@ def _search(table: LanceDataset, query: Tensor, top: int, condition: str | None)
         return []
     found = nearest(table, query, max(CANDIDATES, 4 * top), condition, table.schema.names)
     if not intact(found.select(table.schema.names)).all():
-        raise ValueError(f"{table.uri} is damaged; ssrvlad db verify tells where")
+        raise ValueError(f"{table.uri} is damaged; ssrvlad db verify shows where")
     best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top)
     frames = found["frame"].to_pylist()
     pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
     return [(frames[row], score) for row, score in pairs if row >= 0]
 
 
-def filter_of(sequences: Collection[str] | None) -> str | None:
-    """What Lance filters by, in SQL."""
+def condition_of(sequences: Collection[str] | None) -> str | None:
+    """The rows of some sequences as a condition in SQL; ``None`` for all."""
     if sequences is None:
         return None
     quoted = ("'" + name.replace("'", "''") + "'" for name in sequences)
@@ -161,27 +163,31 @@ def filter_of(sequences: Collection[str] | None) -> str | None:
 def _compare(database: Database) -> tuple[dict[int, float], float]:
     """Recall against exact search, and the median time of a query in milliseconds."""
     frames = list(database.known())
-    chosen = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
-    queries, exact = _exact(database, np.sort(chosen))
+    sample = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
+    sample.sort()
+    queries, exact = _exact(database, sample)
     found, times = torch.full((len(queries), 10), -torch.inf), []
-    for place, (query, row) in enumerate(zip(queries, np.sort(chosen), strict=True)):
+    for number, (query, row) in enumerate(zip(queries, sample, strict=True)):
         began = time.perf_counter()
         [candidates] = search_index(database, query[None], 11)
         times.append(time.perf_counter() - began)
         scores = [score for frame, score in candidates if frame != frames[row]][:10]
-        found[place, : len(scores)] = torch.tensor(scores)
+        found[number, : len(scores)] = torch.tensor(scores)
     return {n: _recall(exact[:, :n], found[:, :n]) for n in (1, 10)}, 1000 * float(np.median(times))
 
 
 def _recall(exact: Tensor, found: Tensor) -> float:
-    """The part of the best ``(Q, n)`` scores that was found; frames of one score are as good."""
-    there = exact > -torch.inf
-    least = exact.masked_fill(~there, torch.inf).amin(1, keepdim=True) - _ROUNDING
-    return float((found >= least).sum() / there.sum().clamp(min=1))
+    """The fraction of the exact ``(Q, n)`` scores that the found scores reach.
+
+    Frames with the same score count alike.
+    """
+    is_match = exact > -torch.inf
+    least = exact.masked_fill(~is_match, torch.inf).amin(1, keepdim=True) - _ROUNDING
+    return float((found >= least).sum() / is_match.sum().clamp(min=1))
 
 
 def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
-    """Some rows, and the scores of their 10 best matches but themselves, read batch by batch."""
+    """Descriptors of rows, and the scores of their 10 best matches except the row itself."""
     table = database.table()
     queries = torch.from_numpy(
         matrix(table.take(rows.tolist(), columns=[DESCRIPTOR])[DESCRIPTOR]).copy()
@@ -189,8 +195,8 @@ def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Ten
     scores = torch.full((len(rows), 10), -torch.inf)
     first = 0
     for batch in read_rows(table):
-        own = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
-        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, exclude=own)
+        itself = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
+        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, exclude=itself)
         scores = torch.cat([scores, found.scores], 1).topk(10).values
         first += len(batch)
     return queries, scores

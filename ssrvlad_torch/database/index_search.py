@@ -1,5 +1,5 @@
-"""Candidates of queries by a database's index, for `recognition.candidates`: what following and
-confidence need of a search, read row by row."""
+"""Candidates of queries by a database's index, and scores of any row, for
+`recognition.candidates`."""
 
 from __future__ import annotations
 
@@ -15,45 +15,49 @@ from ..recognition.matching import Rows
 from ..recognition.motion import moments
 from ..recognition.standardise import less, standardise
 from ..recognition.sweep import score
-from .index import CANDIDATES, filter_of, indexed, nearest
+from .checksums import intact, matrix
+from .index import CANDIDATES, condition_of, nearest, require_index
 from .reading import read_rows
-from .rows import DESCRIPTOR, intact, matrix
+from .rows import DESCRIPTOR
 from .selection import neighbours, select
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
     import pyarrow as pa
+    from lance import LanceDataset
     from torch import Tensor
 
     from .database import Database
 
 _SAMPLE_ROWS = 1000
-_ROWS_KEPT = 50_000
-_ALONG = 8
-_AHEAD, _THREADS = 8, 2
+_CACHED_ROWS = 50_000
+_READ_AROUND = 8
+_QUERIES_AHEAD, _THREADS = 8, 2
 
 
 class IndexSearch:
-    """Candidates of queries by a database's index, for `recognition.candidates`.
+    """Candidates of queries by a database's index; a `recognition.candidates.Search`.
 
-    The index is of raw descriptors. With ``standardised`` it is asked for the rows nearest to each
-    query less the mean of its sequence; what it finds, and every row that is scored, is scored with
-    both means off: that of the query's sequence, and that of the row's, over all frames of the
-    version that is read. Scores are those of exact search; only candidates may be lost.
+    The index holds raw descriptors. With ``standardised`` it is searched for the rows nearest to
+    each query minus the mean of the query's sequence. A row is scored after the mean of its own
+    sequence, over all frames of the version that is read, is subtracted as well. Scores are those
+    of exact search, but a candidate may be missed.
 
     Args:
         database: has an index.
         queries: ``(Q, D)`` raw descriptors.
-        query_sequences: the sequence of each.
-        standardised: see above.
-        allowed: sequences that candidates may be of; without, all.
-        spared: ids of the queries, and how many frames on each side of a query in its own sequence
-            are no candidates.
+        query_sequences: the sequence of each query.
+        standardised: subtract means, see above.
+        allowed: sequences of candidates, by default all.
+        excluded: ids of the queries, and the number of frames on each side of a query in its own
+            sequence that are no candidates; ``None`` excludes none.
 
     Attributes:
-        frames: of the database, in the order of its rows; without descriptors.
+        frames: all frames of the database in natural order, without descriptors. Their positions
+            are the row numbers of all methods.
 
     Raises:
-        ValueError: there is no index, a sequence is not there, or the database is damaged.
+        ValueError: the database has no index, lacks a sequence, or is damaged.
     """
 
     def __init__(
@@ -63,62 +67,61 @@ class IndexSearch:
         query_sequences: Sequence[str],
         standardised: bool = True,
         allowed: Collection[str] | None = None,
-        spared: tuple[Sequence[str], int | None] = ((), None),
+        excluded: tuple[Sequence[str], int | None] = ((), None),
     ) -> None:
-        self._table = indexed(database)
-        self.frames, self._places = database.placed()
-        self._rows = np.argsort(self._places)
+        self._table = require_index(database)
+        self.frames, stored = database.placed()
+        self._row_of_stored = np.argsort(stored)
         ids = self._table.to_table(columns=[], with_row_id=True, scan_in_order=True)
-        self._ids = ids["_rowid"].to_numpy()
+        self._stored_ids = ids["_rowid"].to_numpy()
+        names = list(dict.fromkeys(self.frames.sequences))
+        number = {name: n for n, name in enumerate(names)}
+        self._sequences = np.array([number[name] for name in self.frames.sequences], np.int32)
+        self._allowed = None
         if allowed is not None:
             select(self.frames, allowed)
-        names = list(dict.fromkeys(self.frames.sequences))
-        number = {name: place for place, name in enumerate(names)}
-        self._drives = np.array([number[name] for name in self.frames.sequences], np.int32)
-        self._means = self._mean_of_each(len(names)) if standardised else None
+            self._allowed = torch.tensor([name in set(allowed) for name in names])
+        self._condition = condition_of(allowed)
+        ids, reach = excluded
+        self._excluded = None if reach is None else neighbours(ids, self.frames, reach)
+        means = self._mean_of_each(len(names)) if standardised else None
         self._queries = standardise(queries, query_sequences) if standardised else queries
-        self._allowed = None if allowed is None else [name in set(allowed) for name in names]
-        self._condition = filter_of(allowed)
-        ids, reach = spared
-        self._exclude = None if reach is None else neighbours(ids, self.frames, reach)
-        self._columns = [DESCRIPTOR] if standardised else self._table.schema.names
-        self._slots, self._kept = torch.full((len(self.frames),), -1), 0
-        self._vectors = torch.empty(0, database.width)
-        self._found: dict[int, Tensor] = {}
-        self._samples: dict[int, Tensor] = {}
-        self._scored: dict[int, tuple[Tensor, Tensor]] = {}
+        self._cache = _RowCache(self._table, stored, self._sequences, means)
+        self._candidates: dict[int, Tensor] = {}
+        self._pending: dict[int, Future[pa.Table | None]] = {}
         self._pool = ThreadPoolExecutor(_THREADS)
-        self._asked: dict[int, Future[pa.Table | None]] = {}
+        self._scores: dict[int, tuple[Tensor, Tensor]] = {}
         rows = len(self.frames)
-        few = np.random.default_rng(0).choice(rows, min(_SAMPLE_ROWS, rows), replace=False)
-        self._sample = torch.from_numpy(np.sort(few))
-        self._sampled = Rows.of(self._read(self._sample))
+        chosen = np.random.default_rng(0).choice(rows, min(_SAMPLE_ROWS, rows), replace=False)
+        self._sample = torch.from_numpy(np.sort(chosen))
+        self._sample_rows = Rows.of(self._cache.read(self._sample))
+        self._sample_scores: dict[int, Tensor] = {}
 
     def __len__(self) -> int:
         return len(self._queries)
 
     def candidates(self, query: int) -> Tensor:
         """See `recognition.candidates.Search`."""
-        if query not in self._found:
-            for later in range(query, min(query + _AHEAD, len(self))):
-                if later not in self._asked and later not in self._found:
-                    self._asked[later] = self._pool.submit(self._nearest, later)
-            found = self._asked.pop(query).result()
-            self._found[query] = self._rows_of(query, found)
-        return self._found[query]
+        if query not in self._candidates:
+            for later in range(query, min(query + _QUERIES_AHEAD, len(self))):
+                if later not in self._pending and later not in self._candidates:
+                    self._pending[later] = self._pool.submit(self._nearest, later)
+            found = self._pending.pop(query).result()
+            self._candidates[query] = self._rows_of(query, found)
+        return self._candidates[query]
 
     def scores(self, query: int, rows: Tensor) -> Tensor:
-        """See `recognition.candidates.Search`; scores are remembered, for a second pass."""
-        known, scores = self._scored.get(query, (rows[:0], torch.empty(0)))
-        fresh = rows[~torch.isin(rows, known)]
-        if len(fresh):
-            known, order = torch.cat([known, fresh]).sort()
-            scores = torch.cat([scores, self._score(query, fresh)])[order]
-            self._scored[query] = known, scores
-        return scores[torch.searchsorted(known, rows)]
+        """See `recognition.candidates.Search`; scores are cached for a second pass."""
+        cached, scores = self._scores.get(query, (rows[:0], torch.empty(0)))
+        missing = rows[~torch.isin(rows, cached)]
+        if len(missing):
+            cached, order = torch.cat([cached, missing]).sort()
+            scores = torch.cat([scores, self._score(query, missing)])[order]
+            self._scores[query] = cached, scores
+        return scores[torch.searchsorted(cached, rows)]
 
     def _score(self, query: int, rows: Tensor) -> Tensor:
-        scores = score(self._queries[query][None], self._read(rows))[0]
+        scores = score(self._queries[query][None], self._cache.read(rows))[0]
         return scores.masked_fill(~self._may_match(query, rows), -torch.inf)
 
     def spread(self, query: int) -> tuple[float, float]:
@@ -127,77 +130,102 @@ class IndexSearch:
 
     def sample(self, query: int) -> tuple[Tensor, Tensor]:
         """See `recognition.candidates.Search`."""
-        if query not in self._samples:
-            self._samples[query] = score(self._queries[query][None], self._sampled)[0]
-        return self._sample, self._samples[query]
+        if query not in self._sample_scores:
+            scores = score(self._queries[query][None], self._sample_rows)[0]
+            self._sample_scores[query] = scores
+        return self._sample, self._sample_scores[query]
 
     def _nearest(self, query: int) -> pa.Table | None:
         vector = self._queries[query]
         if not bool(vector.any()):
             return None
-        return nearest(self._table, vector, CANDIDATES, self._condition, self._columns)
+        return nearest(self._table, vector, CANDIDATES, self._condition, self._cache.columns)
 
     def _rows_of(self, query: int, found: pa.Table | None) -> Tensor:
         if found is None:
             return torch.zeros(0, dtype=torch.int64)
-        places = np.searchsorted(self._ids, found["_rowid"].to_numpy())
-        rows = torch.from_numpy(self._rows[places])
-        self._keep(rows, found)
+        stored = np.searchsorted(self._stored_ids, found["_rowid"].to_numpy())
+        rows = torch.from_numpy(self._row_of_stored[stored])
+        self._cache.add(rows, found)
         return rows[self._may_match(query, rows)]
 
     def _may_match(self, query: int, rows: Tensor) -> Tensor:
         may = torch.ones(len(rows), dtype=torch.bool)
         if self._allowed is not None:
-            may &= torch.tensor(self._allowed)[torch.from_numpy(self._drives[rows.numpy()])]
-        if self._exclude is not None:
-            first, last = self._exclude[query].tolist()
+            may &= self._allowed[torch.from_numpy(self._sequences[rows.numpy()])]
+        if self._excluded is not None:
+            first, last = self._excluded[query].tolist()
             may &= (rows < first) | (rows >= last)
         return may
 
-    def _read(self, rows: Tensor) -> Tensor:
-        """``(N, D)`` descriptors of rows, less their means if so; some rows around them are read
-        along, for the steps to come."""
+    def _mean_of_each(self, count: int) -> Tensor:
+        """``(count, D)`` float32, the mean of each sequence, in one pass that verifies all rows."""
+        totals = np.zeros((count, int(self._table.schema.field(DESCRIPTOR).type.list_size)))
+        counts, first = np.zeros(count), 0
+        for batch in read_rows(self._table):
+            vectors = F.normalize(torch.from_numpy(matrix(batch[DESCRIPTOR]).copy()), dim=1).numpy()
+            sequences = self._sequences[self._row_of_stored[first : first + len(batch)]]
+            for sequence in np.unique(sequences):
+                totals[sequence] += vectors[sequences == sequence].sum(0, dtype=np.float64)
+            np.add.at(counts, sequences, vectors.any(axis=1))
+            first += len(batch)
+        return torch.from_numpy(totals / np.maximum(counts, 1)[:, None]).float()
+
+
+class _RowCache:
+    """Descriptors of rows, read from disk when they are first needed.
+
+    Args:
+        table: the version that is read.
+        stored: ``(R,)``, the row of the table that holds each row.
+        sequences: ``(R,)``, the number of each row's sequence.
+        means: ``(S, D)``, of each sequence, subtracted from its rows, all of which are verified
+            then; ``None`` for raw descriptors, verified when they are read.
+    """
+
+    def __init__(
+        self,
+        table: LanceDataset,
+        stored: npt.NDArray[np.int64],
+        sequences: npt.NDArray[np.int32],
+        means: Tensor | None,
+    ) -> None:
+        self.columns = table.schema.names if means is None else [DESCRIPTOR]
+        self._table, self._stored, self._sequences, self._means = table, stored, sequences, means
+        self._slots, self._used = torch.full((len(stored),), -1), 0
+        self._vectors = torch.empty(0, int(table.schema.field(DESCRIPTOR).type.list_size))
+
+    def read(self, rows: Tensor) -> Tensor:
+        """``(N, D)`` descriptors of rows. Rows around missing ones are read along with them, for
+        later calls."""
         missing = rows[self._slots[rows] < 0]
         if len(missing):
-            if self._kept > _ROWS_KEPT:
+            if self._used > _CACHED_ROWS:
                 self._slots.fill_(-1)
-                self._kept, missing = 0, rows
-            around = missing[:, None] + torch.arange(-_ALONG, _ALONG + 1)
+                self._used, missing = 0, rows
+            around = missing[:, None] + torch.arange(-_READ_AROUND, _READ_AROUND + 1)
             near = torch.from_numpy(np.unique(around.numpy()))
             near = near[(near >= 0) & (near < len(self._slots))]
             near = near[self._slots[near] < 0]
-            stored = self._table.take(self._places[near.numpy()].tolist(), columns=self._columns)
-            self._keep(near, stored)
+            stored = self._stored[near.numpy()].tolist()
+            self.add(near, self._table.take(stored, columns=self.columns))
         return self._vectors[self._slots[rows]]
 
-    def _keep(self, rows: Tensor, found: pa.Table) -> None:
-        """Remembers what was read of rows."""
-        if "checksum" in self._columns and not intact(found.select(self._columns)).all():
-            raise ValueError(f"{self._table.uri} is damaged; ssrvlad db verify tells where")
+    def add(self, rows: Tensor, found: pa.Table) -> None:
+        """Caches the descriptors of rows, given as rows of the table."""
+        if "checksum" in self.columns and not intact(found.select(self.columns)).all():
+            raise ValueError(f"{self._table.uri} is damaged; ssrvlad db verify shows where")
         vectors = torch.from_numpy(matrix(found[DESCRIPTOR]).copy())
-        fresh = (self._slots[rows] < 0).nonzero()[:, 0]
-        rows, vectors = rows[fresh], vectors[fresh]
+        new = (self._slots[rows] < 0).nonzero()[:, 0]
+        rows, vectors = rows[new], vectors[new]
         if self._means is not None:
-            drives = torch.from_numpy(self._drives[rows.numpy()])
-            vectors = less(F.normalize(vectors, dim=1), self._means[drives.long()])
-        last = self._kept + len(rows)
-        if last > len(self._vectors):
-            more = self._vectors.new_empty(max(last, 2 * len(self._vectors)), vectors.shape[1])
-            more[: self._kept] = self._vectors[: self._kept]
-            self._vectors = more
-        self._vectors[self._kept : last] = vectors
-        self._slots[rows] = torch.arange(self._kept, last)
-        self._kept = last
-
-    def _mean_of_each(self, count: int) -> Tensor:
-        """``(count, D)`` float32, the mean of each sequence, in one pass over the rows."""
-        totals = np.zeros((count, int(self._table.schema.field(DESCRIPTOR).type.list_size)))
-        counted, first = np.zeros(count), 0
-        for batch in read_rows(self._table):
-            vectors = F.normalize(torch.from_numpy(matrix(batch[DESCRIPTOR]).copy()), dim=1).numpy()
-            drives = self._drives[self._rows[first : first + len(batch)]]
-            for drive in np.unique(drives):
-                totals[drive] += vectors[drives == drive].sum(0, dtype=np.float64)
-            np.add.at(counted, drives, vectors.any(axis=1))
-            first += len(batch)
-        return torch.from_numpy(totals / np.maximum(counted, 1)[:, None]).float()
+            sequences = torch.from_numpy(self._sequences[rows.numpy()])
+            vectors = less(F.normalize(vectors, dim=1), self._means[sequences.long()])
+        end = self._used + len(rows)
+        if end > len(self._vectors):
+            grown = self._vectors.new_empty(max(end, 2 * len(self._vectors)), vectors.shape[1])
+            grown[: self._used] = self._vectors[: self._used]
+            self._vectors = grown
+        self._vectors[self._used : end] = vectors
+        self._slots[rows] = torch.arange(self._used, end)
+        self._used = end

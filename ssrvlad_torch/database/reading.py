@@ -1,4 +1,4 @@
-"""Reading the rows of a table, each verified by its checksum; what is damaged has a name."""
+"""Reading the rows of a table, with the checksum of each verified."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from .engine import one_line
-from .rows import intact
+from .checksums import intact
+from .engine import message_of
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -20,12 +20,12 @@ _ERRORS = (OSError, ValueError, RuntimeError, pa.ArrowException)
 
 
 class Damage(NamedTuple):
-    """Something that is not as it was written.
+    """A damaged file.
 
     Attributes:
         file: its path below the database's folder.
-        rows: how many frames are lost.
-        reason: what is wrong, one line.
+        rows: number of frames that are lost.
+        reason: one line.
     """
 
     file: str
@@ -38,10 +38,10 @@ def read_rows(table: LanceDataset, damage: list[Damage] | None = None) -> Iterat
 
     Args:
         table: the version that is read.
-        damage: where given, what is damaged is left out and told here.
+        damage: if given, damaged rows are left out and reported here.
 
     Raises:
-        ValueError: a file is missing or a row is not as it was written; at the end of the file.
+        ValueError: a file is missing or a row is damaged; after the intact rows of the file.
     """
     for fragment in table.get_fragments():
         lost: list[Damage] = []
@@ -53,8 +53,8 @@ def read_rows(table: LanceDataset, damage: list[Damage] | None = None) -> Iterat
 
 
 def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.RecordBatch]:
-    """The rows of a fragment that are as they were written; what is not is told in damage."""
-    kept, reason = 0, ""
+    """The intact rows of a fragment; its damage is appended to ``damage`` at the end."""
+    intact_rows, reason = 0, ""
     for batch in _batches(fragment):
         if isinstance(batch, str):
             reason = reason or batch
@@ -63,7 +63,7 @@ def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.Re
         if not fits.all():
             first = batch["frame"][int(np.argmin(fits))].as_py()
             reason = reason or f"the checksum of frame {first!r} differs"
-        kept += int(fits.sum())
+        intact_rows += int(fits.sum())
         yield batch if fits.all() else batch.filter(pa.array(fits))
     if reason:
         try:
@@ -71,19 +71,11 @@ def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.Re
         except _ERRORS:
             rows = fragment.physical_rows
         file = f"data/{fragment.metadata.files[0].path}"
-        damage.append(Damage(file, rows - kept, reason))
-
-
-def is_damaged(fragment: LanceFragment, damage: list[Damage]) -> bool:
-    """Whether a fragment is damaged; how is told in damage."""
-    before = len(damage)
-    for _ in read_intact(fragment, damage):
-        pass
-    return len(damage) > before
+        damage.append(Damage(file, rows - intact_rows, reason))
 
 
 def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
-    """The rows of a fragment, and why some cannot be read; of these, the blocks that can be."""
+    """The rows of a fragment; after an error, its message and the blocks that can be read."""
     done = 0
     try:
         for batch in fragment.to_batches(batch_size=_BATCH):
@@ -91,7 +83,7 @@ def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:
             done += len(batch)
         return
     except _ERRORS as error:
-        yield one_line(error)
+        yield message_of(error)
     try:
         rows = fragment.count_rows()
     except _ERRORS:

@@ -1,4 +1,4 @@
-"""Which references may answer a query: by sequence, by number or time, and not its neighbours."""
+"""Selection of references: by sequence, by number or time, and without a query's neighbours."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ def select(
     first: int | None = None,
     last: int | None = None,
 ) -> npt.NDArray[np.bool_]:
-    """The frames of some sequences and of a window of time.
+    """Selects frames by sequence and by number.
 
-    The number of a frame is the last one in its name: a frame's number, or its time where names
-    are time stamps.
+    The number of a frame is the last one in its name: a counter or a time stamp.
 
     Args:
-        frames: among these.
-        sequences: the only ones, if given.
-        first, last: least and greatest number, if given; a frame without a number is then none.
+        frames: R frames.
+        sequences: sequences to select; by default all.
+        first, last: least and greatest number; if one is given, frames without a number are not
+            selected.
 
     Returns:
         ``(R,)`` bool.
 
     Raises:
-        ValueError: a sequence is not there; the message names it.
+        ValueError: no frame has one of the sequences; the message names it.
     """
     chosen = np.ones(len(frames.frames), bool)
     if sequences is not None:
@@ -48,15 +48,15 @@ def select(
 
 
 def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
-    """References of a query's own sequence that are near it in their order.
+    """The references around each query in its own sequence.
 
     Args:
         queries: ids of Q frames, which need not be among the references.
-        references: frames in order.
-        reach: so many on either side of the place that a query has, or would have.
+        references: frames in natural order.
+        reach: number of frames on each side of the position that the query has or would have.
 
     Returns:
-        ``(Q, 2)`` int64, ranges of rows for `match` to exclude; the query's own row is inside.
+        ``(Q, 2)`` int64, ranges of rows for `match` to exclude, with the query's own row.
 
     Raises:
         ValueError: ``reach`` is negative.
@@ -74,8 +74,8 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
         if sequence in starts:
             start, end = starts[sequence], ends[sequence]
             place = bisect_left(references.frames, natural_key(name), start, end, key=_name_key)
-            own = place < end and references.frames[place] == query
-            ranges[number] = max(start, place - reach), min(end, place + reach + own)
+            is_reference = place < end and references.frames[place] == query
+            ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
     return ranges
 
 

@@ -1,4 +1,4 @@
-"""The work of a worker: reads label maps and describes them in batches."""
+"""What a worker does: it reads label maps and computes their descriptors in batches."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from .extra_descriptors import extra_methods
 from .results import Skipped
 
 BATCH = 16
-"""Frames of one size that are described together: few enough for a cache."""
+"""Frames of one size in a batch; a larger batch does not fit in the processor's cache."""
 
 
 class Item(NamedTuple):
-    """A frame in work: its file, the file's signature before it was read, and its label map."""
+    """A frame to describe: its file, the file's signature before reading, and its label map."""
 
     file: FrameFile
     signature: str = ""
@@ -38,8 +38,10 @@ class Item(NamedTuple):
 
 
 class Described(NamedTuple):
-    """A record and its ``(D,)`` descriptors, its own and by the names of methods beside; arrays,
-    which are cheap to send."""
+    """A record and its ``(D,)`` descriptors: of the method, and extra ones by name.
+
+    Arrays are cheaper to send to another process than tensors.
+    """
 
     record: FrameRecord
     descriptor: npt.NDArray[np.float32]
@@ -47,22 +49,22 @@ class Described(NamedTuple):
 
 
 def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
-    """Items with label maps and their digests, where they are not there yet."""
-    one = partial(_read, space)
+    """Items with label maps and their digests; those without a label map are read."""
+    read_one = partial(_read, space)
     readers = max((item.file.readers for item in items), default=1)
     if readers == 1:
-        return list(map(one, items))
+        return list(map(read_one, items))
     with ThreadPoolExecutor(readers) as pool:
-        return list(pool.map(one, items))
+        return list(pool.map(read_one, items))
 
 
 class Describer:
-    """Items -> descriptors; can be sent to another process, which makes the head anew.
+    """Items -> descriptors. It can be pickled; another process then builds the head again.
 
     Args:
         head: the method.
         origin: of the records, see `Database.add_origin`.
-        beside: further methods that describe frames; their files are then images.
+        beside: extra descriptors of the frames, whose files are then images.
     """
 
     def __init__(
@@ -74,9 +76,9 @@ class Describer:
         self._methods = extra_methods(beside)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """The settings with the label space, which may be a file of this machine; no tables."""
+        """Pickles the settings with the whole label space, whose file others may not have."""
         config = replace(self.head.config, labels_as=self.head.label_space)
-        return _made_of, (config, self.head.native, self.origin, self.beside)
+        return _restore, (config, self.head.native, self.origin, self.beside)
 
     @property
     def device(self) -> torch.device:
@@ -84,28 +86,27 @@ class Describer:
         return next(self.head.buffers()).device
 
     def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
-        """The results of some frames, in their order."""
+        """The results of frames, in their order."""
         return self.describe(read(self.head.label_space, items))
 
     def describe(self, items: Sequence[Item]) -> list[Described | Skipped]:
-        """The results of frames that `read` read; those of one size and dtype are described
-        together."""
+        """The results of frames that `read` read; a batch has one size and dtype."""
         results: dict[int, Described | Skipped] = {}
-        alike: dict[object, list[int]] = {}
-        for place, item in enumerate(items):
+        groups: dict[object, list[int]] = {}
+        for number, item in enumerate(items):
             if isinstance(item.labels, np.ndarray):
-                alike.setdefault((item.labels.shape, item.labels.dtype), []).append(place)
+                groups.setdefault((item.labels.shape, item.labels.dtype), []).append(number)
             else:
-                results[place] = _skipped(item, item.labels)
-        for members in alike.values():
-            for first in range(0, len(members), BATCH):
-                places = members[first : first + BATCH]
-                batch = self._describe([items[place] for place in places])
-                results.update(zip(places, batch, strict=True))
-        return [results[place] for place in range(len(items))]
+                results[number] = _skipped(item, item.labels)
+        for group in groups.values():
+            for first in range(0, len(group), BATCH):
+                numbers = group[first : first + BATCH]
+                batch = self._describe([items[number] for number in numbers])
+                results.update(zip(numbers, batch, strict=True))
+        return [results[number] for number in range(len(items))]
 
     def _describe(self, batch: Sequence[Item]) -> list[Described | Skipped]:
-        """Describes frames of one size and dtype; if the batch fails, one by one."""
+        """Describes a batch of one size and dtype; if it fails, frame by frame."""
         try:
             stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
             descriptors = self.head(stack.to(self.device)).cpu().numpy()
@@ -113,7 +114,7 @@ class Describer:
                 Frame(item.file.frame, image=read_image(item.file))
                 for item in (batch if self._methods else ())
             ]
-            beside = {each.name: each.encode_query(frames).numpy() for each in self._methods}
+            beside = {m.name: m.encode_query(frames).numpy() for m in self._methods}
         except ValueError as error:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]
@@ -136,7 +137,7 @@ class Describer:
         )  # fmt: skip
 
 
-def _made_of(
+def _restore(
     config: SSRVLADConfig, native: bool, origin: str, beside: Sequence[ExtraDescriptor]
 ) -> Describer:
     head = SSRVLAD(config)
@@ -152,8 +153,9 @@ def _read(space: LabelSpace, item: Item) -> Item:
             labels = read_label_map(item.file, space)
         except ValueError as error:
             labels = error
-    found = digest(labels) if isinstance(labels, np.ndarray) else ""
-    return item._replace(labels=labels, digest=found)
+    return item._replace(
+        labels=labels, digest=digest(labels) if isinstance(labels, np.ndarray) else ""
+    )
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

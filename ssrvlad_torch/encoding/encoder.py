@@ -1,4 +1,4 @@
-"""Encoding: label maps, or images and a segmenter, -> descriptors, into a database or memory."""
+"""Encoding: label maps, or images with a segmenter -> descriptors in a database or in memory."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from ..segmentation.segmenter import Segmenter
 from .describer import BATCH, Described, Describer, Item, read
 from .interruption import deferred_interruption
 from .plan import Plan
-from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, tell_nobody
+from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, do_nothing
 from .workers import in_order
 from .writer import Writer
 
 WORTH_A_PROCESS = 500
-"""Frames for which a process more pays: it takes some seconds to start."""
+"""Frames per worker process: fewer are not worth the seconds that it takes to start."""
 
-MOST_THREADS, MOST_THREADS_OF_TORCH = 4, 2
-"""Threads that work at once and seldom wait for Python's lock. The native core and the decoders of
-images do not hold it; the many short operators of the torch path take it between them."""
+MOST_THREADS, MOST_TORCH_THREADS = 4, 2
+"""Threads that rarely wait for Python's global lock. The native core and the decoders of images
+release it; the many short operators of the torch path hold it in between."""
 
 
 def encode_to_database(
@@ -38,22 +38,23 @@ def encode_to_database(
     options: EncodeOptions | None = None,
     segmenter: Segmenter | None = None,
 ) -> Summary:
-    """Encodes the frames that a database lacks, and those whose row is out of date; see `Plan`.
+    """Encodes the frames that a database lacks and those whose row is out of date; see `Plan`.
 
-    A frame that cannot be read or encoded is skipped and the run goes on. Frames are committed from
-    time to time, and before an exception leaves. SIGINT and SIGTERM wait until the frame in hand is
-    done; a second one does not.
+    A frame that cannot be read or encoded is skipped. Frames are committed every few seconds, and
+    before an exception is raised. The first SIGINT or SIGTERM takes effect when the current frame
+    is done, a second one at once.
 
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        database: gets the raw descriptors, and those of pictures if it holds such.
-        options: how; without, the defaults.
-        segmenter: makes the label maps, of the head's label space; without, they are read.
+        database: receives the raw descriptors and the extra descriptors that it stores.
+        options: workers, pruning and callbacks.
+        segmenter: makes label maps in the head's label space; without it, files are label maps.
 
     Raises:
-        ValueError: the fingerprints differ, the segmenter does not fit, a sequence of the database
-            is of another folder, or it holds descriptors of pictures and there are none.
+        ValueError: the fingerprints differ, the segmenter has another label space, a sequence of
+            the database comes from another folder, or the database stores descriptors of pictures
+            and there is no segmenter.
         OSError: the database cannot be written, or a worker was killed.
 
     Example:
@@ -63,10 +64,10 @@ def encode_to_database(
     """
     options = options or EncodeOptions()
     database.require(head.config)
-    _see_fit(head, segmenter, database.beside)
+    _check_segmenter(head, segmenter, database.beside)
     with deferred_interruption() as check:
-        made_by = (segmenter.key(), segmenter.name) if segmenter else ()
-        origin = database.add_origin(head.label_space, *made_by)
+        network = (segmenter.key(), segmenter.name) if segmenter else ()
+        origin = database.add_origin(head.label_space, *network)
         plan = Plan.of(files, database, database.origins[origin])
         options.progress(plan.already_there)
         describer = Describer(head, origin, database.beside)
@@ -82,11 +83,15 @@ def encode_to_memory(
     head: SSRVLAD,
     files: Sequence[FrameFile],
     workers: int | None = None,
-    progress: Progress = tell_nobody,
+    progress: Progress = do_nothing,
     segmenter: Segmenter | None = None,
     beside: Sequence[ExtraDescriptor] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
-    """Encodes frames in order; arguments as for `encode`."""
+    """Encodes frames in order; arguments as for `encode`.
+
+    Returns:
+        The encoded frames, and the skipped ones.
+    """
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
     for frame in encode(head, files, workers, segmenter, beside):
@@ -96,9 +101,9 @@ def encode_to_memory(
             frames.append(frame)
         progress(1)
     records = [frame.record for frame in frames]
-    none = torch.zeros(0, head.config.length)
-    descriptors = torch.stack([frame.descriptor for frame in frames]) if frames else none
-    stacked = {one.name: [frame.beside[one.name] for frame in frames] for one in beside}
+    descriptors = torch.zeros(0, head.config.length)
+    if frames:
+        descriptors = torch.stack([frame.descriptor for frame in frames])
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
@@ -106,7 +111,11 @@ def encode_to_memory(
         poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
         empty=~descriptors.flatten(1).any(dim=1).numpy(),
-        beside={name: torch.stack(rows) for name, rows in stacked.items() if rows},
+        beside={
+            extra.name: torch.stack([frame.beside[extra.name] for frame in frames])
+            for extra in beside
+            if frames
+        },
     ), skipped
 
 
@@ -119,35 +128,38 @@ def encode(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames in order.
 
-    Each worker reads and describes a batch at a time. The first workers are threads, fewer where
-    torch describes than where the native core does; the others are processes, if there are frames
-    enough. Where the head lies on another device than the CPU, the workers read and the head
-    describes here. A segmenter runs here too, while the workers describe what it gave before.
+    Each worker reads and describes one batch at a time. The first workers are threads, more with
+    the native core than without; the others are processes, if there are enough frames. If the head
+    is not on the CPU, workers only read, and the head runs in the caller's thread. A segmenter runs
+    in the caller's thread too, while workers describe its earlier label maps.
 
     Args:
         head: the method.
         files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        workers: how many; without, the number of cores; with 0 or 1 all is done here.
-        segmenter: makes the label maps; without, they are read.
-        beside: what else describes the frames, by the pictures that the segmenter reads.
+        workers: number of workers, by default the number of cores; with 0 or 1 everything runs in
+            the caller's thread.
+        segmenter: makes the label maps; without it, files are label maps.
+        beside: extra descriptors, made from the pictures that the segmenter reads.
 
     Raises:
-        ValueError: the segmenter does not fit.
+        ValueError: the segmenter has another label space, or extra descriptors lack a segmenter.
         ChildProcessError: a worker was killed.
     """
-    _see_fit(head, segmenter, beside)
+    _check_segmenter(head, segmenter, beside)
     return _encode(Describer(head, beside=beside), files, workers, segmenter)
 
 
 def encoded(result: Described | Skipped) -> Encoded | Skipped:
-    """The result of a worker, its descriptor a tensor."""
+    """The result of a worker, with tensors."""
     if isinstance(result, Skipped):
         return result
     beside = {name: torch.from_numpy(values) for name, values in result.beside.items()}
     return Encoded(result.record, torch.from_numpy(result.descriptor), beside)
 
 
-def _see_fit(head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]) -> None:
+def _check_segmenter(
+    head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]
+) -> None:
     if beside and not segmenter:
         raise ValueError(f"{beside[0].name} describes pictures: expected images and a segmenter")
     if segmenter and segmenter.label_space != head.label_space:
@@ -167,8 +179,8 @@ def _encode(
     items = _segmented(files, segmenter, workers) if segmenter else map(Item, files)
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = describer.device.type != "cpu"
-    free = reads_only or describer.head.native
-    threads = min(workers, MOST_THREADS if free else MOST_THREADS_OF_TORCH)
+    lock_free = reads_only or describer.head.native
+    threads = min(workers, MOST_THREADS if lock_free else MOST_TORCH_THREADS)
     processes = min(workers - threads, len(files) // WORTH_A_PROCESS)
     if reads_only:
         reading = partial(read, describer.head.label_space)
@@ -180,7 +192,7 @@ def _encode(
 
 
 def _segmented(files: Sequence[FrameFile], segmenter: Segmenter, workers: int) -> Iterator[Item]:
-    """Frames with label maps. Signatures are taken before any file is read."""
+    """Frames with label maps; signatures are taken before any file is read."""
     signatures = [file.signature() for file in files]
     maps = segmenter.label_maps(files, workers)
     for (file, labels), signature in zip(maps, signatures, strict=True):

@@ -1,4 +1,4 @@
-"""Ctrl-C and termination that wait until the work in hand is safe."""
+"""Ctrl-C and termination that wait until the current work is saved."""
 
 from __future__ import annotations
 
@@ -13,13 +13,12 @@ _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 
 @contextmanager
 def deferred_interruption() -> Iterator[Callable[[], None]]:
-    """Defers SIGINT and SIGTERM until the body calls the yielded function, or to the end of the
-    body.
+    """Defers SIGINT and SIGTERM until the body calls the yielded function or ends.
 
     That function raises KeyboardInterrupt after a SIGINT, and SystemExit with code 143 after a
-    SIGTERM. A second signal acts at once. A signal that this process ignored from the beginning, as
-    a shell arranges for background jobs, stays ignored. Outside the main thread, where Python
-    handles no signals, nothing is deferred.
+    SIGTERM. A second signal takes effect at once. A signal that the process ignores, like SIGINT in
+    a background job of a shell, stays ignored. Outside the main thread, where Python handles no
+    signals, nothing is deferred.
     """
     if threading.current_thread() is not threading.main_thread():
         yield lambda: None
@@ -32,7 +31,7 @@ def deferred_interruption() -> Iterator[Callable[[], None]]:
         for number, handler in earlier.items():
             signal.signal(number, handler)
 
-    def keep(number: int, _frame: FrameType | None) -> None:
+    def defer(number: int, _frame: FrameType | None) -> None:
         received.append(number)
         restore()
 
@@ -44,7 +43,7 @@ def deferred_interruption() -> Iterator[Callable[[], None]]:
 
     try:
         for number in earlier:
-            signal.signal(number, keep)
+            signal.signal(number, defer)
         yield check
     finally:
         restore()

@@ -1,4 +1,4 @@
-"""The plan of an encoding run: which frames must be encoded, and why."""
+"""The plan of an encoding run: which frames to encode, and why."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from ..database.database import Database
 from ..database.frames import FrameRecord, folder_of
 from ..database.metadata import Origin
-from ..database.rows import KnownFrames
+from ..database.rows import StoredRecords
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import is_same, see_sequences
 
@@ -26,15 +26,15 @@ POSE = "pose changed"
 class Plan:
     """The frames that an encoding run must encode, and why.
 
-    A row is up to date if its frame has the same source (by its signature), label space, segmenter
-    and pose. All other frames are encoded.
+    A row of the database is up to date if its frame has the same file (by its signature), label
+    space, segmenter and pose. All other frames are encoded.
 
     Attributes:
-        files: of frames to encode.
-        reasons: why each of them, by the frame's id.
-        digests: of the label maps of those whose row may turn out the same, by the frame's id.
+        files: files of the frames to encode.
+        reasons: why each of them is encoded, by frame id.
+        digests: digests of the label maps in the database, of frames to encode again, by frame id.
         already_there: number of frames that are up to date.
-        gone: ids of frames of the same folders that have no file.
+        gone: ids of frames in the database from the same folders, whose file does not exist.
     """
 
     files: list[FrameFile]
@@ -45,19 +45,22 @@ class Plan:
 
     @classmethod
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
-        """The plan for files of label maps of an origin, or that it makes label maps of. A sequence
-        of the database that is of another folder is a ValueError."""
+        """The plan for files whose label maps have an origin.
+
+        Raises:
+            ValueError: as for `check_folders`.
+        """
         known, origins = database.known(), database.origins
-        there = {name for name, entry in origins.items() if _reason(origin, entry) is None}
+        current = {key for key, stored in origins.items() if _why_origin(origin, stored) is None}
         check_folders(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         for file in files:
             record = known.get(file.frame)
             reason: str | None = NEW
             if record is not None:
-                reason = _why_anew(file, record)
-                if record.origin not in there:
-                    reason = _reason(origin, origins.get(record.origin)) or reason
+                reason = _why_file(file, record)
+                if record.origin not in current:
+                    reason = _why_origin(origin, origins.get(record.origin)) or reason
             if reason is not None:
                 todo.append(file)
                 reasons[file.frame] = reason
@@ -66,51 +69,52 @@ class Plan:
         return cls(todo, reasons, digests, len(files) - len(todo), list(_gone(files, known)))
 
     def reason(self, record: FrameRecord) -> str:
-        """Why a frame was encoded, now that its label map is known."""
+        """Why a frame was encoded, given its new record."""
         reason = self.reasons[record.frame]
         same = reason == FILE and self.digests[record.frame] == record.digest
         return TOUCHED if same else reason
 
 
-def _why_anew(file: FrameFile, record: FrameRecord) -> str | None:
-    """Why a frame with a row of the same origin must be encoded; ``None`` if not."""
+def _why_file(file: FrameFile, record: FrameRecord) -> str | None:
+    """Why a frame must be encoded again for its file or pose; ``None`` if its record fits."""
     signature = file.signature()
     if record.signature != signature:
         state = record.signature.rpartition("|")[2]
         return FILE if state != signature.rpartition("|")[2] else MOVED
-    there = (record.x, record.y, record.heading)
-    same = math.isnan(file.pose.x) or np.array_equal(file.pose, there, equal_nan=True)
+    stored = (record.x, record.y, record.heading)
+    same = math.isnan(file.pose.x) or np.array_equal(file.pose, stored, equal_nan=True)
     return None if same else POSE
 
 
-def _reason(now: Origin, then: Origin | None) -> str | None:
-    """Why label maps of one origin do not replace those of another."""
-    if then is None or then.label_space is None or now.label_space is None:
+def _why_origin(origin: Origin, stored: Origin | None) -> str | None:
+    """Why a frame must be encoded again for its origin; ``None`` if the origins agree."""
+    if stored is None or stored.label_space is None or origin.label_space is None:
         return LABEL_SPACE
-    if then.label_space.digest != now.label_space.digest:
+    if stored.label_space.digest != origin.label_space.digest:
         return LABEL_SPACE
-    return SEGMENTER if then.segmenter != now.segmenter else None
+    return SEGMENTER if stored.segmenter != origin.segmenter else None
 
 
-def check_folders(files: Sequence[FrameFile], known: KnownFrames) -> None:
-    """Refuses to merge or overwrite frames of different folders; a sequence that the user named may
-    have frames of several.
+def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
+    """Requires that files do not merge with or overwrite frames of other folders.
+
+    A sequence that the user named may have frames of several folders.
 
     Raises:
-        ValueError: files have the name of a sequence or of a frame of another folder.
+        ValueError: a file has the sequence, or the frame id, of another folder.
     """
-    ours = {(file.folder, file.sequence) for file in files if not file.named}
-    see_sequences(ours, known.folders())
+    folders = {(file.folder, file.sequence) for file in files if not file.named}
+    see_sequences(folders, known.folders())
     for file in files:
         if file.named and (record := known.get(file.frame)):
             check_folder(file, record)
 
 
 def check_folder(file: FrameFile, record: FrameRecord) -> None:
-    """Refuses a file of another folder than that of a frame of its name.
+    """Requires that a file is in the folder of the stored frame with its id.
 
     Raises:
-        ValueError: it is, and the folder of the frame is still there.
+        ValueError: it is in another one, and the folder of the frame still exists.
     """
     folder = record.folder
     if folder and not is_same(folder, file.folder) and Path(folder).exists():
@@ -120,9 +124,9 @@ def check_folder(file: FrameFile, record: FrameRecord) -> None:
         )
 
 
-def _gone(files: Sequence[FrameFile], known: KnownFrames) -> Iterator[str]:
-    """Frames of the folders of files, without a file."""
-    there, folders = {file.frame for file in files}, {file.folder for file in files}
+def _gone(files: Sequence[FrameFile], known: StoredRecords) -> Iterator[str]:
+    """Ids of stored frames from the folders of files, whose file is not among them."""
+    present, folders = {file.frame for file in files}, {file.folder for file in files}
     for frame, signature in zip(known, known.column("signature"), strict=True):
-        if folder_of(signature) in folders and frame not in there:
+        if folder_of(signature) in folders and frame not in present:
             yield frame

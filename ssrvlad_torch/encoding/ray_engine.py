@@ -1,4 +1,4 @@
-"""Encoding by Ray Data, on this machine or on all of a cluster. It needs the extra ``ray``."""
+"""Encoding with Ray Data, on this machine or on a cluster; needs the extra ``ray``."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from ..database.database import Database, Written
+from ..database.database import Database, StagedRows
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import absolute, is_uri
 from ..descriptor import SSRVLAD
@@ -25,22 +25,22 @@ from .results import EncodeOptions, Skipped, Summary, cores
 from .writer import Writer
 
 PART = 1024
-"""Frames that are encoded and written together."""
+"""Number of frames that are encoded and written together."""
 
 _Batch = dict[str, Any]
 
 
 class Part(NamedTuple):
-    """The results of some frames.
+    """The results of one part of the frames.
 
     Attributes:
-        results: of all but the written ones.
-        written: new frames, in files of the database that are not committed.
-        empty: how many written frames are empty.
+        results: the results that are not in ``staged``.
+        staged: new frames, written to files of the database but not committed.
+        empty: number of staged frames that are empty.
     """
 
     results: list[Described | Skipped]
-    written: Written | None = None
+    staged: StagedRows | None = None
     empty: int = 0
 
 
@@ -50,25 +50,26 @@ def encode_with_ray(
     database: Database,
     options: EncodeOptions | None = None,
 ) -> Summary:
-    """Encodes frames as `encode_to_database` does, by Ray.
+    """Encodes frames as `encode_to_database` does, with Ray.
 
-    Every node of the cluster must find the files and the database. Actors encode new frames and
-    write them as files of the database, which are committed here from time to time, and at the end
-    or when the run is interrupted. If an actor is lost, another does its work again. Frames that
-    replace others are sent here and committed here.
+    Every node of the cluster must be able to open the files and the database. Actors encode new
+    frames and write them to files of the database. The caller's process commits these every few
+    seconds, at the end, and when the run is interrupted. If an actor is lost, another repeats its
+    work. Frames that replace others are sent to the caller's process and written there.
 
     Args:
         head: its settings must have the database's fingerprint.
         files: from `find_label_files`.
-        database: gets the raw descriptors.
-        options: how; ``workers`` are actors, one core each.
+        database: receives the raw descriptors.
+        options: as for `encode_to_database`; ``workers`` is the number of actors with one core
+            each.
 
     Raises:
         ValueError: as for `encode_to_database`.
         ImportError: the extra ``ray`` is not installed.
-        OSError: the database cannot be written, or Ray gave up.
+        OSError: the database cannot be written, or Ray failed.
     """
-    _need_ray()
+    _require_ray()
     options = options or EncodeOptions()
     database.require(head.config)
     if database.beside:
@@ -77,12 +78,12 @@ def encode_with_ray(
         origin = database.add_origin(head.label_space)
         plan = Plan.of(files, database, database.origins[origin])
         options.progress(plan.already_there)
-        place = database.path if is_uri(database.path) else absolute(Path(database.path))
-        encoder = PartEncoder(Describer(head, origin), place)
+        path = database.path if is_uri(database.path) else absolute(Path(database.path))
+        encoder = PartEncoder(Describer(head, origin), path)
         with Writer(database, plan, options) as writer:
             for part in _parts(encoder, plan, options.workers or cores()):
-                if part.written:
-                    writer.add_written(part.written, part.empty)
+                if part.staged:
+                    writer.add_staged(part.staged, part.empty)
                 for result in part.results:
                     writer.add(encoded(result))
                 check()
@@ -90,46 +91,46 @@ def encode_with_ray(
 
 
 class PartEncoder:
-    """Encodes the files of a part, and writes the new ones to a database that every node finds."""
+    """Encodes the files of a part, and stages new frames in the database at a path."""
 
     def __init__(self, describer: Describer, database: str) -> None:
         self.describer = describer
         self.database = database
 
     def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
-        """The results of the files of a part, whose frames are all new or all not."""
+        """The results of the files of a part; ``new``: none of its frames is in the database."""
         results = self.describer([Item(file) for file in files])
         described = [result for result in results if isinstance(result, Described)]
         if not new or not described:
             return Part(results)
         descriptors = np.stack([result.descriptor for result in described])
         records = [result.record for result in described]
-        written = Database.open(self.database).write_apart(records, descriptors)
+        staged = Database.open(self.database).write_apart(records, descriptors)
         skipped = [result for result in results if isinstance(result, Skipped)]
-        return Part([*skipped], written, int((~descriptors.any(axis=1)).sum()))
+        return Part([*skipped], staged, int((~descriptors.any(axis=1)).sum()))
 
 
 class Actor:
-    """What `map_batches` makes an actor of: pickled files in, a pickled `Part` or an error out."""
+    """An actor for `map_batches`: takes pickled files, returns a pickled `Part` or an error."""
 
     def __init__(self, encoder: PartEncoder) -> None:
         torch.set_num_threads(1)
         self.encode = encoder
 
     def __call__(self, batch: _Batch) -> _Batch:
-        """A batch of one part."""
+        """The batch holds one part."""
         [files], [new] = batch["files"], batch["new"]
         try:
             part: Part | OSError = self.encode(pickle.loads(files), bool(new))
-        except OSError as error:  # of the disk: trying again does not help
+        except OSError as error:  # a disk error: Ray must not retry
             part = OSError(one_line(error))
-        except Exception as error:  # Ray would report itself, and not this
-            part = OSError(f"Ray gave up: {one_line(error)}")
+        except Exception as error:  # the report of Ray would not show it
+            part = OSError(f"Ray failed: {one_line(error)}")
         return {"part": [pickle.dumps(part)]}
 
 
 def _parts(encoder: PartEncoder, plan: Plan, workers: int) -> Iterator[Part]:
-    """The results of Ray for the files of a plan, as they arrive."""
+    """The results for the files of a plan, as they arrive."""
     import ray.data
 
     rows = [
@@ -156,10 +157,10 @@ def _parts(encoder: PartEncoder, plan: Plan, workers: int) -> Iterator[Part]:
             yield part
     except ray.exceptions.RayError as error:
         cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
-        raise OSError(f"Ray gave up: {one_line(cause)}") from error
+        raise OSError(f"Ray failed: {one_line(cause)}") from error
 
 
-def _need_ray() -> None:
+def _require_ray() -> None:
     try:
         import ray.data  # noqa: F401
     except ImportError as error:
@@ -167,7 +168,7 @@ def _need_ray() -> None:
 
 
 def _quiet_ray() -> None:
-    """Connects to Ray, if nobody has, without its logs."""
+    """Connects to Ray unless the process is connected, and silences its logs."""
     import ray.data
 
     if not ray.is_initialized():

@@ -19,7 +19,7 @@ Progress = Callable[[int], object]
 
 
 class Encoded(NamedTuple):
-    """A frame and its ``(D,)`` float32 descriptors: its own, and by the names of methods beside."""
+    """A frame and its ``(D,)`` float32 descriptors: of the method, and extra ones by name."""
 
     record: FrameRecord
     descriptor: Tensor
@@ -34,38 +34,41 @@ class Skipped(NamedTuple):
 
 
 def cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     if sys.platform == "linux":
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
-def tell_nobody(_what: object) -> None:
-    """A callback that does nothing."""
+def do_nothing(_value: object) -> None:
+    """The default callback."""
 
 
 @dataclass(frozen=True)
 class EncodeOptions:
-    """How a database is filled.
+    """Options of encoding into a database.
 
     Attributes:
-        workers: threads and processes that read and encode; without, as many as cores. With 0 or 1
-            all is done in the caller's thread.
-        complete: the files are all files of their folders, so that other frames of these are gone.
+        workers: number of threads and processes that read and encode, by default the number of
+            cores. With 0 or 1 everything runs in the caller's thread.
+        complete: the files are all files of their folders: frames without a file are gone.
         prune: with ``complete``, remove the frames that are gone.
         progress: called with the number of frames done since the last call.
-        skipped: called with every frame that is skipped, at once.
+        skipped: called with every frame that is skipped, immediately.
+
+    Raises:
+        ValueError: ``prune`` without ``complete``.
     """
 
     workers: int | None = None
     complete: bool = False
     prune: bool = False
-    progress: Progress = tell_nobody
-    skipped: Callable[[Skipped], object] = tell_nobody
+    progress: Progress = do_nothing
+    skipped: Callable[[Skipped], object] = do_nothing
 
     def __post_init__(self) -> None:
         if self.prune and not self.complete:
-            raise ValueError("prune wants to know all files of a folder: complete")
+            raise ValueError("prune needs all files of a folder: expected complete=True")
 
 
 @dataclass
@@ -74,9 +77,9 @@ class Summary:
 
     Attributes:
         encoded: number of new frames.
-        anew: number of frames that were encoded again, by the reason.
-        already_there: number of frames that were left as they are.
-        empty: number of encoded frames with a descriptor of zeros.
+        anew: number of frames that were encoded again, by reason.
+        already_there: number of frames that were up to date.
+        empty: number of encoded frames whose descriptor is zero.
         pruned: number of frames that were removed because their file is gone.
         gone: ids of frames in the database whose file is gone.
         skipped: frames that could not be encoded.
@@ -96,8 +99,8 @@ class Summary:
         return self.encoded + self.anew.total() + self.already_there
 
     def __str__(self) -> str:
-        told = [f"{self.encoded} frames encoded ({self.empty} of them empty)"]
-        told += [f"{count} encoded anew: {reason}" for reason, count in self.anew.items()]
-        told.append(f"{self.already_there} already there")
-        told += [f"{self.pruned} removed"] if self.pruned else []
-        return ", ".join([*told, f"{len(self.skipped)} skipped"])
+        parts = [f"{self.encoded} frames encoded ({self.empty} of them empty)"]
+        parts += [f"{count} encoded anew: {reason}" for reason, count in self.anew.items()]
+        parts.append(f"{self.already_there} already there")
+        parts += [f"{self.pruned} removed"] if self.pruned else []
+        return ", ".join([*parts, f"{len(self.skipped)} skipped"])

@@ -1,10 +1,9 @@
-"""Work on many items by several workers: in order, and never many of them in memory.
+"""Work on many items by several workers: results in order, with few items in memory.
 
-A worker is a thread of this process, or a process of its own: this Python run anew, with a pipe for
-each direction. That reads pickled items from the one and writes pickled results to the other.
-Nothing is forked, so it does not matter what threads run here, and it is the same on every system.
-When this process ends, however it ends, its ends of the pipes close, and the worker reads the end
-of its file and ends too.
+A worker is a thread of this process, or another process. A worker process is a new Python that
+reads pickled items from one pipe and writes pickled results to another. It is not forked: threads
+of this process do no harm, and all systems behave alike. When this process ends for any reason, its
+pipes close, and so the worker processes end.
 """
 
 from __future__ import annotations
@@ -25,24 +24,24 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 _AHEAD = 2
-"""Items that wait for a worker or are worked on, for each worker."""
+"""Items taken in advance for each worker."""
 
 
 def in_order(
     work: Callable[[Item], Result], items: Iterable[Item], threads: int, processes: int = 0
 ) -> Iterator[Result]:
-    """The results of work on items, in their order.
+    """The results of ``work`` on items, in their order.
 
-    Items are taken from their iterable here, while the workers are busy with earlier ones. Where
-    that raises, the error comes after the results of all items before it. Workers ignore Ctrl-C:
-    the consumer of the results handles it.
+    Items are taken in the caller's thread while the workers are busy with earlier ones. If that
+    raises an error, it comes after the results of all earlier items. Worker processes ignore
+    Ctrl-C: the consumer of the results handles it.
 
     Args:
-        work: is done with an item. For processes it, the items and the results must be picklable;
-            for several threads it must be safe to call at once.
-        items: taken one by one, some ahead of what is worked on.
-        threads, processes: number of workers of each kind, each with one thread of torch. Without
-            processes and at most one thread the work is done in the caller's.
+        work: called with each item. For processes, it, the items and the results must be picklable;
+            for several threads, it must be thread-safe.
+        items: taken one by one, a few in advance.
+        threads, processes: number of workers of each kind, each with one thread of torch. With at
+            most one thread and no process, the work is done in the caller's thread.
 
     Raises:
         ChildProcessError: a worker was killed.
@@ -54,7 +53,7 @@ def in_order(
     import torch
 
     with ExitStack() as stack:
-        stack.callback(torch.set_num_threads, torch.get_num_threads())  # of threads to come
+        stack.callback(torch.set_num_threads, torch.get_num_threads())  # for later threads
         pool = stack.enter_context(ThreadPoolExecutor(workers, "", torch.set_num_threads, (1,)))
         idle: queue.SimpleQueue[Callable[[Item], Result]] = queue.SimpleQueue()
         for _ in range(threads):
@@ -90,7 +89,7 @@ def in_order(
 
 
 class _Worker:
-    """A process that does one kind of work."""
+    """A process that applies one function to items."""
 
     def __init__(self, work: Callable[[Any], Any]) -> None:
         program = f"import sys; sys.path[:] = {sys.path!r}; import {__name__} as w; w.serve()"
@@ -99,9 +98,9 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env={**os.environ, "OMP_NUM_THREADS": "1"},
-            start_new_session=True,  # Ctrl-C in a terminal is for the parent
+            start_new_session=True,  # Ctrl-C in a terminal reaches only the parent
         )
-        self._send = _put_in(self._process.stdin)
+        self._send = _sender(self._process.stdin)
         self._send(work)
 
     def __call__(self, item: Any) -> Any:
@@ -118,16 +117,16 @@ class _Worker:
         return result
 
     def end(self) -> None:
-        """Ends the process; its current work is lost."""
+        """Ends the process and discards its current work."""
         self._process.kill()
         self._process.communicate()
 
 
 def serve() -> None:
-    """A worker's life: work from standard input, then items, until there are no more."""
+    """The main function of a worker process: reads the work, then items, from standard input."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    source, send = sys.stdin.buffer, _put_in(os.fdopen(os.dup(1), "wb"))
-    os.dup2(2, 1)  # what libraries print must not come between the results
+    source, send = sys.stdin.buffer, _sender(os.fdopen(os.dup(1), "wb"))
+    os.dup2(2, 1)  # output of libraries must not mix with the results
     try:
         work = pickle.load(source)
         while True:
@@ -141,11 +140,12 @@ def serve() -> None:
         os._exit(0)
 
 
-def _put_in(stream: IO[bytes] | None) -> Callable[[Any], None]:
+def _sender(stream: IO[bytes] | None) -> Callable[[Any], None]:
+    """A function that pickles a value to a stream."""
     assert stream
 
-    def put(value: Any) -> None:
+    def send(value: Any) -> None:
         stream.write(pickle.dumps(value, pickle.HIGHEST_PROTOCOL))
         stream.flush()
 
-    return put
+    return send

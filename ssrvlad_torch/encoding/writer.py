@@ -1,4 +1,4 @@
-"""Where encoded frames go: into a database, from time to time."""
+"""Writes encoded frames to a database, many in one commit."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import time
 
 import torch
 
-from ..database.database import Database, Written
+from ..database.database import Database, StagedRows
 from .plan import NEW, Plan
 from .results import Encoded, EncodeOptions, Skipped, Summary
 
 COMMIT_ROWS, COMMIT_SECONDS = 8192, 10.0
-"""Frames are put into the database when there are so many, or when so long has passed."""
+"""A commit is made after this number of frames or this time."""
 
 
 class Writer:
-    """Puts frames into a database from time to time; the last ones at the end."""
+    """Collects encoded frames and commits them to a database; the last ones when it is closed."""
 
     def __init__(self, database: Database, plan: Plan, options: EncodeOptions) -> None:
         self.summary = Summary(already_there=plan.already_there)
@@ -23,7 +23,7 @@ class Writer:
         self._plan = plan
         self._options = options
         self._waiting: list[Encoded] = []
-        self._apart: list[Written] = []
+        self._staged: list[StagedRows] = []
         self._due = time.monotonic() + COMMIT_SECONDS
 
     def __enter__(self) -> Writer:
@@ -33,7 +33,7 @@ class Writer:
         self.commit()
 
     def add(self, result: Encoded | Skipped) -> None:
-        """Takes the result of a frame."""
+        """Adds the result of a frame."""
         if isinstance(result, Skipped):
             self.summary.skipped.append(result)
             self._options.skipped(result)
@@ -43,20 +43,20 @@ class Writer:
                 self.commit()
         self._options.progress(1)
 
-    def add_written(self, written: Written, empty: int) -> None:
-        """Takes new frames that `Database.write_apart` wrote, ``empty`` of them empty."""
-        self._apart.append(written)
-        self.summary.encoded += len(written.frames)
+    def add_staged(self, rows: StagedRows, empty: int) -> None:
+        """Adds new frames that `Database.write_apart` wrote, ``empty`` of them empty."""
+        self._staged.append(rows)
+        self.summary.encoded += len(rows.frames)
         self.summary.empty += empty
         if time.monotonic() > self._due:
             self.commit()
-        self._options.progress(len(written.frames))
+        self._options.progress(len(rows.frames))
 
     def commit(self) -> None:
-        """Puts the waiting frames into the database."""
+        """Commits the waiting frames."""
         frames, self._waiting = self._waiting, []
-        apart, self._apart = self._apart, []
-        self._database.adopt(apart)
+        staged, self._staged = self._staged, []
+        self._database.adopt(staged)
         if frames:
             descriptors = torch.stack([frame.descriptor for frame in frames])
             beside = {n: torch.stack([f.beside[n] for f in frames]) for n in frames[0].beside}
@@ -68,7 +68,7 @@ class Writer:
         self._due = time.monotonic() + COMMIT_SECONDS
 
     def finish(self) -> Summary:
-        """Removes the frames that are gone, or reports them."""
+        """Removes or reports the frames that are gone, and returns the summary."""
         if self._options.prune:
             self._database.remove(self._plan.gone)
             self.summary.pruned = len(self._plan.gone)

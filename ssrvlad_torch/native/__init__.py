@@ -1,7 +1,7 @@
 """The native core: the whole method in one C++ file without torch, as an operator of torch.
 
-It is built with the package where a C++ compiler is at hand, and serves label maps in the memory
-of a CPU. Without it, and elsewhere, the stages in torch do the work: the same numbers.
+It is built with the package if a C++ compiler is available, and describes label maps on a CPU.
+Without it, and on other devices, the stages in torch compute the same numbers.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Labels(ctypes.Structure):
 
 
 class Core(NamedTuple):
-    """The loaded library, or ``None`` and why there is none."""
+    """The loaded library, or ``None``; ``status`` says what computes descriptors, and why."""
 
     library: ctypes.CDLL | None
     status: str
@@ -67,7 +67,7 @@ class Core(NamedTuple):
 
 @cache
 def core() -> Core:
-    """The native core. It is refused if the C++ file beside it is not the one it was built from."""
+    """Loads the native core, unless it was built from another version of the C++ files."""
     path = FOLDER / "libssrvlad.so"
     if not path.exists():
         return Core(None, "torch, for the native core was not built")

@@ -1,7 +1,7 @@
-"""``torch.ops.ssrvlad.describe``: `torch.compile` and `torch.export` see one operator.
+"""``torch.ops.ssrvlad.describe``, one operator for `torch.compile` and `torch.export`.
 
-Without them the function is called as it is: its first call as an operator has torch load its
-compiler, which takes as long as torch itself.
+Other callers use the function `describe` directly: the first call of the operator makes torch
+import its compiler, which takes as long as importing torch.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torch import Tensor
 from ..config import AGGREGATIONS, ANCHORS, CONTEXTS, THINNINGS, SSRVLADConfig
 from . import Labels, Settings, Table, core
 
-_KEPT_HEADS = 16
+_CACHED_HEADS = 16
 _CHOICES = {
     "thinning": THINNINGS,
     "context": CONTEXTS,
@@ -25,27 +25,27 @@ _CHOICES = {
     "anchor": ANCHORS,
 }
 _NO_ID = 1 << 40
-_READ_AS_THEY_ARE = (torch.uint8, torch.int16, torch.int32, torch.int64)
+_NATIVE_DTYPES = (torch.uint8, torch.int16, torch.int32, torch.int64)
 
 
 class UnknownIdError(ValueError):
-    """A label map holds an id that the table does not know."""
+    """A label map holds an id that is not in the table."""
 
 
 def is_built() -> bool:
-    """Whether the operator can run here."""
+    """Whether the native core can be used."""
     return core().library is not None
 
 
 def method_of(config: SSRVLADConfig) -> str:
-    """The settings of a config as the operator takes them: label spaces are its table."""
+    """The settings of a config as JSON for the operator, without the label space."""
     settings = config.to_dict()
     del settings["labels_as"]
     return json.dumps(settings)
 
 
 def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
-    """The descriptors of a batch of label maps; torch's threads share the images.
+    """The descriptors of a batch of label maps; the images are shared among torch's threads.
 
     Args:
         labels: ``(B, H, W)`` ids, of any integer dtype.
@@ -57,12 +57,13 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
 
     Raises:
         UnknownIdError: an id is not in the table.
+        RuntimeError: memory is short, or the native core does not accept the size.
     """
     head = _head(settings)
     if labels.dtype == torch.uint64:
         wide = labels.to(torch.int64)
         labels = torch.where(wide < 0, _NO_ID, wide)
-    elif labels.dtype not in _READ_AS_THEY_ARE:
+    elif labels.dtype not in _NATIVE_DTYPES:
         labels = labels.to(torch.int64)
     labels, table = labels.contiguous(), table.contiguous()
     descriptors = torch.empty((len(labels), head.length))
@@ -80,7 +81,7 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
             f"label id {first} is not in the label space; {found} pixels have such ids"
         )
     if found < 0:
-        problem = "not enough memory for" if found == -1 else "the native core does not take"
+        problem = "not enough memory for" if found == -1 else "the native core does not accept"
         raise RuntimeError(f"{problem} label maps {tuple(labels.shape)}")
     return descriptors
 
@@ -97,7 +98,7 @@ def _(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
 
 
 class _Head:
-    """A head of the library, freed with this object."""
+    """A head of the library, freed together with this object."""
 
     def __init__(self, config: SSRVLADConfig) -> None:
         library = core().library
@@ -105,7 +106,7 @@ class _Head:
             raise RuntimeError("the native core was not built")
         self.library, self.length = library, config.length
         values = {name: getattr(config, name) for name, *_ in Settings._fields_}
-        values.update({name: among.index(values[name]) for name, among in _CHOICES.items()})
+        values.update({name: choices.index(values[name]) for name, choices in _CHOICES.items()})
         self.handle = library.ssrvlad_new(
             Settings(**{**values, "working_size": config.working_size or 0})
         )
@@ -114,6 +115,6 @@ class _Head:
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))
 
 
-@lru_cache(maxsize=_KEPT_HEADS)
+@lru_cache(maxsize=_CACHED_HEADS)
 def _head(settings: str) -> _Head:
     return _Head(SSRVLADConfig.from_dict(json.loads(settings)))

@@ -4,7 +4,7 @@ import lance
 import pyarrow as pa
 import pytest
 
-from ssrvlad_torch.database.written import check_data, check_deletions
+from ssrvlad_torch.database.disk import check_data, check_deletions
 
 ROWS = 20_000
 

@@ -1,0 +1,86 @@
+"""The checksum of a row, which covers all its columns."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+Words = npt.NDArray[np.uint64]
+
+_MULTIPLIER = 0x9E3779B97F4A7C15
+
+
+def intact(table: pa.Table | pa.RecordBatch) -> npt.NDArray[np.bool_]:
+    """``(N,)`` bool, the rows whose checksum is correct."""
+    fits: npt.NDArray[np.bool_] = checksums(table) == table["checksum"].to_numpy()
+    return fits
+
+
+def checksums(table: pa.Table | pa.RecordBatch) -> Words:
+    """``(N,)`` uint64, the checksum of each row, over all columns but ``checksum``.
+
+    Any change of a single word of a row changes its checksum: words are multiplied by odd numbers
+    modulo 2^64, which is one to one.
+    """
+    total = np.zeros(table.num_rows, np.uint64)
+    for field in table.schema:
+        if field.name != "checksum":
+            total = (total ^ _hash_column(table[field.name])) * np.uint64(_MULTIPLIER)
+    return total
+
+
+def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[np.float32]:
+    """A column of descriptors as ``(N, D)`` float32, not copied if the column is one chunk."""
+    if isinstance(column, pa.ChunkedArray):
+        column = column.combine_chunks()
+    if isinstance(column, pa.ChunkedArray):  # of no chunks
+        column = pa.concat_arrays(column.chunks)
+    values: npt.NDArray[np.float32] = column.flatten().to_numpy(zero_copy_only=False)
+    return values.reshape(len(column), column.type.list_size)
+
+
+def _hash_column(column: pa.ChunkedArray | pa.Array) -> Words:
+    if isinstance(column, pa.ChunkedArray):
+        parts = [_hash_column(chunk) for chunk in column.chunks]
+        return np.concatenate([np.zeros(0, np.uint64), *parts])
+    if pa.types.is_string(column.type):
+        return _hash_texts(column)
+    if pa.types.is_fixed_size_list(column.type):
+        return _hash_rows(matrix(column))
+    values = column.to_numpy(zero_copy_only=False)
+    words: Words = values.view(np.uint64) if values.dtype == float else values.astype(np.uint64)
+    return words
+
+
+def _hash_rows(values: npt.NDArray[Any]) -> Words:
+    """For each row of a matrix, the sum of its words of 8 bytes, each times its own odd number."""
+    padding = -values.shape[1] % (8 // values.itemsize)
+    if padding:
+        values = np.pad(values, ((0, 0), (0, padding)))
+    words = np.ascontiguousarray(values).view(np.uint64)
+    hashes: Words = np.einsum("ij,j->i", words, _powers(words.shape[1]))
+    return hashes
+
+
+def _hash_texts(column: pa.StringArray) -> Words:
+    """For each text, the hash of its bytes, padded to a row of a matrix, plus its length."""
+    _, offsets, content = column.buffers()
+    ends = np.frombuffer(offsets, np.int32)[column.offset :][: len(column) + 1]
+    lengths = np.diff(ends)
+    text = np.frombuffer(content or b"", np.uint8)[ends[0] : ends[-1]]
+    rows = np.zeros((len(column), lengths.max(initial=0)), np.uint8)
+    if text.size == rows.size:
+        rows.ravel()[:] = text
+    else:
+        rows[np.arange(rows.shape[1], dtype=np.int32) < lengths[:, None]] = text
+    hashes: Words = _hash_rows(rows) + lengths.astype(np.uint64)
+    return hashes
+
+
+@cache
+def _powers(count: int) -> Words:
+    return np.cumprod(np.full(count, _MULTIPLIER, np.uint64), dtype=np.uint64)
