@@ -1,6 +1,6 @@
 """Place recognition from semantic segmentation: SSR-VLAD (arXiv 2202.03677) in PyTorch.
 
-The public names are imported when they are first used, so that what needs no torch starts fast.
+Public names are imported at their first use, so that programs that do not need torch start fast.
 """
 
 from importlib import import_module
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-_ROOMS = {
+_MODULES = {
     "Database": "database.database",
     "EncodeOptions": "encoding.results",
     "Explanation": "explanation",
@@ -52,25 +52,25 @@ _ROOMS = {
     "standardise": "recognition.standardise",
     "open_dataset": "datasets.layouts",
 }
-"""Where each public name lives."""
+"""The module that defines each public name."""
 
-__all__ = sorted(_ROOMS)  # noqa: PLE0605 - a list of str
+__all__ = sorted(_MODULES)  # noqa: PLE0605 - a list of str
 
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
         return _version()
-    if name not in _ROOMS:
+    if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f".{_ROOMS[name]}", __name__), name)
+    return getattr(import_module(f".{_MODULES[name]}", __name__), name)
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *_ROOMS, "__version__"})
+    return sorted({*globals(), *_MODULES, "__version__"})
 
 
 def _version() -> str:
-    """Of what was installed, by its tag; 0.0 for a checkout that never was."""
+    """The version of the installed package; 0.0 for a checkout that was never installed."""
     from importlib.metadata import PackageNotFoundError, version
 
     try:

@@ -1,11 +1,11 @@
-"""Bit-planes: all eight layers of an image in one byte a pixel.
+"""Bit-planes: all eight layers of an image in one byte per pixel.
 
 ``planes`` is a ``(B, H, W)`` uint8 tensor whose bit ``k`` is layer ``k``. Set operations on all
-layers at once are then bitwise operations, neighbours are slices, and a list of pixels or runs
-is read off the few bytes that are not zero.
+layers at once are bitwise operations, neighbours are slices, and only the few bytes that are not
+zero are read to list pixels or runs.
 
-Lists are grouped: group ``k * B + b`` is layer ``k`` of image ``b``, and every list is sorted by
-group and then in raster order. `by_image` turns a value per group into a value per image.
+Lists are grouped: group ``k * B + b`` is layer ``k`` of image ``b``. Every list is sorted by group,
+then in raster order. `by_image` turns a value per group into a value per image.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ LAYERS = 8
 
 
 class Bitwise(Protocol):
-    """Integers of any shape and width, each bit a pixel of some layer: a tensor or whatever else
-    has these operators of Python."""
+    """Integers of any shape and width whose bits are pixels: a tensor, or another type with these
+    operators."""
 
     def __and__(self, other: Self, /) -> Self: ...
     def __or__(self, other: Self, /) -> Self: ...
@@ -55,13 +55,13 @@ class Runs(NamedTuple):
 
 
 class Masks(NamedTuple):
-    """What the method sees of a batch, ``(B, h, w)`` uint8 bit-planes on the working grid.
+    """The masks of a batch, ``(B, h, w)`` uint8 bit-planes on the working grid.
 
     Attributes:
         layers: the categories of Table II after the reduction to the grid.
-        closed: after opening and closing.
-        clean: after small holes were filled and small regions dropped, too.
-        skeleton: of the clean layers.
+        closed: ``layers`` after opening and closing.
+        clean: ``closed`` with small holes filled and small regions dropped.
+        skeleton: of ``clean``.
     """
 
     layers: Tensor
@@ -96,14 +96,14 @@ def line_neighbours(
 ) -> tuple[Any, tuple[Any, ...]]:
     """All words of a line and the eight neighbours of their pixels, in the order of `neighbours`.
 
-    A line holds a batch in words of some pixels of a row each, ``pitch`` words a row, between
-    margins of ``pitch + 1`` words of background.
+    A line holds a batch as words of several pixels, ``pitch`` words a row, between two margins of
+    ``pitch + 1`` words of background.
 
     Args:
         line: ``(length + 2 * (pitch + 1),)`` int64, a tensor or a symbol of a graph.
         pitch, length: integers, or symbols of ``()`` int64.
-        shifted: ``(before, here, after)`` words -> those whose pixels are the west, and the east,
-            neighbours of the pixels of ``here``.
+        shifted: a function of the words ``(before, here, after)``. It returns the words whose
+            pixels are the west, and the east, neighbours of the pixels of ``here``.
     """
     inner = line[1:-1]
     west, east = shifted(line[:-2], inner, line[2:])
@@ -115,11 +115,11 @@ def line_neighbours(
 
 
 def two_or_more(planes: Sequence[Bits]) -> Bits:
-    """Bits that are set in at least two of the planes, of which there are two or more."""
-    seen, again = planes[0] | planes[1], planes[0] & planes[1]
+    """Bits that are set in at least two of two or more planes."""
+    once, twice = planes[0] | planes[1], planes[0] & planes[1]
     for plane in planes[2:]:
-        seen, again = seen | plane, again | (seen & plane)
-    return again
+        once, twice = once | plane, twice | (once & plane)
+    return twice
 
 
 def three_of_four(planes: Sequence[Bits]) -> Bits:
@@ -129,10 +129,10 @@ def three_of_four(planes: Sequence[Bits]) -> Bits:
 
 
 def steps_around(ring: tuple[Bits, ...]) -> list[Bits]:
-    """The 0 -> 1 steps around every pixel, in four planes: how many are set is the crossing number.
+    """The 0 -> 1 steps around every pixel, in four planes; their sum is the crossing number.
 
-    From N over NE to E, and in each of the other quarters, there is at most one step. A plane less
-    a part of it is what the part leaves.
+    There is at most one step from N over NE to E, and in each of the other quarters. Each
+    subtraction removes a subset of bits.
 
     Args:
         ring: the eight `neighbours`.
@@ -163,7 +163,7 @@ def runs(planes: Tensor) -> Runs:
 
 
 def paint(chosen: Runs, shape: torch.Size) -> Tensor:
-    """Bit-planes of the given shape that hold exactly the given runs."""
+    """Bit-planes of a shape ``(B, H, W)`` in which exactly the given runs are set."""
     count, height, width = shape
     planes = torch.zeros(count * height * width, dtype=torch.uint8, device=chosen.group.device)
     lengths = chosen.last - chosen.first + 1
@@ -175,9 +175,9 @@ def paint(chosen: Runs, shape: torch.Size) -> Tensor:
     return planes.scatter_add_(0, position, bit).view(shape)
 
 
-def count_points(listed: Points, count: int) -> Tensor:
-    """``(B, 8)`` int64, how many of the points each layer of each image has."""
-    return by_image(torch.bincount(listed.group, minlength=LAYERS * count), count)
+def count_points(pixels: Points, count: int) -> Tensor:
+    """``(B, 8)`` int64, the number of points of each layer of each image."""
+    return by_image(torch.bincount(pixels.group, minlength=LAYERS * count), count)
 
 
 def by_image(values: Tensor, count: int) -> Tensor:

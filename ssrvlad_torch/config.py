@@ -12,7 +12,7 @@ from typing import Any
 from .taxonomy import CATEGORIES, LabelSpace
 
 METHOD_REVISION = 1
-"""Raised whenever the same settings would give other numbers; part of every fingerprint."""
+"""Increased whenever the same settings give other numbers; part of every fingerprint."""
 
 CATEGORY_COUNT = len(CATEGORIES)
 """K of the paper: Table II has eight categories, and every descriptor has eight blocks."""
@@ -49,18 +49,19 @@ _RING_UNIT = 10**9
 class SSRVLADConfig:
     """Every setting of the descriptor. Where the paper is silent, the field says so.
 
-    Lengths and areas are fractions of the image. They become pixels on the working grid by the
-    integer rules of the methods below, so that every backend computes the same pixels.
+    Lengths and areas are fractions of the image. The methods below turn them into pixels of the
+    working grid in integer arithmetic, so that every backend computes the same pixels.
 
     Attributes:
         labels_as: the label space: its name, the path of a YAML file that defines it, or a
             `LabelSpace`. It says how label ids are read and is *not* part of the fingerprint.
-        working_size: pixels, 1 to 16384: the shorter side of the grid on which the geometry
-            happens. A larger label map is reduced to it by majority vote, a smaller one is used
-            as it is. ``None`` is the native size (the paper).
+        working_size: shorter side of the working grid in pixels, 1 to 16384. A larger label map is
+            reduced to it by majority vote, a smaller one keeps its size. ``None`` keeps every size
+            (the paper).
         opening: radius of the square that opens each layer, a fraction of the shorter side, 0 to
             0.5. Silent in the paper. This and the next four are for residuals only.
-        closing: radius of the square that then closes each layer, likewise. Silent in the paper.
+        closing: radius of the square that then closes each layer, a fraction of the shorter side, 0
+            to 0.5. Silent in the paper.
         hole_area: enclosed holes of fewer pixels than this fraction of the image are filled, 0 to
             1. Silent in the paper.
         region_area: regions of fewer pixels than this fraction of the image are dropped, 0 to 1.
@@ -78,15 +79,16 @@ class SSRVLADConfig:
         aggregation: ``"residuals"`` of the keypoints' histograms to the centre's (Eq. 2), or
             ``"harmonics"`` of soft histograms of area and of boundary directions. The fields that
             follow are for harmonics only and not in the paper.
-        anchor: where that histogram stands: in the ``"vanishing-column"``, towards which the
-            street narrows, or in the ``"middle"`` of the image.
-        harmonics: numbers of the area of each of six layers: the coefficients of the smoothest
-            basis functions over the bins. At most ``rings * (sectors - 1)``, or
-            ``rings * sectors`` if sectors is odd.
-        boundary_harmonics: numbers of each of four boundary directions, likewise.
+        anchor: the column around which the histograms count: the ``"vanishing-column"``, towards
+            which the street narrows, or the ``"middle"`` of the image.
+        harmonics: number of coefficients of each of six areas, those of the smoothest basis
+            functions over the bins. At most ``rings * (sectors - 1)``, or ``rings * sectors`` if
+            sectors is odd.
+        boundary_harmonics: number of coefficients of each of four boundary directions; the same
+            limit.
         spectral_weight: exponent, 0 to 4; the larger, the more the finer basis functions weigh.
-        power: exponent of the power normalisation, 0.5 to 1: every number's size is raised to it,
-            its sign kept. A lower exponent would enlarge rounding errors of zeros.
+        power: exponent of the power normalisation, 0.5 to 1. It applies to the absolute value of
+            every number; the sign stays. A lower exponent would enlarge rounding errors of zeros.
 
     Raises:
         ValueError: a setting is outside its range; the message names it, what was got and what
@@ -150,10 +152,10 @@ class SSRVLADConfig:
 
     @classmethod
     def from_preset(cls, preset: str, **settings: Any) -> SSRVLADConfig:
-        """A preset, ``"paper"`` or ``"default"``, with the given settings put in place of its own.
+        """A preset, ``"paper"`` or ``"default"``, with the given settings changed.
 
         Raises:
-            ValueError: no such preset or no such setting.
+            ValueError: the preset or a setting does not exist, or a value is outside its range.
         """
         _check_choice("preset", preset, tuple(PRESETS))
         return cls.from_dict({**PRESETS[preset], **settings})
@@ -163,13 +165,13 @@ class SSRVLADConfig:
         """The config that `to_dict` wrote.
 
         Raises:
-            ValueError: a key that is no setting of this version.
+            ValueError: a key is not a setting of this version, or a value is outside its range.
         """
-        known = {field.name for field in dataclasses.fields(cls)}
-        unknown = sorted(set(settings) - known)
+        names = {field.name for field in dataclasses.fields(cls)}
+        unknown = sorted(set(settings) - names)
         if unknown:
             raise ValueError(
-                f"unknown setting {unknown[0]!r}; the settings are {', '.join(sorted(known))}"
+                f"unknown setting {unknown[0]!r}; the settings are {', '.join(sorted(names))}"
             )
         space = settings.get("labels_as")
         if isinstance(space, dict):
@@ -184,13 +186,13 @@ class SSRVLADConfig:
         return settings
 
     def used(self) -> dict[str, Any]:
-        """As `to_dict`, without the settings that the aggregation does not use."""
+        """`to_dict` without the settings that the aggregation does not use."""
         unused = _ONLY_HARMONICS if self.aggregation == "residuals" else _ONLY_RESIDUALS
         return {name: value for name, value in self.to_dict().items() if name not in unused}
 
     @property
     def preset(self) -> str:
-        """Name of the preset that these settings are, or ``"custom"``."""
+        """The name of the preset with these settings, or ``"custom"``."""
         for name in PRESETS:
             if self.from_preset(name, labels_as=self.labels_as) == self:
                 return name
@@ -198,7 +200,7 @@ class SSRVLADConfig:
 
     @property
     def labels_name(self) -> str:
-        """``labels_as`` in a word: the name or the path, of a `LabelSpace` its name."""
+        """The name or path in ``labels_as``, or the name of its `LabelSpace`."""
         space = self.labels_as
         return space.name if isinstance(space, LabelSpace) else os.fspath(space)
 
@@ -206,26 +208,26 @@ class SSRVLADConfig:
     def fingerprint(self) -> str:
         """16 hex digits over the method's revision and every setting but ``labels_as``.
 
-        Two descriptors compare only if their fingerprints are equal. A preset enters by the
-        settings that it stands for, so a database outlives a change of what a preset means.
-        A setting that the aggregation does not use does not enter.
+        Two descriptors are comparable only if their fingerprints are equal. The name of a preset
+        and the settings that the aggregation does not use are not part of it, so a database stays
+        valid when a preset changes.
         """
         settings = self.used()
         del settings["labels_as"]
         if self.aggregation == "residuals":
-            del settings["aggregation"]  # the paper's has no name, and keeps its fingerprint
+            del settings["aggregation"]  # fingerprints of residuals are older than this setting
         text = json.dumps({"revision": METHOD_REVISION, **settings}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property
     def length(self) -> int:
-        """Numbers in a descriptor: K x N x M, or those of six areas and four directions."""
+        """Numbers in a descriptor: K * N * M, or those of six areas and four directions."""
         if self.aggregation == "residuals":
             return CATEGORY_COUNT * self.rings * self.sectors
         return AREA_LAYERS * self.harmonics + BOUNDARY_DIRECTIONS * self.boundary_harmonics
 
     def grid(self, height: int, width: int) -> tuple[int, int]:
-        """Rows and columns of the working grid of an image: its aspect kept, never enlarged."""
+        """Rows and columns of the working grid: the aspect of the image, never enlarged."""
         shorter = min(height, width)
         if self.working_size is None or self.working_size >= shorter:
             return height, width
@@ -243,7 +245,7 @@ class SSRVLADConfig:
         return -(-_parts(fraction, _AREA_UNIT) * height * width // _AREA_UNIT)
 
     def ring_limits(self, height: int, width: int) -> tuple[int, ...]:
-        """Largest squared distance of each ring, in pixels of the grid, from the innermost out.
+        """Largest squared distance of each ring, in pixels of the grid, innermost first.
 
         A point at squared distance ``d2`` lies in the first ring whose limit is not below it:
         a boundary belongs to the ring inside it. Equal or zero limits leave a ring empty.

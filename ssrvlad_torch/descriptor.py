@@ -29,10 +29,10 @@ class Aggregation(Protocol):
     """How layers become a descriptor: `Residuals` or `Harmonics`."""
 
     def histograms(self, layers: Tensor) -> Any:
-        """What is counted, as a tuple of tensors."""
+        """The histograms of the layers, a tuple of tensors."""
 
     def descriptor(self, histograms: Any) -> Tensor:
-        """``(B, D)`` float32 of the histograms."""
+        """``(B, D)`` float32 descriptors."""
 
 
 AGGREGATIONS: dict[str, Callable[[SSRVLADConfig], Aggregation]] = {
@@ -44,27 +44,27 @@ AGGREGATIONS: dict[str, Callable[[SSRVLADConfig], Aggregation]] = {
 class SSRVLAD(nn.Module):
     """Label maps or class scores -> place descriptors (Nie, Feng et al., arXiv 2202.03677).
 
-    The module has no weights and needs no training. It runs where its input lies, on CPU or
-    CUDA, and counts the same integers on both. Its tables are buffers that follow ``to(device)``
-    and that ``half()`` does not round; they are not in the ``state_dict()``, which is empty.
+    The module has no weights and needs no training. It runs on the device of its input, CPU or
+    CUDA, and counts the same integers on both. Its tables are buffers: they follow ``to(device)``,
+    ``half()`` does not round them, and the ``state_dict()`` is empty.
 
-    On a CPU the native core does the work as one operator, which ``torch.compile`` and
-    ``torch.export`` take as it is and which has nothing to gain from them. Where it was not built,
-    or with ``head.native = False``, and on CUDA, the stages in torch give the same numbers;
-    ``torch.compile`` leaves them alone and ``torch.export`` refuses them. `export_head` writes the
-    head as an ONNX file. ``copy.deepcopy`` and ``pickle`` take it with its settings.
+    On a CPU the native core computes the descriptors as one operator. ``torch.compile`` and
+    ``torch.export`` keep this operator and do not make it faster. On CUDA, without a built core,
+    or with ``head.native = False``, the stages in torch give the same numbers; ``torch.compile``
+    runs them without compiling and ``torch.export`` refuses them. `export_head` writes the head as
+    an ONNX file. ``copy.deepcopy`` and ``pickle`` keep the settings.
 
     Args:
-        config: the settings; without, the preset ``default``.
-        surrogate: give class scores that require a gradient that of `SoftSSRVLAD`; the numbers
-            stay the same. Without it, such scores are warned of once.
+        config: the settings; the default is the preset ``default``.
+        surrogate: class scores that require a gradient get the gradient of `SoftSSRVLAD`; the
+            numbers stay the same. Without a surrogate, such scores give a warning, once.
 
     Shape:
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
           scores (logits or probabilities; the largest wins, the first of equals), any ``H`` and
           ``W`` from 1. A tensor or a NumPy array.
-        - output: ``(B, 480)`` float32 of length 1, or exact zeros for an empty image, in which
-          no category is seen.
+        - output: ``(B, 480)`` float32 of length 1, or exact zeros for an empty image, one that
+          shows no category.
 
     Raises:
         ValueError: wrong rank or dtype, an empty batch or image, an id outside the label space,
@@ -94,18 +94,18 @@ class SSRVLAD(nn.Module):
 
     @property
     def label_space(self) -> LabelSpace:
-        """The label space of the input, as it was when the head was made."""
+        """The label space of the input, as read when the head was created."""
         return self._front_end.label_space
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = as_tensor(labels)
-        if labels.is_cpu and self.native and not self._takes_gradient(labels):
+        if labels.is_cpu and self.native and not self._requires_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
         return descriptor
 
-    # as torch.compiler.disable, which has torch load its compiler when this module is imported
+    # torch.compiler.disable would load torch's compiler when this module is imported
     @torch._disable_dynamo  # type: ignore[attr-defined]
     def _describe_by_stages(self, labels: Tensor) -> Tensor:
         with torch.autocast(labels.device.type, enabled=False):
@@ -115,7 +115,7 @@ class SSRVLAD(nn.Module):
             return self._with_gradient(descriptor, labels, layers)
 
     def _describe_by_core(self, labels: Tensor) -> Tensor:
-        """The same numbers by the native core."""
+        """The descriptors of a batch from the native core: the same numbers."""
         labels = label_map(labels, self.label_space)
         table, origin = self._front_end.table.to(labels.device), self._front_end.origin
         try:
@@ -127,10 +127,10 @@ class SSRVLAD(nn.Module):
             raise
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
-        """Every step from the label map to the descriptor; input and errors as for a call.
+        """Every step from the label map to the descriptor; input and errors are those of a call.
 
         Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
-        ``default`` do not look at them.
+        ``default`` do not use them.
         """
         labels = as_tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
@@ -151,33 +151,34 @@ class SSRVLAD(nn.Module):
             )
 
     def sweep(self, labels: Tensor | npt.NDArray[Any], columns: Sequence[int]) -> Tensor:
-        """Descriptors from several anchors, for a query that may be turned or moved aside.
+        """Descriptors from several anchors, for a query whose camera may be turned or moved aside.
 
         Args:
             labels: as for a call.
-            columns: S anchors, in columns of the working grid right of the usual one, at least one
-                and none beyond a million.
+            columns: S offsets of the anchor to the right, in columns of the working grid; at least
+                one, each from -1,000,000 to 1,000,000.
 
         Returns:
-            ``(B, S, 480)`` float32; that of column 0 is the descriptor.
+            ``(B, S, 480)`` float32. Offset 0 gives the descriptor of a call.
 
         Raises:
-            ValueError: the descriptors have no such anchor, as those of ``paper``.
+            ValueError: the aggregation has no anchor, as in ``paper``, or the columns are not as
+                above.
         """
-        columns = _anchors(columns)
+        columns = _checked(columns)
         if not isinstance(self._aggregation, Harmonics):
             raise ValueError(
-                f"a sweep is of the aggregation harmonics, got {self.config.aggregation}"
+                f"a sweep needs the aggregation harmonics, got {self.config.aggregation}"
             )
         labels = as_tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
-            seen = (self._aggregation.histograms(layers, column) for column in columns)
-            return torch.stack([self._aggregation.descriptor(each) for each in seen], dim=1)
+            histograms = (self._aggregation.histograms(layers, column) for column in columns)
+            return torch.stack(list(map(self._aggregation.descriptor, histograms)), dim=1)
 
     def _with_gradient(self, descriptor: Tensor, scores: Tensor, layers: Tensor) -> Tensor:
-        """The same numbers with the gradient of the surrogate, where one is asked for."""
-        if not self._takes_gradient(scores):
+        """The descriptor, with the gradient of the surrogate if the scores require one."""
+        if not self._requires_gradient(scores):
             return descriptor
         if self._surrogate is None:
             if not self._warned:
@@ -188,11 +189,11 @@ class SSRVLAD(nn.Module):
         return descriptor + (soft - soft.detach()).float()
 
     @staticmethod
-    def _takes_gradient(labels: Tensor) -> bool:
+    def _requires_gradient(labels: Tensor) -> bool:
         return labels.requires_grad and torch.is_grad_enabled()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """From a pickle, perhaps of a machine with another core."""
+        """Restores a pickle, perhaps on a machine without the native core."""
         super().__setstate__(state)
         self.native = self.native and is_built()
 
@@ -202,43 +203,48 @@ class SSRVLAD(nn.Module):
 
 
 def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:
-    """What describes queries: from all anchors, where there are some and the method has them."""
+    """The head for queries: a `SweepHead` if there are columns and the aggregation has an anchor.
+
+    Args:
+        config: the settings.
+        columns: as for `SSRVLAD.sweep`, or none.
+    """
     sweeps = columns and config.aggregation == "harmonics"
     return SweepHead(config, columns) if sweeps else SSRVLAD(config)
 
 
 class SweepHead(SSRVLAD):
-    """`SSRVLAD.sweep` as a module, for what encodes queries: ``(B, S, 480)``.
+    """`SSRVLAD.sweep` as a module: its output is ``(B, S, 480)``.
 
     Args:
         config: the settings.
-        columns: the anchors.
+        columns: as for `SSRVLAD.sweep`.
     """
 
     def __init__(self, config: SSRVLADConfig, columns: Sequence[int]) -> None:
         super().__init__(config)
-        self.columns = _anchors(columns)
+        self.columns = _checked(columns)
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
-        """The descriptors of a batch from all anchors."""
+        """The descriptors of a batch from every anchor."""
         return self.sweep(labels, self.columns)
 
 
-def _anchors(columns: Sequence[int]) -> tuple[int, ...]:
-    """Columns of a sweep, checked."""
+def _checked(columns: Sequence[int]) -> tuple[int, ...]:
+    """The columns of a sweep as integers; other columns are a ValueError."""
     try:
-        checked = tuple(map(index, columns))
+        integers = tuple(map(index, columns))
     except TypeError:
-        checked = ()
-    if not checked or max(map(abs, checked)) > _FARTHEST:
+        integers = ()
+    if not integers or max(map(abs, integers)) > _MAX_COLUMN:
         raise ValueError(
-            f"columns: expected one or more integers from -{_FARTHEST} to {_FARTHEST}, "
+            f"columns: expected one or more integers from -{_MAX_COLUMN} to {_MAX_COLUMN}, "
             f"got {columns!r}"
         )
-    return checked
+    return integers
 
 
-_FARTHEST = 1_000_000
+_MAX_COLUMN = 1_000_000
 
 _NO_GRADIENT = (
     "the class scores require a gradient and SSRVLAD has none: use SSRVLAD(..., surrogate=True) "

@@ -1,4 +1,4 @@
-"""What the method saw on the way to its descriptors."""
+"""The intermediate results of the method."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """What the method saw, for B images on a working grid of ``h x w`` pixels.
+    """Every step from label maps to descriptors, for B images on a grid of ``h x w`` pixels.
 
-    A notebook shows it as the picture of `show`.
+    A notebook shows it as the picture of `show`. Masks are ``(B, 8, h, w)`` bool.
 
     Attributes:
-        labels: ``(B, H, W)`` ids, the label maps; of class scores, the best class.
+        labels: ``(B, H, W)`` ids, the label maps; for class scores, the best class.
         label_space: what the ids mean.
-        layers: ``(B, 8, h, w)`` bool, the categories after the reduction to the grid.
-        clean_layers: likewise, after morphology, hole filling and small-region removal.
-        skeleton: likewise, of the clean layers.
-        end_points: likewise, of the skeleton.
-        intersections: likewise, of the skeleton.
+        layers: masks of the categories after the reduction to the grid.
+        clean_layers: masks after morphology, hole filling and small-region removal.
+        skeleton: masks of the clean layers' skeletons.
+        end_points: masks of the end points of the skeleton.
+        intersections: masks of the intersections of the skeleton.
         centres: ``(B, 8, 2)`` int64, row and column of each layer's centre (Eq. 1), -1 for a layer
             without pixels.
-        histograms: what the aggregation counted: `ResidualHistograms` or `HarmonicHistograms`.
+        histograms: of the aggregation: `ResidualHistograms` or `HarmonicHistograms`.
         descriptor: ``(B, 480)`` float32.
     """
 
@@ -55,24 +55,23 @@ class Explanation:
 
     @property
     def empty(self) -> Tensor:
-        """``(B,)`` bool, images whose descriptor is zero: they match nothing."""
+        """``(B,)`` bool, true where the descriptor is zero: such an image matches nothing."""
         return ~self.descriptor.any(dim=1)
 
     def show(self, image: int = 0, title: str = "") -> Figure:
         """One image of the batch as a matplotlib figure.
 
-        Above stands the label map with its classes. Below, for the residuals of ``paper``, the
-        clean layers with skeleton, keypoints and centre, each above its histogram; for the
-        harmonics of ``default`` the layers and the boundaries, with the vanishing column, each
-        above its histogram.
+        At the top is the label map with its classes. Below are, each above its histogram, the clean
+        layers with skeleton, keypoints and centre for the residuals of ``paper``, or the layers and
+        boundaries with the vanishing column for the harmonics of ``default``.
 
         Args:
             image: its number in the batch.
-            title: stands above the label map.
+            title: of the label map.
 
         Raises:
             ImportError: matplotlib is not installed (extra ``eval``).
-            IndexError: there is no such image.
+            IndexError: the batch has no such image.
         """
         from .picture import draw
 

@@ -15,11 +15,11 @@ from .stages.reduction import reduce_by_majority
 from .taxonomy import LabelSpace, label_space
 
 PIXELS_AT_ONCE = 1 << 20
-"""Label map pixels in memory at a time on their way to the working grid."""
+"""Label map pixels that are processed at a time, at least one image."""
 
 
 class FrontEnd(nn.Module):
-    """Label maps or class scores -> the eight layers, on the working grid.
+    """Label maps or class scores -> the eight layers on the working grid.
 
     Args:
         config: the settings.
@@ -54,7 +54,11 @@ class FrontEnd(nn.Module):
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
-    """The label map of checked input: the class of the highest score where it is class scores."""
+    """The label map of an input; for class scores, the class of the highest score.
+
+    Raises:
+        ValueError: wrong rank, dtype or number of classes, or an empty batch or image.
+    """
     got = f"got {tuple(labels.shape)} {str(labels.dtype).removeprefix('torch.')}"
     if labels.ndim == 3 and (labels.is_floating_point() or labels.dtype == torch.bool):
         raise ValueError(f"a (B, H, W) label map must hold integer ids, {got}")
@@ -76,10 +80,10 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
 
 
 def as_tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:
-    """Arrays as tensors that share their memory where they can.
+    """A tensor as it is, or an array as a tensor that shares its memory where possible.
 
     Raises:
-        ValueError: anything else.
+        ValueError: the input is neither, or a tensor without values in memory.
     """
     if isinstance(labels, Tensor) and not labels.is_meta and labels.layout is torch.strided:
         return labels

@@ -1,7 +1,7 @@
-"""The method for one image, plainly: NumPy, scikit-image and scipy, one layer after another.
+"""The method for one image in plain NumPy and scikit-image, one layer after another.
 
-This file defines the answer. It is written for reading next to the paper, and every fast path
-is held to it: masks and counts equal, descriptors within 1e-6. It needs the extra ``eval``.
+Read it next to the paper. It defines the result: every fast path must give the same masks and
+counts, and descriptors within 1e-6. It needs the extra ``eval``.
 """
 
 from __future__ import annotations
@@ -44,10 +44,10 @@ class LayerTrace:
 
 @dataclass(frozen=True)
 class Description:
-    """The descriptor of one image and what it was made of.
+    """The descriptor of one image and its histograms.
 
     ``histograms`` are ``(blocks, N, M)`` each: for residuals ``points``, the sum of all d_i of
-    Eq. 2, and ``centre``, d_c; for harmonics ``bins``, what stands in the soft bins.
+    Eq. 2, and ``centre``, d_c; for harmonics ``bins``, the values of the soft bins.
     """
 
     histograms: dict[str, npt.NDArray[Any]]
@@ -66,7 +66,7 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
         layer has a keypoint, for harmonics one without layers.
 
     Raises:
-        ValueError: it is no label map, or an id is outside the label space.
+        ValueError: the input is not a label map, or an id is outside the label space.
     """
     layers = layers_of(label_map, config)
     if config.aggregation == "harmonics":
@@ -75,7 +75,7 @@ def describe(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> npt.NDArray[
 
 
 def layers_of(label_map: npt.NDArray[Any], config: SSRVLADConfig) -> list[Mask]:
-    """The eight layers of one image on its working grid; arguments and errors as for `describe`."""
+    """The eight layers of one image on its working grid; arguments and errors: see `describe`."""
     label_map = np.asarray(label_map)
     if label_map.ndim != 2 or label_map.size == 0 or label_map.dtype.kind not in "iu":
         raise ValueError(
@@ -95,7 +95,7 @@ def trace(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
 
 
 def residuals(traces: list[LayerTrace], config: SSRVLADConfig) -> Description:
-    """The paper's aggregation: the layers' vectors V(k) one after another, normalised."""
+    """The paper's aggregation: the vectors V(k) of all layers, concatenated and normalised."""
     limits = config.ring_limits(*traces[0].layer.shape)
     around_centre = np.zeros((len(traces), config.rings, config.sectors), np.int64)
     around_points = np.zeros_like(around_centre)
@@ -114,38 +114,38 @@ def residuals(traces: list[LayerTrace], config: SSRVLADConfig) -> Description:
 
 
 def harmonics(layers: list[Mask], config: SSRVLADConfig) -> Description:
-    """Area and boundary directions around the vanishing column, as coefficients of waves."""
-    six = merge(layers)
-    shift = vanishing_column(six) if config.anchor == "vanishing-column" else 0
-    side = min(six[0].shape) / CELLS[0]
-    cells = [pool(layer, shift) for layer in six]
-    cells += [pool(mask, shift) * side / 2 for mask in boundaries(six)]  # two pixels across
+    """Areas and boundary directions around the anchor, as coefficients of smooth functions."""
+    layers = merge(layers)
+    shift = vanishing_column(layers) if config.anchor == "vanishing-column" else 0
+    side = min(layers[0].shape) / CELLS[0]
+    cells = [pool(layer, shift) for layer in layers]
+    cells += [pool(mask, shift) * side / 2 for mask in boundaries(layers)]  # two pixels wide
     histograms = [np.sqrt(soft_histogram(each, config)) for each in cells]
-    found = []
+    coefficients = []
     for k, histogram in enumerate(histograms):
         count = config.harmonics if k < AREA_LAYERS else config.boundary_harmonics
-        found += [(function * histogram).sum() for function in basis(config, count)]
-    vector = np.sign(found) * np.abs(found) ** config.power
+        coefficients += [(function * histogram).sum() for function in basis(config, count)]
+    vector = np.sign(coefficients) * np.abs(coefficients) ** config.power
     return Description({"bins": np.stack(histograms)}, normalise(vector).astype(np.float32))
 
 
 def merge(layers: list[Mask]) -> list[Mask]:
-    """Six layers of eight: guard rail (6) counts as building (2), parking (7) as ground (0)."""
+    """Six layers from eight: guard rail (6) counts as building (2), parking (7) as ground (0)."""
     ground, sidewalk, building, pole, vegetation, sky, rail, parking = layers
     return [ground | parking, sidewalk, building | rail, pole, vegetation, sky]
 
 
 def boundaries(layers: list[Mask]) -> list[Mask]:
-    """Where a boundary of any layer runs upright, level, rising to the right and falling.
+    """Pixels on a boundary of any layer: upright, level, rising to the right, falling.
 
-    A pixel sees its four diagonal neighbours. Two beside each other in the layer are a straight
-    boundary; one or three are a slanting one, at the odd neighbour. Pixels at the edge see none.
+    The four diagonal neighbours of a pixel decide. Two adjacent ones in the layer make a straight
+    boundary; one or three make a slanting one, at the odd neighbour. Pixels at the edge have none.
     """
     height, width = layers[0].shape
-    found = [np.zeros((height, width), bool) for _ in range(4)]
+    masks = [np.zeros((height, width), bool) for _ in range(4)]
     if min(height, width) < 3:
-        return found
-    upright, level, rising, falling = (mask[1:-1, 1:-1] for mask in found)
+        return masks
+    upright, level, rising, falling = (mask[1:-1, 1:-1] for mask in masks)
     for layer in layers:
         nw, ne, sw, se = layer[:-2, :-2], layer[:-2, 2:], layer[2:, :-2], layer[2:, 2:]
         count = np.sum([nw, ne, sw, se], axis=0)
@@ -155,7 +155,7 @@ def boundaries(layers: list[Mask]) -> list[Mask]:
             on = count == 1
             rising |= odd & ((nw == on) | (se == on))
             falling |= odd & ((ne == on) | (sw == on))
-    return found
+    return masks
 
 
 def categorise(label_map: npt.NDArray[Any], space: LabelSpace) -> Integers:
@@ -170,7 +170,7 @@ def categorise(label_map: npt.NDArray[Any], space: LabelSpace) -> Integers:
 
 
 def reduce_by_majority(categories: Integers, grid: tuple[int, int]) -> Integers:
-    """The commonest category of each cell, the lowest of equally common ones."""
+    """The most common category of each cell; of equally common ones, the lowest."""
     height, width = categories.shape
     row = np.arange(height) * grid[0] // height
     column = np.arange(width) * grid[1] // width
@@ -198,12 +198,12 @@ def square(radius: int) -> npt.NDArray[np.uint8]:
 
 
 def dilate(layer: Mask, element: npt.NDArray[np.uint8]) -> Mask:
-    """Dilation; outside the image is ignored."""
+    """Dilation; pixels outside the image are ignored."""
     return np.asarray(morphology.dilation(layer, element, mode="ignore"), bool)
 
 
 def erode(layer: Mask, element: npt.NDArray[np.uint8]) -> Mask:
-    """Erosion; outside the image is ignored."""
+    """Erosion; pixels outside the image are ignored."""
     return np.asarray(morphology.erosion(layer, element, mode="ignore"), bool)
 
 
@@ -268,7 +268,7 @@ def zhang_suen(layer: Mask) -> Mask:
 
 def crossing_number(ring: list[Mask]) -> Integers:
     """How often the neighbours change from off to on, once around the pixel (Rutovitz)."""
-    steps = [~here & there for here, there in zip(ring, ring[1:] + ring[:1], strict=True)]
+    steps = [~mask & following for mask, following in zip(ring, ring[1:] + ring[:1], strict=True)]
     return np.asarray(np.sum(steps, axis=0))
 
 
@@ -278,7 +278,7 @@ def end_points(skeleton: Mask) -> Mask:
 
 
 def intersections(skeleton: Mask) -> Mask:
-    """Skeleton pixels with crossing number 3 or more and none such W, NW, N or NE of them."""
+    """Skeleton pixels with crossing number 3 or more, except those with another W, NW, N or NE."""
     crossing = skeleton & (crossing_number(neighbours(skeleton)) >= 3)
     north, northeast, _, _, _, _, west, northwest = neighbours(crossing)
     return crossing & ~(west | northwest | north | northeast)
@@ -301,8 +301,8 @@ def shape_context(
     """Counts of the context points around a point, ``(N, M)``; the point itself is not counted.
 
     Ring ``n`` ends at squared distance ``limits[n]``, included. Sector ``m`` begins at the angle
-    ``2 pi m / M``, included, counted from +x (right) towards +y (down). The nudge is far below
-    the angle between a boundary and any integer offset that is not on it.
+    ``2 pi m / M``, included, counted from +x (right) towards +y (down). The added 1e-12 is far
+    below the angle between a boundary and any integer offset that is not on it.
     """
     dy, dx = (context - np.asarray(point)).T
     squared = dy**2 + dx**2
@@ -316,35 +316,36 @@ def shape_context(
 
 
 def vanishing_column(layers: list[Mask]) -> int:
-    """Columns from the middle to where ground, sidewalk and sky are tallest.
+    """Columns from the middle of the image to where ground, sidewalk and sky are tallest.
 
-    A column weighs by the eighth power of its openness in 64ths, one that is wholly open 2 ** 20;
-    the middle weighs as much as a twentieth of all columns, open. Halves are rounded up.
+    It is a weighted mean. The weight of a column is the eighth power of its open pixels in 64ths
+    of its height, 2 ** 20 for a fully open column. The middle of the image has the weight of a
+    twentieth of all columns, fully open. Halves are rounded up.
     """
     height, width = layers[0].shape
-    openness = (layers[0] | layers[1] | layers[5]).sum(0)
-    weights = [(int(pixels) * 64 // height) ** 8 // 2**28 for pixels in openness]
+    open_pixels = (layers[0] | layers[1] | layers[5]).sum(0)
+    weights = [(int(pixels) * 64 // height) ** 8 // 2**28 for pixels in open_pixels]
     moment = sum(weight * (2 * x - (width - 1)) for x, weight in enumerate(weights))
     total = sum(weights) + width * 2**20 // 20
     return int((moment + total) // (2 * total))
 
 
 def pool(layer: Mask, shift: int) -> Floats:
-    """The fraction of each cell that a layer covers, once moved ``shift`` columns left."""
+    """The fraction of each cell that a layer covers after it is moved ``shift`` columns left."""
     height, width = layer.shape
-    tall, wide = overlaps(height, CELLS[0], 0), overlaps(width, CELLS[1], shift)
-    sums = tall.T @ layer.astype(np.int64) @ wide
+    rows, columns = overlaps(height, CELLS[0], 0), overlaps(width, CELLS[1], shift)
+    sums = rows.T @ layer.astype(np.int64) @ columns
     return np.asarray(sums / (height * width))
 
 
 def overlaps(pixels: int, cells: int, shift: int) -> Integers:
     """How much of each pixel lies in each cell, in ``1 / (pixels * cells)`` of a side."""
-    found = np.zeros((pixels, cells), np.int64)
+    shared = np.zeros((pixels, cells), np.int64)
     for pixel in range(pixels):
         start, end = (pixel - shift) * cells, (pixel - shift + 1) * cells
         for cell in range(cells):
-            found[pixel, cell] = max(0, min(end, (cell + 1) * pixels) - max(start, cell * pixels))
-    return found
+            shared[pixel, cell] = max(0, min(end, (cell + 1) * pixels) - max(start, cell * pixels))
+    return shared
 
 
 def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:
@@ -357,14 +358,14 @@ def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:
 
 @lru_cache(maxsize=8)
 def soft_bins(config: SSRVLADConfig) -> Floats:
-    """How much of each cell counts in each ring and sector, ``(rows, columns, N, M)``.
+    """The weight of each cell in each ring and sector, ``(rows, columns, N, M)``.
 
     Each cell is sampled at 4 x 4 points. A point between two ring centres (in the logarithm of the
-    distance) and two sector centres counts in all four, linearly. Within the first ring's centre
-    the first ring has it all; what is farther than the radius is not counted.
+    distance) and two sector centres counts in all four bins, linearly. Inside the centre of the
+    first ring it counts in that ring only; beyond the radius it does not count.
     """
     rows, columns = CELLS
-    found = np.zeros((rows, columns, config.rings, config.sectors))
+    weights = np.zeros((rows, columns, config.rings, config.sectors))
     for sy, sx in np.ndindex(rows * 4, columns * 4):
         dy, dx = (sy + 0.5) / 4 - rows / 2, (sx + 0.5) / 4 - columns / 2
         distance = math.hypot(dy, dx) / math.hypot(rows, columns) / config.radius
@@ -376,30 +377,30 @@ def soft_bins(config: SSRVLADConfig) -> Floats:
         for n, in_ring in between(ring):
             for m, in_sector in between(sector):
                 if distance <= 1 and n < config.rings:
-                    found[sy // 4, sx // 4, n, m % config.sectors] += in_ring * in_sector
-    return found
+                    weights[sy // 4, sx // 4, n, m % config.sectors] += in_ring * in_sector
+    return weights
 
 
 def between(position: float) -> list[tuple[int, float]]:
-    """The two integers around a position, each with its weight."""
+    """The two integers around a position, each with its linear weight."""
     below = math.floor(position)
     return [(below, 1 - (position - below)), (below + 1, position - below)]
 
 
 @lru_cache(maxsize=8)
 def basis(config: SSRVLADConfig, count: int) -> list[Floats]:
-    """The smoothest functions over the bins, ``(N, M)`` each, finer ones with more weight."""
+    """The ``count`` smoothest functions over the bins, ``(N, M)`` each; finer ones weigh more."""
     waves = []
     for u in range(config.rings):
         for v in range((config.sectors + 1) // 2):
             waves += [(u * u + v * v, u, v, sine) for sine in ((False, True) if v else (False,))]
-    found = []
+    functions = []
     for squared, u, v, sine in sorted(waves)[:count]:
         rings = np.cos(np.pi * u * (np.arange(config.rings) + 0.5) / config.rings)
         turns = 2 * np.pi * v * np.arange(config.sectors) / config.sectors
         function = np.outer(rings, np.sin(turns) if sine else np.cos(turns))
-        found.append(normalise(function) * (1 + squared) ** (config.spectral_weight / 2))
-    return found
+        functions.append(normalise(function) * (1 + squared) ** (config.spectral_weight / 2))
+    return functions
 
 
 def normalise(vector: Floats) -> Floats:

@@ -201,7 +201,7 @@ def test_a_sweep_is_that_of_the_module(tmp_path):
         expected = SSRVLAD(config).sweep(torch.from_numpy(labels), columns).numpy()
         assert swept.shape == (2, 4, 480)
         np.testing.assert_allclose(swept, expected, atol=1e-6)
-    with pytest.raises(ValueError, match="a sweep is of the aggregation harmonics"):
+    with pytest.raises(ValueError, match="a sweep needs the aggregation harmonics"):
         head_model(of_preset("paper", labels_as="camvid-11"), columns=columns)
 
 

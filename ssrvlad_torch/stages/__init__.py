@@ -1,1 +1,1 @@
-"""The stages of the method: one file and one job each, and none imports another."""
+"""The stages of the method, one file each. Only `residuals` and `harmonics` import others."""

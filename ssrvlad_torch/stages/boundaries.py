@@ -1,9 +1,8 @@
 """Boundaries: where the layers meet, by direction. Not in the paper.
 
-What the area of a layer says coarsely, its outline says sharply, and it says it whichever layer
-the network took the pixels for. The direction of a boundary is seen at a pixel's four diagonal
-neighbours, two rows and two columns apart: two beside each other in the layer make a straight
-boundary, one or three a slanting one.
+A boundary is located more sharply than an area, and it stays where it is when a network confuses
+two classes. The four diagonal neighbours of a pixel, two rows and two columns apart, give its
+direction: two adjacent ones in the layer make a straight boundary, one or three a slanting one.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from torch import Tensor
 from ..bitplanes import Bits
 
 DIRECTIONS = ("upright", "level", "rising", "falling")
-"""Bits 0 to 3. What rises goes up to the right."""
+"""Bits 0 to 3. A rising boundary goes up to the right."""
 
 WIDTH = 2
-"""Pixels across a straight boundary, each of which sees it."""
+"""Width of a straight boundary, in pixels."""
 
 
 def boundaries(planes: Tensor) -> Tensor:
-    """The directions in which a boundary of any layer runs past each pixel.
+    """The directions of the boundaries of all layers at each pixel.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
@@ -34,10 +33,10 @@ def boundaries(planes: Tensor) -> Tensor:
         return torch.zeros_like(planes)
     above, below = planes[:, :-2], planes[:, 2:]
     corners = (row[..., part] for row in (above, below) for part in (slice(-2), slice(2, None)))
-    found = torch.zeros_like(planes[:, 1:-1, 1:-1])
+    inner = torch.zeros_like(planes[:, 1:-1, 1:-1])
     for bit, layers in enumerate(directions(*corners)):
-        found |= (layers != 0).to(torch.uint8) << bit
-    return F.pad(found, (1, 1, 1, 1))
+        inner |= (layers != 0).to(torch.uint8) << bit
+    return F.pad(inner, (1, 1, 1, 1))
 
 
 def directions(nw: Bits, ne: Bits, sw: Bits, se: Bits) -> tuple[Bits, ...]:

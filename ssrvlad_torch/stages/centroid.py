@@ -15,7 +15,7 @@ def centroids(planes: Tensor) -> Points:
         planes: ``(B, H, W)`` uint8 bit-planes.
 
     Returns:
-        one point for each layer that has pixels.
+        One point for each layer that has pixels.
     """
     segments = runs(planes)
     length = segments.last - segments.first + 1

@@ -1,9 +1,8 @@
 """Connected regions: exact hole filling and small-region removal by area, all layers at once.
 
-A layer is a few thousand horizontal runs rather than a million pixels. Runs that touch from row
-to row are edges of a graph; the components of that graph are the regions, found by passing the
-smallest run number along the edges with pointer jumping, in a few rounds however long or
-winding a region is.
+A layer is stored as a few thousand horizontal runs instead of a million pixels. Two runs that touch
+from row to row form an edge of a graph, whose connected components are the regions. Minimum-label
+propagation with pointer jumping finds them in a few rounds, also for long and winding regions.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ def fill_holes(planes: Tensor, area: int) -> Tensor:
     region = _regions(gaps, planes.shape, diagonal=False)
     outside = (gaps.y == 0) | (gaps.y == height - 1) | (gaps.first == 0) | (gaps.last == width - 1)
     enclosed = _total(region, outside) == 0
-    return planes | _painted(gaps, enclosed & (_areas(gaps, region) < area), planes)
+    return planes | _paint_where(enclosed & (_areas(gaps, region) < area), gaps, planes.shape)
 
 
 def drop_regions(planes: Tensor, area: int) -> Tensor:
@@ -50,26 +49,26 @@ def drop_regions(planes: Tensor, area: int) -> Tensor:
         return planes
     segments = runs(planes)
     region = _regions(segments, planes.shape, diagonal=True)
-    return planes & ~_painted(segments, _areas(segments, region) < area, planes)
+    return planes & ~_paint_where(_areas(segments, region) < area, segments, planes.shape)
 
 
-def _painted(segments: Runs, chosen: Tensor, planes: Tensor) -> Tensor:
-    return paint(Runs(*(column[chosen] for column in segments)), planes.shape)
+def _paint_where(chosen: Tensor, segments: Runs, shape: torch.Size) -> Tensor:
+    return paint(Runs(*(column[chosen] for column in segments)), shape)
 
 
 def _areas(segments: Runs, region: Tensor) -> Tensor:
-    """Pixels of the region that each run belongs to."""
+    """Number of pixels of each run's region."""
     return _total(region, segments.last - segments.first + 1)
 
 
-def _total(region: Tensor, amounts: Tensor) -> Tensor:
-    """Sum of the runs' amounts over the region that each run belongs to."""
-    sums = torch.zeros_like(region).index_add_(0, region, amounts.to(region.dtype))
+def _total(region: Tensor, values: Tensor) -> Tensor:
+    """Sum of the values of all runs of each run's region."""
+    sums = torch.zeros_like(region).index_add_(0, region, values.to(region.dtype))
     return sums[region]
 
 
 def _regions(segments: Runs, shape: torch.Size, diagonal: bool) -> Tensor:
-    """For each run the number of the first run of its region."""
+    """For each run, the number of the first run of its region."""
     upper, lower = _touching(segments, shape, diagonal)
     region = torch.arange(segments.group.numel(), device=upper.device)
     while True:
@@ -84,10 +83,10 @@ def _regions(segments: Runs, shape: torch.Size, diagonal: bool) -> Tensor:
 
 
 def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor, Tensor]:
-    """Pairs of runs that touch, as run numbers: one in some row, one in the row below it.
+    """Pairs of runs that touch, as run numbers: the upper run and the run in the row below it.
 
-    All rows of all layers lie on one line, two columns apart, so the runs above a run are the
-    stretch of that line between its ends, moved up one row. ``diagonal`` widens it by a column
+    All rows of all layers are placed on one line, two columns apart. The runs above a run are those
+    between its two ends, moved up by one row. ``diagonal`` widens this stretch by one column on
     each side.
     """
     height, width = shape[1:]
@@ -97,7 +96,7 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
     reach = pitch + int(diagonal)
     begin = torch.searchsorted(last, first - reach)
     end = torch.searchsorted(first, last - pitch + int(diagonal), right=True)
-    touched = (end - begin).clamp_min(0)
-    lower = torch.repeat_interleave(touched)
-    within = torch.arange(lower.numel(), device=lower.device) - (touched.cumsum(0) - touched)[lower]
+    count = (end - begin).clamp_min(0)
+    lower = torch.repeat_interleave(count)
+    within = torch.arange(lower.numel(), device=lower.device) - (count.cumsum(0) - count)[lower]
     return begin[lower] + within, lower

@@ -1,4 +1,4 @@
-"""Grid pooling: what fraction of each of 24 x 32 cells a layer covers. Not in the paper."""
+"""Grid pooling: the fraction of each of 24 x 32 cells that a layer covers. Not in the paper."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from ..bitplanes import unpack
 
 CELLS = ROWS, COLUMNS = 24, 32
-"""Rows and columns of cells. They are square: any image is seen as one of 4:3."""
+"""Rows and columns of cells. The method treats them as square, so every image as one of 4:3."""
 
 _PIXELS_AT_ONCE = 1 << 20
 
@@ -17,8 +17,8 @@ def pool(planes: Tensor, shift: Tensor) -> Tensor:
     """The fraction of every cell that each layer covers, the image moved ``shift`` columns left.
 
     A pixel counts in every cell that it overlaps, by the overlap. Overlaps are integers in units
-    of ``1 / (H * ROWS)`` and ``1 / (W * COLUMNS)``, and so are all sums: they are exact in any
-    order. What is moved in from outside the image is empty.
+    of ``1 / (H * ROWS)`` and ``1 / (W * COLUMNS)``, so the sums are integers too, exact in any
+    order. Columns that come in from outside the image are empty.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
@@ -29,21 +29,21 @@ def pool(planes: Tensor, shift: Tensor) -> Tensor:
     """
     height, width = planes.shape[1:]
     images_at_once = max(1, _PIXELS_AT_ONCE // (height * width))
-    moved = overlaps(width, COLUMNS, shift)
-    upright = overlaps(height, ROWS, shift.new_zeros(1)).double().transpose(1, 2)
+    columns = overlaps(width, COLUMNS, shift)
+    rows = overlaps(height, ROWS, shift.new_zeros(1)).double().transpose(1, 2)
     sums = [
-        upright @ (unpack(part).float() @ across[:, None]).double()
-        for part, across in zip(
-            planes.split(images_at_once), moved.split(images_at_once), strict=True
+        rows @ (unpack(part).float() @ part_columns[:, None]).double()
+        for part, part_columns in zip(
+            planes.split(images_at_once), columns.split(images_at_once), strict=True
         )
     ]
     return torch.cat(sums) / (height * width)
 
 
 def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:
-    """``(B, pixels, cells)`` float32, how much of each pixel lies in each cell, in whole units.
+    """``(B, pixels, cells)`` float32 integers: how much of each pixel lies in each cell.
 
-    A line of ``pixels`` pixels is ``pixels * cells`` units long.
+    The unit is ``1 / (pixels * cells)`` of a line of ``pixels`` pixels.
     """
     pixel = (torch.arange(pixels, device=shift.device) - shift[:, None])[..., None] * cells
     cell = torch.arange(cells, device=shift.device) * pixels

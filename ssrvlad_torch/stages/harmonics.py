@@ -1,11 +1,10 @@
-"""Harmonics: soft shape contexts of area and boundaries, told by coefficients of smooth functions.
+"""Harmonics: soft shape contexts of areas and boundaries, as coefficients of smooth functions.
 
-The paper's N log-spaced rings and M sectors are laid around one point, with soft bins: a cell
-counts in the two nearest rings and the two nearest sectors. What moves a little then changes the
-histogram a little. Not in the paper.
+Not in the paper. The paper's N log-spaced rings and M sectors lie around one point, the anchor, and
+their bins are soft: a cell counts in the two nearest rings and the two nearest sectors. A small
+shift then changes the histogram only a little.
 
-It is one of the two aggregations, which are made of other stages: layers -> histograms ->
-descriptor. `residuals` is the other.
+It is one of the two aggregations: layers -> histograms -> descriptor. `residuals` is the other.
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ _SAMPLES = 4
 
 
 class HarmonicHistograms(NamedTuple):
-    """What stands in the soft bins around the anchor.
+    """The soft histograms around the anchor.
 
     Attributes:
         bins: ``(B, 10, N, M)`` float64, 0 or more: the areas of six layers, then the lengths of
@@ -51,7 +50,7 @@ class Tables(NamedTuple):
 class Harmonics(nn.Module):
     """The aggregation of the preset ``default``.
 
-    Its tables are buffers of float64. They are stored as int64 words of the same bits, so that
+    Its tables are float64 buffers. They are stored as int64 words of the same bits, so that
     ``half()`` does not round them.
 
     Args:
@@ -69,7 +68,7 @@ class Harmonics(nn.Module):
 
         Args:
             layers: ``(B, h, w)`` uint8 bit-planes.
-            shift: columns by which the anchor is moved to the right.
+            shift: columns by which the anchor moves to the right.
         """
         config, (images, *grid) = self.config, layers.shape
         layers = merge(layers)
@@ -96,7 +95,7 @@ class Harmonics(nn.Module):
 
 @torch.inference_mode(False)
 def harmonic_tables(config: SSRVLADConfig) -> Tables:
-    """The tables of a config, no inference tensors wherever they are made."""
+    """The tables of a config; never inference tensors, so training can use them too."""
     return Tables(
         bin_table(CELLS, config.rings, config.sectors, config.radius, config.inner_radius),
         basis_table(
@@ -109,13 +108,13 @@ def harmonic_tables(config: SSRVLADConfig) -> Tables:
 
 
 def soft_histograms(cells: Tensor, bins: Tensor) -> Tensor:
-    """What stands in every bin: the square root of the mean over its cells.
+    """The value of every bin: the square root of the mean over its cells.
 
-    The root is Hellinger's: much of a layer must not drown little of another.
+    The root (Hellinger) keeps large layers from dominating small ones.
 
     Args:
-        cells: ``(B, 10, rows, columns)`` float64, the fraction of each cell that a layer covers,
-            and the length of the boundaries in it in sides of a cell.
+        cells: ``(B, 10, rows, columns)`` float64: the fraction of each cell that a layer covers,
+            and the length of the boundaries in the cell, in sides of a cell.
         bins: `bin_table`.
 
     Returns:
@@ -132,30 +131,30 @@ def coefficients(
     Args:
         histogram: ``(B, 10, N * M)`` float64 from `soft_histograms`.
         basis: `basis_table`.
-        numbers: of coefficients of each area and of each direction.
-        power: exponent of the power normalisation: each number's size is raised to it, its sign
-            kept.
+        numbers: how many coefficients each area has, and each direction.
+        power: exponent of the power normalisation: it applies to each number's absolute value; the
+            sign stays.
 
     Returns:
         ``(B, 6 * numbers[0] + 4 * numbers[1])`` float32 of length 1; exact zeros for an image
         without layers.
     """
-    found = histogram @ basis.T
-    of_area, of_boundaries = numbers
-    area, length = found[:, :AREA_LAYERS, :of_area], found[:, AREA_LAYERS:, :of_boundaries]
-    kept = torch.cat((area.flatten(1), length.flatten(1)), 1)
-    return F.normalize(kept.sign() * kept.abs() ** power, dim=1).float()
+    products = histogram @ basis.T
+    area = products[:, :AREA_LAYERS, : numbers[0]].flatten(1)
+    length = products[:, AREA_LAYERS:, : numbers[1]].flatten(1)
+    vector = torch.cat((area, length), 1)
+    return F.normalize(vector.sign() * vector.abs() ** power, dim=1).float()
 
 
 def bin_table(
     cells: tuple[int, int], rings: int, sectors: int, radius: float, inner_radius: float
 ) -> Tensor:
-    """The mean over each bin as a matrix over rows and columns of cells.
+    """The matrix that takes the mean of the cells of each bin.
 
     Ring ``n`` is centred on ``radius * inner_radius ** (1 - n / (N - 1))`` of the
-    diagonal, sector ``m`` on the angle ``2 pi m / M`` from +x towards +y. Between two centres,
-    on the logarithmic scale and the angular, a cell counts in both, linearly. What is nearer
-    than the first ring counts in it; what is farther than ``radius`` is not counted.
+    diagonal, sector ``m`` on the angle ``2 pi m / M`` from +x towards +y. A cell between two
+    centres counts in both, linearly in the logarithm of the distance and in the angle. A cell
+    inside the first centre counts in the first ring; beyond ``radius`` it does not count.
 
     Returns:
         ``(N * M, rows * columns)`` float64; a row sums to 1, or to 0 for a bin without cells.
@@ -194,14 +193,14 @@ def basis_table(rings: int, sectors: int, harmonics: int, spectral_weight: float
 
 
 def waves(rings: int, sectors: int) -> list[tuple[int, int, float]]:
-    """Frequency over the rings, around, and phase of every basis function, in their order."""
+    """Frequencies ``u`` and ``v``, and phase, of every basis function, in their order."""
     around = [(v, phase) for v in range((sectors + 1) // 2) for phase in (0.0, math.pi / 2)]
     every = [(u, v, phase) for u in range(rings) for v, phase in around[:1] + around[2:]]
     return sorted(every, key=lambda wave: (wave[0] ** 2 + wave[1] ** 2, *wave))
 
 
 def _tents(position: Tensor, count: int, around: bool) -> Tensor:
-    """``(count, H, W)``: 1 where the position is the index, falling to 0 at its neighbours."""
+    """``(count, H, W)``: 1 where the position is the index, falling to 0 at the next indices."""
     distance = (position - torch.arange(count).double().view(-1, 1, 1)).abs()
     tents = (1 - distance).clamp(min=0)
     return tents + (1 - (count - distance)).clamp(min=0) if around else tents

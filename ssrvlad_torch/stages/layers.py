@@ -12,7 +12,7 @@ UNKNOWN = 255
 
 
 def best_class(scores: Tensor) -> Tensor:
-    """The class of the largest score at each pixel, the first of equal ones.
+    """The class of the largest score at each pixel; of equal scores, the first class.
 
     Args:
         scores: ``(B, C, H, W)`` floating class scores.
@@ -23,7 +23,7 @@ def best_class(scores: Tensor) -> Tensor:
     Raises:
         ValueError: a score is NaN.
     """
-    largest, label = scores.max(1)  # as argmax(1), several times faster on a CPU; NaN wins
+    largest, label = scores.max(1)  # the index of argmax(1), much faster on a CPU; NaN is largest
     if bool(largest.isnan().any()):
         count = int(scores.isnan().sum())
         raise ValueError(f"class scores hold {count} NaN values; expected none")
@@ -31,12 +31,12 @@ def best_class(scores: Tensor) -> Tensor:
 
 
 def category_table(space: LabelSpace) -> tuple[Tensor, int]:
-    """Look-up table of a label space, and the entry of id 0.
+    """Look-up table of a label space, and the index of id 0 in it.
 
     Returns:
         ``(T,)`` uint8: at ``origin + id`` the category 0 to 7 of the id, `NO_LAYER` for a
         dynamic or void id, `UNKNOWN` for an id that the space does not define. The table covers
-        all bytes; both its ends are unknown, so that an id clamped into it is unknown as well.
+        ids 0 to 255. Both its ends are unknown, so an id outside the table, clamped, is unknown.
     """
     ids = [label.id for label in space.classes]
     origin = 1 - min(0, *ids)
@@ -61,21 +61,21 @@ def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
     else:
         wide = labels.to(torch.int64)
         if labels.dtype == torch.uint64:
-            wide = torch.where(wide < 0, len(table), wide)  # beyond int64: no id of any space
+            wide = torch.where(wide < 0, len(table), wide)  # beyond int64: in no label space
         entries = wide.clamp(-origin, len(table) - 1 - origin) + origin
     return table.index_select(0, entries.flatten()).view(labels.shape)
 
 
 def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> None:
-    """Checks that every id is one of the label space.
+    """Raises an error if an id is not in the label space.
 
     Args:
-        labels: the whole label maps, for the message.
-        categories: of some of them, from `categorise`.
+        labels: the label maps of the whole batch, for the message.
+        categories: from `categorise`, for a part of the batch.
         space: the label space.
 
     Raises:
-        ValueError: names the lowest unknown id, its pixel count and the label space.
+        ValueError: an id is unknown. It names the lowest one, its pixel count and the label space.
     """
     if int(categories.max()) < UNKNOWN:
         return
@@ -92,8 +92,8 @@ def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> Non
 
 
 def merge(planes: Tensor) -> Tensor:
-    """Six layers of eight, which more networks tell apart: guard rail (bit 6) counts as building
-    (bit 2), parking (bit 7) as ground (bit 0)."""
+    """Six layers from eight: guard rail (bit 6) counts as building (bit 2), parking (bit 7) as
+    ground (bit 0). Fewer networks distinguish all eight."""
     return planes & 0x3F | planes >> 4 & 0x04 | planes >> 7
 
 

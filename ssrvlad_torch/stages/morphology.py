@@ -24,7 +24,7 @@ def dilate(planes: Tensor, radius: int) -> Tensor:
 
 
 def erode(planes: Tensor, radius: int) -> Tensor:
-    """Erosion by a square; outside the image is ignored, so a border erodes nothing.
+    """Erosion by a square; pixels outside the image are ignored, so the border erodes nothing.
 
     The semantics are those of ``skimage.morphology.erosion(mode="ignore")``.
 
@@ -39,7 +39,7 @@ def erode(planes: Tensor, radius: int) -> Tensor:
 
 
 def open_and_close(planes: Tensor, opening: int, closing: int) -> Tensor:
-    """Opening (what is thinner than the square goes), then closing (gaps as narrow are bridged).
+    """Opening, which removes parts thinner than the square, then closing, which fills such gaps.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
@@ -53,7 +53,7 @@ def open_and_close(planes: Tensor, opening: int, closing: int) -> Tensor:
 
 
 def _spread(planes: Tensor, radius: int, dimension: int) -> Tensor:
-    """Running OR over ``2 * radius + 1`` pixels of one dimension, its reach doubled each step."""
+    """Running OR over ``2 * radius + 1`` pixels of one dimension; each step doubles the reach."""
     if radius == 0:
         return planes
     size = planes.shape[dimension]
@@ -61,7 +61,7 @@ def _spread(planes: Tensor, radius: int, dimension: int) -> Tensor:
     window, reach = F.pad(planes, margins), 1
     while reach < 2 * radius + 1:
         step = min(reach, 2 * radius + 1 - reach)
-        kept = window.shape[dimension] - step
-        window = window.narrow(dimension, 0, kept) | window.narrow(dimension, step, kept)
+        length = window.shape[dimension] - step
+        window = window.narrow(dimension, 0, length) | window.narrow(dimension, step, length)
         reach += step
     return window.narrow(dimension, 0, size)

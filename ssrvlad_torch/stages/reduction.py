@@ -1,4 +1,4 @@
-"""Working size: a smaller grid by majority vote, so that no thin pole vanishes by sampling luck."""
+"""Working size: a smaller grid by majority vote, which keeps thin poles better than sampling."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from ..taxonomy import NO_LAYER
 
 
 def reduce_by_majority(categories: Tensor, grid: tuple[int, int]) -> Tensor:
-    """Reduces a category map to a grid whose cells take the commonest category of their pixels.
+    """Reduces a category map to a grid; each cell takes the most common category of its pixels.
 
-    Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``. The lowest of equally common
-    categories wins. The counts of several categories share an int64 word, each in as many bits
-    as the largest cell needs, so one pass of additions over the map counts them all.
+    Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``. Of equally common categories
+    the lowest wins. The counts of several categories share an int64 word, each in as many bits
+    as the largest cell needs, so one pass of additions over the map counts several categories.
 
     Args:
-        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`, which has a vote like any other.
+        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`, which is counted like a category.
         grid: ``(h, w)`` with ``h <= H`` and ``w <= W``.
 
     Returns:
@@ -32,14 +32,14 @@ def reduce_by_majority(categories: Tensor, grid: tuple[int, int]) -> Tensor:
     entries = categories.flatten().to(torch.int32)
     best = torch.zeros((count, *grid), dtype=torch.int64, device=categories.device)
     for first in range(0, kinds, fields):
-        kept = range(first, min(first + fields, kinds))
+        counted = range(first, min(first + fields, kinds))
         words = torch.zeros(kinds, dtype=torch.int64, device=categories.device)
-        for kind in kept:
+        for kind in counted:
             words[kind] = 1 << bits * (kind - first)
         votes = words.index_select(0, entries).view(categories.shape)
         by_row = votes.new_zeros((count, grid[0], width)).index_add_(1, rows, votes)
         by_cell = torch.zeros_like(best).index_add_(2, columns, by_row)
-        for kind in kept:
+        for kind in counted:
             score = by_cell >> bits * (kind - first)
             score.bitwise_and_((1 << bits) - 1).mul_(kinds).add_(NO_LAYER - kind)
             torch.maximum(best, score, out=best)

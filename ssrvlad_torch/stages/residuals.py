@@ -1,7 +1,7 @@
-"""Residuals: how each layer's histograms differ from the one around its centre (Eq. 2).
+"""Residuals: how the keypoints' histograms differ from the one around the centre (Eq. 2).
 
-It is one of the two aggregations, which are made of other stages: layers -> clean layers ->
-skeletons -> keypoints -> histograms -> descriptor. `harmonics` is the other.
+It is one of the two aggregations: layers -> clean layers -> skeletons -> keypoints -> histograms ->
+descriptor. `harmonics` is the other.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ class Residuals:
 
 
 def masks_of(layers: Tensor, config: SSRVLADConfig) -> Masks:
-    """The masks of ``(B, h, w)`` uint8 bit-planes: opened and closed, small enclosed holes filled
-    and small regions dropped, thinned."""
+    """The masks of the paper for ``(B, h, w)`` uint8 bit-planes: opening and closing, small holes
+    filled, small regions dropped, thinning."""
     grid = layers.shape[1], layers.shape[2]
     opening = config.radius_pixels(config.opening, *grid)
     closing = config.radius_pixels(config.closing, *grid)
@@ -89,8 +89,8 @@ def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:
         points, centre, counts: as in `ResidualHistograms`.
 
     Returns:
-        ``(B, 8 * N * M)`` float32: the layers' vectors, each of length 1 or exactly zero, put one
-        after another and normalised; exact zeros for an image in which every layer is zero.
+        ``(B, 8 * N * M)`` float32: the layers' vectors, each of length 1 or exactly zero,
+        concatenated and normalised; exact zeros for an image in which every layer is zero.
     """
     residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
     layers = F.normalize(residuals.double(), dim=-1)  # Eq. 2; zeros stay zeros

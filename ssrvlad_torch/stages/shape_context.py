@@ -11,12 +11,11 @@ from torch import Tensor
 from ..bitplanes import LAYERS, Points, by_image
 
 PAIRS_AT_ONCE = 1 << 16
-"""Pairs of points in memory at a time, and those of one reference point more: some megabytes,
-however many points there are."""
-
+"""Most pairs of points in memory at a time, not counting those of the last reference point: a few
+megabytes for any number of points."""
 
 ROWS_AT_ONCE = 64
-"""Rows of the table of bins that are made at a time."""
+"""Rows of the table of bins that are computed at a time."""
 
 
 class Bins(NamedTuple):
@@ -40,8 +39,8 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     sector; the reference point itself is not counted. Pairs are listed chunk by chunk.
 
     Args:
-        references: the points around which is counted.
-        context: the points that are counted.
+        references: the centres of the histograms.
+        context: the points to count.
         bins: from `log_polar_bins`, for the size of the image.
         images: B.
 
@@ -62,8 +61,8 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         pair_count = int(count.sum())
         owner = torch.repeat_interleave(count, output_size=pair_count)
         first = group_start[group] - (count.cumsum(0) - count)
-        seen = first.index_select(0, owner) + torch.arange(pair_count, device=owner.device)
-        offset = context_place.index_select(0, seen)
+        entry = first.index_select(0, owner) + torch.arange(pair_count, device=owner.device)
+        offset = context_place.index_select(0, entry)
         offset -= reference_place[part].index_select(0, owner)
         place = (group * stride).index_select(0, owner)
         place += bins.table.flatten().index_select(0, offset)
@@ -83,7 +82,7 @@ def log_polar_bins(
             ring inside it.
         sectors: M. Sector ``m`` covers the angles from ``2 pi m / M``, included, to
             ``2 pi (m + 1) / M``, excluded, counted from +x (right) towards +y (down).
-        device: where the table lies.
+        device: of the table.
     """
     total = len(limits) * sectors
     table = torch.empty((2 * height - 1, 2 * width - 1), dtype=torch.int16, device=device)
@@ -99,7 +98,7 @@ def log_polar_bins(
 
 
 def _sectors(dy: Tensor, dx: Tensor, sectors: int) -> Tensor:
-    """Sectors of any number. Integer offsets meet a boundary only at multiples of 45 degrees;
-    every other offset is farther from one than the nudge, which is above the rounding error."""
+    """The sector of each offset. Integer offsets lie on a boundary only at multiples of 45 degrees;
+    all others are farther from it than the added 1e-12, which is above the rounding error."""
     turn = torch.atan2(dy.double(), dx.double()) / (2 * torch.pi)
     return torch.floor(turn * sectors + 1e-12).to(torch.int64) % sectors

@@ -9,8 +9,8 @@ leftmost pixel in the lowest byte. Each row ends with at least one background pi
 with a background row, so the neighbours of a word are the words one pitch before and after it,
 and the pixels beside a pixel are a byte's shift away.
 
-Soon most of an image is settled. A word can change only if a word around it changed in one of the
-last two sub-iterations, so `thin` looks, after the first two, at those words only.
+A word can change only if a word around it changed in one of the last two sub-iterations. After the
+first two, `thin` processes such words only: most of an image is final early.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Rule(Protocol):
     """A variant of thinning."""
 
     def __call__(self, pixels: Bits, ring: tuple[Bits, ...], first: bool, /) -> Bits:
-        """The pixels that a sub-iteration leaves, the first of the two or not."""
+        """The pixels that remain after the first or the second sub-iteration."""
 
 
 def thin(planes: Tensor, rule: Rule) -> Tensor:
@@ -52,16 +52,16 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
     pixels = _within_margins(line, pitch)
     changed = []
     for first in (True, False):
-        left = rule(*_neighbourhood(line, pitch), first)
-        changed.append((left != pixels).nonzero()[:, 0] + pitch + 1)
-        pixels.copy_(left)
+        remaining = rule(*_neighbourhood(line, pitch), first)
+        changed.append((remaining != pixels).nonzero()[:, 0] + pitch + 1)
+        pixels.copy_(remaining)
     while len(changed[0]) + len(changed[1]):
         for first in (True, False):
             frontier = _around(torch.cat(changed), line, pitch)
             centre, ring = _neighbourhood_of(frontier, line, pitch)
-            left = rule(centre, ring, first)
-            line[frontier] = left
-            changed = [changed[1], frontier[left != centre]]
+            remaining = rule(centre, ring, first)
+            line[frontier] = remaining
+            changed = [changed[1], frontier[remaining != centre]]
     return _to_planes(line, pitch, planes.shape)
 
 
@@ -73,30 +73,29 @@ def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     its table deletes further patterns.
 
     The conditions are A(P) = 1 (one 0 -> 1 step around the pixel), 2 <= B(P) <= 6 (neighbours that
-    are on), and two products that are zero. Given A = 1 the neighbours that are on form one arc,
-    in which corners and others alternate, and B need not be counted: B >= 2 if the arc has one
-    of either kind. B = 7, given the products too, leaves two places for the neighbour that is off:
-    E or S in the first sub-iteration, W or N in the second, with both its corners on. What a set
-    leaves of a larger one is their difference.
+    are on), and two products that are zero. If A = 1, the neighbours that are on form one arc, in
+    which corners and sides alternate, so B need not be counted: B >= 2 if the arc has a corner and
+    a side. If B = 7 and the products are zero, the neighbour that is off is E or S in the first
+    sub-iteration, W or N in the second. Subtraction removes a subset of bits.
 
     Args:
-        pixels: `Bits`, tensors or symbols of a graph.
-        ring: p2 ... p9, likewise.
-        first: which of the two sub-iterations.
+        pixels: `Bits`: a tensor, or a symbol of a graph.
+        ring: p2 ... p9, each of the type of ``pixels``.
+        first: whether it is the first of the two sub-iterations.
 
     Returns:
-        the pixels that are left.
+        The pixels that remain.
     """
     n, ne, e, se, s, sw, w, nw = ring
     north_west, south_east = n | w, e | s
     two_on = (north_west | south_east) & (ne | se | sw | nw)
     if first:
-        kept = e & s & north_west  # p2 p4 p6 or p4 p6 p8
+        product = e & s & north_west  # p2 p4 p6 or p4 p6 p8
         seven_on = se & ((ne | e) - e | sw - (s & sw))
     else:
-        kept = n & w & south_east  # p2 p4 p8 or p2 p6 p8
+        product = n & w & south_east  # p2 p4 p8 or p2 p6 p8
         seven_on = nw & ((sw | w) - w | ne - (n & ne))
-    return pixels - (pixels & _exactly_one(steps_around(ring)) & two_on & ~(kept | seven_on))
+    return pixels - (pixels & _exactly_one(steps_around(ring)) & two_on & ~(product | seven_on))
 
 
 def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
@@ -115,16 +114,16 @@ def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     other = [n | ne, e | se, s | sw, w | nw]
     two_at_least = two_or_more(one) & two_or_more(other)
     three_at_most = ~(_all(one) & _all(other))
-    kept = (n | ne | ~se) & e if first else (s | sw | ~nw) & w
+    product = (n | ne | ~se) & e if first else (s | sw | ~nw) & w
     one_group = _any(groups) & ~two_or_more(groups)
-    return pixels & ~(one_group & two_at_least & three_at_most & ~kept)
+    return pixels & ~(one_group & two_at_least & three_at_most & ~product)
 
 
 RULES: dict[str, Rule] = {"zhang-suen": zhang_suen, "guo-hall": guo_hall}
 
 
 def _to_line(planes: Tensor) -> tuple[Tensor, int]:
-    """``(L + 2 * (pitch + 1),)`` int64 words with margins of background, and words in a row."""
+    """``(L + 2 * (pitch + 1),)`` int64 words with margins of background, and words per row."""
     count, height, width = planes.shape
     pitch = width // PIXELS + 1
     length = count * (height + 1) * pitch
@@ -159,14 +158,14 @@ def _neighbourhood_of(index: Tensor, line: Tensor, pitch: int) -> tuple[Tensor, 
 
 
 def _shifted(before: Tensor, here: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
-    """Words whose pixels are the west, and the east, neighbours of the pixels of the words."""
+    """Two sets of words: their pixels are the west, and the east, neighbours of those of `here`."""
     west = here << 8 | (before >> 56 & 255)
     east = (here >> 8 & _ALL_BUT_TOP_BYTE) | after << 56
     return west, east
 
 
 def _around(changed: Tensor, line: Tensor, pitch: int) -> Tensor:
-    """Index of the words at and around those that changed, each once, in order."""
+    """Indices of the words that changed and of those around them, each once, in order."""
     near = torch.zeros_like(line, dtype=torch.bool)
     for row in (-pitch, 0, pitch):
         for step in (-1, 0, 1):

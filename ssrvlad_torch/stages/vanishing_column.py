@@ -1,9 +1,8 @@
-"""Vanishing column: the column towards which the street narrows, where the histograms stand.
+"""Vanishing column: the column towards which the street narrows, the anchor of the histograms.
 
-A camera that is turned a little, or a car in another lane, shifts what it sees sideways. The
-column in which ground, sidewalk and sky together are tallest moves with it. It stands for the
-vanishing point, which a label map does not show. Not in the paper, which counts around the
-centroid of each layer.
+When the camera turns a little or the car drives in another lane, the image shifts sideways. The
+column in which ground, sidewalk and sky together are tallest shifts with it. It replaces the
+vanishing point, which a label map does not show. Not in the paper.
 """
 
 from __future__ import annotations
@@ -18,8 +17,9 @@ LEVELS = 64
 POWER = 8
 ONE = 1 << 20
 PULL = 20
-"""A column that is wholly open weighs ``ONE``, and openness weighs by its eighth power. The middle
-of the image weighs as much as a twentieth of all columns, open: it decides where nothing is."""
+"""The weight of a column is the eighth power of its open pixels in 64ths of its height, scaled to
+``ONE`` for a fully open column. The middle of the image has the weight of a twentieth of all
+columns, fully open: without open pixels it is the vanishing column."""
 
 SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 
@@ -27,8 +27,7 @@ SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 def vanishing_columns(planes: Tensor) -> Tensor:
     """How many columns right of the middle the vanishing column is, in each image.
 
-    Integers only: the open pixels of a column in 64ths of its height, to the eighth power, are
-    its weight, and the weighted mean of the columns is rounded to the nearest, halves up.
+    It is the weighted mean of the columns in integers, rounded to the nearest, halves up.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
