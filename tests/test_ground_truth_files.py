@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from vpr_bench import VPR_BENCH, needs_vpr_bench
 
-from ssrvlad_torch.evaluation.ground_truth_files import from_file, of_known
+from ssrvlad_torch.evaluation.ground_truth_files import from_file, known_matches
 
 QUERIES = ("a", "b")
 REFERENCES = ("day/1", "day/2", "day/10")
@@ -104,7 +104,7 @@ def test_an_entry_may_be_the_end_of_a_path(read):
 
 
 def test_the_known_queries_can_be_chosen():
-    known, truth = of_known([None, np.array([3]), np.array([], np.int64), None])
+    known, truth = known_matches([None, np.array([3]), np.array([], np.int64), None])
     assert known == [1, 2]
     assert as_lists(truth) == [[3], []]
 
@@ -130,13 +130,13 @@ def test_the_known_queries_can_be_chosen():
         ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
         ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
         ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),
-        ("a.csv", "1,0,2\n0,0,0\n", "is no matrix of 0 and 1"),
+        ("a.csv", "1,0,2\n0,0,0\n", "is not a matrix of 0 and 1"),
         ("a.csv", "1,0,1\n", r"shape \(1, 3\), expected \(2, 3\) for 2 queries and 3 references"),
         ("a.npy", MATRIX.T, r"is a matrix of shape \(3, 2\), expected \(2, 3\)"),
         ("a.npy", MATRIX[0], r"is a matrix of shape \(3,\)"),
-        ("a.npy", MATRIX * 0.5, "is no matrix of 0 and 1"),
-        ("a.npy", MATRIX * np.nan, "is no matrix of 0 and 1"),
-        ("a.npy", MATRIX.astype(str), "is no matrix of 0 and 1"),
+        ("a.npy", MATRIX * 0.5, "is not a matrix of 0 and 1"),
+        ("a.npy", MATRIX * np.nan, "is not a matrix of 0 and 1"),
+        ("a.npy", MATRIX.astype(str), "is not a matrix of 0 and 1"),
         ("a.npy", b"", "cannot read the ground truth"),
         ("a.npy", b"\x93NUMPY\x01\x00", "cannot read the ground truth"),
         ("a.npz", b"PK", "cannot read the ground truth"),

@@ -7,7 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.evaluation.loops import LoopScore, loop_curve, loop_errors, score_loops, surest
+from ssrvlad_torch.evaluation.loops import (
+    LoopScore,
+    loop_curve,
+    loop_errors,
+    score_loops,
+    surest_point,
+)
 from ssrvlad_torch.evaluation.thresholds import wilson_low
 
 EAST, WEST = 0.0, math.pi
@@ -103,7 +109,7 @@ def test_the_surest_threshold_is_the_lowest_before_the_mistakes():
     strengths = np.linspace(7, 3, 40)
     right = np.arange(40) < 20
     right[20::2] = True
-    point = surest(loop_curve(strengths, right, 50))
+    point = surest_point(loop_curve(strengths, right, 50))
     assert (point.accepted, point.precision, point.recall) == (21, 1, 21 / 50)
     assert point.score == pytest.approx((strengths[20] + strengths[21]) / 2)
     assert point.precision_low == pytest.approx(21 / (21 + 1.959964**2))
@@ -113,7 +119,7 @@ def test_the_surest_threshold_is_the_lowest_before_the_mistakes():
 def test_no_threshold_is_surer(count, seed):
     rng = np.random.default_rng(seed)
     curve = loop_curve(rng.integers(1, 9, count).astype(float), rng.random(count) < 0.8, 50)
-    point = surest(curve)
+    point = surest_point(curve)
     sure = wilson_low(curve.true_positives, curve.accepted)
     if not curve.true_positives.any():
         assert point is None
@@ -124,7 +130,7 @@ def test_no_threshold_is_surer(count, seed):
 
 def test_no_improbable_loop_is_suggested_but_where_there_is_no_other():
     strengths = np.array([0.9, 0.6, 0.4, 0.01])
-    point = surest(loop_curve(strengths, np.ones(4, bool), 50))
+    point = surest_point(loop_curve(strengths, np.ones(4, bool), 50))
     assert (point.accepted, 0.5 < point.score <= 0.6) == (2, True)
-    point = surest(loop_curve(strengths, np.array([False, False, True, True]), 50))
+    point = surest_point(loop_curve(strengths, np.array([False, False, True, True]), 50))
     assert point.accepted == 4

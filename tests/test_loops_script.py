@@ -68,7 +68,7 @@ def test_the_page_says_what_the_detectors_did(script, tmp_path):
         head, *rows = table(page, f"## {condition.capitalize()}")
         assert head[2:5] == ["loops", "wrong", "elsewhere"]
         curve = script.curve([script.detect(made) for made in learned[condition]])
-        thresholds = {"default": LoopConfig.threshold, "learned": script.surest(curve).score}
+        thresholds = {"default": LoopConfig.threshold, "learned": script.surest_point(curve).score}
         assert [line[0] for line in rows] == [*thresholds]
         for line, threshold in zip(rows, thresholds.values(), strict=True):
             wrong = right = 0

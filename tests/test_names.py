@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from ssrvlad_torch.datasets.label_files import find_label_files
-from ssrvlad_torch.datasets.names import names_of, see_sequences
+from ssrvlad_torch.datasets.names import check_sequences, sequence_names
 
 
 def test_a_folder_alone_is_named_by_its_last_part():
-    assert names_of(["/data/monday"]) == {"/data/monday": "monday"}
-    assert names_of(["s3://bucket/monday"]) == {"s3://bucket/monday": "monday"}
+    assert sequence_names(["/data/monday"]) == {"/data/monday": "monday"}
+    assert sequence_names(["s3://bucket/monday"]) == {"s3://bucket/monday": "monday"}
 
 
 @pytest.mark.parametrize(
@@ -21,24 +21,24 @@ def test_a_folder_alone_is_named_by_its_last_part():
     ],
 )
 def test_folders_of_one_name_take_as_much_of_their_paths_as_they_need(folders, names):
-    assert list(names_of(folders).values()) == names
+    assert list(sequence_names(folders).values()) == names
 
 
 def test_a_path_that_ends_another_cannot_be_told_apart():
     with pytest.raises(ValueError, match="/y needs a name that no sequence has"):
-        names_of(["/y", "/b/y"])
+        sequence_names(["/y", "/b/y"])
 
 
 def test_names_that_are_taken_stay(tmp_path):
     known = [(str(tmp_path), "labels")]
-    assert names_of(["/other/labels", str(tmp_path)], known) == {
+    assert sequence_names(["/other/labels", str(tmp_path)], known) == {
         "/other/labels": "other/labels",
         str(tmp_path): "labels",
     }
     for folder in (f"{tmp_path}.npy", f"{tmp_path}.v2.bag"):
         Path(folder).touch()
         stack = Path(folder).with_suffix("")
-        assert names_of(["/other/labels"], [(str(stack), "labels")]) == {
+        assert sequence_names(["/other/labels"], [(str(stack), "labels")]) == {
             "/other/labels": "other/labels"
         }
 
@@ -46,14 +46,14 @@ def test_names_that_are_taken_stay(tmp_path):
 def test_a_known_folder_has_its_name_by_a_link_too(tmp_path):
     (tmp_path / "monday").mkdir()
     (tmp_path / "link").symlink_to("monday")
-    known = [(str(tmp_path / "monday"), "first drive")]
-    assert names_of([str(tmp_path / "link")], known) == {str(tmp_path / "link"): "first drive"}
+    known, link = [(str(tmp_path / "monday"), "first drive")], str(tmp_path / "link")
+    assert sequence_names([link], known) == {link: "first drive"}
 
 
 def test_no_other_folder_ends_in_a_name():
     """The name of a folder is the same whether it comes together with the known ones or later."""
     known = [("s3://d/00/labels", "00/labels"), ("s3://d/01/labels", "01/labels")]
-    assert names_of(["s3://d/02/labels"], known) == {"s3://d/02/labels": "02/labels"}
+    assert sequence_names(["s3://d/02/labels"], known) == {"s3://d/02/labels": "02/labels"}
 
 
 @pytest.mark.parametrize(
@@ -72,14 +72,14 @@ def test_no_other_folder_ends_in_a_name():
 )
 def test_what_may_mean_two_things_is_refused(known, message):
     with pytest.raises(ValueError, match=message):
-        names_of(["/other/labels"], known)
+        sequence_names(["/other/labels"], known)
 
 
 def test_sequences_of_two_databases_are_one_where_a_folder_is():
     here = [("s3://a/day", "labels"), ("s3://a/night", "labels"), ("", "own")]
-    see_sequences([("s3://a/day", "labels"), ("s3://c", "c"), ("s3://d", "own")], here)
+    check_sequences([("s3://a/day", "labels"), ("s3://c", "c"), ("s3://d", "own")], here)
     with pytest.raises(ValueError, match="'labels' of the database is s3://a/day, not s3://b/day"):
-        see_sequences([("s3://b/day", "labels")], here)
+        check_sequences([("s3://b/day", "labels")], here)
 
 
 def test_sources_stay_in_the_order_in_which_they_are_given(tmp_path):

@@ -14,9 +14,9 @@ from ssrvlad_torch.evaluation.curves import rank
 from ssrvlad_torch.evaluation.thresholds import (
     at_precision,
     at_recall,
-    needed,
     operating_points,
-    suggested,
+    queries_needed,
+    suggested_point,
     wilson_low,
 )
 
@@ -42,15 +42,14 @@ def test_points_at_a_precision(curve):
 def test_points_that_are_never_reached():
     wrong = curve_of([0.9, 0.8], [0, 1], 2)
     assert at_precision(wrong, 0.99) is None
-    nothing = curve_of([0.9, 0.8], [0, 0], 0)
-    assert at_recall(nothing, 0.5) is at_precision(nothing, 0.99) is suggested(nothing) is None
-    empty = curve_of([-math.inf], [0], 1)
-    assert at_recall(empty, 0.5) is at_precision(empty, 0.99) is suggested(empty) is None
+    for curve in (curve_of([0.9, 0.8], [0, 0], 0), curve_of([-math.inf], [0], 1)):
+        points = at_recall(curve, 0.5), at_precision(curve, 0.99), suggested_point(curve)
+        assert points == (None, None, None)
 
 
 @pytest.mark.parametrize("fraction", [-0.1, 1.1, math.nan])
 def test_fractions_beyond_their_range_are_refused(curve, fraction):
-    for point in (at_precision, at_recall, suggested):
+    for point in (at_precision, at_recall, suggested_point):
         with pytest.raises(ValueError, match="from 0 to 1"):
             point(curve, fraction)
 
@@ -67,16 +66,16 @@ def test_wilson_is_that_of_scipy():
 
 def test_seventy_three_right_answers_are_enough_and_one_fewer_is_not():
     scores = np.arange(73, 0, -1) / 100
-    assert suggested(curve_of(scores, [1] * 73, 73)).accepted == 73
-    fewer = suggested(curve_of(scores[1:], [1] * 72, 72))
+    assert suggested_point(curve_of(scores, [1] * 73, 73)).accepted == 73
+    fewer = suggested_point(curve_of(scores[1:], [1] * 72, 72))
     assert fewer.accepted == 72 and fewer.precision_low < 0.95
-    assert needed() == 73
+    assert queries_needed() == 73
 
 
 def test_the_suggestion_lies_between_scores():
     """Halfway to the first score that would spoil it; 0.5 and 0.25 are both wrong."""
     scores = [*[0.75] * 100, *[0.5] * 50, *[0.25] * 50]
-    point = suggested(curve_of(scores, [1] * 100 + [0] * 100, 100))
+    point = suggested_point(curve_of(scores, [1] * 100 + [0] * 100, 100))
     assert (point.score, point.accepted, point.recall) == (0.625, 100, 1.0)
     assert point.precision_low > 0.95
 
@@ -86,7 +85,7 @@ def test_the_suggestion_is_what_match_takes():
     references = torch.eye(2)
     queries = torch.tensor([[0.6, 0.8]]).repeat(100, 1)
     scores = match(queries, references, top=1).scores[:, 0].numpy()
-    point = suggested(curve_of(scores, [1] * 100, 100))
+    point = suggested_point(curve_of(scores, [1] * 100, 100))
     assert point.score < scores.min()
     assert bool((match(queries, references, 1, point.score).indices >= 0).all())
 
@@ -110,7 +109,7 @@ def test_points_equal_a_search(queries, fraction):
         if point:
             assert point.accepted == counts[expected][1]
             assert point.precision == pytest.approx(counts[expected][0] / counts[expected][1])
-    point = suggested(curve, fraction)
+    point = suggested_point(curve, fraction)
     low = {t: float(wilson_low(np.array(r), np.array(n))) for t, (r, n) in counts.items()}
     sure = [t for t in low if low[t] >= min(fraction, max(low.values()))]
     assert (point is None) == (not correct.any())

@@ -4,7 +4,7 @@
     .venv/bin/python scripts/pages/loops.py
 
 The drives follow `synthetic_city.TOUR` through synthetic cities. Thresholds are chosen by
-`evaluation.loops.surest` on cities that are not measured. Needs the extra `dev`.
+`evaluation.loops.surest_point` on cities that are not measured. Needs the extra `dev`.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ssrvlad_torch.evaluation.loops import (
     loop_curve,
     loop_errors,
     score_loops,
-    surest,
+    surest_point,
 )
 from ssrvlad_torch.files import replacing
 from ssrvlad_torch.loops.picture import draw_loops
@@ -108,7 +108,7 @@ def sections(learned: Tours, measured: Tours, page: Path) -> Iterator[str]:
     found: dict[str, PrecisionRecall] = {}
     for condition, tours in measured.items():
         yield f"## {condition.capitalize()}\n"
-        point = surest(curve([detect(tour) for tour in learned[condition]]))
+        point = surest_point(curve([detect(tour) for tour in learned[condition]]))
         assert point
         outcomes = [detect(tour) for tour in tours]
         chosen = [believed(outcome, point.score) for outcome in outcomes]

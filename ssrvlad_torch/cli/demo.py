@@ -14,7 +14,7 @@ from ..datasets.synthetic_city import write_city
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode_to_database, encode_to_memory
 from ..encoding.results import EncodeOptions
-from ..evaluation.ground_truth_files import from_file, of_known
+from ..evaluation.ground_truth_files import from_file, known_matches
 from ..evaluation.metrics import evaluate
 from ..files import empty_folder, replacing
 from ..recognition.matching import match
@@ -59,7 +59,9 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     references = database.load()
 
     scores, rows = match(queries.descriptors, references.descriptors, top=10)
-    _, truth = of_known(from_file(city / "ground_truth.json", queries.frames, references.frames))
+    _, truth = known_matches(
+        from_file(city / "ground_truth.json", queries.frames, references.frames)
+    )
     metrics = evaluate(scores.numpy(), rows.numpy(), truth)
     metrics["references"] = len(references.frames)
     metrics["fingerprint"] = database.fingerprint

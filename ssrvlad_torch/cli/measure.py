@@ -11,11 +11,11 @@ import numpy.typing as npt
 from rich.table import Table
 
 from ..encoding.results import Skipped
-from ..evaluation.ground_truth_files import Known, of_known
+from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.metrics import Convention, evaluate, figure_rows, precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Descriptors, Pictures
-from ..evaluation.thresholds import SURE_PRECISION, needed, operating_points
+from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
 from ..recognition.matching import Matches
 from ..recognition.standardise import LEAST
 from .output import figure, fused_in_words, interval, print_table
@@ -57,10 +57,10 @@ def wants_similarity(convention: Convention) -> bool:
 
 
 def measure(
-    recognition: Recognition, matches: Known, convention: Convention, at_recall: float
+    recognition: Recognition, matches: PartialTruth, convention: Convention, at_recall: float
 ) -> dict[str, Any]:
     """All figures with 95 % intervals, thresholds to choose from, and how it was found."""
-    known, truth = of_known(matches)
+    known, truth = known_matches(matches)
     scores, rows = (best.numpy()[known] for best in recognition.found)
     pairs = recognition.similarity
     similarity = None if pairs is None else pairs[known]
@@ -102,8 +102,8 @@ def counts(metrics: Mapping[str, Any]) -> str:
 
 def proof(suggested: Mapping[str, Any] | None) -> str:
     """How sure the precision at the suggested threshold is, and what would prove more."""
-    want = f"to prove a precision of {SURE_PRECISION:g} takes at least {needed()} accepted queries "
-    want += "without a mistake"
+    want = f"to prove a precision of {SURE_PRECISION:g} takes at least {queries_needed()} "
+    want += "accepted queries without a mistake"
     if suggested is None:
         return f"suggested: no threshold, no query was recognised; {want}"
     low = suggested["precision_low"]

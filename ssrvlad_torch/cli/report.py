@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from .. import __version__
 from ..datasets.dataset import shortened
-from ..evaluation.ground_truth_files import Known, of_known
+from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import (
@@ -49,7 +49,7 @@ class Page:
     def write(
         self,
         recognition: Recognition,
-        matches: Known,
+        matches: PartialTruth,
         metrics: Mapping[str, Any],
         title: str,
         settings: Mapping[str, object],
@@ -63,7 +63,7 @@ class Page:
             title: of the page.
             settings: names and values that say how it was done.
         """
-        known, truth = of_known(matches)
+        known, truth = known_matches(matches)
         scores, rows = (best.numpy()[known, :CANDIDATES] for best in recognition.found)
         outcomes = judge(scores, rows, truth)
         pairs = None if recognition.similarity is None else recognition.similarity[known]
@@ -137,7 +137,7 @@ def _words(value: object) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def _notes(recognition: Recognition, matches: Known) -> list[str]:
+def _notes(recognition: Recognition, matches: PartialTruth) -> list[str]:
     """How many queries were left out or skipped, and why."""
     unknown, skipped = sum(rows is None for rows in matches), recognition.skipped
     notes = []

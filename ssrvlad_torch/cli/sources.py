@@ -20,7 +20,7 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
-from ..datasets.names import KnownFolders, see_sequences
+from ..datasets.names import KnownFolders, check_sequences
 from ..descriptor import query_head
 from ..encoding.encoder import encode_to_memory
 from ..encoding.extra_descriptors import extra_descriptor
@@ -45,7 +45,7 @@ class Source:
         dataset: the chosen part of the data set, if it is one.
         whole: the data set with all its sequences.
         labels_as: label space of the label maps, as given or as the data set declares it.
-        known: folders that have a name already, those of the database, see `names_of`.
+        known: folders that have a name already, those of the database, see `sequence_names`.
     """
 
     given: SourceOptions
@@ -198,7 +198,7 @@ def encode_queries(
 def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
     """The frames of a database that is the source, by the name of the sequence that was given."""
     if (name := source.given.sequence) is None:
-        see_sequences(database.folders(), source.known)
+        check_sequences(database.folders(), source.known)
         return frames
     if len(set(frames.sequences)) > 1:
         raise ValueError(f"--sequence names one sequence, {database.path} holds several")

@@ -17,7 +17,7 @@ from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
 from ..datasets.names import KnownFolders
 from ..evaluation.ground_truth import from_frame_numbers, from_poses
-from ..evaluation.ground_truth_files import Known, from_file, strange_entries
+from ..evaluation.ground_truth_files import PartialTruth, from_file, unmatched_entries
 from .options import TruthOptions
 from .output import note
 
@@ -110,7 +110,7 @@ class TrueMatches:
         turned = "" if self.degrees is None else f" and {self.degrees:g} degrees"
         return f"within {self.metres:g} metres{turned}"
 
-    def among(self, references: Places, queries: Places) -> Known:
+    def among(self, references: Places, queries: Places) -> PartialTruth:
         """The rows of the references that are true matches of each query; ``None`` where nothing is
         known. Notes how many such queries there are, and how many queries have the id of a
         reference."""
@@ -123,12 +123,12 @@ class TrueMatches:
             note(f"{themselves} of {len(queries.frames)} queries have ids of the database")
         return truth
 
-    def _find(self, references: Places, queries: Places) -> Known:
+    def _find(self, references: Places, queries: Places) -> PartialTruth:
         if self.metres is not None:
             return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
         if self.file is not None:
             counted = from_file(self.file, queries.paths, references.paths)
-            strange = strange_entries(self.file, queries.paths)
+            strange = unmatched_entries(self.file, queries.paths)
             if strange:
                 note(
                     f"{len(strange)} of the queries that {self.file} names are not there, "
@@ -156,7 +156,7 @@ def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
     return tuple(_in_order(ids))
 
 
-def _rows(truth: Known, references: Places) -> tuple[Known, Collection[str]]:
+def _rows(truth: PartialTruth, references: Places) -> tuple[PartialTruth, Collection[str]]:
     """Turns places among the counted references into rows of the references; also gives the ids
     that are not among these."""
     row = {frame: number for number, frame in enumerate(references.frames)}

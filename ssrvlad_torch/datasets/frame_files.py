@@ -16,7 +16,7 @@ from ..untrusted import check_regular, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile
 from .gps import read_exif
-from .names import KnownFolders, absolute, is_uri, names_of
+from .names import KnownFolders, absolute, is_uri, sequence_names
 from .poses import UNKNOWN, Pose, find_poses, poses_of_fixes, read_poses
 from .remote_files import remote_files
 from .trajectories import read_trajectory
@@ -58,13 +58,13 @@ def find_frames(
     Args:
         kind: which files are frames.
         sources: folders, files, globs, or URIs of folders that pyarrow can reach, as
-            ``s3://bucket/monday``. The files of a folder are one sequence, named by `names_of`;
-            hidden files are left out. A glob that matches no
-            frame stands for the folders that it matches. A ``.npy`` stack given by itself is a
+            ``s3://bucket/monday``. The files of a folder are one sequence, named by
+            `sequence_names`; hidden files are left out. A glob that matches no frame stands for
+            the folders that it matches. A ``.npy`` stack given by itself is a
             sequence named by the file; in the folder of a URI there are none.
         sequence: the name of the sequence in place of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
-        known: folders that have a name already, see `names_of`.
+        known: folders that have a name already, see `sequence_names`.
         poses: where poses are, see `put_poses`; without, those in ``poses.csv`` in a folder or
             beside it, and in `utm_names`.
         topic: of a bag with several topics of images, see `bag_files`.
@@ -75,7 +75,7 @@ def find_frames(
         OSError: the folder of a URI cannot be read.
     """
     files = [file for source in sources for file in _expand(source, kind, topic)]
-    names = {} if sequence else names_of(dict.fromkeys(file.folder for file in files), known)
+    names = {} if sequence else sequence_names(dict.fromkeys(file.folder for file in files), known)
     found: dict[str, FrameFile] = {}
     for file in files:
         named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))

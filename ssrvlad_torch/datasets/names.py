@@ -13,7 +13,7 @@ KnownFolders = Collection[tuple[str, str]]
 """Folders that have a name: ``(folder, sequence)``; the folder is empty where it is not known."""
 
 
-def names_of(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
+def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
     """A name for each folder.
 
     A known folder has the name of its sequence, also by a link. Another one has the last part of
@@ -28,9 +28,9 @@ def names_of(folders: Collection[str], known: KnownFolders = ()) -> dict[str, st
             whose folder is gone or not known, so that it may be the same.
 
     Example:
-        >>> names_of(["/data/00/labels", "/data/01/labels", "/data/park"])
+        >>> sequence_names(["/data/00/labels", "/data/01/labels", "/data/park"])
         {'/data/00/labels': '00/labels', '/data/01/labels': '01/labels', '/data/park': 'park'}
-        >>> names_of(["/data/01/labels"], [("/data/00/labels", "labels")])
+        >>> sequence_names(["/data/01/labels"], [("/data/00/labels", "labels")])
         {'/data/01/labels': '01/labels'}
     """
     given = _grouped((_real(folder), name) for folder, name in known if folder)
@@ -50,7 +50,7 @@ def names_of(folders: Collection[str], known: KnownFolders = ()) -> dict[str, st
     return {folder: name(folder) for folder in folders}
 
 
-def see_sequences(these: KnownFolders, known: KnownFolders) -> None:
+def check_sequences(these: KnownFolders, known: KnownFolders) -> None:
     """Refuses a folder whose sequence has the name of a known one of other folders.
 
     Args:
@@ -74,7 +74,7 @@ def is_uri(place: str) -> bool:
     return "://" in place
 
 
-def is_same(folder: str, other: str) -> bool:
+def is_same_folder(folder: str, other: str) -> bool:
     """Whether two folders are one, perhaps by a link."""
     return _real(folder) == _real(other)
 

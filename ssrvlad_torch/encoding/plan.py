@@ -14,7 +14,7 @@ from ..database.frames import FrameRecord, folder_of
 from ..database.metadata import Origin
 from ..database.rows import StoredRecords
 from ..datasets.frame_file import FrameFile
-from ..datasets.names import is_same, see_sequences
+from ..datasets.names import check_sequences, is_same_folder
 
 NEW = "new"
 LABEL_SPACE, SEGMENTER = "label space changed", "segmenter changed"
@@ -104,7 +104,7 @@ def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
         ValueError: a file has the sequence, or the frame id, of another folder.
     """
     folders = {(file.folder, file.sequence) for file in files if not file.named}
-    see_sequences(folders, known.folders())
+    check_sequences(folders, known.folders())
     for file in files:
         if file.named and (record := known.get(file.frame)):
             check_folder(file, record)
@@ -117,7 +117,7 @@ def check_folder(file: FrameFile, record: FrameRecord) -> None:
         ValueError: it is in another one, and the folder of the frame still exists.
     """
     folder = record.folder
-    if folder and not is_same(folder, file.folder) and Path(folder).exists():
+    if folder and not is_same_folder(folder, file.folder) and Path(folder).exists():
         raise ValueError(
             f"frame {file.frame!r} of the database is of {folder}, not of {file.folder}: give "
             "another name with --sequence"

@@ -17,17 +17,15 @@ from .outcomes import Rows
 
 Matrix = npt.NDArray[Any]
 Pairs = dict[str, list[str]]
-"""True matches of each query that an entry names, by ids."""
-Known = list[Rows | None]
-"""True matches of each query; ``None`` where the ground truth says nothing of a query."""
-
-
+"""Ids of the true matches of each query, by the query's id."""
+PartialTruth = list[Rows | None]
+"""True matches of each query; ``None`` for a query that the ground truth does not cover."""
 Frames = Sequence[str] | Mapping[str, str]
-"""Frame ids ``<sequence>/<name>`` in order; in a mapping each with the whole path of its file."""
+"""Frame ids ``<sequence>/<name>`` in order; a mapping also gives the full path of each file."""
 
 
-def from_file(path: str | Path, queries: Frames, references: Frames) -> Known:
-    """True matches from a file of any known form, chosen by its suffix and what is in it.
+def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialTruth:
+    """True matches from a file, whose form is recognised by its suffix and content.
 
     | file | holds |
     |---|---|
@@ -36,43 +34,41 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> Known:
     | ``.npy``, ``.npz`` | a 0/1 matrix ``(Q, R)``; ``GThard`` ``(R, Q)`` as in VPR-Tutorial |
     | ``.npy`` of objects | VPR-Bench's ``ground_truth_new.npy``: ``[query, [reference, ...]]`` |
 
-    Pairs name references by their ids, or by any end of a path that only one frame has, and queries
-    by the latter: their ids depend on what else is asked. Of a query that no entry names nothing is
-    known: to say that it has no true match, give it an empty list, or in CSV a line with an empty
-    reference. A matrix and VPR-Bench's rows count frames from 0 in the order of ``queries`` and
-    ``references``.
+    An entry names a frame by its id, or by the end of its path if only one path ends so. A query
+    that no entry names has an unknown truth; a query without a true match needs an empty list, or
+    in CSV a line with an empty reference. A matrix and VPR-Bench's rows count frames from 0 in the
+    order of ``queries`` and ``references``.
 
     Args:
         path: the file.
         queries, references: the frames.
 
     Raises:
-        ValueError: the file cannot be read, has another form, size or number of queries, names a
-            reference that is not there, has an entry for none of the queries, or one that may mean
-            several frames.
+        ValueError: the file cannot be read, has another form or size, names an unknown reference,
+            has no entry for any of the queries, or has an entry that fits several frames.
     """
-    found = _content(Path(path))
+    content = _read(Path(path))
     try:
-        if isinstance(found, dict):
-            return _of_pairs(found, queries, references)
-        if isinstance(found, PickledArray):
-            return _of_vpr_bench(found, len(queries), len(references))
-        return _of_matrix(found, len(queries), len(references))
+        if isinstance(content, dict):
+            return _from_pairs(content, queries, references)
+        if isinstance(content, PickledArray):
+            return _from_vpr_bench(content, len(queries), len(references))
+        return _from_matrix(content, len(queries), len(references))
     except ValueError as error:
         raise ValueError(f"ground truth {path} {error}") from error
 
 
-def strange_entries(path: str | Path, queries: Frames) -> list[str]:
-    """Entries of a file of pairs that name none of the queries; none of a file that counts frames.
+def unmatched_entries(path: str | Path, queries: Frames) -> list[str]:
+    """Entries of a file of pairs that name none of the queries; empty for files of other forms.
 
     Raises:
         ValueError: the file cannot be read, or has another form.
     """
-    found, find = _content(Path(path)), _finder(queries)
-    return [entry for entry in found if find(entry) is None] if isinstance(found, dict) else []
+    content, find = _read(Path(path)), _finder(queries)
+    return [entry for entry in content if find(entry) is None] if isinstance(content, dict) else []
 
 
-def _content(path: Path) -> Pairs | PickledArray | Matrix:
+def _read(path: Path) -> Pairs | PickledArray | Matrix:
     if path.suffix.lower() not in READERS:
         raise ValueError(
             f"cannot read the ground truth {path}: expected a file in {', '.join(READERS)}"
@@ -80,12 +76,12 @@ def _content(path: Path) -> Pairs | PickledArray | Matrix:
     try:
         check_regular(path)
         return READERS[path.suffix.lower()](path)
-    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+    except Exception as error:  # decoders raise any exception on damaged bytes
         raise ValueError(f"cannot read the ground truth {path}: {one_line(error)}") from error
 
 
-def of_known(truth: Known) -> tuple[list[int], list[Rows]]:
-    """The numbers of the queries that the ground truth knows, and their true matches."""
+def known_matches(truth: PartialTruth) -> tuple[list[int], list[Rows]]:
+    """Rows of the queries that the ground truth covers, and their true matches."""
     known = {query: matches for query, matches in enumerate(truth) if matches is not None}
     return list(known), list(known.values())
 
@@ -135,7 +131,7 @@ READERS: dict[str, Callable[[Path], Pairs | PickledArray | Matrix]] = {
     ".npy": _read_npy,
     ".npz": _read_npz,
 }
-"""What reads a file, by its suffix."""
+"""Functions that read a file, by its suffix."""
 
 
 def _is_number(text: str) -> bool:
@@ -151,24 +147,24 @@ def _is_ids(value: object) -> bool:
 
 
 def _grouped(pairs: Iterable[Sequence[str]]) -> Pairs:
-    """References by query; an empty reference marks a known query without a true match."""
+    """References by query; an empty reference stands for a query without a true match."""
     grouped: Pairs = {}
     for query, reference in pairs:
         grouped.setdefault(query, []).extend([reference] if reference else [])
     return grouped
 
 
-def _of_pairs(pairs: Pairs, queries: Frames, references: Frames) -> Known:
-    asked, known = _finder(queries), _finder(references)
+def _from_pairs(pairs: Pairs, queries: Frames, references: Frames) -> PartialTruth:
+    find_query, find_reference = _finder(queries), _finder(references)
     row = {frame: number for number, frame in enumerate(references)}
     matches: dict[str, list[int]] = {}
-    for entry, named in pairs.items():
-        if (query := asked(entry)) is None:
+    for query_entry, reference_entries in pairs.items():
+        if (query := find_query(query_entry)) is None:
             continue
         rows = matches.setdefault(query, [])
-        for frame in named:
-            if (reference := frame if frame in row else known(frame)) is None:
-                raise ValueError(f"names reference {frame!r}, which is not in the database")
+        for entry in reference_entries:
+            if (reference := entry if entry in row else find_reference(entry)) is None:
+                raise ValueError(f"names reference {entry!r}, which is not in the database")
             rows.append(row[reference])
     if queries and not matches:
         first = next(iter(queries))
@@ -177,71 +173,71 @@ def _of_pairs(pairs: Pairs, queries: Frames, references: Frames) -> Known:
 
 
 def _finder(frames: Frames) -> Callable[[str], str | None]:
-    """Looks up which frame an entry means: the only one whose id or path ends so, or one of this id
-    that has no path."""
+    """A function from an entry to the frame that it names: the frame without a path that has this
+    id, or the only frame whose id or path ends in the entry."""
     paths = frames if isinstance(frames, Mapping) else dict(zip(frames, frames, strict=True))
-    called: dict[str, list[str]] = {}
+    by_name: dict[str, list[str]] = {}
     for frame in paths:
-        called.setdefault(frame.rpartition("/")[2], []).append(frame)
+        by_name.setdefault(frame.rpartition("/")[2], []).append(frame)
 
     def find(entry: str) -> str | None:
         if paths.get(entry) == entry:
             return entry
-        ends = [
+        fitting = [
             frame
-            for frame in called.get(entry.rpartition("/")[2], ())
+            for frame in by_name.get(entry.rpartition("/")[2], ())
             if any(f"/{name}".endswith(f"/{entry}") for name in (frame, paths[frame]))
         ]
-        if len(ends) > 1:
+        if len(fitting) > 1:
             raise ValueError(
-                f"has an entry {entry!r}, which may be {paths[ends[0]]} or {paths[ends[1]]}: "
-                "expected more of the path"
+                f"has an entry {entry!r}, which may be {paths[fitting[0]]} or "
+                f"{paths[fitting[1]]}: expected more of the path"
             )
-        return ends[0] if ends else None
+        return fitting[0] if fitting else None
 
     return find
 
 
-def _of_matrix(matrix: Matrix, queries: int, references: int) -> Known:
+def _from_matrix(matrix: Matrix, queries: int, references: int) -> PartialTruth:
     if matrix.shape != (queries, references):
         raise ValueError(
             f"is a matrix of shape {matrix.shape}, expected {(queries, references)} for "
             f"{queries} queries and {references} references"
         )
     if matrix.dtype.kind not in "biuf" or not np.isin(matrix, (0, 1)).all():
-        raise ValueError("is no matrix of 0 and 1")
+        raise ValueError("is not a matrix of 0 and 1")
     return [np.flatnonzero(row) for row in matrix]
 
 
-def _of_vpr_bench(rows: PickledArray, queries: int, references: int) -> Known:
+def _from_vpr_bench(rows: PickledArray, queries: int, references: int) -> PartialTruth:
     """Rows ``[query, [reference, ...]]`` of numbers from 0, in any order of the queries."""
     if len(rows) != queries:
         raise ValueError(f"has {len(rows)} rows, expected one for each of {queries} queries")
     truth: dict[int, Rows] = {}
-    for place, row in enumerate(rows):
-        query, matches = _row(place, row)
+    for number, row in enumerate(rows):
+        query, matches = _parse_row(number, row)
         if not 0 <= query < queries or query in truth:
-            raise ValueError(f"has query {query} in row {place}, expected each of {queries} once")
-        past = [match for match in matches if not 0 <= match < references]
-        if past:
+            raise ValueError(f"has query {query} in row {number}, expected each of {queries} once")
+        outside = [match for match in matches if not 0 <= match < references]
+        if outside:
             raise ValueError(
-                f"names reference {past[0]} of query {query}; the database has {references}, "
+                f"names reference {outside[0]} of query {query}; the database has {references}, "
                 "counted from 0"
             )
         truth[query] = _rows(matches)
     return [truth[query] for query in range(queries)]
 
 
-def _row(place: int, row: Any) -> tuple[int, list[int]]:
+def _parse_row(number: int, row: Any) -> tuple[int, list[int]]:
     try:
         query, matches = row
-        numbers = [query, *matches]
-        whole = [int(number) for number in numbers]
-        if whole == numbers:
-            return whole[0], whole[1:]
+        values = [query, *matches]
+        integers = [int(value) for value in values]
+        if integers == values:
+            return integers[0], integers[1:]
     except (TypeError, ValueError, OverflowError):
         pass
-    raise ValueError(f"has no [query, [reference, ...]] of whole numbers in row {place}")
+    raise ValueError(f"has no [query, [reference, ...]] of integers in row {number}")
 
 
 def _rows(numbers: Iterable[int]) -> Rows:

@@ -9,13 +9,13 @@ import numpy as np
 
 from .curves import PrecisionRecall
 from .outcomes import Bools, Floats, Rows
-from .thresholds import OperatingPoint, suggested, wilson_low
+from .thresholds import OperatingPoint, suggested_point, wilson_low
 
 FACING = math.radians(45)
-"""Frames whose headings differ by less look the same way."""
+"""Frames look the same way if their headings differ by less, in radians."""
 
 EVEN = 0.5
-"""A loop of less probability is more probably wrong than right."""
+"""A loop with a lower probability is more likely wrong than right."""
 
 
 class LoopScore(NamedTuple):
@@ -23,9 +23,9 @@ class LoopScore(NamedTuple):
 
     Attributes:
         accepted: frames that close a loop.
-        right: those of them whose candidate is near.
-        revisits: frames at whose place another frame looked the same way before.
-        recognised: those of them that close a loop with a candidate that is near.
+        right: accepted frames whose candidate is near.
+        revisits: frames with an earlier frame that is near and looks the same way.
+        recognised: revisits that are right.
     """
 
     accepted: int
@@ -50,14 +50,14 @@ def score_loops(
     """Compares the loops of a stream with the poses of its frames.
 
     A loop is right if its two frames are near each other, whatever their headings. A frame is a
-    revisit if an earlier one, too long ago to be excluded, is near and looks the same way; an
-    unknown heading looks every way. Frames without a position are left out.
+    revisit if an earlier frame, not among the ``exclude`` most recent ones, is near and looks the
+    same way; an unknown heading matches any. Frames without a position are left out.
 
     Args:
         candidates: ``(N,)`` int64, row of the candidate of each frame that closes a loop, else -1.
         poses: ``(N, 3)`` x and y in metres and heading in radians, NaN where unknown.
-        exclude: so many frames before a frame are too recent.
-        metres: frames are near at this distance or less.
+        exclude: number of frames just before a frame that are too recent to be revisited.
+        metres: largest distance of near frames.
         first: row of the first frame that is counted.
 
     Raises:
@@ -85,41 +85,40 @@ def score_loops(
 
 
 def loop_errors(candidates: Rows, poses: Floats) -> Floats:
-    """``(L,)`` metres between each frame that closes a loop and its candidate, in the order of the
-    frames; NaN where a position is unknown. Arguments as for `score_loops`."""
-    here = np.flatnonzero(candidates >= 0)
-    east, north, _ = (poses[here] - poses[candidates[here]]).T
-    apart: Floats = np.hypot(east, north)
-    return apart
+    """Distances ``(L,)`` in metres between the frames that close a loop and their candidates, in
+    the order of the frames; NaN where a position is unknown. Arguments as for `score_loops`."""
+    rows = np.flatnonzero(candidates >= 0)
+    east, north, _ = (poses[rows] - poses[candidates[rows]]).T
+    return np.asarray(np.hypot(east, north))
 
 
-def loop_curve(strengths: Floats, right: Bools, revisits: int) -> PrecisionRecall:
-    """Precision and recall over thresholds, of the loops that a detector with a low threshold
+def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionRecall:
+    """Precision and recall over thresholds, from the loops that a detector with a low threshold
     found.
 
-    With a higher threshold it would find nearly those of them that are as strong: a loop that it
-    does not believe may also change what it believes of later frames.
+    The curve is approximate: a detector with a higher threshold rejects some loops, and a rejected
+    loop may change the probabilities of later frames.
 
     Args:
-        strengths: ``(L,)`` probabilities, see `LoopResult`.
-        right: ``(L,)``, whether each is right.
-        revisits: frames that could be recognised.
+        probabilities: ``(L,)``, of each loop, see `LoopResult`.
+        right: ``(L,)``, whether each loop is right.
+        revisits: number of frames that could be recognised.
     """
-    thresholds, places = np.unique(-strengths, return_inverse=True)
+    thresholds, steps = np.unique(-probabilities, return_inverse=True)
     return PrecisionRecall(
-        accepted=np.cumsum(np.bincount(places, minlength=len(thresholds))).astype(np.float64),
-        true_positives=np.cumsum(np.bincount(places, right, len(thresholds))),
+        accepted=np.cumsum(np.bincount(steps, minlength=len(thresholds))).astype(np.float64),
+        true_positives=np.cumsum(np.bincount(steps, right, len(thresholds))),
         positives=np.array(float(revisits)),
         thresholds=-thresholds,
     )
 
 
-def surest(curve: PrecisionRecall) -> OperatingPoint | None:
-    """The threshold of `thresholds.suggested` for the highest precision that can be proven;
+def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:
+    """The threshold with the highest precision that the curve proves, see `suggested_point`;
     ``None`` if no loop is right.
 
-    It is at least `EVEN` where a right loop is as strong: a drive without a mistake does not prove
-    that weaker loops are right on the next.
+    If a right loop has a probability of at least `EVEN`, less probable loops are not considered:
+    one drive without a mistake does not prove that they are right on the next drive.
     """
     likely = int((curve.thresholds >= EVEN).sum())
     if likely and curve.true_positives[likely - 1]:
@@ -129,5 +128,5 @@ def surest(curve: PrecisionRecall) -> OperatingPoint | None:
             curve.positives,
             curve.thresholds[:likely],
         )
-    sure = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
-    return suggested(curve, float(sure)) if sure else None
+    precision = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
+    return suggested_point(curve, float(precision)) if precision else None

@@ -1,4 +1,4 @@
-"""Statistics to choose the score from which on a candidate is believed."""
+"""Statistics to choose the score above which a candidate is accepted."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _Z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
 
 
 class OperatingPoint(NamedTuple):
-    """What happens when candidates from a score on are believed.
+    """A threshold and its figures.
 
     Attributes:
-        score: candidates that score this or more are accepted.
+        score: the threshold; candidates with this score or a higher one are accepted.
         precision, recall: 0 to 1.
         precision_low: lower end of the 95 % interval of the precision, see `wilson_low`.
         accepted: number of queries whose best candidate is accepted.
@@ -35,46 +35,47 @@ class OperatingPoint(NamedTuple):
 
 
 def at_precision(curve: PrecisionRecall, precision: float) -> OperatingPoint | None:
-    """The lowest threshold at which the precision is at least ``precision``, 0 to 1, or ``None``.
-    The precision may be less at a threshold above it."""
+    """The lowest threshold whose precision is at least ``precision``, 0 to 1, or ``None``. Some
+    higher thresholds may have a lower precision."""
     _check_fraction("precision", precision)
     reached = np.flatnonzero(curve.precision >= precision)
     return _point(curve, int(reached[-1])) if len(reached) else None
 
 
 def at_recall(curve: PrecisionRecall, recall: float) -> OperatingPoint | None:
-    """The highest threshold at which the recall is at least ``recall``, 0 to 1, or ``None``."""
+    """The highest threshold whose recall is at least ``recall``, 0 to 1, or ``None``."""
     _check_fraction("recall", recall)
     reached = np.flatnonzero(curve.recall >= recall)
     return _point(curve, int(reached[0])) if len(reached) else None
 
 
-def suggested(curve: PrecisionRecall, precision: float = SURE_PRECISION) -> OperatingPoint | None:
-    """A threshold for use: the lowest whose precision is surely at least ``precision``.
+def suggested_point(
+    curve: PrecisionRecall, precision: float = SURE_PRECISION
+) -> OperatingPoint | None:
+    """The lowest threshold that is proven to have at least ``precision``, 0 to 1.
 
-    Surely means the lower end of Wilson's 95 % interval: for a precision of 0.95, 73 queries must
-    be accepted without a mistake. The threshold lies halfway to the next lower score, so that it
-    accepts the same queries where a score must be above it, as in `ssrvlad_torch.match`; without a
-    lower score it is the next lower float32.
+    Proven means that the lower end of Wilson's 95 % interval reaches it: for a precision of 0.95,
+    73 queries must be accepted without a mistake. The threshold lies halfway to the next lower
+    score, or is the next lower float32 if no score is lower: `ssrvlad_torch.match`, which accepts
+    scores above a threshold, then accepts the same queries.
 
-    Where no threshold is that sure, it is the one with the highest lower end; `needed` says how
-    many queries would prove more. The interval holds for one threshold chosen beforehand; the best
-    of many is a little better than it will be on other queries.
+    If no threshold reaches ``precision``, the result is the one with the highest lower end;
+    `queries_needed` gives the number of queries that would prove more. The interval holds for a
+    threshold that was chosen beforehand; for the best of many thresholds it is slightly too high.
 
     Returns:
-        ``None`` only if no accepted query is right, or there is none.
+        ``None`` if no accepted query is right.
     """
     _check_fraction("precision", precision)
     low = wilson_low(curve.true_positives, curve.accepted)
     if not low.max(initial=0.0):
         return None
-    sure = np.flatnonzero(low >= min(precision, float(low.max())))
-    last = int(sure[-1])
-    return _point(curve, last)._replace(score=_below(curve, last))
+    last = int(np.flatnonzero(low >= min(precision, float(low.max())))[-1])
+    return _point(curve, last)._replace(score=_score_below(curve, last))
 
 
-def needed(precision: float = SURE_PRECISION) -> int:
-    """How many queries, accepted without a mistake, prove a precision."""
+def queries_needed(precision: float = SURE_PRECISION) -> int:
+    """Number of queries that prove a precision if all are accepted and right."""
     return math.ceil(_Z2 * precision / (1 - precision))
 
 
@@ -82,8 +83,8 @@ def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) 
     """The points at 99 % and 100 % precision and at given recalls, and the suggested one.
 
     Args:
-        curve: of one set of queries, without a leading axis. By the convention ``exact`` it counts
-            queries of unknown places as they will count in use.
+        curve: of one set of queries, without a leading axis. Use the convention ``exact``, which
+            counts accepted queries of unknown places as mistakes.
         recalls: each 0 to 1.
 
     Returns:
@@ -97,37 +98,34 @@ def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) 
     return {
         "at_precision": {f"{p:g}": mapping(at_precision(curve, p)) for p in (0.99, 1.0)},
         "at_recall": {f"{r:g}": mapping(at_recall(curve, r)) for r in recalls},
-        "suggested": mapping(suggested(curve)),
+        "suggested": mapping(suggested_point(curve)),
     }
 
 
 def wilson_low(right: Floats, accepted: Floats) -> Floats:
-    """Lower end of Wilson's interval of a fraction, `LEVEL` wide (Wilson, JASA 1927).
-
-    Args:
-        right, accepted: counts; the fraction is ``right / accepted``. 0 of 0 gives 0.
-    """
+    """Lower end of Wilson's interval of ``right / accepted`` at the confidence `LEVEL` (Wilson,
+    JASA 1927); 0 where ``accepted`` is 0."""
     n = np.maximum(accepted, 1)
     fraction = right / n
     spread = np.sqrt(_Z2 * fraction * (1 - fraction) / n + (_Z2 / n / 2) ** 2)
     return np.maximum((fraction + _Z2 / n / 2 - spread) / (1 + _Z2 / n), 0.0)
 
 
-def _point(curve: PrecisionRecall, place: int) -> OperatingPoint:
+def _point(curve: PrecisionRecall, index: int) -> OperatingPoint:
     return OperatingPoint(
-        score=float(curve.thresholds[place]),
-        precision=float(curve.precision[place]),
-        precision_low=float(wilson_low(curve.true_positives, curve.accepted)[place]),
-        recall=float(curve.recall[place]),
-        accepted=int(curve.accepted[place]),
+        score=float(curve.thresholds[index]),
+        precision=float(curve.precision[index]),
+        precision_low=float(wilson_low(curve.true_positives, curve.accepted)[index]),
+        recall=float(curve.recall[index]),
+        accepted=int(curve.accepted[index]),
     )
 
 
-def _below(curve: PrecisionRecall, place: int) -> float:
-    """A score between the threshold at a place and the next lower one."""
-    score = curve.thresholds[place]
-    if place + 1 < len(curve.thresholds):
-        return float(score + curve.thresholds[place + 1]) / 2
+def _score_below(curve: PrecisionRecall, index: int) -> float:
+    """A score between a threshold and the next lower one."""
+    score = curve.thresholds[index]
+    if index + 1 < len(curve.thresholds):
+        return float(score + curve.thresholds[index + 1]) / 2
     return float(np.nextafter(np.float32(score), np.float32(-np.inf)))
 
 

@@ -15,13 +15,13 @@ from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile, with_poses
-from ..datasets.names import absolute, names_of
+from ..datasets.names import absolute, sequence_names
 from ..datasets.poses import find_poses
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode
 from ..encoding.plan import check_folder
 from ..encoding.results import Encoded, Skipped
-from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest
+from ..evaluation.loops import loop_curve, loop_errors, score_loops, surest_point
 from ..evaluation.outcomes import Rows
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
@@ -96,7 +96,7 @@ def encode_as_they_come(
 
     @functools.cache
     def name(folder: str) -> str:
-        found = sequence or names_of([folder], folders)[folder]
+        found = sequence or sequence_names([folder], folders)[folder]
         folders.add((folder, found))
         return found
 
@@ -163,7 +163,7 @@ def report(
     Returns:
         ``frames``, ``reasons`` (how often each), ``steps`` (what was done), and with a distance the
         counts of `LoopScore`, ``precision``, ``recall``, and ``suggested``: the threshold of
-        `evaluation.loops.surest` as a mapping, ``None`` if no candidate is right.
+        `evaluation.loops.surest_point` as a mapping, ``None`` if no candidate is right.
 
     Raises:
         ValueError: loops are to be judged and no frame has a pose.
@@ -187,7 +187,8 @@ def report(
         errors = loop_errors(candidates_of(detector, judged), detector.poses)
         known = np.isfinite(errors)
         probabilities = np.array([result.probability for result in judged], float)
-        point = surest(loop_curve(probabilities[known], errors[known] <= metres, score.revisits))
+        right = errors[known] <= metres
+        point = surest_point(loop_curve(probabilities[known], right, score.revisits))
         told["suggested"] = point and point._asdict()
     return told
 

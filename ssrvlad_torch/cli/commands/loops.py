@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from ...evaluation.thresholds import SURE_PRECISION, needed
+from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
 from ..options import Json, MaybePreset, SourceOptions, option
 from ..output import figure, finish, fused_in_words, print_json, say
@@ -155,5 +155,5 @@ def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
         f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
         f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
         f"{figure(point['recall'])}; to prove a precision of {SURE_PRECISION:g} takes at least "
-        f"{needed()} loops without a mistake"
+        f"{queries_needed()} loops without a mistake"
     )
