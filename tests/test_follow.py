@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ssrvlad_torch.recognition.filter import Filter
 from ssrvlad_torch.recognition.follow import NEAR, follow
-from ssrvlad_torch.recognition.motion import SPEEDS, Motion, evidence
+from ssrvlad_torch.recognition.motion import SPEEDS, Motion, likelihoods
 
 
 def transitions(sequences: list[str], motion: Motion) -> np.ndarray:
@@ -41,7 +41,7 @@ def plain(scores: Tensor, sequences: list[str], motion: Motion, future: int) -> 
     rows, speeds = len(sequences), len(SPEEDS)
     prior = np.array([chance for chance, _ in SPEEDS])
     matrix = transitions(sequences, motion)
-    told = [np.append(np.tile(evidence(row, motion).numpy(), speeds), 1.0) for row in scores]
+    told = [np.append(np.tile(likelihoods(row, motion).numpy(), speeds), 1.0) for row in scores]
     start = np.append(np.repeat(prior, rows) / rows * (1 - motion.unmapped), motion.unmapped)
     forward = [start * told[0]]
     for each in told[1:]:
@@ -172,7 +172,7 @@ def test_refuses(arguments, said):
 
 
 def test_refuses_a_motion_out_of_range():
-    with pytest.raises(ValueError, match="jump: expected a chance"):
+    with pytest.raises(ValueError, match="jump: expected a probability"):
         Motion(jump=1.5)
 
 

@@ -17,7 +17,7 @@ from ..evaluation.outcomes import judge
 from ..evaluation.report import Descriptors, Pictures
 from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
 from ..recognition.matching import Matches
-from ..recognition.standardise import LEAST
+from ..recognition.standardise import MIN_FRAMES
 from .output import figure, fused_in_words, interval, print_table
 from .truth import Places
 
@@ -132,7 +132,7 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
         ts = temporal.values() if isinstance(temporal, Mapping) else [temporal]
         t = "/".join(map(str, dict.fromkeys(ts)))
         told.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
-    if used["references"] < LEAST:
+    if used["references"] < MIN_FRAMES:
         told.append(f"{used['references']} references are too few to tell how sure")
     return ", ".join(told)
 

@@ -30,7 +30,7 @@ from ..evaluation.report import Descriptors
 from ..recognition.matching import Matches
 from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise_by_search
 from ..recognition.recognise import recognise as recognise_places
-from ..recognition.standardise import LEAST
+from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS, score
 from ..taxonomy import label_space
 from ..untrusted import parse_yaml
@@ -188,7 +188,7 @@ def look_up_by_index(
             database, queries.descriptors, names, standardised, sequences, (ids, exclude)
         )
 
-    long = names.count(names[0]) >= LEAST if names else False
+    long = names.count(names[0]) >= MIN_FRAMES if names else False
     references = search(steps.standardise and long).frames
     found = recognise_by_search(search, names, references.sequences, steps, top)
     return Found(queries, references, found, 0, skipped, folders)

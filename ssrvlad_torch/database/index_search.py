@@ -13,7 +13,7 @@ import torch.nn.functional as F
 
 from ..recognition.matching import Rows
 from ..recognition.motion import moments
-from ..recognition.standardise import less, standardise
+from ..recognition.standardise import standardise, without_mean
 from ..recognition.sweep import score
 from .checksums import intact, matrix
 from .index import CANDIDATES, condition_of, nearest, require_index
@@ -220,7 +220,7 @@ class _RowCache:
         rows, vectors = rows[new], vectors[new]
         if self._means is not None:
             sequences = torch.from_numpy(self._sequences[rows.numpy()])
-            vectors = less(F.normalize(vectors, dim=1), self._means[sequences.long()])
+            vectors = without_mean(F.normalize(vectors, dim=1), self._means[sequences.long()])
         end = self._used + len(rows)
         if end > len(self._vectors):
             grown = self._vectors.new_empty(max(end, 2 * len(self._vectors)), vectors.shape[1])

@@ -22,9 +22,9 @@ from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.extra_descriptors import extra_methods
 from ..front_end import as_tensor
 from ..recognition.filter import Filter
-from ..recognition.fusion import ahead, fused, weights_of
-from ..recognition.motion import LEAST_SPREAD, Motion, evidence, moments, nearness
-from ..recognition.recognise import OWN
+from ..recognition.fusion import fused, weights_of, z_lead
+from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
+from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
 from .memory import Floats, GrowingArray, Memory, Vectors, checked_vectors
 from .result import LoopResult, Reason
@@ -138,7 +138,7 @@ class LoopDetector:
     @property
     def weights(self) -> dict[str, float]:
         """What each of several methods weighs now; empty for the method alone."""
-        names = [OWN, *self._others] if self._others else []
+        names = [SSR_VLAD, *self._others] if self._others else []
         return dict(zip(names, weights_of(self._leads), strict=False))
 
     def encoder(self) -> SSRVLAD:
@@ -317,7 +317,7 @@ class LoopDetector:
             return LoopResult(frame, Reason.EMPTY_FRAME)
         scores = self._scores(swept, others, old)
         told = self._evidence(scores, moments(scores[:old]))
-        self._filter.take(self._filter.spaced(told[: len(self._filter)]))
+        self._filter.update(self._filter.in_cells(told[: len(self._filter)]))
         rows = self._filter.rows()
         candidate = int(rows[:old].argmax())
         around = slice(max(0, candidate - NEAR), min(candidate + NEAR + 1, old))
@@ -334,14 +334,14 @@ class LoopDetector:
             return own
         scores = [own, *(torch.from_numpy(self._others[n].scores(v)) for n, v in others.items())]
         for place, one in enumerate(scores):
-            self._leads[place] += max(0.0, ahead(one[:old]))
+            self._leads[place] += max(0.0, z_lead(one[:old]))
         return fused(scores, weights_of(self._leads), old)
 
     def _evidence(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
-        """``(N,)``, see `motion.evidence`; of the frames of this sequence by their own measure."""
+        """``(N,)``, see `motion.likelihoods`; frames of this sequence have their own level."""
         mean, deviation = spread
         before = len(self) - max(1, self.config.exclude // STRIDE)
-        if self._began <= before and deviation > LEAST_SPREAD:
+        if self._began <= before and deviation > MIN_SPREAD:
             z = (float(nearness(scores[before])) - mean) / deviation
             if math.isfinite(z):
                 self._neighbours.append(z)
@@ -349,7 +349,7 @@ class LoopDetector:
         level = LIKENESS * float(np.quantile(known, 0.25)) if len(known) else 0.0
         own = replace(MOTION, weight=WEIGHT, level=max(MOTION.level, level))
         others, same = scores[: self._began], scores[self._began :]
-        return torch.cat((evidence(others, MOTION, spread), evidence(same, own, spread)))
+        return torch.cat((likelihoods(others, MOTION, spread), likelihoods(same, own, spread)))
 
     def _extend(self, rows: int) -> None:
         """Adds frames to the filter, up to a number of rows."""

@@ -1,9 +1,9 @@
-"""Follow over candidates: the filter of `follow` where the map is too large to score every row.
+"""Follow over candidates: the filter of `follow` for maps that are too large to score every row.
 
 The belief holds the candidates that a search finds for the present query, and the rows to which
-earlier believed ones may have moved. All other rows are one more state, *elsewhere*: spread evenly,
-with the mean evidence of a sample of the map. Where all rows are candidates, the numbers are those
-of `follow`.
+earlier believed ones may have moved. All other rows are one more state, *elsewhere*, with one
+probability for each of them and the mean likelihood of a sample of the map. Where all rows are
+candidates, the numbers are those of `follow`.
 """
 
 from __future__ import annotations
@@ -16,22 +16,20 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .follow import NEAR, Mode, Places, runs, stacked
-from .matching import best_of
-from .motion import GAP, SPEEDS, Motion, chances, evidence, prior_of_speeds
+from .follow import NEAR, Mode, Places, ranked, runs, stacked, windows
+from .motion import GAP, SPEEDS, Motion, likelihoods, prior_of_speeds, transitions
 
 STEPS = tuple(range(min(s for _, steps in SPEEDS for s in steps), GAP + 1))
 
-_BELIEVED = 64
-"""Rows from which the track may go on where no candidate is found."""
-_LEAST = 1e-4
+_MAX_BELIEVED, _MIN_BELIEF = 64, 1e-4
+"""The track may go on from the most probable rows, up to this number and down to this belief."""
 
 
 class Search(Protocol):
-    """What finds candidates for queries in a map, and scores any row."""
+    """Finds candidates for queries in a map, and scores any row."""
 
     def __len__(self) -> int:
-        """The number of queries."""
+        """Number of queries."""
 
     def candidates(self, query: int) -> Tensor:
         """``(K,)`` int64, rows of the map in any order, each once."""
@@ -43,7 +41,7 @@ class Search(Protocol):
         """Mean and standard deviation of the nearness of all rows, see `motion.moments`."""
 
     def sample(self, query: int) -> tuple[Tensor, Tensor]:
-        """Rows that stand for all, ``(M,)`` int64, and their scores."""
+        """``(M,)`` int64 rows that represent all rows, and their scores."""
 
 
 class State(NamedTuple):
@@ -52,8 +50,8 @@ class State(NamedTuple):
     Attributes:
         rows: ``(N,)`` int64, rising.
         scores: ``(N,)`` float32, of the query.
-        told: ``(N,)`` float64, evidence of the query, see `motion.evidence`.
-        told_elsewhere: the mean evidence at the other rows.
+        likelihood: ``(N,)`` float64, of the query, see `motion.likelihoods`.
+        likelihood_elsewhere: its mean over the other rows.
         mapped: ``(8, N)`` float64, probabilities by speed and row.
         elsewhere: probability of all other rows.
         unmapped: probability of a place that the map lacks.
@@ -61,8 +59,8 @@ class State(NamedTuple):
 
     rows: Tensor
     scores: Tensor
-    told: Tensor
-    told_elsewhere: float
+    likelihood: Tensor
+    likelihood_elsewhere: float
     mapped: Tensor
     elsewhere: float
     unmapped: float
@@ -86,7 +84,7 @@ def follow_candidates(
     top: int = 5,
     motion: Motion | None = None,
 ) -> Places:
-    """Where the queries of one sequence are, each in the light of the others; see `follow`.
+    """The place of each query of one sequence, given the others; see `follow`.
 
     Time for a query depends on its candidates, not on the map.
 
@@ -96,40 +94,43 @@ def follow_candidates(
         part: numbers of the queries; without, all.
         mode, delay, top, motion: as for `follow`.
     """
-    part = range(len(search)) if part is None else part
-    track = Track(sequences, motion)
-    ahead = len(part) if mode == "offline" else delay
-    judged = dict(_judged(track, search, part, ahead))
-    return stacked([track.places(judged[query], top) for query in part], top)
+    track = CandidateFilter(sequences, motion)
+    states = (state for state, _ in track.states(search, part))
+    if mode == "offline":
+        smoothed = _smoothed(track, [*states])
+    else:
+        smoothed = [_smoothed(track, window)[0] for window in windows(states, delay)]
+    return stacked([track.places(state, top) for state in smoothed], top)
 
 
 def gain(
     search: Search, sequences: Sequence[str], motion: Motion, part: range | None = None
 ) -> float:
     """How much likelier the queries are as a sequence than each alone, as a logarithm."""
-    track, state, total = Track(sequences, motion), None, 0.0
-    for query in range(len(search)) if part is None else part:
-        state, likelier = track.step(state, search, query)
-        total += likelier
-    return total
+    return sum(gain for _, gain in CandidateFilter(sequences, motion).states(search, part))
 
 
-class Track:
-    """The transitions of the filter over rows of sequences."""
+class CandidateFilter:
+    """The hidden Markov model of `Filter` over candidates."""
 
     def __init__(self, sequences: Sequence[str], motion: Motion | None = None) -> None:
         self.motion = motion or Motion()
         taps = [GAP - step for step in STEPS]
         self._steps = torch.tensor(STEPS)[:, None]
-        self._ways = chances(self.motion).double()[:, :, taps].permute(2, 0, 1).contiguous()
+        self._weights = transitions(self.motion).double()[:, :, taps].permute(2, 0, 1).contiguous()
         self._prior = prior_of_speeds().double()
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
 
-    def step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
-        """Takes in a query; without a belief before it, the first of its sequence. Gives the
-        belief, and how much likelier the query is after those before it than alone, as a
-        logarithm."""
+    def states(self, search: Search, part: range | None = None) -> Iterator[tuple[State, float]]:
+        """The forward algorithm over one sequence of queries: the belief after each query, and how
+        much likelier the query is after those before it than alone, as a logarithm."""
+        state = None
+        for query in range(len(search)) if part is None else part:
+            state, gain = self._step(state, search, query)
+            yield state, gain
+
+    def _step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
         rows = search.candidates(query)
         rows = rows if before is None else torch.cat((rows, self._reached(before)))
         rows = torch.from_numpy(np.unique(rows.numpy()))
@@ -137,52 +138,41 @@ class Track:
             self._anywhere(rows) if before is None else self._predicted(before, rows)
         )
         scores, spread = search.scores(query, rows), search.spread(query)
-        told = evidence(scores, self.motion, spread).double()
-        told_elsewhere = self._elsewhere(search, query, rows, spread)
-        seen = mapped * told
+        likelihood = likelihoods(scores, self.motion, spread).double()
+        other = self._likelihood_elsewhere(search, query, rows, spread)
+        mapped, elsewhere = mapped * likelihood, elsewhere * other
+        total = float(mapped.sum()) + elsewhere + unmapped
+        chance = self.motion.unmapped_at_start(self._length)
         others = self._length - len(rows)
-        total = float(seen.sum()) + elsewhere * told_elsewhere + unmapped
-        chance = self.motion.unmapped if self._length else 1.0
-        mean = (float(told.sum()) + others * told_elsewhere) / max(1, self._length)
+        mean = (float(likelihood.sum()) + others * other) / max(1, self._length)
         alone = (1 - chance) * mean + chance
-        state = State(
-            rows,
-            scores,
-            told,
-            told_elsewhere,
-            seen / total,
-            elsewhere * told_elsewhere / total,
-            unmapped / total,
-        )
-        return state, math.log(total / alone)
+        belief = mapped / total, elsewhere / total, unmapped / total
+        return State(rows, scores, likelihood, other, *belief), math.log(total / alone)
 
-    def before(self, state: State, after: State, future: Future) -> Future:
-        """The backward algorithm: how likely the later queries are from each state, by the next
-        state and its own future."""
-        motion, others = self.motion, self._length - len(after.rows)
-        seen = future.mapped * after.told
-        apart = future.elsewhere * after.told_elsewhere
-        anywhere = float((self._prior * seen).sum()) + others * apart
-        anywhere /= max(1, self._length)
-        left = (1 - motion.unmapped) * anywhere + motion.unmapped * future.unmapped
-        places, there, inside = self._targets(state.rows, after.rows)
-        reached = torch.where(there, seen[:, places], apart) * inside
-        mapped = torch.einsum("tvu,vtn->un", self._ways, reached)
-        kept = self._ways.sum(1).T @ inside.double()
-        mapped += (1 - kept) * left
-        fresh, there = self._fresh(state.rows, after.rows)
-        come = fresh * float((self._prior * seen[:, ~there]).sum(0).mean()) if fresh else 0.0
-        elsewhere = (1 - motion.jump) * (come + (1 - fresh) * apart) + motion.jump * left
-        unmapped = motion.stay * future.unmapped + (1 - motion.stay) * anywhere
-        size = max(unmapped, elsewhere, float(mapped.max()) if mapped.numel() else 0.0)
-        return Future(mapped / size, elsewhere / size, unmapped / size)
+    def before(self, state: State, later: State, future: Future) -> Future:
+        """The future from a state by the backward algorithm, from the next state and its future."""
+        weighted = future.mapped * later.likelihood
+        elsewhere = future.elsewhere * later.likelihood_elsewhere
+        others = self._length - len(later.rows)
+        any_row = float((self._prior * weighted).sum()) + others * elsewhere
+        any_row /= max(1, self._length)
+        lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
+        places, listed, inside = self._targets(state.rows, later.rows)
+        reached = torch.where(listed, weighted[:, places], elsewhere) * inside
+        mapped = torch.einsum("tvu,vtn->un", self._weights, reached)
+        on_track = self._weights.sum(1).T @ inside.double()
+        mapped += (1 - on_track) * lost
+        fresh, known = self._fresh(state.rows, later.rows)
+        come = fresh * float((self._prior * weighted[:, ~known]).sum(0).mean()) if fresh else 0.0
+        jump = self.motion.jump
+        elsewhere = (1 - jump) * (come + (1 - fresh) * elsewhere) + jump * lost
+        highest = max(unmapped, elsewhere, float(mapped.max()) if mapped.numel() else 0.0)
+        return Future(mapped / highest, elsewhere / highest, unmapped / highest)
 
     def places(self, state: State, top: int) -> Places:
-        """Candidates by falling probability, the first of equals first."""
+        """The places of one query."""
         beliefs = state.mapped.sum(0)
-        scored = state.scores > -torch.inf
-        among = beliefs.masked_fill(~scored, -torch.inf) if scored.any() else beliefs
-        scores, indices = best_of(among, top, state.rows)
+        scores, indices = ranked(beliefs, state.scores, top, state.rows)
         near = torch.tensor(0.0)
         if indices[0] >= 0:
             same = self._sequence(state.rows) == self._sequence(indices[:1])
@@ -190,84 +180,80 @@ class Track:
         return Places(scores, indices, near, torch.tensor(state.unmapped))
 
     def _anywhere(self, rows: Tensor) -> tuple[Tensor, float, float]:
-        unmapped = self.motion.unmapped if self._length else 1.0
+        """The belief in rows, in the other rows and in no row, before the first query."""
+        unmapped = self.motion.unmapped_at_start(self._length)
         each = (1 - unmapped) / max(1, self._length)
         mapped = (self._prior * each).expand(-1, len(rows))
         return mapped, each * (self._length - len(rows)), unmapped
 
     def _predicted(self, state: State, rows: Tensor) -> tuple[Tensor, float, float]:
-        """The belief in rows, in the others and in no row, before the query is seen."""
-        motion = self.motion
-        places, there, inside = self._targets(state.rows, rows)
-        come = (self._ways @ state.mapped).transpose(0, 1)
+        """The belief in rows, in the other rows and in no row, one query after a state."""
+        places, listed, inside = self._targets(state.rows, rows)
+        come = (self._weights @ state.mapped).transpose(0, 1)
         mapped = torch.zeros(len(SPEEDS), len(rows), dtype=torch.double)
-        mapped.index_add_(1, places[there], come[:, there])
-        beside = float((come.sum(0) * (inside & ~there)).sum())
+        mapped.index_add_(1, places[listed], come[:, listed])
+        left = float((come.sum(0) * (inside & ~listed)).sum())
         fresh, known = self._fresh(state.rows, rows)
-        kept = state.elsewhere * (1 - motion.jump)
+        stayed = state.elsewhere * (1 - self.motion.jump)
         if fresh:
-            each = kept * fresh / int((~known).sum())
+            each = stayed * fresh / int((~known).sum())
             mapped[:, ~known] += self._prior * each
-        elsewhere = beside + kept * (1 - fresh)
+        elsewhere = left + stayed * (1 - fresh)
         lost = max(0.0, 1 - state.unmapped - float(mapped.sum()) - elsewhere)
-        arriving = lost * (1 - motion.unmapped) + state.unmapped * (1 - motion.stay)
-        each = arriving / max(1, self._length)
-        unmapped = lost * motion.unmapped + state.unmapped * motion.stay
+        any_row, unmapped = self.motion.off_track(lost, state.unmapped)
+        each = any_row / max(1, self._length)
         others = self._length - len(rows)
         return mapped + self._prior * each, elsewhere + each * others, unmapped
 
     def _reached(self, state: State) -> Tensor:
-        """Rows to which the track may have gone on."""
+        """Rows to which the track may have moved."""
         beliefs = state.mapped.sum(0)
-        most = beliefs.topk(min(_BELIEVED, len(beliefs)))
-        rows = state.rows[most.indices[most.values >= _LEAST]]
+        most = beliefs.topk(min(_MAX_BELIEVED, len(beliefs)))
+        rows = state.rows[most.indices[most.values >= _MIN_BELIEF]]
         targets = rows + self._steps
-        inside = self._sequence(targets) == self._sequence(rows)
-        return targets[inside & (targets >= 0) & (targets < self._length)]
+        return targets[self._inside(rows, targets)]
 
-    def _targets(self, rows: Tensor, among: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """``(steps, N)``, each step from each row: its place among others, whether it is there, and
-        whether it is in the map."""
+    def _targets(self, rows: Tensor, listed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Where each step leads from each row.
+
+        Returns:
+            ``(steps, N)`` each: the place of the target among the listed rows, whether it is among
+            them, and whether it is in the sequence of its row.
+        """
         targets = rows + self._steps
+        inside = self._inside(rows, targets)
+        places = torch.searchsorted(listed, targets).clamp_(max=max(0, len(listed) - 1))
+        return places, inside & (listed[places] == targets), inside
+
+    def _inside(self, rows: Tensor, targets: Tensor) -> Tensor:
+        """Whether targets are rows of the map, of the same sequence as their rows."""
         inside = (targets >= 0) & (targets < self._length)
-        inside &= self._sequence(targets) == self._sequence(rows)
-        places = torch.searchsorted(among, targets).clamp_(max=max(0, len(among) - 1))
-        return places, inside & (among[places] == targets), inside
+        return inside & (self._sequence(targets) == self._sequence(rows))
 
-    def _fresh(self, rows: Tensor, among: Tensor) -> tuple[float, Tensor]:
-        """The fraction of the rows elsewhere that is now among others, and which of these were
-        known."""
-        known = torch.isin(among, rows, assume_unique=True)
+    def _fresh(self, rows: Tensor, listed: Tensor) -> tuple[float, Tensor]:
+        """The fraction of the rows elsewhere that is listed now, and which of the listed rows were
+        listed before."""
+        known = torch.isin(listed, rows, assume_unique=True)
         return int((~known).sum()) / max(1, self._length - len(rows)), known
 
-    def _elsewhere(
+    def _likelihood_elsewhere(
         self, search: Search, query: int, rows: Tensor, spread: tuple[float, float]
     ) -> float:
-        """The mean evidence at the rows that are not among these."""
+        """The mean likelihood of the sampled rows that are not among these rows."""
         others, scores = search.sample(query)
-        apart = ~torch.isin(others, rows)
-        if not apart.any():
+        elsewhere = ~torch.isin(others, rows)
+        if not elsewhere.any():
             return 0.0 if len(rows) == self._length else 1.0
-        return float(evidence(scores[apart], self.motion, spread).mean())
+        return float(likelihoods(scores[elsewhere], self.motion, spread).mean())
 
     def _sequence(self, rows: Tensor) -> Tensor:
+        """The number of the sequence of each row."""
         return torch.searchsorted(self._starts, rows, right=True)
 
 
-def _judged(track: Track, search: Search, part: range, ahead: int) -> Iterator[tuple[int, State]]:
-    """Each query of a sequence in the light of so many later ones."""
-    kept: list[State] = []
-    for query in part:
-        kept.append(track.step(kept[-1] if kept else None, search, query)[0])
-        if len(kept) > ahead:
-            yield query - ahead, _smoothed(track, kept[-ahead - 1 :])[0]
-    first = max(0, len(part) - ahead)
-    yield from zip(part[first:], _smoothed(track, kept[first:]), strict=True)
-
-
-def _smoothed(track: Track, states: Sequence[State]) -> list[State]:
-    """States of queries that follow one another, each in the light of those after it."""
-    found: list[State] = []
+def _smoothed(track: CandidateFilter, states: Sequence[State]) -> list[State]:
+    """The states of queries that follow one another, each given those after it."""
+    smoothed: list[State] = []
     future: Future | None = None
     for number in reversed(range(len(states))):
         state = states[number]
@@ -279,5 +265,5 @@ def _smoothed(track: Track, states: Sequence[State]) -> list[State]:
         elsewhere, unmapped = state.elsewhere * future.elsewhere, state.unmapped * future.unmapped
         total = float(mapped.sum()) + elsewhere + unmapped
         mapped, elsewhere, unmapped = mapped / total, elsewhere / total, unmapped / total
-        found.append(state._replace(mapped=mapped, elsewhere=elsewhere, unmapped=unmapped))
-    return found[::-1]
+        smoothed.append(state._replace(mapped=mapped, elsewhere=elsewhere, unmapped=unmapped))
+    return smoothed[::-1]

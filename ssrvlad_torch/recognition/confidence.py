@@ -1,7 +1,7 @@
 """Confidence: the probability that the first candidate is right.
 
-Logistic functions of what a decision rests on, fitted to decisions whose truth is known, by
-``scripts/pages/recognition.py``, which tells how they do on cities that they were not fitted to.
+Logistic functions, fitted by ``scripts/pages/recognition.py`` to decisions whose truth is known;
+docs/recognition.md reports how well they hold on cities that they were not fitted to.
 """
 
 from __future__ import annotations
@@ -15,26 +15,37 @@ OFFLINE = (1.41, 0.39)
 ONLINE = (1.39, 0.76)
 SINGLE = (-2.69, 0.80, 3.25)
 
-_LEAST = 1e-4
+_CLAMP = 1e-4
 
 
 def confidence_of_places(near: Tensor, mode: str) -> Tensor:
-    """``(Q,)`` float32, 0 to 1, of places that `follow` found in a mode; ``near`` ``(Q,)`` is the
-    probability of the neighbourhood of each first candidate."""
+    """Confidence in places that `follow` found.
+
+    Args:
+        near: ``(Q,)`` float, the probability of the neighbourhood of each first candidate.
+        mode: ``"online"`` or ``"offline"``.
+
+    Returns:
+        ``(Q,)`` float32, 0 to 1.
+    """
     offset, slope = OFFLINE if mode == "offline" else ONLINE
-    return torch.sigmoid(offset + slope * torch.logit(near.float(), _LEAST))
+    return torch.sigmoid(offset + slope * torch.logit(near.float(), _CLAMP))
 
 
 def confidence_of_scores(
     scores: Tensor, rows: Tensor | None = None, spread: tuple[float, float] | None = None
 ) -> Tensor:
-    """Of a single frame, by how far its first candidate stands out and leads: float32, 0 to 1; 0
-    without a candidate, or without others to compare it with.
+    """Confidence in the first candidate of a query that is judged alone.
+
+    It rests on the z-score of the candidate and on its lead, see `motion.lead`.
 
     Args:
-        scores: ``(N,)`` cosines of one query, -inf where there can be no match.
-        rows: ``(N,)`` of the map, to which the scores belong; without, they are of all rows.
-        spread: mean and standard deviation of the nearness of all rows; without, of these.
+        scores: ``(N,)`` cosines of the query, -inf where there can be no match.
+        rows: ``(N,)`` int64 rows of the map to which the scores belong; without, all rows.
+        spread: mean and standard deviation of the nearness of all rows; without, of these scores.
+
+    Returns:
+        float32, 0 to 1; 0 without a candidate, and 0 if no row is elsewhere.
     """
     if not len(scores) or not bool((scores > -torch.inf).any()):
         return torch.tensor(0.0)

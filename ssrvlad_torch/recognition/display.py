@@ -1,4 +1,4 @@
-"""How a notebook shows candidates: a table of HTML."""
+"""Candidates as an HTML table, for notebooks."""
 
 from __future__ import annotations
 
@@ -6,14 +6,18 @@ import math
 
 from torch import Tensor
 
-_MOST_QUERIES, _MOST_CANDIDATES = 10, 5
+_MAX_QUERIES, _MAX_CANDIDATES = 10, 5
 
 
 def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
-    """The best candidates of the first queries, each as its row with its score; ``columns`` are
-    ``(Q,)`` further numbers of a query by their names."""
+    """The row and the score of the best candidates of the first queries.
+
+    Args:
+        scores, rows: ``(Q, top)``.
+        columns: further numbers ``(Q,)`` of each query, by their names.
+    """
     queries, top = rows.shape
-    shown = min(top, _MOST_CANDIDATES)
+    shown = min(top, _MAX_CANDIDATES)
     names = ["query", *(f"candidate {n}" for n in range(1, shown + 1)), *columns]
     lines = [
         [
@@ -21,7 +25,7 @@ def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
             *map(_cell, rows[query, :shown].tolist(), scores[query, :shown].tolist()),
             *(f"{column[query]:.3f}" for column in columns.values()),
         ]
-        for query in range(min(queries, _MOST_QUERIES))
+        for query in range(min(queries, _MAX_QUERIES))
     ]
     head = "".join(f"<th>{name}</th>" for name in names)
     body = "".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in line)}</tr>" for line in lines)

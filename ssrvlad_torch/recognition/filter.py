@@ -10,19 +10,19 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .motion import CELLS, GAP, SPEEDS, Motion, evidence, moved, prior_of_speeds
+from .motion import CELLS, GAP, SPEEDS, Motion, likelihoods, moved, prior_of_speeds
 
 _HIGHEST = 1.001
-"""A cosine of 1, however roughly it was computed."""
+"""The highest cosine that rounding can give."""
 
 
 class Belief(NamedTuple):
-    """Probabilities.
+    """Probabilities of the places of a frame.
 
     Attributes:
         mapped: ``(8, cells)`` float32, by speed and cell.
-        cells: ``(cells,)`` float32, their sums over the speeds.
-        unmapped: that of no row of the map.
+        cells: ``(cells,)`` float32, the sum of ``mapped`` over the speeds.
+        unmapped: of a place that the map lacks.
     """
 
     mapped: Tensor
@@ -31,7 +31,7 @@ class Belief(NamedTuple):
 
 
 class Future(NamedTuple):
-    """How likely the later frames are from each state, likewise; not normalised."""
+    """How likely the later frames are from each state of a `Belief`; not normalised."""
 
     mapped: Tensor
     unmapped: float
@@ -40,16 +40,17 @@ class Future(NamedTuple):
 class Filter:
     """A hidden Markov model over the rows of a map, which may grow; see `follow`.
 
-    Cells are the rows in their order, with empty ones between sequences, which no speed crosses.
+    Cells are the rows in their order, with empty cells between sequences, so that no step leads
+    from one sequence into the next.
 
     Args:
         sequences: the sequence of each row; the rows of one stand together and in order.
-        motion: what sequences do.
+        motion: how sequences move.
 
     Attributes:
-        belief: after the last `step`.
+        belief: after the last frame.
         gain: how much likelier the frames since `restart` are as a sequence than each alone, as a
-            logarithm; not above 0 where they do not follow one another.
+            logarithm; not above 0 for frames that do not follow one another.
 
     Example:
         >>> track = Filter(["drive"] * 30)
@@ -73,7 +74,7 @@ class Filter:
         return len(self._cells)
 
     def extend(self, sequences: Sequence[str]) -> None:
-        """Adds rows at the end of the map, with no belief in them yet."""
+        """Adds rows at the end of the map; the belief in them is 0."""
         if not sequences:
             return
         changes = [a != b for a, b in zip(sequences, [self._sequence, *sequences], strict=False)]
@@ -92,82 +93,98 @@ class Filter:
         self.belief = self.belief._replace(mapped=mapped, cells=cells)
 
     def restart(self) -> None:
-        """Forgets the place, for another sequence."""
-        unmapped = self.motion.unmapped if len(self) else 1.0
+        """Forgets the place: the next frame starts another sequence."""
+        unmapped = self.motion.unmapped_at_start(len(self))
         each = (1 - unmapped) / max(1, len(self))
         cells = self._inside * each
         self.belief = Belief(prior_of_speeds() * cells, cells, unmapped)
-        self._begins, self.gain = True, 0.0
+        self._starting, self.gain = True, 0.0
 
     def step(self, scores: Tensor) -> None:
-        """Takes in the next frame by its scores ``(R,)``, float cosines, -inf where there can be no
-        match; another shape, NaN and a score above 1 are a ValueError."""
-        self.take(self.evidence(scores))
+        """Updates the belief by the scores of the next frame, see `likelihood`."""
+        self.update(self.likelihood(scores))
 
-    def take(self, told: Tensor) -> None:
-        """Takes in the next frame by its evidence ``(cells,)``, see `evidence`."""
-        first, before = self._begins, self.belief
-        self.belief, together = updated(before, told) if first else self.after(before, told)
-        chance = self.motion.unmapped if len(self) else 1.0
-        alone = (1 - chance) * float(told.sum()) / max(1, len(self)) + chance
-        self.gain += math.log(together / alone)
-        self._begins = False
+    def update(self, likelihood: Tensor) -> None:
+        """Updates the belief by the likelihood ``(cells,)`` of the next frame."""
+        update = _updated if self._starting else self.after
+        self.belief, total = update(self.belief, likelihood)
+        unmapped = self.motion.unmapped_at_start(len(self))
+        alone = (1 - unmapped) * float(likelihood.sum()) / max(1, len(self)) + unmapped
+        self.gain += math.log(total / alone)
+        self._starting = False
 
     def rows(self, belief: Belief | None = None) -> Tensor:
-        """``(R,)`` float32, the probability of each row, now or by a belief."""
+        """``(R,)`` float32, the probability of each row; without a belief, in the present one."""
         return (belief or self.belief).cells.index_select(0, self._cells)
 
-    def evidence(self, scores: Tensor) -> Tensor:
-        """``(cells,)`` float32, see `motion.evidence`; 0 between the sequences."""
+    def likelihood(self, scores: Tensor) -> Tensor:
+        """``(cells,)`` float32, see `motion.likelihoods`; 0 between sequences.
+
+        Args:
+            scores: ``(R,)`` float cosines, -inf where there can be no match.
+
+        Raises:
+            ValueError: the scores are of another shape, NaN or above 1.
+        """
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
-        most = float(scores.amax()) if len(scores) else 0.0
-        if not most <= _HIGHEST:
-            raise ValueError(f"expected scores of at most 1, as cosines are, got {most:g}")
-        return self.spaced(evidence(scores, self.motion))
+        highest = float(scores.amax()) if len(scores) else 0.0
+        if not highest <= _HIGHEST:
+            raise ValueError(f"expected scores of at most 1, as cosines are, got {highest:g}")
+        return self.in_cells(likelihoods(scores, self.motion))
 
-    def spaced(self, told: Tensor) -> Tensor:
-        """``(cells,)``: evidence of rows ``(R,)``, and 0 between the sequences."""
-        return torch.zeros_like(self._inside).index_copy_(0, self._cells, told)
+    def in_cells(self, rows: Tensor) -> Tensor:
+        """``(cells,)``, the values of rows ``(R,)`` in their cells; 0 between sequences."""
+        return torch.zeros_like(self._inside).index_copy_(0, self._cells, rows)
 
-    def after(self, belief: Belief, told: Tensor) -> tuple[Belief, float]:
-        """The belief one frame later, by the frame's evidence, and how likely that frame was."""
+    def after(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
+        """The belief one frame later, and how likely that frame was.
+
+        Args:
+            belief: before the frame.
+            likelihood: ``(cells,)``, of the frame.
+        """
         if not len(self):
             return belief._replace(unmapped=1.0), 1.0
-        motion, mapped = self.motion, moved(belief.mapped, self.motion)
+        mapped = moved(belief.mapped, self.motion)
         cells = mapped.sum(0)
         lost = max(0.0, 1 - belief.unmapped - float((cells * self._inside).sum()))
-        each = (lost * (1 - motion.unmapped) + belief.unmapped * (1 - motion.stay)) / len(self)
-        unmapped = lost * motion.unmapped + belief.unmapped * motion.stay
-        cells.add_(each).mul_(told)
+        any_row, unmapped = self.motion.off_track(lost, belief.unmapped)
+        each = any_row / len(self)
+        cells.add_(each).mul_(likelihood)
         total = float(cells.sum()) + unmapped
-        for here, by in zip(mapped.split(CELLS, 1), (told / total).split(CELLS), strict=True):
-            here.add_(prior_of_speeds() * each).mul_(by)
+        factors = (likelihood / total).split(CELLS)
+        for block, factor in zip(mapped.split(CELLS, 1), factors, strict=True):
+            block.add_(prior_of_speeds() * each).mul_(factor)
         return Belief(mapped, cells.div_(total), unmapped / total), total
 
-    def before(self, told: Tensor, after: Future) -> Future:
-        """The backward algorithm: how likely the later frames are from each state, by the evidence
-        of the next frame and the same for the frames after it; not normalised."""
-        motion, seen = self.motion, after.mapped * told
-        anywhere = float((prior_of_speeds() * seen).sum()) / max(1, len(self))
-        left = (1 - motion.unmapped) * anywhere + motion.unmapped * after.unmapped
+    def before(self, likelihood: Tensor, future: Future) -> Future:
+        """The future one frame earlier, by the backward algorithm.
+
+        Args:
+            likelihood: ``(cells,)``, of the later frame.
+            future: from the later frame.
+        """
+        weighted = future.mapped * likelihood
+        any_row = float((prior_of_speeds() * weighted).sum()) / max(1, len(self))
+        lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
         if self._lost is None:
             inside = self._inside.expand(len(SPEEDS), -1)
-            self._lost = 1 - moved(inside, motion, back=True)
-        mapped = moved(seen, motion, back=True).add_(self._lost, alpha=left).mul_(self._inside)
-        unmapped = motion.stay * after.unmapped + (1 - motion.stay) * anywhere
-        size = max(unmapped, float(mapped.max()))
-        return Future(mapped.div_(size), unmapped / size)
+            self._lost = 1 - moved(inside, self.motion, back=True)
+        mapped = moved(weighted, self.motion, back=True)
+        mapped.add_(self._lost, alpha=lost).mul_(self._inside)
+        highest = max(unmapped, float(mapped.max()))
+        return Future(mapped.div_(highest), unmapped / highest)
 
     def no_future(self) -> Future:
-        """The start of the backward algorithm."""
+        """The future from the last frame, with which the backward algorithm starts."""
         return Future(self._inside.expand(len(SPEEDS), -1), 1.0)
 
 
-def updated(belief: Belief, told: Tensor) -> tuple[Belief, float]:
-    """A belief after a frame was seen, and how likely the frame was."""
-    cells = belief.cells * told
+def _updated(belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
+    """The belief after the first frame, and how likely the frame was."""
+    cells = belief.cells * likelihood
     total = float(cells.sum()) + belief.unmapped
-    mapped = belief.mapped * (told / total)
+    mapped = belief.mapped * (likelihood / total)
     return Belief(mapped, cells.div_(total), belief.unmapped / total), total

@@ -1,9 +1,8 @@
 """Follow: places of whole sequences, by a hidden Markov model over the frames of the map.
 
-One frame is often ambiguous, a sequence of them seldom. The hidden state is the row of the map at
-which the camera is, and how fast it moves along it (see `motion.SPEEDS`): it advances by so many
-rows as its speed says, give or take one, seldom changes speed, and now and then jumps anywhere.
-One more state is a place that the map does not have. Not in the paper.
+One frame is often ambiguous, a sequence of frames seldom. The hidden state is the row of the map
+where the camera is, and its speed in rows a frame (see `motion.SPEEDS`). The speed seldom changes,
+and the camera seldom jumps. One more state is a place that the map lacks. Not in the paper.
 """
 
 from __future__ import annotations
@@ -11,21 +10,23 @@ from __future__ import annotations
 import itertools
 import math
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
-from typing import Literal, NamedTuple, Protocol
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal, NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
 
 from .display import candidates_table
 from .filter import Belief, Filter, Future
-from .matching import best_of
+from .matching import Matches, best_of
 from .motion import Motion
 
 NEAR = 3
 """Rows on each side of a row that show the same place."""
 
 Mode = Literal["online", "offline"]
+Item = TypeVar("Item")
 
 
 class Places(NamedTuple):
@@ -34,7 +35,7 @@ class Places(NamedTuple):
     Attributes:
         scores: ``(Q, top)`` float32, probabilities of the candidates, falling; -inf for none.
         indices: ``(Q, top)`` int64, rows of the map; -1 for none.
-        near: ``(Q,)`` float32, the probability to be within `NEAR` rows of the first candidate.
+        near: ``(Q,)`` float32, the probability of the rows within `NEAR` of the first candidate.
         unmapped: ``(Q,)`` float32, the probability of a place that the map lacks.
     """
 
@@ -48,7 +49,8 @@ class Places(NamedTuple):
 
 
 class Scores(Protocol):
-    """``scores[i]``: the ``(R,)`` float scores of query ``i``. A matrix, or what computes it."""
+    """A ``(Q, R)`` matrix of scores, or an object that computes its rows: ``scores[i]`` is the
+    ``(R,)`` float scores of query ``i``."""
 
     def __len__(self) -> int: ...
 
@@ -65,22 +67,23 @@ def follow(
     top: int = 5,
     motion: Motion | None = None,
 ) -> Places:
-    """Where the queries are, each in the light of its sequence.
+    """The place of each query, given the other queries of its sequence.
 
-    Online a query is judged by those before it, itself and ``delay`` after it (forward
-    algorithm); offline by its whole sequence (forward-backward). Time is linear in the map for
-    each query; memory holds ``2 * sqrt(Q)`` beliefs of 8 numbers a row.
+    Online, a query is placed by itself, the queries before it and ``delay`` queries after it
+    (forward algorithm); offline, by its whole sequence (forward-backward). Time for each query is
+    linear in the map; memory holds ``2 * sqrt(Q)`` beliefs of 8 numbers a row.
 
     Args:
-        scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference and
-            whatever else is no candidate. Of an empty query all are, and it is placed by its
-            neighbours alone.
+        scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference and for
+            all else that is no candidate. All scores of an empty query are -inf; its neighbours
+            alone place it.
         sequences: the sequence of each row; the rows of one stand together and in order.
-        queries: the sequence of each query likewise; without, all are one.
+        queries: the sequence of each query; the queries of one stand together and in order.
+            Without, all are of one sequence.
         mode: ``"online"`` or ``"offline"``.
-        delay: queries for which an online answer waits.
-        top: candidates of each query.
-        motion: what sequences do.
+        delay: number of later queries that an online answer waits for.
+        top: number of candidates of each query.
+        motion: how sequences move.
 
     Raises:
         ValueError: the scores do not fit the sequences, are NaN or above 1; the frames of a
@@ -102,50 +105,66 @@ def follow(
         )
     track = Filter(sequences, motion)
     parts = list(runs(sequences))
-    found: dict[int, Places] = {}
+    places: dict[int, Places] = {}
     for part in runs(drives):
         offline = mode == "offline"
         beliefs = _offline(track, scores, part) if offline else _online(track, scores, part, delay)
         for query, belief in beliefs:
-            found[query] = _places(track.rows(belief), belief.unmapped, top, scores[query], parts)
-    return stacked([found[query] for query in range(len(drives))], top)
+            places[query] = _places(track.rows(belief), belief.unmapped, top, scores[query], parts)
+    return stacked([places[query] for query in range(len(drives))], top)
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:
-    """The rows of each sequence.
+    """Rows of each sequence.
 
     Raises:
-        ValueError: those of one do not stand together.
+        ValueError: the rows of a sequence do not stand together.
     """
-    first, seen = 0, set[str]()
-    for sequence, same in itertools.groupby(sequences):
-        if sequence in seen:
+    first, names = 0, set[str]()
+    for sequence, rows in itertools.groupby(sequences):
+        if sequence in names:
             raise ValueError(f"expected the frames of {sequence!r} together, got some at {first}")
-        seen.add(sequence)
-        last = first + len(list(same))
+        names.add(sequence)
+        last = first + len(list(rows))
         yield range(first, last)
         first = last
 
 
-def stacked(found: Sequence[Places], top: int) -> Places:
+def stacked(places: Sequence[Places], top: int) -> Places:
     """The places of all queries, from those of each."""
-    if not found:
+    if not places:
         none = torch.zeros(0)
         return Places(none.view(0, top), none.view(0, top).long(), none, none)
-    return Places(*(torch.stack(values) for values in zip(*found, strict=True)))
+    return Places(*(torch.stack(values) for values in zip(*places, strict=True)))
+
+
+def ranked(beliefs: Tensor, scores: Tensor, top: int, rows: Tensor | None = None) -> Matches:
+    """Candidates of one query by falling belief ``(N,)``, see `best_of`. Rows whose score is -inf
+    are no candidates, unless all scores are: any row may be the place of an empty query."""
+    scored = scores > -torch.inf
+    if 0 < int(scored.sum()) < len(scored):
+        beliefs = beliefs.masked_fill(~scored, -torch.inf)
+    return best_of(beliefs, top, rows)
+
+
+def windows(items: Iterable[Item], delay: int) -> Iterator[Sequence[Item]]:
+    """Each item with the ``delay`` items after it, or fewer at the end."""
+    held = deque[Item]()
+    for item in items:
+        held.append(item)
+        if len(held) > delay:
+            yield tuple(held)
+            held.popleft()
+    while held:
+        yield tuple(held)
+        held.popleft()
 
 
 def _places(
     rows: Tensor, unmapped: float, top: int, scores: Tensor, sequences: Sequence[range]
 ) -> Places:
-    """Candidates by falling probability, the first of equals first.
-
-    They are among the rows that have a score. An empty query has none, and any row may be its
-    place.
-    """
-    scored = scores > -torch.inf
-    some = 0 < int(scored.sum()) < len(rows)
-    best = best_of(rows.masked_fill(~scored, -torch.inf) if some else rows, top)
+    """The places of one query, by the probability of each row."""
+    best = ranked(rows, scores, top)
     near, row = torch.tensor(0.0), int(best.indices[0])
     if row >= 0:
         own = sequences[bisect_right(sequences, row, key=lambda part: part.start) - 1]
@@ -153,60 +172,53 @@ def _places(
     return Places(*best, near, torch.tensor(unmapped))
 
 
+def _forward(
+    track: Filter, scores: Tensor | Scores, part: range
+) -> Iterator[tuple[int, Belief, Tensor]]:
+    """Each query of one sequence, with the belief after it and its likelihood."""
+    track.restart()
+    for query in part:
+        likelihood = track.likelihood(scores[query])
+        track.update(likelihood)
+        yield query, track.belief, likelihood
+
+
 def _online(
     track: Filter, scores: Tensor | Scores, part: range, delay: int
 ) -> Iterator[tuple[int, Belief]]:
-    """Beliefs of one sequence of queries, each in the light of ``delay`` later ones."""
-    track.restart()
-    kept: list[tuple[int, Belief, Tensor]] = []
-    for query in part:
-        told = scores[query]
-        track.step(told)
-        if not delay:
-            yield query, track.belief
-            continue
-        kept.append((query, track.belief, track.evidence(told)))
-        if len(kept) > delay:
-            yield kept[0][0], _looking_back(track, kept)
-            kept.pop(0)
-    while kept:
-        yield kept[0][0], _looking_back(track, kept)
-        kept.pop(0)
-
-
-def _looking_back(track: Filter, kept: Sequence[tuple[int, Belief, Tensor]]) -> Belief:
-    """The first belief in the light of the later frames' evidence."""
-    future = track.no_future()
-    for _, _, told in reversed(kept[1:]):
-        future = track.before(told, future)
-    return _smoothed(kept[0][1], future)
+    """Beliefs of one sequence of queries, given ``delay`` later queries."""
+    for (query, belief, _), *later in windows(_forward(track, scores, part), delay):
+        future = track.no_future()
+        for _, _, likelihood in reversed(later):
+            future = track.before(likelihood, future)
+        yield query, _smoothed(belief, future) if delay else belief
 
 
 def _offline(track: Filter, scores: Tensor | Scores, part: range) -> Iterator[tuple[int, Belief]]:
-    """Beliefs of one sequence of queries in the light of all of it, the last first.
+    """Beliefs of one sequence of queries, given all of them, the last first.
 
-    Of the forward pass one belief in ``sqrt(Q)`` is kept; the others are computed again.
+    The forward pass stores one belief in ``sqrt(Q)``; the others are computed again.
     """
-    track.restart()
     stride = max(1, math.isqrt(len(part)))
-    kept: dict[int, Belief] = {}
-    for query in part:
-        track.step(scores[query])
-        if (query - part.start) % stride == 0:
-            kept[query] = track.belief
+    stored = {
+        query: belief
+        for query, belief, _ in _forward(track, scores, part)
+        if (query - part.start) % stride == 0
+    }
     future = track.no_future()
     for start in reversed(range(part.start, part.stop, stride)):
         stretch = range(start, min(start + stride, part.stop))
-        told = {query: track.evidence(scores[query]) for query in stretch}
-        forward = [kept.pop(start)]
+        likelihoods = {query: track.likelihood(scores[query]) for query in stretch}
+        beliefs = [stored.pop(start)]
         for query in stretch[1:]:
-            forward.append(track.after(forward[-1], told[query])[0])
+            beliefs.append(track.after(beliefs[-1], likelihoods[query])[0])
         for query in reversed(stretch):
-            yield query, _smoothed(forward.pop(), future)
-            future = track.before(told[query], future)
+            yield query, _smoothed(beliefs.pop(), future)
+            future = track.before(likelihoods[query], future)
 
 
 def _smoothed(belief: Belief, future: Future) -> Belief:
+    """A belief, given the later queries."""
     mapped, unmapped = belief.mapped * future.mapped, belief.unmapped * future.unmapped
     cells = mapped.sum(0)
     total = float(cells.sum()) + unmapped

@@ -1,8 +1,8 @@
-"""Fusion: the scores of several methods as one, no labels needed.
+"""Fusion: the scores of several methods as one, without labels.
 
-Label maps and pictures err at different places. The scores of a method for a query are put on one
-scale, in standard deviations from their mean over all references, and each method weighs by how far
-its first candidates stand out on the traverse. Not in the paper.
+Label maps and pictures err at different places. The scores of each method for a query become
+z-scores over all references. The weight of a method grows with the lead of its first candidates on
+the traverse. Not in the paper.
 """
 
 from __future__ import annotations
@@ -15,28 +15,28 @@ from torch import Tensor
 
 from .follow import Scores
 from .motion import ELSEWHERE, lead, nearness
-from .standardise import LEAST
+from .standardise import MIN_FRAMES
 
 _SAMPLE = 200
-_LEAST_SPREAD = 1e-6
+_MIN_SPREAD = 1e-6
 
 
 class FusedScores(Scores):
-    """The scores of one traverse of queries by several methods as one, made as they are asked for.
+    """The scores of one traverse of queries by several methods as one, computed on demand.
 
     They have the form of cosines, for `follow` and `recognise_by_scores`. Where a method has no
-    score of a pair, the others decide. Of fewer queries than `standardise.LEAST` the methods weigh
-    alike: so few do not show which to trust.
+    score of a pair, the others decide. The weights are equal for fewer queries than
+    `standardise.MIN_FRAMES`: so few do not show which method to trust.
 
     Args:
-        members: of each method ``(Q, R)`` float, at most 1, higher for what is more alike; -inf
-            where there can be no match.
+        members: for each method ``(Q, R)`` float scores, at most 1, higher for what is more alike;
+            -inf where there can be no match.
 
     Attributes:
-        weights: of each method; their sum is 1.
+        weights: of the methods; their sum is 1.
 
     Raises:
-        ValueError: there are none, or they are of different shapes.
+        ValueError: there is no method, or the shapes differ.
 
     Example:
         >>> here, there = torch.eye(20), torch.eye(20).roll(1, 0)
@@ -45,73 +45,80 @@ class FusedScores(Scores):
     """
 
     def __init__(self, members: Sequence[Scores]) -> None:
-        shapes = {(len(one), *one[0].shape) if len(one) else (0,) for one in members}
+        shapes = {(len(each), *each[0].shape) if len(each) else (0,) for each in members}
         if len(shapes) != 1 or len(next(iter(shapes))) != 2:
             got = ", ".join(map(str, shapes)) or "none"
             raise ValueError(f"expected scores (Q, R) of one shape, got {got}")
         self._members = members
-        self.weights = weights_of(self._leads())
+        self.weights = weights_of([self._mean_lead(each) for each in members])
 
     def __len__(self) -> int:
         return len(self._members[0])
 
     def __getitem__(self, query: int, /) -> Tensor:
-        return fused([one[query] for one in self._members], self.weights)
+        return fused([each[query] for each in self._members], self.weights)
 
     def whole(self) -> Tensor:
         """``(Q, R)`` float32."""
         return torch.stack([self[query] for query in range(len(self))])
 
-    def _leads(self) -> list[float]:
-        """How far the first candidates of each method are ahead, on average over a sample."""
-        count = len(self)
-        if count < LEAST:
-            return [0.0] * len(self._members)
-        sample = range(0, count, max(1, count // _SAMPLE))
-        return [sum(map(ahead, (one[q] for q in sample))) / len(sample) for one in self._members]
+    def _mean_lead(self, scores: Scores) -> float:
+        """The mean lead of the first candidates of a method over a sample of the queries."""
+        if len(self) < MIN_FRAMES:
+            return 0.0
+        sample = range(0, len(self), max(1, len(self) // _SAMPLE))
+        return sum(z_lead(scores[query]) for query in sample) / len(sample)
 
 
 def weights_of(leads: Sequence[float]) -> tuple[float, ...]:
-    """What each method weighs by how far its first candidates are ahead; their sum is 1."""
-    above = [max(0.0, one) for one in leads]
-    total = sum(above)
-    return tuple(one / total if total > 0 else 1 / len(above) for one in above)
+    """The weights of methods by the leads of their first candidates; their sum is 1."""
+    positive = [max(0.0, each) for each in leads]
+    total = sum(positive)
+    return tuple(each / total if total > 0 else 1 / len(positive) for each in positive)
 
 
-def ahead(scores: Tensor) -> float:
-    """How far the first candidate of a query is ahead of the best one elsewhere, in standard
-    deviations of the nearness of ``(R,)`` scores; 0 if there are too few."""
+def z_lead(scores: Tensor) -> float:
+    """The lead of the first candidate of a query, see `motion.lead`, in standard deviations of the
+    nearness of its scores ``(R,)``; 0 if there are too few scores."""
     if len(scores) <= 2 * ELSEWHERE + 1:
         return 0.0
     return float(lead(_scaled(scores).z[None]))
 
 
 @torch.no_grad()
-def fused(scores: Sequence[Tensor], weights: Sequence[float], among: int | None = None) -> Tensor:
-    """``(R,)`` scores of one query by several methods, fused by their weights; -inf where no method
-    has a score. Mean and deviation are those of the first ``among`` rows; without, of all."""
-    scaled = [_scaled(one, among) for one in scores]
+def fused(scores: Sequence[Tensor], weights: Sequence[float], first: int | None = None) -> Tensor:
+    """The scores of one query by several methods as one.
+
+    Args:
+        scores: ``(R,)`` float for each method, -inf for none.
+        weights: of the methods.
+        first: number of the first rows that give the means and deviations; without, all rows do.
+
+    Returns:
+        ``(R,)`` float32; -inf where no method has a score.
+    """
+    scaled = [_scaled(each, first) for each in scores]
     z, mean, spread = (
         sum(weight * part for weight, part in zip(weights, parts, strict=True))
         for parts in zip(*scaled, strict=True)
     )
-    none = torch.stack([one == -torch.inf for one in scores]).all(0)
+    none = torch.stack([each == -torch.inf for each in scores]).all(0)
     return (-torch.expm1(-(mean + spread * z))).masked_fill(none, -torch.inf)
 
 
 class _Scaled(NamedTuple):
-    """``(R,)`` nearness in standard deviations from its mean; mean and deviation."""
+    """The z-scores ``(R,)`` of nearness, with its mean and its standard deviation."""
 
     z: Tensor
     mean: Tensor
     spread: Tensor
 
 
-def _scaled(scores: Tensor, among: int | None = None) -> _Scaled:
+def _scaled(scores: Tensor, first: int | None = None) -> _Scaled:
     scored = scores > -torch.inf
     near = nearness(scores.float()).where(scored, 0)
-    count = scored[:among].sum().clamp(min=1)
-    mean = near[:among].sum() / count
-    apart = (near - mean).where(scored, 0)
-    spread = (apart[:among].square().sum() / count).sqrt()
-    return _Scaled(apart / spread.clamp(min=_LEAST_SPREAD), mean, spread)
+    count = scored[:first].sum().clamp(min=1)
+    mean = near[:first].sum() / count
+    centred = (near - mean).where(scored, 0)
+    spread = (centred[:first].square().sum() / count).sqrt()
+    return _Scaled(centred / spread.clamp(min=_MIN_SPREAD), mean, spread)

@@ -45,36 +45,35 @@ def match(
 ) -> Matches:
     """The references with the highest cosine (Eq. 4) to each query.
 
-    The search is exact and goes block by block: Q x R scores are never in memory at once.
+    The search is exact and goes block by block: the Q x R scores are never in memory at once.
     A zero vector, the descriptor of an empty image, matches nothing. Of references with equal
     scores the earlier comes first.
 
     Args:
         queries: ``(Q, D)`` float.
-        references: ``(R, D)`` float; in memory or memory-mapped, in single or half precision.
-            What is computed is computed in float32. `Rows` of them save a pass over the memory
-            at each call.
+        references: ``(R, D)`` float; in memory or memory-mapped, in single or half precision;
+            scores are computed in float32. `Rows` of them save a pass over the memory at each call.
         top: number of candidates, at least 1.
-        threshold: candidates whose score is not above it are left out.
+        threshold: only candidates with a higher score are returned.
         where: ``(R,)`` bool, the references that may be candidates; without, all.
-        exclude: ``(Q, 2)`` int64, for each query a range of rows that are no candidates for it,
-            from the first number up to, not including, the second.
+        exclude: ``(Q, 2)`` int64, for each query the first row that is no candidate for it, and the
+            row after the last.
 
     Raises:
-        ValueError: the vectors are not two matrices of equal width, hold values that are not
-            finite, ``top`` is below 1, or ``where`` or ``exclude`` is of another shape.
+        ValueError: the vectors are not two matrices of equal width or hold values that are not
+            finite, ``top`` is below 1, or ``where`` or ``exclude`` has another shape.
 
     Example:
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
         tensor([[0]])
     """
-    queries = numbers(queries, "queries")
-    vectors = references.vectors if isinstance(references, Rows) else numbers(references)
+    queries = real_tensor(queries, "queries")
+    vectors = references.vectors if isinstance(references, Rows) else real_tensor(references)
     _check(queries, vectors, top)
     allowed, ranges = _limits(len(queries), len(vectors), where, exclude)
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
-    asked = wanted(queries)
+    units = unit_queries(queries)
     for first in range(0, len(vectors), _REFERENCE_BLOCK):
         last = first + _REFERENCE_BLOCK
         block = (
@@ -84,14 +83,14 @@ def match(
         )
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
-            scores_here = block.cosines(asked[part])
+            cosines = block.cosines(units[part])
             if allowed is not None:
-                scores_here[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
+                cosines[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
             if ranges is not None:
                 rows = torch.arange(first, first + len(block))
                 inside = (rows >= ranges[part, :1]) & (rows < ranges[part, 1:])
-                scores_here.masked_fill_(inside.to(scores_here.device), -torch.inf)
-            _improve(scores[part], indices[part], scores_here, first)
+                cosines.masked_fill_(inside.to(cosines.device), -torch.inf)
+            _improve(scores[part], indices[part], cosines, first)
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
@@ -99,7 +98,7 @@ def match(
 
 
 class Rows(NamedTuple):
-    """References that many calls share: their lengths are measured once.
+    """References for many calls, with their lengths.
 
     Attributes:
         vectors: ``(R, D)`` float.
@@ -116,12 +115,12 @@ class Rows(NamedTuple):
 
     @classmethod
     def of(cls, vectors: Vectors) -> Rows:
-        """Measures vectors ``(R, D)``.
+        """Rows of vectors ``(R, D)``.
 
         Raises:
             ValueError: they hold values that are not finite.
         """
-        single = numbers(vectors)
+        single = real_tensor(vectors)
         lengths = [_lengths(block.float()) for block in torch.split(single, _REFERENCE_BLOCK)]
         return cls(single, torch.cat(lengths))
 
@@ -129,31 +128,32 @@ class Rows(NamedTuple):
         return len(self.vectors)
 
     def block(self, first: int, last: int) -> Rows:
-        """Some of them in order, in float32."""
+        """Rows from ``first`` up to, not including, ``last``, in float32."""
         return Rows(self.vectors[first:last].float(), self.lengths[first:last])
 
     def cosines(self, queries: Tensor) -> Tensor:
-        """Of ``(Q, D)`` float32 from `wanted`: ``(Q, R)`` float32, -inf where one is zero."""
+        """``(Q, R)`` float32 cosines of ``(Q, D)`` `unit_queries`, -inf where a vector is zero."""
         scores = queries @ self.vectors.float().T
         scores /= self.lengths
         return torch.nan_to_num(scores, -torch.inf, torch.inf, -torch.inf, out=scores)
 
 
-def wanted(queries: Vectors) -> Tensor:
-    """Queries in float32, of length 1 along the last axis; NaN, which matches nothing, for a zero.
+def unit_queries(queries: Vectors) -> Tensor:
+    """Queries in float32, of length 1 along the last axis; a zero query becomes NaN, which matches
+    nothing.
 
     Raises:
         ValueError: they hold values that are not finite.
     """
-    single = numbers(queries, "queries").float()
+    single = real_tensor(queries, "queries").float()
     return single / _lengths(single, "queries")[..., None]
 
 
-def numbers(vectors: Vectors, name: str = "references") -> Tensor:
+def real_tensor(vectors: Vectors, name: str = "references") -> Tensor:
     """Vectors as a tensor of real numbers.
 
     Raises:
-        ValueError: they are anything else, or not in memory.
+        ValueError: they are not real numbers, or not in memory.
     """
     try:
         tensor = torch.as_tensor(vectors)
@@ -187,8 +187,8 @@ def temporal_sum(
         descriptors: ``(R, D)`` float, frames of a sequence one after another in order.
         sequences: the sequence of each frame.
         reach: t of the paper, 0 for none.
-        out: ``(R, D)`` float32 that is filled and returned; it may be the descriptors themselves,
-            so that a million of them need no second place.
+        out: ``(R, D)`` float32 to write into; it may be the descriptors themselves, which saves
+            the memory of a copy.
 
     Returns:
         ``(R, D)`` float32 of length 1, or zero.
@@ -221,16 +221,17 @@ def temporal_sum(
 def frames_within(
     poses: npt.NDArray[np.float64], sequences: Sequence[str], metres: float
 ) -> dict[str, int]:
-    """For each sequence the t of Eq. 3 that reaches so far: metres over the median distance of
-    frames that follow one another, those that stand still left out.
+    """The t of Eq. 3 in frames for a reach in metres, for each sequence.
+
+    It is the reach over the median distance of neighbouring frames, without those that stand still.
 
     Args:
         poses: ``(R, 3)``, x and y in metres, NaN where unknown.
         sequences: the sequence of each frame; the frames of one stand together and in order.
-        metres: at least 0.
+        metres: the reach, at least 0.
 
     Raises:
-        ValueError: a sequence has no two frames with poses that differ.
+        ValueError: a sequence has no two neighbouring frames whose poses differ.
     """
     names = np.array(sequences)
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
@@ -246,11 +247,11 @@ def frames_within(
 
 
 _STANDING = 0.01
-"""Metres: nearer frames than this stand still."""
+"""Neighbouring frames nearer than this stand still, in metres."""
 
 
 def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
-    """Eq. 3 for frames with all their neighbours."""
+    """Eq. 3 over a block of frames; correct for those whose neighbours are all in the block."""
     total = torch.zeros_like(single)
     for offset in range(-min(reach, len(single) - 1), min(reach, len(single) - 1) + 1):
         here = slice(max(0, -offset), len(single) - max(0, offset))
@@ -259,14 +260,14 @@ def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
     return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
 
 
-def _improve(scores: Tensor, indices: Tensor, found: Tensor, first: int) -> None:
-    """Merges found candidates into the lists, in place.
+def _improve(scores: Tensor, indices: Tensor, cosines: Tensor, first: int) -> None:
+    """Merges the scores of a block, which starts at row ``first``, into the lists, in place.
 
-    Most queries find nothing better in a later block, which the block's best score shows at once.
+    Most queries find nothing better in a later block: only those with a higher score are merged.
     """
-    rows = (found.amax(dim=1) > scores[:, -1]).nonzero()[:, 0]
+    rows = (cosines.amax(dim=1) > scores[:, -1]).nonzero()[:, 0]
     if len(rows):
-        best, columns = _best(found[rows], min(scores.shape[1], found.shape[1]))
+        best, columns = _best(cosines[rows], min(scores.shape[1], cosines.shape[1]))
         merged = _merge((scores[rows], indices[rows]), (best, columns + first))
         scores[rows], indices[rows] = merged
 
@@ -274,8 +275,8 @@ def _improve(scores: Tensor, indices: Tensor, found: Tensor, first: int) -> None
 def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
     """The highest scores of each row and their columns, the first of equals.
 
-    ``topk`` takes any of several equal scores. Where more columns than ``top`` reach the last
-    score that it took, a stable sort decides.
+    ``topk`` takes any of several equal scores. Where more than ``top`` columns are at least as high
+    as the last score that it took, a stable sort decides.
     """
     best, columns = scores.topk(top, dim=1)
     last = best[:, -1:]
@@ -289,13 +290,14 @@ def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
 def highest(values: Tensor, count: int) -> Tensor:
     """``(count,)`` int64, the places of the highest of ``(N,)`` values, the first of equals first.
 
-    Only groups of values with the highest peaks are sorted: each of the others is behind as many.
+    Only the ``count`` groups of values with the highest maxima are sorted: each value of another
+    group is lower than, or behind, ``count`` others.
     """
-    few = max(1, min(len(values), _GROUP))
-    groups = F.pad(values, (0, -len(values) % few), value=-torch.inf).view(-1, few)
-    peaks = groups.amax(1).sort(descending=True, stable=True).indices[:count].sort().values
-    places = (peaks[:, None] * few + torch.arange(few)).flatten()
-    order = groups[peaks].flatten().sort(descending=True, stable=True).indices[:count]
+    size = max(1, min(len(values), _GROUP))
+    groups = F.pad(values, (0, -len(values) % size), value=-torch.inf).view(-1, size)
+    chosen = groups.amax(1).sort(descending=True, stable=True).indices[:count].sort().values
+    places = (chosen[:, None] * size + torch.arange(size)).flatten()
+    order = groups[chosen].flatten().sort(descending=True, stable=True).indices[:count]
     return places[order]
 
 
@@ -303,15 +305,15 @@ _GROUP = 1024
 
 
 def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
-    """The highest of ``(N,)`` values, -inf left out; of equal ones the first.
+    """The highest of ``(N,)`` values above -inf, the first of equals first.
 
     Args:
-        values: float.
-        top: how many.
-        rows: ``(N,)`` int64, to which the values belong; without, their places.
+        values: ``(N,)`` float.
+        top: number of values.
+        rows: ``(N,)`` int64 rows to which the values belong; without, their places.
 
     Returns:
-        ``(top,)`` float32 values and rows; -inf and -1 where there are no more.
+        ``(top,)`` float32 values and int64 rows; -inf and -1 where there are fewer.
     """
     scores, indices = torch.full((top,), -torch.inf), torch.full((top,), -1)
     count = min(top, int((values > -torch.inf).sum()))
@@ -321,10 +323,10 @@ def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
     return Matches(scores, indices)
 
 
-def _merge(kept: tuple[Tensor, Tensor], found: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """The best of two lists of candidates, as many as were kept; equal scores by index."""
-    top = kept[0].shape[1]
-    scores, indices = torch.cat((kept[0], found[0]), 1), torch.cat((kept[1], found[1]), 1)
+def _merge(best: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
+    """The best of two lists of candidates, as many as in the first; equal scores by index."""
+    top = best[0].shape[1]
+    scores, indices = torch.cat((best[0], others[0]), 1), torch.cat((best[1], others[1]), 1)
     by_index = indices.argsort(dim=1)
     order = by_index.gather(
         1, scores.gather(1, by_index).argsort(dim=1, descending=True, stable=True)
@@ -338,7 +340,7 @@ def _limits(
     where: Tensor | npt.NDArray[np.bool_] | None,
     exclude: Tensor | npt.NDArray[np.int64] | None,
 ) -> tuple[Tensor | None, Tensor | None]:
-    """What limits the candidates, as tensors."""
+    """``where`` and ``exclude`` of `match` as tensors; another shape is a ValueError."""
     allowed = None if where is None else torch.as_tensor(where)
     ranges = None if exclude is None else torch.as_tensor(exclude)
     if allowed is not None and (allowed.shape != (references,) or allowed.dtype != torch.bool):

@@ -1,4 +1,4 @@
-"""Motion: how a sequence moves along the rows of a map, and what one frame says of its place."""
+"""Motion: how a sequence moves along the rows of a map, and how likely one frame is at each row."""
 
 from __future__ import annotations
 
@@ -20,40 +20,41 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
     (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
 )
-"""How likely each speed is, and its steps in rows: backwards, standing, 1/2, 1, 3/2, 2, 3, 4."""
+"""Probability of each speed, and of its steps in rows: -1, 0, 1/2, 1, 3/2, 2, 3, 4 rows a frame."""
 
 GAP = 5
-"""No step is longer: so many empty cells keep two sequences apart."""
+"""The longest step in rows, and the number of empty cells between two sequences."""
 
 ELSEWHERE = 5
-"""Rows that are farther apart show different places."""
+"""Rows farther apart than this show different places."""
 
-_LEAST_STEP = min(step for _, steps in SPEEDS for step in steps)
-LEAST_SPREAD = 1e-6
-_MOST = 50.0
-"""Of the logarithm of evidence: frames that equal their rows must not overflow float32."""
+_MIN_STEP = min(step for _, steps in SPEEDS for step in steps)
+MIN_SPREAD = 1e-6
+_MAX_LOG = 50.0
+"""Largest logarithm of a likelihood: frames that equal their rows must not overflow float32."""
 _ROUNDING = 1e-6
-"""Cosines of 480 float32 products are no more exact than this."""
+"""Rounding error of a cosine of 480 float32 products."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """What a sequence is expected to do, and how much one frame says.
+    """How a sequence is expected to move, and how much one frame counts.
 
-    The change, weight and level are chosen by `scripts/pages/choose_motion.py`; see
+    The change, weight and level were chosen by `scripts/pages/choose_motion.py`; see
     docs/recognition.md.
 
     Attributes:
-        change: chance that the speed changes from one frame to the next.
-        jump: chance to leave the track: to any row, or to a place that the map lacks.
-        unmapped: the part of the jumps that go to a place that the map lacks.
-        stay: chance to stay at such places.
-        weight: what one z-score counts. Frames in a row err alike, so it is less than the 1 or
-            more of independent ones.
-        level: the z-score from which on a frame speaks for a row rather than for a new place.
+        change: probability that the speed changes from one frame to the next.
+        jump: probability of a jump to any row, or to a place that the map lacks.
+        unmapped: fraction of the jumps that lead to a place that the map lacks.
+        stay: probability to stay at such places.
+        weight: factor of a z-score in the logarithm of the likelihood. Errors of neighbouring
+            frames are correlated, so it is less than for independent frames, where it is 1 or more.
+        level: the z-score above which a frame is more likely at the row than at a new place.
 
     Raises:
-        ValueError: a chance is not from 0 to 1, the weight not above 0, or a number not finite.
+        ValueError: a probability is not from 0 to 1, the weight not above 0, or a number not
+            finite.
     """
 
     change: float = 0.05
@@ -67,13 +68,28 @@ class Motion:
         for name in ("change", "jump", "unmapped", "stay"):
             if not 0 <= getattr(self, name) <= 1:
                 raise ValueError(
-                    f"{name}: expected a chance from 0 to 1, got {getattr(self, name)}"
+                    f"{name}: expected a probability from 0 to 1, got {getattr(self, name)}"
                 )
         if not 0 < self.weight < math.inf or not math.isfinite(self.level):
             raise ValueError(
                 "expected a finite weight above 0 and a finite level, "
                 f"got {self.weight} and {self.level}"
             )
+
+    def unmapped_at_start(self, rows: int) -> float:
+        """Probability that a map of so many rows lacks the place of the first frame."""
+        return self.unmapped if rows else 1.0
+
+    def off_track(self, lost: float, unmapped: float) -> tuple[float, float]:
+        """Probabilities of any row and of an unmapped place, from those of a track that was left
+        and of an unmapped place one frame before."""
+        any_row = lost * (1 - self.unmapped) + unmapped * (1 - self.stay)
+        return any_row, lost * self.unmapped + unmapped * self.stay
+
+    def off_track_back(self, any_row: float, unmapped: float) -> tuple[float, float]:
+        """The transpose of `off_track`, for the backward algorithm."""
+        lost = (1 - self.unmapped) * any_row + self.unmapped * unmapped
+        return lost, self.stay * unmapped + (1 - self.stay) * any_row
 
 
 def nearness(scores: Tensor) -> Tensor:
@@ -82,39 +98,47 @@ def nearness(scores: Tensor) -> Tensor:
 
 
 def lead(near: Tensor, rows: Tensor | None = None) -> Tensor:
-    """``(Q,)``: how much nearer the first candidate is than the best one elsewhere, see
-    `ELSEWHERE`; infinite where nothing is elsewhere. ``near`` ``(Q, N)`` is the nearness of the
-    rows ``(N,)``, rising, of the map, or of all."""
+    """How much nearer the first candidate is than the best row elsewhere, see `ELSEWHERE`.
+
+    Args:
+        near: ``(Q, N)`` float nearness.
+        rows: ``(N,)`` int64, the rows of the map, rising; without, all rows.
+
+    Returns:
+        ``(Q,)``; infinite where no row is elsewhere.
+    """
     rows = torch.arange(near.shape[1]) if rows is None else rows
     apart = (rows - rows[near.argmax(1)][:, None]).abs()
     return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
 
 
 def moments(scores: Tensor) -> tuple[float, float]:
-    """Mean and standard deviation of the nearness of scores, those that are -inf left out."""
+    """Mean and standard deviation of the nearness of scores, without scores of -inf."""
     return _moments(nearness(scores))
 
 
 def _moments(near: Tensor) -> tuple[float, float]:
     if not len(near):
-        return 0.0, LEAST_SPREAD
+        return 0.0, MIN_SPREAD
     least, most = map(float, near.aminmax())
     if least == -torch.inf:
         return _moments(near[near > -torch.inf])
-    if most - least <= LEAST_SPREAD:
-        return least, LEAST_SPREAD
+    if most - least <= MIN_SPREAD:
+        return least, MIN_SPREAD
     mean = float(near.mean())
     deviation = math.sqrt(float((near - mean).square_().mean()))
-    return mean, max(LEAST_SPREAD, deviation)
+    return mean, max(MIN_SPREAD, deviation)
 
 
-def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None) -> Tensor:
-    """How much more likely a query is at each row than at a place that the map lacks.
+def likelihoods(
+    scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None
+) -> Tensor:
+    """How much likelier a query is at each row than at a place that the map lacks.
 
     Args:
         scores: ``(R,)`` float cosines, -inf where there can be no match.
-        motion: its weight and level.
-        spread: mean and standard deviation of the nearness of all rows; without, of these.
+        motion: of which the weight and the level are used.
+        spread: mean and standard deviation of the nearness of all rows; without, of these scores.
 
     Returns:
         ``(R,)`` float32, ``exp(weight * (z - level))``, 0 where there can be no match; 1 everywhere
@@ -122,64 +146,70 @@ def evidence(scores: Tensor, motion: Motion, spread: tuple[float, float] | None 
     """
     z = nearness(scores.float())
     mean, deviation = _moments(z) if spread is None else spread
-    if deviation <= LEAST_SPREAD:
+    if deviation <= MIN_SPREAD:
         return torch.ones(len(scores))
     z.sub_(mean + motion.level * deviation).mul_(motion.weight / deviation)
-    return z.clamp_(max=_MOST).exp_()
+    return z.clamp_(max=_MAX_LOG).exp_()
 
 
 def moved(belief: Tensor, motion: Motion, back: bool = False) -> Tensor:
-    """A belief ``(8, cells)`` float32 by speed and cell, one frame later, without what jumps;
-    ``back`` is the transpose, for the backward algorithm. The first and last `GAP` cells stay 0;
-    what left the map is in the gaps between sequences."""
+    """A belief one frame later, without jumps.
+
+    The first and last `GAP` cells stay 0. A track that leaves its sequence is in the gap after it.
+
+    Args:
+        belief: ``(8, cells)`` float32, by speed and cell.
+        motion: of which the change and the jump are used.
+        back: whether to apply the transpose, for the backward algorithm.
+    """
     after, end = torch.empty_like(belief), belief.shape[1] - GAP
     after[:, :GAP] = after[:, end:] = 0
     for first in range(GAP, end, CELLS):
         last = min(first + CELLS, end)
         after[:, first:last] = 0
-        for step, there, here, ways in _ways(motion, back):
-            after[there, first:last].addmm_(ways, belief[here, first - step : last - step])
+        for step, to, source, weights in _shifts(motion, back):
+            after[to, first:last].addmm_(weights, belief[source, first - step : last - step])
     return after
 
 
 CELLS = 1 << 15
-"""Cells that are moved at once: their beliefs, before and after, fit the cache of a core."""
+"""Cells that are moved at once: their beliefs before and after fit into the cache of a core."""
 
 
-class _Way(NamedTuple):
-    """A step in cells, the speeds to which and from which it leads, and with which chances."""
+class _Shift(NamedTuple):
+    """A step in cells, the speeds after and before it, and the probabilities from each to each."""
 
     step: int
-    there: slice
-    here: slice
-    chances: Tensor
+    to: slice
+    source: slice
+    weights: Tensor
 
 
 @cache
-def _ways(motion: Motion, back: bool) -> tuple[_Way, ...]:
-    ways, any_speed = [], slice(0, len(SPEEDS))
-    for step in range(_LEAST_STEP, GAP + 1):
+def _shifts(motion: Motion, back: bool) -> tuple[_Shift, ...]:
+    shifts, any_speed = [], slice(0, len(SPEEDS))
+    for step in range(_MIN_STEP, GAP + 1):
         speeds = [speed for speed, (_, steps) in enumerate(SPEEDS) if step in steps]
-        there = slice(speeds[0], speeds[-1] + 1)
-        to = chances(motion)[there, :, GAP - step]
-        way = _Way(-step, any_speed, there, to.T) if back else _Way(step, there, any_speed, to)
-        ways.append(way._replace(chances=way.chances.contiguous()))
-    return tuple(ways)
+        to = slice(speeds[0], speeds[-1] + 1)
+        weights = transitions(motion)[to, :, GAP - step]
+        shift = (-step, any_speed, to, weights.T) if back else (step, to, any_speed, weights)
+        shifts.append(_Shift(*shift[:3], shift[3].contiguous()))
+    return tuple(shifts)
 
 
 @cache
-def chances(motion: Motion) -> Tensor:
-    """``(8, 8, taps)``: to each speed from each, the chance to come from so many cells away; the
-    first tap is the longest step."""
-    chances = torch.zeros(len(SPEEDS), len(SPEEDS), GAP - _LEAST_STEP + 1)
+def transitions(motion: Motion) -> Tensor:
+    """``(8, 8, steps)`` float32: the probability of each speed after each speed with each step, the
+    longest step first; without jumps."""
+    probabilities = torch.zeros(len(SPEEDS), len(SPEEDS), GAP - _MIN_STEP + 1)
     for speed, (prior, steps) in enumerate(SPEEDS):
-        kept = motion.change * prior * torch.ones(len(SPEEDS))
-        kept[speed] += 1 - motion.change
-        for step, chance in steps.items():
-            chances[speed, :, GAP - step] = kept * chance * (1 - motion.jump)
-    return chances
+        by_speed = motion.change * prior * torch.ones(len(SPEEDS))
+        by_speed[speed] += 1 - motion.change
+        for step, probability in steps.items():
+            probabilities[speed, :, GAP - step] = by_speed * probability * (1 - motion.jump)
+    return probabilities
 
 
 def prior_of_speeds() -> Tensor:
-    """``(8, 1)`` float32."""
-    return torch.tensor([chance for chance, _ in SPEEDS])[:, None]
+    """``(8, 1)`` float32, the probability of each speed."""
+    return torch.tensor([probability for probability, _ in SPEEDS])[:, None]

@@ -1,9 +1,9 @@
-"""Recognise: from the descriptors of queries and of a map to places, by the steps of this room."""
+"""Recognise: from descriptors of queries and of a map to places, with a confidence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cache
 from typing import Any, NamedTuple
 
@@ -18,16 +18,16 @@ from .follow import Mode, Places, Scores, follow, runs
 from .fusion import FusedScores
 from .matching import Matches, Rows, Vectors, best_of
 from .motion import Motion
-from .standardise import LEAST, standardise
+from .standardise import MIN_FRAMES, standardise
 from .sweep import COLUMNS, narrowed, score
 
-OWN = "ssr-vlad"
-"""What the method itself is called among others."""
+SSR_VLAD = "ssr-vlad"
+"""The name of the descriptor among fused methods."""
 
 _SCORES_IN_MEMORY = 1 << 26
-_LEAST_GAIN = 0.01
-"""Of frames as a sequence, see `Filter.gain`. Rounding made 2e-7 of single queries and 4e-6 of 2000
-equal ones; the drives of docs/fusion.md gain 18 and more."""
+_MIN_GAIN = 0.01
+"""Gain above which frames count as a sequence, see `Filter.gain`. Rounding gave 2e-7 for single
+queries and 4e-6 for 2000 equal ones; the drives of docs/fusion.md gain 18 and more."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,15 @@ class Steps:
     """What is done between descriptors and a decision.
 
     Attributes:
-        standardise: take each traverse's own mean off, see `standardise`. A traverse of fewer
-            than `standardise.LEAST` queries is compared as it is, with the references as they are.
-        sweep: use the anchors of queries that have several, see `sweep.narrowed`.
-        follow: see `follow.follow`; ``None`` judges every query by itself.
-        delay: queries for which an online answer waits.
+        standardise: subtract the mean of each traverse, see `standardise`. A traverse of fewer
+            than `standardise.MIN_FRAMES` queries and the references for it stay raw.
+        sweep: use all anchors of queries that have several, see `sweep.narrowed`.
+        follow: see `follow.follow`; ``None`` judges each query alone.
+        delay: number of later queries that an online answer waits for.
 
     Raises:
-        ValueError: the delay is negative, or there is one and nothing is followed online; or there
-            is no such way to follow.
+        ValueError: ``follow`` is none of these, the delay is negative, or there is a delay and
+            ``follow`` is not online.
     """
 
     standardise: bool = True
@@ -65,17 +65,18 @@ AS_PAPER = Steps(standardise=False, sweep=False, follow=None)
 
 
 class Recognised(NamedTuple):
-    """What was found.
+    """The candidates of all queries.
 
     Attributes:
-        matches: ``(Q, top)``: scores are cosines for single frames, and probabilities where the
-            sequence was followed; that of the first candidate is of its neighbourhood.
-            An empty query has no candidate.
+        matches: ``(Q, top)``. Scores of a query that is judged alone are cosines. Scores of a query
+            that is followed are probabilities: for the first candidate that of its neighbourhood
+            (`Places.near`), for the others that of the row alone. An empty query has no candidate.
         confidence: ``(Q,)`` float32, the probability that the first candidate is right, see
-            `confidence`; 0 without one, and where fewer than `standardise.LEAST` references are
-            too few to tell.
-        used: what was done, to be told: the steps, and by sequence whether it was standardised,
-            the width of the sweep, how it was followed, and what each of several methods weighs.
+            `confidence`; 0 without a candidate, and 0 for all queries of fewer than
+            `standardise.MIN_FRAMES` references.
+        used: the steps as a report: `Steps` and the number of references, and by sequence whether
+            it was standardised, the width of its sweep, how it was followed, and the weights of
+            fused methods.
     """
 
     matches: Matches
@@ -94,21 +95,21 @@ def recognise(
     reference_sequences: Sequence[str],
     steps: Steps | None = None,
     top: int = 5,
-    barred: Tensor | None = None,
+    excluded: Tensor | None = None,
     beside: Mapping[str, tuple[Vectors, Vectors]] | None = None,
 ) -> Recognised:
-    """Candidates of every query, and how sure the first is.
+    """Candidates of each query, and the confidence in the first.
 
     Args:
         queries: ``(Q, D)`` raw descriptors, or ``(Q, S, D)`` of a sweep over `sweep.COLUMNS`.
         references: ``(R, D)`` raw descriptors.
         query_sequences, reference_sequences: the sequence of each; the frames of one stand
             together and in order.
-        steps: what is done; without, all.
-        top: candidates of each query.
-        barred: ``(Q, R)`` bool, references that are no candidates.
-        beside: of further methods queries ``(Q, D')`` and references ``(R, D')`` by name; the
-            scores of all are fused, see `FusedScores`.
+        steps: what is done; without, all steps.
+        top: number of candidates of each query.
+        excluded: ``(Q, R)`` bool, references that are no candidates.
+        beside: queries ``(Q, D')`` and references ``(R, D')`` of further methods by their names;
+            the scores of all methods are fused, see `FusedScores`.
 
     Raises:
         ValueError: shapes do not fit.
@@ -119,34 +120,33 @@ def recognise(
         [5, 6, 7, 8]
     """
     steps = steps or Steps()
-    methods = {
-        name: (torch.as_tensor(wanted), torch.as_tensor(known).float())
-        for name, (wanted, known) in {OWN: (queries, references), **(beside or {})}.items()
-    }
-    for wanted, _ in methods.values():
-        if len(query_sequences) != len(wanted):
+    pairs = {SSR_VLAD: (queries, references), **(beside or {})}
+    queries_of = {name: torch.as_tensor(pair[0]) for name, pair in pairs.items()}
+    for vectors in queries_of.values():
+        if len(query_sequences) != len(vectors):
             got = len(query_sequences)
-            raise ValueError(f"expected a sequence for each of {len(wanted)} queries, got {got}")
+            raise ValueError(f"expected a sequence for each of {len(vectors)} queries, got {got}")
 
     @cache
-    def measured(name: str, own: bool) -> Rows:
-        known = methods[name][1]
-        return Rows.of(standardise(known, reference_sequences) if own else known)
+    def rows_of(name: str, standardised: bool) -> Rows:
+        vectors = torch.as_tensor(pairs[name][1]).float()
+        return Rows.of(standardise(vectors, reference_sequences) if standardised else vectors)
 
-    def judge(run: range) -> _Outcome:
-        rows = slice(run.start, run.stop)
-        own = steps.standardise and len(run) >= LEAST
-        members, widths = list[Scores](), list[int]()
-        for name, (wanted, _) in methods.items():
-            known = measured(name, own)
-            part, width = _prepared(wanted[rows], known, replace(steps, standardise=own))
-            members.append(_Scores(part, known, None if barred is None else barred[rows]))
-            widths.append(width)
-        scores, weights = _together(members, list(methods))
-        found, followed = _judged(scores, reference_sequences, steps, top)
-        return _Outcome(*found, own, max(widths), followed, weights)
+    def decide(run: range) -> _Decision:
+        part = slice(run.start, run.stop)
+        standardised = steps.standardise and len(run) >= MIN_FRAMES
+        without = None if excluded is None else excluded[part]
+        width, members = 0, list[Scores]()
+        for name, vectors in queries_of.items():
+            rows = rows_of(name, standardised)
+            compared, reach = _prepared(vectors[part], rows, steps.sweep, standardised)
+            members.append(_BlockScores(compared, rows, without))
+            width = max(width, reach)
+        scores, weights = _fused(members, list(pairs))
+        decision = _decided(scores, reference_sequences, steps, top)
+        return replace(decision, standardise=standardised, sweep=width, weights=weights)
 
-    return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
+    return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
 
 
 def recognise_by_scores(
@@ -156,16 +156,14 @@ def recognise_by_scores(
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
-    """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match, of
-    methods whose encodings are no vectors: they can only be followed."""
+    """As `recognise`, by scores ``(Q, R)`` float, at most 1, -inf where there can be no match. For
+    methods whose encodings are no vectors; following is the only step."""
     steps = replace(steps or Steps(), standardise=False, sweep=False)
 
-    def judge(run: range) -> _Outcome:
-        part = scores[run.start : run.stop]
-        found, followed = _judged(part, reference_sequences, steps, top)
-        return _Outcome(*found, False, 0, followed, {})
+    def decide(run: range) -> _Decision:
+        return _decided(scores[run.start : run.stop], reference_sequences, steps, top)
 
-    return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
+    return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
 
 
 def recognise_by_search(
@@ -175,139 +173,143 @@ def recognise_by_search(
     steps: Steps | None = None,
     top: int = 5,
 ) -> Recognised:
-    """As `recognise`, over the candidates of a search, for maps that are too large to score every
-    row. ``search`` gives what finds candidates, standardised or not; there is no sweep."""
+    """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
+    returns what finds candidates, by standardised descriptors if its argument is true."""
     steps = replace(steps or Steps(), sweep=False)
 
-    def judge(run: range) -> _Outcome:
-        own, mode = steps.standardise and len(run) >= LEAST, steps.follow
-        found = search(own)
-        if not mode or gain(found, reference_sequences, Motion(unmapped=0.0), run) <= _LEAST_GAIN:
-            alone = []
-            for query in run:
-                rows = found.candidates(query).sort().values
-                scores = found.scores(query, rows)
-                sure = confidence_of_scores(scores, rows, found.spread(query))
-                alone.append((best_of(scores, top, rows), sure))
-            return _Outcome(*_single(alone), own, 0, "no", {})
-        places = follow_candidates(found, reference_sequences, run, mode, steps.delay, top)
-        empty = torch.tensor([not len(found.candidates(query)) for query in run])
-        return _Outcome(*_placed(places, empty, mode), own, 0, mode, {})
+    def decide(run: range) -> _Decision:
+        standardised = steps.standardise and len(run) >= MIN_FRAMES
+        found = search(standardised)
+        sequences, mode = reference_sequences, steps.follow
+        if mode and gain(found, sequences, Motion(unmapped=0.0), run) > _MIN_GAIN:
+            places = follow_candidates(found, sequences, run, mode, steps.delay, top)
+            empty = torch.tensor([not len(found.candidates(query)) for query in run])
+            decision = _followed(places, empty, mode)
+        else:
+            decision = _alone([_best_candidates(found, query, top) for query in run])
+        return replace(decision, standardise=standardised)
 
-    return _of_each(query_sequences, len(reference_sequences), steps, top, judge)
+    return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
 
 
-class _Outcome(NamedTuple):
-    """The outcome of one sequence of queries, and the steps that it took."""
+@dataclass(frozen=True)
+class _Decision:
+    """The candidates of one sequence of queries, and the steps that were taken."""
 
     matches: Matches
     confidence: Tensor
-    standardise: bool
-    sweep: int
-    follow: str
-    weights: dict[str, float]
+    standardise: bool = False
+    sweep: int = 0
+    follow: str = "no"
+    weights: dict[str, float] = field(default_factory=dict)
 
 
-def _of_each(
+def _by_sequence(
+    decide: Callable[[range], _Decision],
     sequences: Sequence[str],
     references: int,
     steps: Steps,
     top: int,
-    judge: Callable[[range], _Outcome],
 ) -> Recognised:
-    """Judges the queries sequence by sequence, and joins the outcomes."""
-    judged = {run: judge(run) for run in runs(sequences)}
+    """Decides about each sequence of queries, and joins the decisions."""
+    decisions = {run: decide(run) for run in runs(sequences)}
     used: dict[str, Any] = {**asdict(steps), "references": references}
     for step in ("standardise", "sweep", "follow", "weights"):
-        used[step] = {sequences[run.start]: getattr(one, step) for run, one in judged.items()}
+        used[step] = {sequences[run.start]: getattr(d, step) for run, d in decisions.items()}
     none = torch.zeros(0, top)
-    scores, indices, sure = (
-        torch.cat([empty, *parts])
-        for empty, parts in (
-            (none, [one.matches.scores for one in judged.values()]),
-            (none.long(), [one.matches.indices for one in judged.values()]),
-            (none.sum(1), [one.confidence for one in judged.values()]),
-        )
-    )
-    return Recognised(Matches(scores, indices), sure * (references >= LEAST), used)
+    matches = [decision.matches for decision in decisions.values()]
+    scores = torch.cat([none, *(each.scores for each in matches)])
+    indices = torch.cat([none.long(), *(each.indices for each in matches)])
+    confidence = torch.cat([none.sum(1), *(each.confidence for each in decisions.values())])
+    return Recognised(Matches(scores, indices), confidence * (references >= MIN_FRAMES), used)
 
 
-def _prepared(queries: Tensor, references: Rows, steps: Steps) -> tuple[Tensor, int]:
-    """The queries of one sequence, standardised, and the width of their sweep."""
-    if queries.ndim == 3 and not steps.sweep:
-        queries = queries[:, queries.shape[1] // 2]
+def _prepared(
+    queries: Tensor, references: Rows, sweep: bool, standardised: bool
+) -> tuple[Tensor, int]:
+    """The queries of one sequence as they are compared, and the width of their sweep."""
+    if queries.ndim == 3 and sweep:
+        return narrowed(queries, references, COLUMNS, standardised)
     if queries.ndim == 3:
-        return narrowed(queries, references, COLUMNS, steps.standardise)
-    return (standardise(queries) if steps.standardise else queries), 0
+        queries = queries[:, queries.shape[1] // 2]
+    return (standardise(queries) if standardised else queries), 0
 
 
-class _Scores(Scores):
-    """Scores of one sequence, computed at once if they are few and by blocks of queries if not."""
+class _BlockScores(Scores):
+    """Scores of one sequence of queries, computed in blocks of queries that fit in memory."""
 
-    def __init__(self, queries: Tensor, references: Rows, barred: Tensor | None) -> None:
-        self._queries, self._references, self._barred = queries, references, barred
+    def __init__(self, queries: Tensor, references: Rows, excluded: Tensor | None) -> None:
+        self._queries, self._references, self._excluded = queries, references, excluded
         anchors = queries.shape[1] if queries.ndim == 3 else 1
-        few = len(queries) * len(references) <= _SCORES_IN_MEMORY
+        fits = len(queries) * len(references) <= _SCORES_IN_MEMORY
         room = _SCORES_IN_MEMORY // (4 * anchors * max(1, len(references)))
-        self._block = len(queries) if few else max(1, room)
-        self._first, self._known = 0, torch.empty(0)
+        self._size = len(queries) if fits else max(1, room)
+        self._first, self._block = 0, torch.empty(0)
 
     def __len__(self) -> int:
         return len(self._queries)
 
     def __getitem__(self, query: int, /) -> Tensor:
-        if not self._first <= query < self._first + len(self._known):
-            self._first = query - query % self._block
-            part = slice(self._first, self._first + self._block)
-            self._known = score(self._queries[part], self._references)
-        row = self._known[query - self._first]
-        return row if self._barred is None else row.masked_fill(self._barred[query], -torch.inf)
+        if not self._first <= query < self._first + len(self._block):
+            self._first = query - query % self._size
+            part = slice(self._first, self._first + self._size)
+            self._block = score(self._queries[part], self._references)
+        row = self._block[query - self._first]
+        return row if self._excluded is None else row.masked_fill(self._excluded[query], -torch.inf)
 
 
-def _together(
+def _fused(
     members: Sequence[Scores], names: Sequence[str]
 ) -> tuple[Scores | Tensor, dict[str, float]]:
-    """The scores of all methods as one, in memory if few, and what each weighs if several."""
+    """The scores of all methods as one, and the weights of several methods."""
     if len(members) == 1:
         return members[0], {}
     fused = FusedScores(members)
-    few = len(fused) * len(fused[0]) <= _SCORES_IN_MEMORY
+    fits = len(fused) * len(fused[0]) <= _SCORES_IN_MEMORY
     weights = dict(zip(names, fused.weights, strict=True))
-    return fused.whole() if few else fused, weights
+    return fused.whole() if fits else fused, weights
 
 
-def _judged(
+def _decided(
     scores: Tensor | Scores, sequences: Sequence[str], steps: Steps, top: int
-) -> tuple[tuple[Matches, Tensor], str]:
-    """Candidates and confidences of one sequence, and how it was followed."""
+) -> _Decision:
+    """Follows one sequence of queries by the scores of all rows, or judges each alone."""
     mode = steps.follow
-    if mode is not None and _is_sequence(scores, sequences):
+    if mode and _is_sequence(scores, sequences):
         places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
-        return _placed(places, empty, mode), mode
-    alone = (scores[query] for query in range(len(scores)))
-    return _single([(best_of(one, top), confidence_of_scores(one)) for one in alone]), "no"
+        return _followed(places, empty, mode)
+    rows = (scores[query] for query in range(len(scores)))
+    return _alone([(best_of(row, top), confidence_of_scores(row)) for row in rows])
 
 
-def _placed(places: Places, empty: Tensor, mode: Mode) -> tuple[Matches, Tensor]:
-    """Candidates and confidences of queries that were followed; an empty query has none."""
-    ranked = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
-    found = Matches(
-        ranked.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf),
-        places.indices.masked_fill(empty[:, None], -1),
-    )
-    return found, confidence_of_places(places.near, mode).masked_fill(empty, 0)
+def _followed(places: Places, empty: Tensor, mode: Mode) -> _Decision:
+    """The decision about queries that were followed; an empty query has no candidate. For the
+    scores, see `Recognised`."""
+    scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
+    scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
+    matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
+    confidence = confidence_of_places(places.near, mode).masked_fill(empty, 0)
+    return _Decision(matches, confidence, follow=mode)
 
 
-def _single(found: Sequence[tuple[Matches, Tensor]]) -> tuple[Matches, Tensor]:
-    """Candidates and confidences of queries that were judged one by one."""
-    matches, sure = zip(*found, strict=True)
-    return Matches(*map(torch.stack, zip(*matches, strict=True))), torch.stack(sure)
+def _alone(judged: Sequence[tuple[Matches, Tensor]]) -> _Decision:
+    """The decision about queries that were judged one by one."""
+    matches, confidence = zip(*judged, strict=True)
+    matches = Matches(*map(torch.stack, zip(*matches, strict=True)))
+    return _Decision(matches, torch.stack(confidence))
+
+
+def _best_candidates(search: Search, query: int, top: int) -> tuple[Matches, Tensor]:
+    """The candidates of a query alone, and its confidence."""
+    rows = search.candidates(query).sort().values
+    scores = search.scores(query, rows)
+    return best_of(scores, top, rows), confidence_of_scores(scores, rows, search.spread(query))
 
 
 def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
-    """Whether the frames, all of them in the map, are likelier as a sequence than each alone."""
+    """Whether the frames are likelier as a sequence than each alone, if the map has all places."""
     track = Filter(sequences, Motion(unmapped=0.0))
     for query in range(len(scores)):
         track.step(scores[query])
-    return track.gain > _LEAST_GAIN
+    return track.gain > _MIN_GAIN

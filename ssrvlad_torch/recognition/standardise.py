@@ -1,7 +1,7 @@
 """Standardise: subtract from each traverse what all its frames have in common.
 
-Light, season, camera and the mistakes of a network shift the descriptors of a traverse alike, and
-say nothing of places. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse.
+Light, season, camera and errors of a network shift all descriptors of a traverse alike, whatever
+the place. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each traverse.
 """
 
 from __future__ import annotations
@@ -15,30 +15,30 @@ from torch import Tensor
 
 from .matching import Vectors
 
-LEAST = 30
-"""Frames of a traverse whose mean is taken off. That of fewer is their place, not what they have in
-common: with it Recall@1 of single pictures, swept, was 0.69 in place of 0.84 on CamVid."""
+MIN_FRAMES = 30
+"""Least number of frames of a traverse whose mean is subtracted. The mean of fewer describes their
+place: subtracted, it lowered Recall@1 of single pictures on CamVid, swept, from 0.84 to 0.69."""
 
 
 @torch.no_grad()
 def standardise(
     descriptors: Vectors, sequences: Sequence[str] | None = None, running: bool = False
 ) -> Tensor:
-    """Descriptors less the mean of their traverse, and normalised again.
+    """Descriptors without the mean of their traverse, normalised again.
 
-    Empty frames, whose descriptors are zero, stay zero and count in no mean.
+    Empty frames, whose descriptors are zero, stay zero and do not count in the mean.
 
     Args:
-        descriptors: ``(N, D)`` float, or ``(N, S, D)`` of a sweep, whose mean is over all anchors.
-        sequences: the traverse of each frame; without, all are one.
-        running: the mean is over the frames so far, as a live stream knows them. The first frame
-            of a traverse is then left as it is.
+        descriptors: ``(N, D)`` float, or ``(N, S, D)`` of a sweep; the mean is over all anchors.
+        sequences: the traverse of each frame; without, all frames are of one.
+        running: whether the mean is over the frames so far, as in a live stream. The first frame of
+            a traverse then stays as it is.
 
     Returns:
         float32 of the same shape, of length 1 or zero.
 
     Raises:
-        ValueError: the descriptors are of another shape, or their number is not that of sequences.
+        ValueError: the descriptors are of another shape, or there is not one sequence for each.
 
     Example:
         >>> standardise(torch.tensor([[1.0, 0.0], [0.0, 1.0]]))
@@ -53,14 +53,14 @@ def standardise(
         raise ValueError(f"expected a sequence for each of {len(single)} frames, got {len(names)}")
     after = torch.empty_like(single)
     number = {name: place for place, name in enumerate(dict.fromkeys(names))}
-    drives = np.array([number[name] for name in names], np.int64)
-    for drive in range(drives.max(initial=-1) + 1):
-        rows = torch.from_numpy(np.flatnonzero(drives == drive))
-        after[rows] = _less_mean(single[rows], running)
+    numbers = np.array([number[name] for name in names], np.int64)
+    for each in number.values():
+        rows = torch.from_numpy(np.flatnonzero(numbers == each))
+        after[rows] = _without_own_mean(single[rows], running)
     return after
 
 
-def _less_mean(single: Tensor, running: bool) -> Tensor:
+def _without_own_mean(single: Tensor, running: bool) -> Tensor:
     anchors = single if single.ndim == 3 else single[:, None]
     counted, totals = anchors.any(dim=2).sum(1), anchors.sum(1, dtype=torch.double)
     if running:
@@ -68,17 +68,17 @@ def _less_mean(single: Tensor, running: bool) -> Tensor:
     else:
         counted, totals = counted.sum(0, keepdim=True), totals.sum(0, keepdim=True)
     mean = (totals / counted.clamp(min=1)[:, None]).float()
-    return less(anchors, mean[:, None]).view_as(single)
+    return without_mean(anchors, mean[:, None]).view_as(single)
 
 
-def less(vectors: Tensor, mean: Tensor) -> Tensor:
-    """Vectors ``(..., D)`` float32 of length 1 or zero, less a mean and normalised again. Zeros
-    stay zero, and a vector that equals the mean stays as it is."""
-    away = vectors - mean
-    alone = away.abs().amax(dim=-1, keepdim=True) <= _ROUNDING
-    after = torch.where(alone, vectors, F.normalize(away, dim=-1))
+def without_mean(vectors: Tensor, mean: Tensor) -> Tensor:
+    """Vectors ``(..., D)`` float32 of length 1 or zero, less a mean and normalised again. A zero
+    vector stays zero, and a vector that equals the mean stays as it is."""
+    centred = vectors - mean
+    equal = centred.abs().amax(dim=-1, keepdim=True) <= _ROUNDING
+    after = torch.where(equal, vectors, F.normalize(centred, dim=-1))
     return after * vectors.any(dim=-1, keepdim=True)
 
 
 _ROUNDING = 1e-6
-"""A frame this near to the mean of its traverse is alone in it, or like all others."""
+"""A vector this near to the mean equals it: its traverse has one frame, or all frames are equal."""
