@@ -1,4 +1,4 @@
-"""What encoding takes on one core, and its halves, reading and describing; and on all cores."""
+"""The time of encoding on one core, of its halves (reading and describing), and on all cores."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def encoding_rates(
         repetitions: how often.
 
     Returns:
-        ``"read"``, reading and digesting label maps; ``"describe"``, describing those that lie in
-        memory; ``"one"``, what `encode_to_database` does on one core, writing and flushing among
-        it; ``"all"``, the same by workers, from the first batch that is done. And the seconds
-        until that, in which the workers start.
+        Timings: ``"read"``, reading and digesting label maps; ``"describe"``, describing label maps
+        in memory; ``"one"``, `encode_to_database` on one core with writing and flushing; ``"all"``,
+        `encode_to_database` by workers, after the first batch. And the seconds until the first
+        batch is done, in which the workers start.
     """
     items = [Item(file) for file in files]
     batches = [items[first : first + BATCH] for first in range(0, len(items), BATCH)]

@@ -1,5 +1,5 @@
 """The conditions of `shape.py` and `ablate.py`, each with two halves: one on which settings were
-chosen, and the other."""
+chosen, and another."""
 
 from __future__ import annotations
 
@@ -47,11 +47,13 @@ GROUPS = ("real", "CamVid", "city")
 WAYS = ("raw", "standardised", "followed")
 
 GROUPS_IN_WORDS = f"""\
-- *real*: {len(ROUTES)} pairs of traverses through change (campus by day and in the evening, a walk
-  on the left, on the right and at night), label maps of {len(NETWORKS)} networks trained elsewhere.
-- *CamVid*: odd against even frames of one drive, labels and the outputs of two networks; all frames
-  of a stop are one place.
-- *city*: {len(SEEDS[0])} city a half, {", ".join(STREETS)}, within {METRES:g} m.
+- *real*: {len(ROUTES)} pairs of traverses (a campus by day and in the evening; a walk on the left,
+  on the right and at night), with the label maps of {len(NETWORKS)} networks trained on other
+  data.
+- *CamVid*: odd frames of a drive are queries, even frames are references; hand-made labels and the
+  outputs of two networks. All frames of a stop of the car are one place.
+- *city*: {len(SEEDS[0])} synthetic city per half; {", ".join(STREETS)}. A true match is within
+  {METRES:g} m.
 """
 
 
@@ -66,8 +68,8 @@ class Search(NamedTuple):
 def measured(
     ways: dict[str, Describe], data: Path, cache: Path
 ) -> dict[str, dict[str, list[float]]]:
-    """For every way to describe, by group and half, RecallRate@1 by each of `WAYS`; what was
-    measured before is not measured again."""
+    """RecallRate@1 by each of `WAYS`, for every way to describe, by group and half; results are
+    cached."""
     kept, found = Cache(cache), {}
     parts = {"real": (real, ROUTES), "CamVid": (in_camvid, CAMVID), "city": (in_city, STREETS)}
     for name, describe in ways.items():
@@ -84,7 +86,7 @@ def measured(
 
 
 def _rates(describe: Describe, searches: Iterable[Search]) -> list[float]:
-    """The mean over searches; drives that several have are described once."""
+    """The mean over searches; a drive of several searches is described once."""
     known: dict[int, Tensor] = {}
 
     def of(drive: Drive) -> Tensor:
@@ -128,7 +130,7 @@ def _numbers(drive: Drive) -> list[str]:
 
 @cache
 def part_of(folder: Path, network: str, half: int) -> Drive:
-    """A half of a real traverse as a network sees it."""
+    """Half of a real traverse, with the label maps of a network."""
     files = find_label_files([str(folder / f"predicted_{network}")], folder.name)
     files = files[: len(files) // 2] if half == 0 else files[len(files) // 2 :]
     space = label_space("cityscapes-trainids")

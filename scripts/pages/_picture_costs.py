@@ -1,4 +1,4 @@
-"""What a picture costs on its way to a descriptor: file, network and head."""
+"""The time from a picture to its descriptor: file, network and head."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def pictures_section(
         return
     pictures = pictures[:: len(pictures) // PICTURES][:PICTURES]
     yield paragraph(
-        f"Milliseconds a picture, from a JPEG of CamVid ({PICTURES} of them, one by one) to "
-        f"the descriptor of `default`. The networks run in ONNX Runtime on {os.cpu_count()} cores, "
-        "all else on one. The parts are timed within the whole, and their fraction of it is in "
-        "brackets. The fused file is the same in one ONNX graph."
+        f"Milliseconds per picture from a JPEG of CamVid to the descriptor of `default`, for "
+        f"{PICTURES} pictures one by one. The networks run in ONNX Runtime on {os.cpu_count()} "
+        "cores, everything else on one. The parts are timed within the whole; in brackets is their "
+        "fraction of it. The fused file is network and head in one ONNX graph."
     )
-    yield from head_row("network", "size", "whole", *PARTS, "fused file, decoding left out")
+    yield from head_row("network", "size", "whole", *PARTS, "fused file, without decoding")
     for settings in sorted(networks.glob("*.yaml")):
         segmenter = Segmenter.load(settings, "cityscapes-trainids")
         head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")

@@ -24,17 +24,15 @@ Way = Callable[[], Any]
 
 
 def stage_section(labels: Tensor, config: SSRVLADConfig, repetitions: int) -> Iterator[str]:
-    """The table, for one label map and the settings of a preset at native size."""
+    """The table of one label map and the settings of a preset at native size."""
     height, width = labels.shape[1:]
     yield "## Stage by stage\n"
     yield paragraph(
-        f"Milliseconds of one image of {height} x {width}, preset `{config.preset}`, all eight "
-        "layers, one thread, every way on the same masks. A stage of the native core alone reads "
-        "bit-planes and writes them, which the whole does once, so that the stages add up to more "
-        "than it; at memory speed is what that would take if the bytes were "
-        "only copied, the speed of which is measured in the same run on 256 MiB. The last column "
-        "says how many times longer the stage takes: below some tens it is near what it reads, "
-        "thinning and closing pass over their pixels many times."
+        f"Milliseconds for one image of {height} x {width}, preset `{config.preset}`, all eight "
+        "layers, one thread, the same masks. Each stage of the native core reads and writes "
+        "bit-planes here; the whole core does that only once, so the stages add up to more than "
+        "the whole. *At memory speed* is the time to copy these bytes, measured in the same run on "
+        "256 MiB. The last column is the time of the native core divided by it."
     )
     source, target = np.ones(COPIED, np.uint8), np.zeros(COPIED, np.uint8)
     stages = _stages(labels, config)
@@ -44,7 +42,7 @@ def stage_section(labels: Tensor, config: SSRVLADConfig, repetitions: int) -> It
     touched = 2 * height * width
     copied = taken["copy"] * touched / (2 * COPIED)
     rivals = ("OpenCV", "scikit-image", "cc3d")
-    yield from head_row("stage", "native core", *rivals, "at memory speed", "times longer")
+    yield from head_row("stage", "native core", *rivals, "at memory speed", "core / copy")
     for stage, own in stages.items():
         cells = [f"{taken[f'{stage} {r}']:.2f}" if r in own else "" for r in rivals]
         here = taken[f"{stage} native core"]

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Writes docs/ablation.md: what every setting of the preset `default` is worth.
+"""Writes docs/ablation.md: the preset `default` with one setting changed at a time.
 
     .venv/bin/python scripts/pages/ablate.py --data ../shared/data
 
-The folder and the conditions are those of `shape.py`. One setting at a time is changed. What is
-measured is kept in a cache, so an interrupted run goes on where it was.
+The folder and the conditions are those of `shape.py`. Results are cached, so an interrupted run
+can be resumed.
 """
 
 from __future__ import annotations
@@ -36,26 +36,31 @@ SETTINGS: dict[str, list[Any]] = {
     "power": [0.5, 1.0],
 }
 OF_THE_LAYERS = "working_size"
-"""The other settings leave the layers as they are, which are then made once for all."""
+"""The only setting that changes the layers; for the others they are computed once."""
 
 HEAD = f"""# Ablation
 
-Written by `scripts/pages/ablate.py`; no number is typed by hand. Each line is the preset `default`
-with one thing changed. RecallRate@1 on the half of every condition on which no setting was chosen,
-the mean over conditions, twice: single frames with their traverse's own mean taken off, and the
-same followed online. [ablation.csv](ablation.csv) has both halves, and raw frames too.
-[Shape](shape.md) has what the parts of the descriptor are worth.
+Written by `scripts/pages/ablate.py`. Each row is the preset `default` with one setting changed.
+The numbers are RecallRate@1, the mean over the conditions of a group:
 
 {GROUPS_IN_WORDS}
+Each condition has two halves; the table shows the half that was not used to choose settings.
+
+- *standardised*: single frames, after the mean of each traverse is subtracted.
+- *followed*: the same frames found as a sequence, online (from the queries so far).
+
+[ablation.csv](ablation.csv) also has the other halves and raw frames. [Shape](shape.md) compares
+the parts of the descriptor.
+
 ![](figures/ablation.svg)
 """
 
-READING = """## What it says
+READING = """## Conclusions
 
-The preset stands on a plateau: near it, what a change gains in one column it loses in another, and
-a column has a few hundred queries, so that differences of 0.02 mean little. Clearly worse are the
-paper's residuals, the middle of the picture as anchor where the camera turns or moves aside, an
-anchor at each layer's own centre, and boundaries of few numbers.
+- Most changes gain in one column and lose in another. A column has a few hundred queries, so
+  differences of 0.02 mean little.
+- Clearly worse are the residuals of the paper, the middle of the picture as anchor if the camera
+  turns or moves aside, an anchor at the centre of each layer, and few numbers for the boundaries.
 """
 
 
@@ -107,7 +112,7 @@ def table(found: dict[str, dict[str, list[float]]]) -> Iterator[str]:
 
 
 def draw(found: dict[str, dict[str, list[float]]], path: Path) -> None:
-    """RecallRate@1 of every line on the other halves, by group."""
+    """Plots RecallRate@1 of every row on the other halves, by group."""
     from matplotlib.figure import Figure
 
     path.parent.mkdir(parents=True, exist_ok=True)

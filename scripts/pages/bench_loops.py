@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Prints what a frame of a live stream costs as the map grows; `benchmark.py` has it as a section.
+"""Prints the time per frame of a live stream as the map grows: a section of `benchmark.py`.
 
 .venv/bin/python scripts/pages/bench_loops.py
 """
@@ -37,11 +37,10 @@ def loops_section(sizes: Sequence[int] = SIZES) -> Iterator[str]:
     stream = drive(sizes[-1])
     yield "## Loop closures, online\n"
     yield paragraph(
-        f"A stream of {sizes[-1]} descriptors, every place seen five times; milliseconds an "
-        f"update, one thread: median and slowest of the {LAST} updates up to a size. The frames "
-        "before them were taken in at once: the detector is loaded from a database of them. A "
-        "plain loop keeps the best score only; the detector standardises, follows the stream "
-        "and remembers the frame."
+        f"A stream of {sizes[-1]} descriptors, every place seen five times. Milliseconds per "
+        f"update, one thread: median and maximum of the last {LAST} updates before a size. The "
+        "detector is loaded from a database of the frames before them. The plain loop only finds "
+        "the best score; the detector also standardises, follows the stream and stores the frame."
     )
     kinds = [f"{size} frames: {kind}" for size in sizes for kind in ("median", "worst")]
     yield from head_row("way", *kinds)
@@ -79,7 +78,7 @@ def detector(seen: Floats) -> Update:
 
 
 def doubling(seen: Floats) -> Update:
-    """What one writes who knows how to: a matrix with room to spare, copied when it is full."""
+    """A plain loop: a matrix with spare rows, copied when it is full."""
     room = np.empty((1 << (len(seen) - 1).bit_length(), seen.shape[1]), np.float32)
     room[: len(seen)] = seen
 

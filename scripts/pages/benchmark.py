@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Writes docs/benchmark.md: what the method costs here, in one run.
+"""Writes docs/benchmark.md: time and memory of the method, in one run.
 
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
         --networks ../shared/data/networks
 
-Every table times its ways in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with the threads pinned.
-Label maps are those of CamVid, enlarged to each size, or of the synthetic city without it. Needs
-the extra `dev`; `pip install faiss-cpu` adds the comparison of matching.
+The rows of a table are timed in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with a fixed number
+of threads. Label maps are those of CamVid, enlarged to each size, or without it of the synthetic
+city. Needs the extra `dev`; `pip install faiss-cpu` adds the comparison of matching.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Maps:
 
 
 def opencv_describe(labels: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
-    """The preset ``paper`` as a good engineer writes it with OpenCV, one layer after another."""
+    """The preset ``paper`` written with OpenCV, one layer after another."""
     table = np.full(256, CATEGORY_COUNT, np.uint8)
     for label in label_space(config.labels_as).classes:
         if 0 <= label.id < 256:
@@ -132,7 +132,7 @@ def opencv_vector(layer: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
 
 
 def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], object]]:
-    """Every way to describe one image; all must agree before any is timed."""
+    """Every way to describe one image; their results must agree before they are timed."""
     config, image = maps.config(preset), labels[0].numpy()
     ways: dict[str, Callable[[], Any]] = {"reference": partial(reference.describe, image, config)}
     if preset == "paper":
@@ -152,7 +152,7 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
 
 def size_section(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
     yield "## One image, one thread\n"
-    yield "From the label map to the descriptor:\n"
+    yield "Milliseconds from the label map to the descriptor:\n"
     yield "![](figures/benchmark.svg)\n"
     yield from head_row("preset", "size", "way", "ms", "times faster than the reference")
     drawn = {}
@@ -190,8 +190,10 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
 
 def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield "## Batches and threads\n"
-    yield f"Milliseconds an image of {by(LARGE)}; the last column is one thread over two, for"
-    yield "the whole batch.\n"
+    yield paragraph(
+        f"Milliseconds per image of {by(LARGE)}. *Speed-up* is the time with one thread divided by "
+        "the time with two."
+    )
     yield from head_row("preset", "way", "batch", "one thread", "two threads", "speed-up")
     for preset in ("paper", "default"):
         for name, head in heads(maps.config(preset)).items():
@@ -215,10 +217,12 @@ def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
 
 def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield "## Cost against the complexity of the scene\n"
-    yield f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes strewn over it,"
-    yield "preset `paper`, one thread; `uncleaned` is without closing, hole filling and region"
-    yield "removal, so that every speck is thinned and described. What it costs then are the pairs"
-    yield "of keypoints and skeleton pixels: their memory is bounded, their number is not.\n"
+    yield paragraph(
+        f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes at random places, "
+        "preset `paper`, one thread. *Uncleaned* is without closing, hole filling and region "
+        "removal: every speck is thinned and described. Most of the time then goes into pairs of "
+        "keypoints and skeleton pixels. Their memory is bounded, their number is not."
+    )
     yield from head_row("specks", "ms", "ms, uncleaned")
     paper = maps.config("paper")
     configs = [paper, replace(paper, closing=0.0, hole_area=0.0, region_area=0.0)]
@@ -237,8 +241,11 @@ def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
     layer = np.zeros(LARGE, np.float32)
     with threads(1):
         transform = time_in_turn({"fft": partial(correlate, layer, layer)}, repetitions)["fft"]
-    yield "\nAll pairs of one of the eight layers, however many, by Fourier transforms of twice the"
-    yield f"size (scipy): {span(transform.milliseconds, 0)} ms.\n"
+    yield ""
+    yield paragraph(
+        "For comparison: Fourier transforms of twice the size (scipy) count all pairs of one layer "
+        f"in {span(transform.milliseconds, 0)} ms, independent of their number."
+    )
 
 
 def correlate(points: NDArray[np.float32], context: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -260,8 +267,10 @@ def strewn(labels: Tensor, count: int) -> Tensor:
 
 def memory_section(options: argparse.Namespace) -> Iterator[str]:
     yield "## Peak memory\n"
-    yield "Largest resident memory during a call less that before it, in bytes a pixel of the"
-    yield "batch; each in a process of its own that has run the method on a small image before.\n"
+    yield paragraph(
+        "Peak resident memory during a call minus that before it, in bytes per pixel of the batch. "
+        "Each row is a new process that has first run the method on a small image."
+    )
     yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
     for preset in ("paper", "default"):
         for name in ("torch", "native core"):
@@ -300,15 +309,15 @@ def status_bytes(field: str) -> int:
 
 
 def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
-    """What `encode` takes on one core beside its halves, and on all cores."""
+    """The time of `encode` on one core, of its two halves, and on all cores."""
     workers = os.cpu_count() or 1
     yield "## Encoding\n"
     yield paragraph(
-        f"{FRAMES_OF_A_RUN} PNGs of 360 x 480 into a database, preset `default`; the halves are "
-        "reading and describing. The row of all cores is what comes after the first batch is done, "
-        "for which processes, where there are any, must have started."
+        f"{FRAMES_OF_A_RUN} PNGs of 360 x 480 into a database, preset `default`. The last column "
+        "is the time divided by the sum of reading and describing. The row of all cores is timed "
+        "after the first batch, without the start of processes."
     )
-    yield from head_row("describes", "way", "ms a frame", "over the sum of the halves")
+    yield from head_row("describes", "way", "ms a frame", "relative to read + describe")
     names = {
         "read": "read only, one core",
         "describe": "describe only, one core",
@@ -332,7 +341,7 @@ def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
 
 
 def encoders(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
-    """The head as it is here, and as it is where the native core was not built."""
+    """The head with the native core, if it was built, and without."""
     by_torch = SSRVLAD(config)
     by_torch.native = False
     native = {"native core": SSRVLAD(config)} if SSRVLAD(config).native else {}
@@ -364,13 +373,16 @@ def matching_section(references: int) -> Iterator[str]:
     }
     timings = time_in_turn(ways, 3, warm_up=False)
     yield f"1000 queries against {references} x 480 float32, exact top 10, one thread:\n"
-    yield from head_row("way", "s", "times the time of faiss")
+    yield from head_row("way", "s", "relative to faiss")
     for name, timing in timings.items():
         seconds = {k: v / 1e3 for k, v in timing.milliseconds.items()}
         slower = timings["faiss.IndexFlatIP"].times_faster_than(timing)
         yield row(name, span(seconds, 2), span(slower, 2))
-    yield f"\nThe same candidates: {same:.4%}. Peak memory of `match` beyond its arguments:"
-    yield f"{extra:.0f} MB.\n"
+    yield ""
+    yield paragraph(
+        f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
+        f"{extra:.0f} MB."
+    )
 
 
 def span(values: dict[str, float], digits: int) -> str:
@@ -399,11 +411,13 @@ def main() -> None:
     cv2.setNumThreads(1)
     text = [
         "# Benchmark\n",
-        "Written by `scripts/pages/benchmark.py` in one run; no number is typed by hand. Cells are",
-        "median [min, max]; the ways of a table are timed in turn, ratios are taken repetition by",
-        f"repetition. Label maps: {maps.source}. torch {torch.__version__}, Python",
-        f"{platform.python_version()}, {platform.machine()}. [Methods](methods.md) has what the",
-        "others cost, [scale](scale.md) what large databases do.\n",
+        paragraph(
+            "Written by `scripts/pages/benchmark.py` in one run. Cells are median [min, max]. The "
+            "rows of a table are timed in turn, and ratios are taken within one repetition. Label "
+            f"maps: {maps.source}. torch {torch.__version__}, Python {platform.python_version()}, "
+            f"{platform.machine()}. [Methods](methods.md) has the costs of other methods, "
+            "[scale](scale.md) those of large databases."
+        ),
     ]
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"

@@ -36,33 +36,42 @@ from ssrvlad_torch.taxonomy import label_space
 
 HEAD = """# Label maps and pictures together
 
-Written by `scripts/pages/fusion.py`; no number is typed by hand. RecallRate@1 of `default`, of HOG
-of the picture, and of both as by `encode --with hog` and `query`, or by `compare --fuse
-ssr-vlad,hog`: scores in standard deviations from their mean, each method weighted by how far its
-first candidates are ahead on this traverse. No truth is used. Four rules
-for the weight were tried on these same conditions and differ by a few hundredths at most; this is
-no independent test of the one that was taken. All are standardised, `default` is swept, too;
-*followed* is online.
+Written by `scripts/pages/fusion.py`. **If you have pictures, use both for sequences**: *both* is
+hardly ever worse than the better of the two and mostly better than both, and you need not know
+which is better.
 
-Where pictures are at hand, this is what to use for sequences: it is hardly ever worse than the
-better of the two and mostly better than both, and you need not know which is better.
+The tables show RecallRate@1 of `default` (label maps), of HOG (pictures), and of *both*, as
+computed by `encode --with hog` and `query`, or by `compare --fuse ssr-vlad,hog`:
+
+- The scores of each method are standard deviations from their mean over all references (z-scores).
+- A method has more weight if its first candidates are farther ahead on this traverse. No ground
+  truth is used.
+- All descriptors are standardised, and `default` is swept. *Followed* is online
+  ([steps](recognition.md)).
+
+Four rules for the weight were tried on these conditions. They differ by a few hundredths at most,
+so this is no independent test of the chosen rule.
 """
 ALONE = """
 ## Picture by picture
 
-Each query by itself, as `locate` and `Localiser` judge one picture: nothing is standardised, for
-the mean of one frame is its place, and both weigh alike (weights by the lead of the one frame did
-worse on UofA and Gardens Point and hardly better on CamVid; so did weights by how well each method
-tells the neighbours of a frame of the map from its other frames: by day both do, and that says
-nothing of the night). Both are always above `default`, but not always above HOG. The last column is
-the mean confidence of `both`; confidence was fitted to label maps of the city alone.
+Each query alone, as in `locate` and `Localiser`:
+
+- Nothing is standardised, because the mean of one frame describes its place.
+- Both methods have the same weight. Two other rules were worse on UofA and Gardens Point and
+  hardly better on CamVid: by the lead of the frame's first candidate, and by how well each method
+  distinguishes the neighbours of a frame of the map from other frames.
+- *Both* is always better than `default`, but not always better than HOG.
+- The last column is the mean confidence of *both*. Confidence was fitted to label maps, not to
+  pictures.
 """
 LOOPS = """
 ## Loops
 
-References and then queries as one stream, `LoopDetector` with its defaults: the fraction of the
-queries that close a right loop, and in brackets the precision. Through a change of light, from the
-other side of a path, and in drives of sixty frames, few or no loops are accepted.
+References and then queries are one stream for a `LoopDetector` with its defaults. The table shows
+the fraction of the queries that close a right loop and, in brackets, the precision. Few or no
+loops are accepted after a change of light, from the other side of a path, and in drives of sixty
+frames.
 """
 DETECTORS = (("labels", False), ("pictures", False), ("labels", True))
 
@@ -89,7 +98,7 @@ def main() -> None:
     write(options.output, "\n".join(page(options.data, options.cache)) + "\n")
 
 
-def page(data: Path, kept: Path) -> Iterator[str]:
+def page(data: Path, cached: Path) -> Iterator[str]:
     yield HEAD
     yield from head_row(
         "condition",
@@ -97,7 +106,7 @@ def page(data: Path, kept: Path) -> Iterator[str]:
         *("default, followed", "HOG, followed", "both, followed"),
     )
     for search in searches(data):
-        alone = [scores(search, data, kept, way) for way in ("labels", "pictures")]
+        alone = [scores(search, data, cached, way) for way in ("labels", "pictures")]
         both = FusedScores(alone)
         every = [*alone, both.whole()]
         single = [rate(one.argmax(1).numpy(), search.truth) for one in every]
@@ -108,15 +117,15 @@ def page(data: Path, kept: Path) -> Iterator[str]:
     yield ALONE
     yield from head_row("condition", "default", "HOG", "both", "confidence")
     for search in searches(data):
-        yield row(search.name, *(f"{each:.3f}" for each in by_picture(search, data, kept)))
+        yield row(search.name, *(f"{each:.3f}" for each in by_picture(search, data, cached)))
     yield LOOPS
     yield from head_row("condition", "default", "HOG", "both")
     for search in searches(data):
-        yield row(search.name, *(loops(search, data, kept, *ways) for ways in DETECTORS))
+        yield row(search.name, *(loops(search, data, cached, *ways) for ways in DETECTORS))
     yield ""
 
 
-def loops(search: Search, data: Path, kept: Path, own: str, beside: bool) -> str:
+def loops(search: Search, data: Path, cached: Path, own: str, beside: bool) -> str:
     """Recall and precision of the references and then the queries as one stream."""
     detector = LoopDetector(beside=[extra_descriptor("hog")] if beside else ())
     middle = [COLUMNS.index(column) for column in detector.columns]
@@ -124,9 +133,9 @@ def loops(search: Search, data: Path, kept: Path, own: str, beside: bool) -> str
     for drive, (folder, rows) in enumerate(
         ((search.references, search.reference_rows), (search.queries, search.query_rows))
     ):
-        frames = described(data, kept, folder, own)[rows]
+        frames = described(data, cached, folder, own)[rows]
         frames = frames[:, middle] if own == "labels" else frames
-        pictures = described(data, kept, folder, "pictures")[rows]
+        pictures = described(data, cached, folder, "pictures")[rows]
         for number, (frame, picture) in enumerate(zip(frames, pictures, strict=True)):
             record = FrameRecord(str(drive), str(number))
             found = detector.observe(record, frame, {"hog": picture} if beside else None)
@@ -138,12 +147,12 @@ def loops(search: Search, data: Path, kept: Path, own: str, beside: bool) -> str
     return f"{recall:.3f} ({right / accepted:.3f})" if accepted else "no loop"
 
 
-def by_picture(search: Search, data: Path, kept: Path) -> Iterator[float]:
+def by_picture(search: Search, data: Path, cached: Path) -> Iterator[float]:
     """RecallRate@1 of `default`, of HOG and of both, and the mean confidence of the latter."""
     labels, pictures = (
         (
-            described(data, kept, search.queries, way)[search.query_rows],
-            described(data, kept, search.references, way)[search.reference_rows],
+            described(data, cached, search.queries, way)[search.query_rows],
+            described(data, cached, search.references, way)[search.reference_rows],
         )
         for way in ("labels", "pictures")
     )
@@ -159,10 +168,10 @@ def by_picture(search: Search, data: Path, kept: Path) -> Iterator[float]:
     yield float(found[-1].confidence.mean())
 
 
-def scores(search: Search, data: Path, kept: Path, way: str) -> Tensor:
+def scores(search: Search, data: Path, cached: Path, way: str) -> Tensor:
     """``(Q, R)`` of standardised single frames; of label maps swept."""
-    there = described(data, kept, search.references, way)[search.reference_rows]
-    here = described(data, kept, search.queries, way)[search.query_rows]
+    there = described(data, cached, search.references, way)[search.reference_rows]
+    here = described(data, cached, search.queries, way)[search.query_rows]
     if way == "pictures":
         return score(standardise(here), standardise(there))
     references = standardise(there[:, COLUMNS.index(0)])
@@ -170,11 +179,11 @@ def scores(search: Search, data: Path, kept: Path, way: str) -> Tensor:
 
 
 @cache
-def described(data: Path, kept: Path, traverse: tuple[str, str, str], way: str) -> Tensor:
+def described(data: Path, cached: Path, traverse: tuple[str, str, str], way: str) -> Tensor:
     """The descriptors of a traverse: a folder, its label maps and their label space."""
     folder, labels, labels_as = traverse
     name = f"{folder} {'images' if way == 'pictures' else labels}".replace("/", " ")
-    file = kept / f"{name}.pt"
+    file = cached / f"{name}.pt"
     if not file.exists():
         torch.save(
             by_labels(data / folder / labels, labels_as)

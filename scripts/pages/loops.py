@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/loops.md: what the loop detector finds, and what its threshold is worth.
+"""Writes docs/loops.md: precision and recall of the loop detector, and its threshold.
 
     .venv/bin/python scripts/pages/loops.py
 
@@ -46,8 +46,8 @@ RESAMPLES = 2000
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a detector did in a tour: its results, the row of each frame's loop, or -1, and that of
-    each frame's candidate, believed or not."""
+    """Results of a detector on a tour: for each frame the row of its loop and the row of its
+    candidate, accepted or not; -1 without one."""
 
     tour: Tour
     results: list[LoopResult]
@@ -61,36 +61,30 @@ class Outcome:
         return loop_errors(self.loops, self.tour.poses)
 
 
-INTRODUCTION = (
-    "# Loop closures\n",
-    "Written by `scripts/pages/loops.py`; no number is typed by hand.\n",
-    paragraph(
-        "A drive is `synthetic_city.TOUR`: 3.3 km, about 1100 frames, with streets driven again in "
-        "the same direction and in the opposite one, among them an estate of 400 m where every "
-        f"block looks like the next. {len(MEASURED_ON)} cities are measured, each with perfect "
-        "labels, and with a segmentation network's mistakes under a camera that sways. In brackets "
-        f"stand 95 % bootstrap intervals over the cities ({RESAMPLES} resamples); with no wrong "
-        "loop that of precision has no width."
-    ),
-    paragraph(
-        f"A loop is right if its two frames are within {METRES:g} m, and wrong otherwise; it is "
-        f"*elsewhere* if they are more than {ELSEWHERE:g} m apart. Recall is over the frames that "
-        "come back to a place looking the same way: driven the other way, a street is another "
-        "picture."
-    ),
-    paragraph(
-        "`default` is `LoopConfig()`, untouched. `learned` is the threshold that `ssrvlad loops "
-        f"--tolerance-metres` suggests for {len(LEARNED_ON)} other cities under the same "
-        "condition: that which proves the highest precision there. The last column is the recall "
-        "before the first wrong loop: what a threshold chosen for just these drives would give."
-    ),
-    paragraph(
-        "With perfect labels two blocks of the estate are less alike than two frames of one place; "
-        "but they are more alike than two frames of one place with noisy labels. So the detector "
-        "asks of an old frame of the same sequence that it fits nearly as well as the frame "
-        "before; how nearly, too, is chosen on the other cities."
-    ),
-)
+INTRODUCTION = f"""# Loop closures
+
+Written by `scripts/pages/loops.py`.
+
+A drive is `synthetic_city.TOUR`: 3.3 km, about 1100 frames. Some streets are driven again in the
+same direction, some in the opposite direction. In a housing estate of 400 m, every block looks
+like the next one. {len(MEASURED_ON)} cities are measured, each with perfect labels and with noisy
+labels (the errors of a segmentation network, and a camera that sways).
+
+- A loop is *right* if its two frames are within {METRES:g} m, otherwise *wrong*. It is *elsewhere*
+  if they are more than {ELSEWHERE:g} m apart.
+- *Recall* is over the frames that return to a place in the same direction. In the opposite
+  direction, the pictures are different.
+- *Before a wrong one* is the recall before the first wrong loop: the best that a threshold can
+  reach without one.
+- `default` is the threshold of `LoopConfig()`. `learned` is the threshold that `ssrvlad loops
+  --tolerance-metres` suggests for {len(LEARNED_ON)} other cities under the same condition.
+- In brackets are 95 % bootstrap intervals over the cities ({RESAMPLES} resamples). Without wrong
+  loops, the interval of the precision has no width.
+
+A threshold on scores alone is not enough. With perfect labels, two blocks of the estate are more
+similar than two frames of one place with noisy labels. Therefore an old frame of the same sequence
+must fit nearly as well as the previous frame does. How nearly was chosen on the other cities.
+"""
 
 
 def main() -> None:
@@ -104,7 +98,7 @@ def main() -> None:
 
 def sections(learned: Tours, measured: Tours, page: Path) -> Iterator[str]:
     """Lines of the page; its figures are written beside it."""
-    yield from INTRODUCTION
+    yield INTRODUCTION
     found: dict[str, PrecisionRecall] = {}
     for condition, tours in measured.items():
         yield f"## {condition.capitalize()}\n"
@@ -114,7 +108,7 @@ def sections(learned: Tours, measured: Tours, page: Path) -> Iterator[str]:
         chosen = [believed(outcome, point.score) for outcome in outcomes]
         name = f"loops-{condition.split()[0]}.png"
         yield f"![](figures/{name})\n"
-        yield paragraph(f"City {tours[0].city} with the learned threshold; green loops are right.")
+        yield paragraph(f"City {tours[0].city} with the learned threshold. Right loops are green.")
         draw(page.parent / "figures" / name, chosen[0], condition)
         yield from head_row(
             *("threshold", "", "loops", "wrong", "elsewhere", "precision", "recall"),
@@ -158,20 +152,21 @@ def intervals(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
 
 
 def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
-    """Where a detector finds loops, and how often it gives each reason."""
+    """Lines about where a detector finds loops, and the number of frames with each reason."""
     tours = [outcome.tour for outcome in outcomes]
     exclude = LoopConfig.exclude
     same = [tour.comes_back(exclude, METRES) for tour in tours]
     other = [tour.comes_back(exclude, METRES, opposite=True) for tour in tours]
     kinds = {
-        "come back looking the same way": same,
-        "come back looking the opposite way only": [
-            b & ~a for a, b in zip(same, other, strict=True)
-        ],
+        "return in the same direction": same,
+        "return in the opposite direction only": [b & ~a for a, b in zip(same, other, strict=True)],
         "at a place for the first time": [~(a | b) for a, b in zip(same, other, strict=True)],
         "in the estate": [tour.in_estate() for tour in tours],
     }
-    yield paragraph("By where the frames are; those in the estate are among the rows above:")
+    yield paragraph(
+        "By where the frames are, with the default threshold. Frames in the estate are also "
+        "counted in a row above:"
+    )
     yield from head_row("frames", "number", "loops", "right", "wrong")
     for name, chosen_frames in kinds.items():
         counts = np.zeros(3, int)
@@ -188,7 +183,7 @@ def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
 
 
 def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
-    """Over all thresholds: what the filter believes does not depend on them."""
+    """Precision and recall over all thresholds; the probabilities do not depend on them."""
     errors = [loop_errors(outcome.candidates, outcome.tour.poses) for outcome in outcomes]
     probabilities = [r.probability for o in outcomes for r in o.results if r.candidate is not None]
     right = np.concatenate(errors) <= METRES
@@ -196,7 +191,7 @@ def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
 
 
 def detect(tour: Tour) -> Outcome:
-    """Shows a tour to a detector."""
+    """Runs a detector over a tour."""
     detector = LoopDetector(head=head())
     results = [
         detector.observe(FrameRecord("tour", f"{number:06d}"), descriptor)
@@ -208,7 +203,7 @@ def detect(tour: Tour) -> Outcome:
 
 
 def believed(outcome: Outcome, threshold: float) -> Outcome:
-    """The same with another threshold."""
+    """The outcome with another threshold."""
     sure = np.array([(result.probability or 0) >= threshold for result in outcome.results])
     loops = np.where(sure, outcome.candidates, -1)
     score = score_loops(loops, outcome.tour.poses, LoopConfig.exclude, METRES)
@@ -221,7 +216,7 @@ def draw(path: Path, outcome: Outcome, condition: str) -> None:
 
 
 def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:
-    """Precision over recall."""
+    """Plots precision over recall."""
     figure = Figure(figsize=(6, 4.5), layout="constrained")
     axes = figure.subplots()
     for condition, found in curves.items():

@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
-"""Writes docs/methods.md: every method of the harness, what it needs, costs and finds.
+"""Writes docs/methods.md: input, cost and accuracy of every method.
 
     .venv/bin/python scripts/pages/methods.py --camvid ../shared/data/camvid \
         --corridor ../shared/data/vprbench/corridor
 
-Neither data set is part of this project: for CamVid see `_problems.py`, `corridor` is laid out by
-VPR-Bench (`query`, `ref`, and its ground truth in the folder or beside it, where its stored results
-are looked for too, see `_stored.py`). What the methods find on real traverses stands in
-docs/results.csv, see `results.py`. Results are kept in `--cache`, and an interrupted run goes on
-where it was.
+Neither data set is part of this project. For CamVid see `_problems.py`. `corridor` has the layout
+of VPR-Bench: `query` and `ref`, and the ground truth and stored results in the folder or beside it
+(see `_stored.py`). The accuracy on real traverses is read from docs/results.csv, see `results.py`.
+Results are cached in `--cache`, so an interrupted run can be resumed.
 """
 
 from __future__ import annotations
@@ -51,21 +50,24 @@ TRAVERSES = ("UofA", "Gardens Point")
 
 HEAD = """# Methods
 
-Written by `scripts/pages/methods.py`; no number is typed by hand. What each method sees, what a
-place costs, and what it finds on real traverses through change: RecallRate@1, the mean over the
-conditions of UofA and Gardens Point in [results.csv](results.csv), of single frames and with the
-steps that `query` takes. [Results](results.md) has the other data sets, and intervals. HOG, label
-grid and tiny image are the trivial methods that must be beaten.
+Written by `scripts/pages/methods.py`. The input, the cost and the accuracy of each method. HOG,
+label grid and tiny image are trivial baselines.
+
+- *Single frames* and *steps* are RecallRate@1 on real traverses: the mean over the conditions of
+  UofA and Gardens Point, without and with the [steps](recognition.md) that `query` takes.
+  [Results](results.md) has the other data sets and intervals.
+- *Match* is one query against all references, without ranking.
+- The cost of a segmentation network is not included.
 """
 
-STORED = """The results that its authors publish with the data set, through the same metrics: a
-check of CoHOG, and what Region-VLAD reaches with its published weights, which are not here."""
+STORED = """The authors of VPR-Bench publish these results with the data set. Here they go through
+the same metrics: a check of our CoHOG, and the accuracy of Region-VLAD with its published
+weights, which are not available here."""
 
-COSTS = f"""Costs on {{processor}}, at {{size}}: the median of {ROUNDS} frames ({ROUNDS_OF_NETWORKS}
-for the networks with random weights) on which all methods take turns; [methods.csv](methods.csv)
-has the least and the most. Matching is one query against {{references}} references, without ranking
-them; LoST-X and tiny image are matched with {ENCODED} only. What a segmentation network costs is
-not in it."""
+COSTS = f"""Costs on {{processor}}, at {{size}}: the median of {ROUNDS} frames
+({ROUNDS_OF_NETWORKS} for networks with random weights); the methods take turns.
+[methods.csv](methods.csv) has minimum and maximum. There are {{references}} references, for
+LoST-X and tiny image {ENCODED}."""
 
 
 def main() -> None:
@@ -99,14 +101,13 @@ def corridor_problem(folder: Path) -> Problem:
 def in_short(
     problems: Sequence[Problem], kept: Cache, options: argparse.Namespace
 ) -> Iterator[str]:
-    """A line for every method."""
+    """The table with a row for every method."""
     costs = measured(problems, kept, options.weights)
     found = rates(options.output.parent / "results.csv")
     first = problems[0].searches[0]
     size = "{} x {} pixels".format(*_size(first.queries))
     references = len(first.references.places[0])
-    told = COSTS.format(processor=processor(), size=size, references=references)
-    yield paragraph(told)
+    yield paragraph(COSTS.format(processor=processor(), size=size, references=references))
     yield from head_row(
         "method", "sees", "bytes a place", "encode, ms", "match, ms", "single frames", "steps"
     )
@@ -139,7 +140,7 @@ def rates(results: Path) -> dict[tuple[str, str], str]:
 
 
 def section(problem: Problem, outcomes: Outcomes) -> Iterator[str]:
-    """All figures under one condition."""
+    """The table of one condition."""
     yield f"## {problem.name}\n"
     yield from head_row("method", *COLUMNS)
     for rival in RIVALS:
@@ -149,7 +150,7 @@ def section(problem: Problem, outcomes: Outcomes) -> Iterator[str]:
 
 
 def stored_section(corridor: Path, problem: Problem, outcomes: Outcomes) -> Iterator[str]:
-    """What VPR-Bench stored for the corridor, and how far our methods do the same."""
+    """The results that VPR-Bench stored for the corridor, and how often our methods agree."""
     yield f"## {CORRIDOR}: what VPR-Bench stored\n"
     yield paragraph(STORED)
     yield from head_row("technique", *COLUMNS, "same best match as ours")
@@ -163,7 +164,7 @@ def stored_section(corridor: Path, problem: Problem, outcomes: Outcomes) -> Iter
 
 
 def figures(outcome: Outcome) -> list[str]:
-    """`COLUMNS`, or why there are none."""
+    """Cells of `COLUMNS`, or the reason why a method could not be run."""
     if isinstance(outcome, str):
         return [reason(outcome)] * len(COLUMNS)
     found = outcome.figures("exact")
@@ -182,7 +183,7 @@ def reason(outcome: str) -> str:
 
 
 def measured(problems: Sequence[Problem], kept: Cache, weights: Path | None) -> dict[str, Cost]:
-    """What the methods cost on frames of a data set that has label maps and images."""
+    """Costs of the methods on frames of a data set that has label maps and images."""
     first = {problem.gives: problem.searches[0] for problem in reversed(problems)}
     drives = {kind: search.queries for kind, search in first.items()}
     references = len(next(iter(first.values())).references.places[0])
@@ -212,14 +213,14 @@ def _size(drive: Drive) -> tuple[int, int]:
 
 
 def missing(options: argparse.Namespace, outcomes: Outcomes) -> Iterator[str]:
-    """What could not be run, and how to get what it needs."""
+    """Methods and data sets that could not be run, and what they need."""
     yield "## What could not be run\n"
     if options.camvid is None:
         yield "- CamVid: no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid."
     if options.corridor is None:
         yield f"- {CORRIDOR}: no --corridor; github.com/MubarizZaffar/VPR-Bench."
-    reasons = {rival: told for (_, rival), told in outcomes.items() if isinstance(told, str)}
-    yield from (f"- {rival}: {told}." for rival, told in reasons.items())
+    reasons = {rival: text for (_, rival), text in outcomes.items() if isinstance(text, str)}
+    yield from (f"- {rival}: {text}." for rival, text in reasons.items())
     yield ""
 
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
-"""Writes docs/recognition.md: what standardising, sweeping and following are worth, and how sure.
+"""Writes docs/recognition.md: the gain of standardising, sweeping and following, and confidence.
 
     .venv/bin/python scripts/pages/recognition.py --data ../shared/data
 
-The data sets are those of `_described.py`; descriptions are kept in `--cache`. The page takes ten
-minutes on one thread once they are made. How the motion was chosen is read from docs/motion.csv,
-see `choose_motion.py`. With ``--fit`` it prints the coefficients for `recognition.confidence`
-instead: fitted to the real traverses, to CamVid and to cities that are not measured.
+The data sets are those of `_described.py`; descriptors are cached in `--cache`. With them, the page
+takes ten minutes on one thread. The table of filter settings is read from docs/motion.csv, see
+`choose_motion.py`. With ``--fit``, the script prints the coefficients for `recognition.confidence`
+instead, fitted to the real traverses, to CamVid and to cities that the page does not measure.
 """
 
 from __future__ import annotations
@@ -42,32 +42,38 @@ BINS = 10
 
 HEAD = f"""# How to get the most out of it
 
-Written by `scripts/pages/recognition.py`; no number here is typed by hand. RecallRate@1, in
-brackets 95 % bootstrap intervals over the queries ({RESAMPLES} resamples). Each column adds a step
-to the one before; the baselines, a label grid and HOG of the picture, get the same steps, but the
-sweep, which they do not have.
+Written by `scripts/pages/recognition.py`. The tables show RecallRate@1 with 95 % bootstrap
+intervals over the queries ({RESAMPLES} resamples). Each column adds one step to the column before:
 
-- *Standardise*: each traverse's own mean is taken off its descriptors (Schubert et al., ICRA 2020).
-  It costs nothing. A stream takes the mean so far.
-- *Sweep*: a query is described from several anchors and a reference scores its best; how wide the
-  sweep is, is chosen for each traverse from its scores. It costs a search for each anchor.
-- *Follow*: a hidden Markov model over the rows of the map, whose state is place and speed. It costs
-  about a quarter of the search for each query. Queries that are no sequence are noticed and judged
-  one by one. *Online* a query is judged by those before it; with a delay also by so many after it
-  (`--follow online --delay {DELAY}`), which is worth waiting for where single frames are poor.
+- *Standardise* subtracts the mean descriptor of each traverse (Schubert et al., ICRA 2020); on a
+  stream, the mean so far. It costs nothing.
+- *Sweep* describes a query around several image columns (anchors); a reference gets the best of
+  their scores. The width of the sweep is chosen for each traverse from its scores. It costs one
+  search per anchor.
+- *Follow* finds the sequence with a hidden Markov model, whose state is the row of the map and the
+  speed. It costs about a quarter of the search.
 
-City: {len(CITY_SEEDS)} cities, a true match is within {METRES:g} m. CamVid: odd against even
-frames; all frames of a stop are one place. The real traverses (UofA, Gardens Point) are the outputs
-of two networks that were trained elsewhere; their frames correspond one to one, at nearly equal
-speeds, which favours any sequence filter.
+The columns of following differ in the queries that they use: *online* the queries so far, *online,
+{DELAY} late* (`--follow online --delay {DELAY}`) also the {DELAY} queries after, *offline* all
+queries. A delay helps where single frames are poor. Queries that do not form a sequence are judged
+one by one.
+
+The label grid and HOG of the pictures are baselines. They get the same steps, except the sweep.
+
+- *City*: {len(CITY_SEEDS)} synthetic cities; a true match is within {METRES:g} m.
+- *CamVid*: odd frames are queries, even frames are references; all frames of a stop are one place.
+- *UofA and Gardens Point* (evening, day, left, right, night): outputs of two networks trained on
+  other data. The frames correspond one to one at nearly equal speeds, which makes following
+  easier.
 """
 
-CHOICE = """Three settings of `Motion` are chosen by `scripts/pages/choose_motion.py`: `weight`,
-`level` and `change`. Each data set is shown with the setting that is best on the *other* three, and
-with the one that is best on all, which the package has. Where the two rows agree, the data set did
-not choose its own setting. Drives *cut up* have a stop, a stretch at double speed, two jumps and a
-stretch back: smooth drives alone would choose a filter that does not follow these. *Half of the
-map* is the area under precision over recall where half of the places are not in the map."""
+CHOICE = """`scripts/pages/choose_motion.py` chooses three settings of `Motion`: `weight`, `level`
+and `change`. Each data set has two rows: with the setting that is best on the *other* three data
+sets, and with the setting that is best on all, which the package uses. If both rows are equal,
+the data set did not influence its own setting. *As they are* and *cut up* are RecallRate@1;
+drives cut up have a stop, a stretch at double speed, two jumps and a stretch in reverse order.
+*Half of the map* is the area under the precision-recall curve when half of the places are missing
+from the map."""
 
 
 def main() -> None:
@@ -87,7 +93,7 @@ def main() -> None:
 
 def page(described: Described, motion: Path) -> Iterator[str]:
     yield HEAD
-    told: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in STEPS}
+    confidences: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in STEPS}
     for method in METHODS:
         yield f"## {method}\n"
         yield from head_row("condition", *STEPS)
@@ -100,7 +106,7 @@ def page(described: Described, motion: Path) -> Iterator[str]:
                 value, *ends = found.figures()["RecallRate@1"]
                 cells.append(interval(value, ends))
                 if method == OURS and condition.dataset == "City":
-                    told[step].append((found.confidence, found.right))
+                    confidences[step].append((found.confidence, found.right))
             yield row(condition.name, *cells)
         yield ""
     if motion.exists():
@@ -108,15 +114,16 @@ def page(described: Described, motion: Path) -> Iterator[str]:
         yield paragraph(CHOICE)
         yield from table(motion)
         yield ""
-    yield "## How sure\n"
+    yield "## Confidence\n"
     yield paragraph(
-        "The confidence of each first candidate against how often it is right, in the cities "
-        f"above, none of which it was fitted to; {BINS} bins of equal width, and the expected "
-        "calibration error over them."
+        "Confidence is the probability that the first candidate is right. Each cell is the "
+        "fraction of right first candidates among those with a confidence in that range, in the "
+        f"cities above, which were not used to fit it. *Error* is the expected calibration error "
+        f"over the {BINS} bins."
     )
     ends = [f"{n / BINS:g} to {(n + 1) / BINS:g}" for n in range(BINS)]
     yield from head_row("steps", "error", *ends)
-    for step, pairs in told.items():
+    for step, pairs in confidences.items():
         if step not in ("single frames", "standardised"):
             sure, hits = (np.concatenate(column) for column in zip(*pairs, strict=True))
             yield row(step, *reliability(sure, hits))
@@ -143,7 +150,7 @@ def reliability(sure: np.ndarray, hits: np.ndarray) -> list[str]:
 
 
 def fit(described: Described) -> None:
-    """Prints offset and slope of the confidence over that of the module, for each way."""
+    """Prints offset and slope of the confidence relative to the present one, for each step."""
     for step in ("and swept", "online", "offline"):
         conditions: Sequence = list(all_conditions(described, LEARNED_ON, NETWORKS))
         found = [decide(described, condition, OURS, STEPS[step]) for condition in conditions]
@@ -153,14 +160,14 @@ def fit(described: Described) -> None:
         print(f"{step}: offset {offset:.2f} and slope {slope:.2f} over the present logit")
 
 
-def logistic(told: Tensor, truth: Tensor) -> list[float]:
-    """Offset and slope of the logistic regression of what is true on what is told."""
+def logistic(logits: Tensor, truth: Tensor) -> list[float]:
+    """Offset and slope of the logistic regression of the truth on the logits."""
     weights = torch.tensor([0.0, 1.0], dtype=torch.double, requires_grad=True)
     search = torch.optim.LBFGS([weights], max_iter=200)
 
     def loss() -> Tensor:
         search.zero_grad()
-        value = F.binary_cross_entropy_with_logits(weights[0] + weights[1] * told, truth)
+        value = F.binary_cross_entropy_with_logits(weights[0] + weights[1] * logits, truth)
         value.backward()
         return value
 

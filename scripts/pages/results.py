@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
-"""Writes docs/results.md: both presets and five baselines on every data set, with and without the
-steps after the descriptor; the whole tables stand in docs/results.csv.
+"""Writes docs/results.md and docs/results.csv: both presets and four baselines on every data set,
+with and without the steps after the descriptor.
 
     .venv/bin/python scripts/pages/results.py --data ../shared/data
 
-The data sets are those of `_described.py`. On one thread of a quiet machine the descriptions take
-about an hour, half of it CoHOG; they are kept in `--cache`, and the page takes ten minutes more.
+The data sets are those of `_described.py`. On one thread, describing takes about an hour, half of
+it for CoHOG. Descriptors are cached in `--cache`. The page takes ten minutes more.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ PICTURED = {
     "UofA": ("evening -> day, espnetv2", "evening -> day, dabnet"),
     "Gardens Point": ("right -> left, dabnet", "night -> left, espnetv2"),
 }
-"""Conditions of which some matches are pictured; both drives of each are of one label space. Those
-of real data are written beside the cache: they may not be passed on."""
+"""Conditions whose matches are drawn; both drives of each have one label space. Pictures of real
+data are written beside the cache, because their licence does not allow to publish them."""
 
 SHADES = ("#7f7f7f", "#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e")
 COLOURS = dict(zip(METHODS, SHADES, strict=True))
@@ -52,28 +52,33 @@ Measured = dict[tuple[str, str, str, str], Row]
 
 HEAD = f"""# Results
 
-Written by `scripts/pages/results.py`; no number is typed by hand. All figures with 95 % bootstrap
-intervals over the queries ({RESAMPLES} resamples) are in [results.csv](results.csv): RecallRate@1
-and @5, AUC-PR and Recall@100%Precision by the convention `exact`, under every condition.
+Written by `scripts/pages/results.py`. [results.csv](results.csv) has all results under every
+condition: RecallRate@1 and @5, AUC-PR and Recall@100%Precision (convention `exact`), with 95 %
+bootstrap intervals over the queries ({RESAMPLES} resamples).
 
-Each method decides twice: single frames by their scores, and *with the steps* that `query` and
-`evaluate` take by default (standardise, sweep, follow offline; see
-[recognition.md](recognition.md)). All methods get the same steps as far as they can take them:
-means are taken off vectors, which CoHOG and tiny image do not have, and only `default` has anchors
-to sweep. `paper` is SSR-VLAD; `default` is ours; `label grid` is the fractions of the eight
-categories in a 6 x 10 grid. HOG, CoHOG and tiny image see the pictures, which the city lacks.
+| method | input | what it is |
+| --- | --- | --- |
+| `paper` | label maps | SSR-VLAD |
+| `default` | label maps | our descriptor |
+| label grid | label maps | the fractions of the eight categories in a 6 x 10 grid |
+| HOG, CoHOG, tiny image | pictures, which the city does not have | baselines |
+
+Each method is measured twice: *single frames*, and *with the steps* that `query` and `evaluate`
+take by default: standardise, sweep, follow offline ([explained here](recognition.md)). Each method
+gets the steps that it can take: CoHOG and tiny image have no vectors to standardise, and only
+`default` has anchors to sweep.
 
 - *City*: {len(CITY_SEEDS)} synthetic cities, {CITY_FRAMES} frames a drive; a true match is within
   {METRES:g} m.
-- *CamVid*: odd against even frames of two drives; hand-made labels and two networks trained
-  elsewhere. The car stands for some 90 frames, which all show one place: with neighbouring frames
-  alone as true matches, right answers there would count as wrong, so all frames of a stop are true.
-- *UofA*: a campus path, evening against day. *Gardens Point*: a walk on the left side of a path, on
-  the right, and at night. Label maps of two networks that were trained elsewhere and are poor here.
-  Frames correspond one to one at nearly equal speeds, which favours any sequence filter.
+- *CamVid*: odd frames of two drives are queries, even frames are references; hand-made labels and
+  two networks trained on other data. The car stops for about 90 frames, which show one place; all
+  frames of a stop are true matches of each other.
+- *UofA*: a campus path, evening against day. *Gardens Point*: a walk on the left side of a path,
+  on the right side, and at night. The label maps come from two networks trained on other data and
+  are poor. The frames correspond one to one at nearly equal speeds, which makes following easier.
 
-The pictures of each set show single frames of `default`: label maps of queries evenly spread over
-the drive, the last one wrong where those were all right.
+The pictures of matches show single frames of `default`, for queries evenly spread over the drive.
+If all of these are right, the last one is replaced by a wrong one.
 """
 
 
@@ -108,16 +113,16 @@ def measure(described: Described) -> Measured:
 
 def page(described: Described, measured: Measured, folder: Path) -> Iterator[str]:
     yield "## In short\n"
-    yield "RecallRate@1, the mean over the conditions of each data set; in brackets AUC-PR.\n"
-    there = [name for name in DATASETS if any(key[0] == name for key in measured)]
-    yield from head_row("method", *there)
+    yield "RecallRate@1 and, in brackets, AUC-PR: the means over the conditions of each data set.\n"
+    datasets = [name for name in DATASETS if any(key[0] == name for key in measured)]
+    yield from head_row("method", *datasets)
     for method in METHODS:
         for way in WAYS:
-            cells = [in_short(measured, dataset, method, way) for dataset in there]
+            cells = [in_short(measured, dataset, method, way) for dataset in datasets]
             yield row(f"{method}, {way}", *cells)
     yield ""
-    yield paragraph(against_the_grid(measured))
-    for dataset in there:
+    yield from against_the_grid(measured)
+    for dataset in datasets:
         name = f"results-{dataset.lower().replace(' ', '-')}"
         draw(measured, dataset, folder / "figures" / f"{name}.png")
         yield f"## {dataset}\n\n![](figures/{name}.png)\n"
@@ -138,9 +143,12 @@ def in_short(measured: Measured, dataset: str, method: str, way: str) -> str:
     return f"{rate:.3f} ({area:.3f})"
 
 
-def against_the_grid(measured: Measured) -> str:
-    """Where the trivial baseline is better under the same steps."""
-    told = []
+def against_the_grid(measured: Measured) -> Iterator[str]:
+    """Where the trivial baseline is better with the same steps."""
+    yield (
+        "Conditions in which the RecallRate@1 of `default` is lower than that of the label grid by "
+        "more\nthan one query in 300:\n"
+    )
     for way in WAYS:
         both = {
             key[:2]: (found["RecallRate@1"][0], measured[*key[:2], GRID, way]["RecallRate@1"][0])
@@ -148,21 +156,17 @@ def against_the_grid(measured: Measured) -> str:
             if key[2:] == (OURS, way)
         }
         worse = [
-            f"{name} of {dataset} ({ours:.3f} against {grid:.3f})"
+            f"{dataset}, {name}: {ours:.3f} against {grid:.3f}"
             for (dataset, name), (ours, grid) in both.items()
             if ours < grid - 1 / 300
         ]
-        count = f"{len(worse)} of {len(both)} conditions"
-        told.append(f"{way}, in {count}" + (f": {'; '.join(worse)}" if worse else ""))
-    return (
-        "`default` is below the label grid by more than one query in 300 in RecallRate@1: "
-        + ". ".join(told)
-        + "."
-    )
+        yield f"- *{way}*: {len(worse)} of {len(both)}"
+        yield from (f"    - {condition}" for condition in worse)
+    yield ""
 
 
 def draw(measured: Measured, dataset: str, path: Path) -> None:
-    """RecallRate@1 with its interval: a line a condition, hollow for single frames."""
+    """RecallRate@1 with its interval, one line per condition; hollow points for single frames."""
     names = list(dict.fromkeys(key[1] for key in measured if key[0] == dataset))
     shown = [m for m in METHODS if any(key[0] == dataset and key[2] == m for key in measured)]
     figure = Figure(figsize=(9, 1.4 + 0.13 * len(names) * (len(shown) + 1)), layout="constrained")
@@ -193,8 +197,8 @@ def _points(
 
 
 def draw_matches(described: Described, dataset: str, name: str, path: Path) -> None:
-    """Single frames of `default` in the first search of a condition: queries evenly spread over the
-    drive, a wrong one among them if there is one, above their best matches."""
+    """Queries of the first search of a condition above their best matches, by single frames of
+    `default`: evenly spread over the drive, with a wrong one if one exists."""
     (condition,) = (c for c in all_conditions(described) if (c.dataset, c.name) == (dataset, name))
     search = condition.searches[0]
     found = decide(described, Condition(dataset, name, [search]), OURS, AS_PAPER)
@@ -218,21 +222,23 @@ def draw_matches(described: Described, dataset: str, name: str, path: Path) -> N
 
 
 def sums(described: Described, measured: Measured) -> Iterator[str]:
-    """What the temporal sum of Eq. 3 does to single frames."""
+    """Lines about the effect of the temporal sum (Eq. 3) on single frames."""
     yield "## The temporal sum\n"
     yield paragraph(
-        "RecallRate@1 of single frames, the mean over the conditions of each data set, with the "
-        "sum of Eq. 3 over t reference frames on each side. `query` takes it only if it is asked "
-        "to; `--as-paper` takes t = 3."
+        "Eq. 3 of the paper sums each reference descriptor over t frames on each side. The table "
+        "shows RecallRate@1 of single frames with this sum, the mean over the conditions of each "
+        "data set. `query` does not take the sum by default; `--as-paper` takes it with t = 3."
     )
-    there = [name for name in DATASETS if any(key[0] == name for key in measured)]
-    yield from head_row("method", "t", *there)
+    datasets = [name for name in DATASETS if any(key[0] == name for key in measured)]
+    yield from head_row("method", "t", *datasets)
     for method in (m for m in METHODS if m not in OF_PICTURES):
-        cells = [in_short(measured, dataset, method, "single frames") for dataset in there]
+        cells = [in_short(measured, dataset, method, "single frames") for dataset in datasets]
         yield row(method, "0", *(cell.partition(" ")[0] for cell in cells))
         for reach in REACHES:
             means = summed(described, method, reach)
-            yield row(method, str(reach), *(f"{np.mean(means[dataset]):.3f}" for dataset in there))
+            yield row(
+                method, str(reach), *(f"{np.mean(means[dataset]):.3f}" for dataset in datasets)
+            )
 
 
 def summed(described: Described, method: str, reach: int) -> Mapping[str, list[float]]:
@@ -259,7 +265,7 @@ def to_csv(measured: Measured) -> str:
 
 
 def quote_in_readme(results: Path, readme: Path = Path("README.md")) -> None:
-    """Puts the summary between the marks that README.md has for it."""
+    """Writes the summary between its marks in README.md."""
     before, _, after = readme.read_text(encoding="utf-8").partition("<!-- results -->\n")
     _, mark, after = after.partition("<!-- /results -->")
     text = excerpt(results.read_text(encoding="utf-8"))
@@ -267,7 +273,7 @@ def quote_in_readme(results: Path, readme: Path = Path("README.md")) -> None:
 
 
 def excerpt(page: str) -> str:
-    """The summary of a results page, without its AUC."""
+    """The summary of a results page, without AUC-PR."""
     lines = page.partition("## In short\n")[2].partition("\n##")[0].splitlines()
     rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("|")]
     return "\n".join(row(*(cell.partition(" (")[0] for cell in cells)) for cells in rows)

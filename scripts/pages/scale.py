@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Writes docs/scale.md: a million frames and more through a database, measured here.
+"""Writes docs/scale.md: time and memory of a database of a million frames and more.
 
     .venv/bin/python scripts/pages/scale.py --frames 1000000 --frames 4000000 --folder /data
 
-Every step runs in a process of its own with one thread, so that its peak of memory and its seconds
-are its own. The descriptors are those of label maps of the synthetic city, varied: parts of two of
-them and noise. What is done stays in the folder, and a second run goes on from there. It takes two
-kilobytes a frame on the disk and as much again in memory. A million frames take some ten minutes,
-and kinds of index are compared on 200,000.
+Every step runs in a new process with one thread, so that its memory and its time are not mixed with
+others. The descriptors are made from those of the synthetic city: parts of two of them, and noise.
+Results stay in the folder, and a second run resumes. The script needs two kilobytes a frame on disk
+and the same in memory. A million frames take about ten minutes. Kinds of index are compared on
+200,000 frames.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
-    """The reports of steps; those of an earlier run are kept."""
+    """The reports of steps; those of an earlier run are read."""
     done = folder / f"{frames}.json"
     reports: dict[str, Report] = json.loads(done.read_text()) if done.exists() else {}
     for step in steps:
@@ -75,17 +75,17 @@ def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
             command = [sys.executable, __file__, "--step", step, "--folder", str(folder)]
             command += ["--frames", str(frames)]
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "LANCE_LOG": "error"}
-            told = subprocess.run(
+            process = subprocess.run(
                 command, stdout=subprocess.PIPE, text=True, check=True, env=environment
             )
-            reports[step] = json.loads(told.stdout.splitlines()[-1])
+            reports[step] = json.loads(process.stdout.splitlines()[-1])
             done.write_text(json.dumps(reports))
             print(frames, step, reports[step], file=sys.stderr, flush=True)
     return reports
 
 
 def measured(step: Callable[[int, Path], Report], frames: int, folder: Path) -> Report:
-    """What a step reports, its time where it keeps none, the peak of its memory, and the load."""
+    """The report of a step with its time, its peak memory, and the load of the machine."""
     began, spent = time.perf_counter(), time.process_time()
     report = step(frames, folder)
     report.setdefault("seconds", time.perf_counter() - began)
@@ -95,7 +95,7 @@ def measured(step: Callable[[int, Path], Report], frames: int, folder: Path) -> 
 
 
 def seeds(folder: Path) -> torch.Tensor:
-    """``(S, D)`` descriptors of frames of some synthetic cities, made once."""
+    """``(S, D)`` descriptors of frames of synthetic cities, cached."""
     file = folder / "seeds.npy"
     if not file.exists():
         head = SSRVLAD.from_preset("default", labels_as=LABELS_AS)
@@ -224,7 +224,7 @@ def online(frames: int, folder: Path) -> Report:
 
 
 def kinds(frames: int, folder: Path) -> Report:
-    """On a table of its own, whose rows were written once and in order."""
+    """Compares kinds of index on a new table, whose rows were written once and in order."""
     path = folder / "kinds"
     path.mkdir(exist_ok=True)
     write(frames, path)
@@ -242,7 +242,7 @@ def queries(folder: Path) -> torch.Tensor:
 
 
 def again(folder: Path) -> torch.Tensor:
-    """Some frames of the database in a row, with other noise."""
+    """Consecutive frames of the database with other noise."""
     numbers = varied(0, COMMIT_ROWS, seeds(folder))[BACK : BACK + QUERIES]
     generator = torch.Generator().manual_seed(1)
     noise = torch.randn(numbers.shape, generator=generator) * numbers.abs().mean(1, keepdim=True)
@@ -283,11 +283,14 @@ def page(results: dict[int, dict[str, Report]], kinds: list[Report]) -> str:
         "# Large databases",
         "",
         f"Written by `scripts/pages/scale.py` on {platform.machine()}, {os.cpu_count()} cores, "
-        f"torch {torch.__version__}. The frames are synthetic: descriptors of the preset `default` "
-        "of label maps of the synthetic city, varied, denser than real ones. Each step is a "
-        "process of its own with one thread. Where the CPU seconds are far below the seconds, "
-        "other programs or the disk had their turn. A commit is on the disk before the next one; a "
-        "second run of `encode` reads all records; `db index` measures its recall too.",
+        f"torch {torch.__version__}.",
+        "",
+        "- The frames are synthetic: variations of descriptors of the synthetic city (preset "
+        "`default`), denser than real frames.",
+        "- Each step is a new process with one thread. If *CPU s* is much less than *s*, the step "
+        "waited for the disk or for other programs.",
+        "- Each commit is flushed to disk before the next one. A second run of `encode` reads all "
+        "records. `db index` includes the measurement of its recall.",
     ]
     for frames, reports in results.items():
         lines += ["", f"## {frames:,} frames", "", *table(reports), "", *facts(frames, reports)]
@@ -311,18 +314,18 @@ def facts(frames: int, reports: dict[str, Report]) -> list[str]:
     exact, built = reports["exact"], reports["index"]
     search, more, swept = (reports["online"][key] for key in ("search", "follow", "swept"))
     return [
-        f"- {reports['compact']['bytes'] / frames:.0f} bytes a frame on the disk.",
-        f"- One exact query alone takes {exact['one'] * 1e3:.0f} ms of CPU, one by the index "
-        f"{built['one'] * 1e3:.1f} ms.",
-        "- Once it has read the records and means, `query --index` of a drive that comes back does "
-        f"{reports['followed']['rate']:.0f} queries a second, followed, and finds "
-        f"{reports['followed']['right']:.3f} of the frames.",
-        f"- Online and exact, the search of a frame takes {search * 1e3:.0f} ms of CPU and "
-        f"following {more * 1e3:.0f} ms: {1 + more / search:.2f} times as long. Swept, from "
-        f"{len(COLUMNS)} anchors, the search takes {swept * 1e3:.0f} ms, and with following "
-        f"{1 + more / swept:.2f} times as long.",
-        f"- The index has {built['lists']} lists. Of the exact best it finds "
-        f"{built['recall']['1']:.3f} at 1 and {built['recall']['10']:.3f} at 10.",
+        f"- On disk: {reports['compact']['bytes'] / frames:.0f} bytes a frame.",
+        f"- A single query takes {exact['one'] * 1e3:.0f} ms of CPU with exact search, "
+        f"{built['one'] * 1e3:.1f} ms with the index.",
+        "- `query --index` of a drive over a known street, followed: "
+        f"{reports['followed']['rate']:.0f} queries a second, after the records are read, and "
+        f"RecallRate@1 {reports['followed']['right']:.3f}.",
+        f"- Online with exact search, the CPU time of a frame is {search * 1e3:.0f} ms for the "
+        f"search and {more * 1e3:.0f} ms for following, {1 + more / search:.2f} times the search "
+        f"alone. With a sweep of {len(COLUMNS)} anchors, the search takes {swept * 1e3:.0f} ms; "
+        f"search and following take {1 + more / swept:.2f} times that.",
+        f"- The index has {built['lists']} lists. Its recall is {built['recall']['1']:.3f} for the "
+        f"best row and {built['recall']['10']:.3f} for the best 10 rows of the exact search.",
     ]
 
 
@@ -330,9 +333,9 @@ def table_of_kinds(kinds: list[Report]) -> list[str]:
     return [
         "## Kinds of index",
         "",
-        f"{KINDS_OF:,} frames, lists of 4096 rows where it says nothing else, a tenth of them "
-        f"looked through; {KIND_QUERIES} queries, the 100 candidates of each scored again exactly. "
-        "`db index` builds the first.",
+        f"{KINDS_OF:,} frames, {KIND_QUERIES} queries. A list has 4096 rows unless the name says "
+        "otherwise. A query searches a tenth of the lists, and its 100 candidates get exact "
+        "scores. `db index` builds the first kind.",
         "",
         "| kind | build, CPU s | bytes a frame | recall@1 | recall@10 | CPU ms a query |",
         "|---|---|---|---|---|---|",
@@ -345,30 +348,31 @@ def table_of_kinds(kinds: list[Report]) -> list[str]:
 
 
 def on_paper(frames: int, reports: dict[str, Report]) -> list[str]:
-    """What a hundred million frames need, by the costs of a frame measured above."""
+    """Costs of a hundred million frames, extrapolated from those per frame."""
     many = ON_PAPER / frames
     held = (reports["known"]["peak"] - reports["nothing"]["peak"]) * many
     return [
-        f"## {ON_PAPER:,} frames, on paper",
+        f"## {ON_PAPER:,} frames, extrapolated",
         "",
-        f"The costs of a frame among {frames:,}, times {ON_PAPER:,}; of writing it is the least, "
-        "since a commit looks up the ids that are there.",
+        f"The costs per frame among {frames:,}, times {ON_PAPER:,}. Writing will take longer than "
+        "this, because each commit looks up the ids that exist.",
         "",
         "| what | amount |",
         "|---|---|",
-        f"| database on the disk | {reports['compact']['bytes'] * many / 1e9:,.0f} GB |",
+        f"| database on disk | {reports['compact']['bytes'] * many / 1e9:,.0f} GB |",
         f"| writing, core hours | {reports['write']['cpu'] * many / 3600:,.1f} |",
         f"| verifying, core hours | {reports['verify']['cpu'] * many / 3600:,.1f} |",
-        f"| what a second run of `encode` holds of the records | {held / 1e9:,.0f} GB |",
+        f"| records in the memory of a second run of `encode` | {held / 1e9:,.0f} GB |",
         f"| descriptors in memory | {1920 * ON_PAPER / 1e9:,.0f} GB |",
-        f"| an exact query of a thousand at once, core seconds | "
+        f"| an exact query, one of a thousand at once, core seconds | "
         f"{reports['exact']['cpu'] * many / QUERIES:,.2f} |",
         f"| an exact query alone, core seconds | {reports['exact']['one'] * many:,.1f} |",
         f"| building the index, core hours | {reports['index']['cpu'] * many / 3600:,.1f} |",
         "",
-        "So a hundred million frames are one large machine: the index stays on the disk, exact "
-        "search is for batches of queries. Beyond, make several databases, by region, ask all of "
-        "them and merge the candidates by score: scores of one fingerprint compare.",
+        "A hundred million frames fit on one large machine: the index stays on disk, and exact "
+        "search is for batches of queries. For more frames, make several databases, for example "
+        "one per region, query all of them and merge the candidates by score. Scores of databases "
+        "with the same fingerprint can be compared.",
     ]
 
 

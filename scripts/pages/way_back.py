@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/way-back.md: is a street known again from the other side?
+"""Writes docs/way-back.md: is a street recognised in the opposite direction?
 
 .venv/bin/python scripts/pages/way_back.py
 """
@@ -34,27 +34,28 @@ ROWS, STRIPS = 8, 8
 
 HEAD = f"""# The way back
 
-Written by `scripts/pages/way_back.py`; no number is typed by hand. A street of the
-synthetic city is driven once, {FRAMES} frames, and then back on the other lane. What is
-seen on the way back was behind the camera on the way there: the frame of the map that shows
-the same stretch stands some way before, and how far is learned in another city;
-{len(MEASURED_ON)} are measured. A match is right within {METRES:g} m of that. Recall at
-precision {PRECISION:g} counts as wrong also what is found of a drive through a street that
-the map lacks.
+Written by `scripts/pages/way_back.py`. Can a street be recognised in the opposite direction?
+**No**: some frames get the right place, but no threshold separates them from the wrong ones. What
+is near the camera on the way there is far from it on the way back. The package has no option for
+it.
 
-- *Mirrored*: the label map of the way back is turned left to right, for what stands left there
-  stands right here.
-- *Sides*: in place of the descriptor what stands at the left and at the right edge of the view,
-  by class and height, mirrored; both views see that from nearly one place.
-- *Followed*: the filter over the map in reverse order, so that its steps go backwards.
+A street of the synthetic city is driven once, {FRAMES} frames, and then back on the other lane;
+{len(MEASURED_ON)} cities are measured. The camera of the way back sees what was behind the camera
+of the way there. The frame of the map that shows the same part of the street was therefore taken
+some metres earlier. This distance (*metres before*) is learned in another city. A match is right
+within {METRES:g} m of it. *Recall at {PRECISION:g}* is the recall at precision {PRECISION:g}, with
+further queries from a street that is not in the map.
 
-Mirrored and followed backwards some frames are placed right, but they cannot be told from those
-that are not: what is near on the way there is far on the way back. There is no option for it.
+- *mirrored*: the label map of the way back is mirrored left to right, because left and right are
+  exchanged.
+- *sides*: instead of the descriptor, the classes at the left and the right edge of the view, by
+  height. Both cameras see these from nearly the same place.
+- *followed*: the sequence is followed through the map in reverse order.
 """
 
 
 class Way(NamedTuple):
-    """How frames are described, whether those of the way back are mirrored first."""
+    """How frames are described, and whether those of the way back are mirrored before."""
 
     describe: Callable[[Tensor], Tensor]
     mirrored: bool
@@ -85,8 +86,8 @@ WAYS = {
 
 
 class Drives(NamedTuple):
-    """Label maps, or descriptors of them, of a street there, back, and of another street; metres
-    along it of the map."""
+    """Label maps or descriptors of a street driven there and back, and of another street; metres
+    along the street of the frames of the map."""
 
     there: Tensor
     back: Tensor
@@ -95,8 +96,8 @@ class Drives(NamedTuple):
 
 
 class Found(NamedTuple):
-    """For each query the metres from its candidate to it, against the way of the map; NaN where it
-    is not in the map; and how sure it is."""
+    """For each query the metres from its candidate to it, in the direction of the way back (NaN if
+    it is not in the map), and its score."""
 
     metres: np.ndarray
     sure: np.ndarray
@@ -140,7 +141,7 @@ def drives(city: int, conditions: Conditions) -> Drives:
 
 
 def across(pose: Pose) -> Pose:
-    """On the other lane, the other way."""
+    """The pose on the other lane, in the opposite direction."""
     x, y, heading = pose
     aside = heading + np.pi / 2
     return Pose(x + LANE * np.cos(aside), y + LANE * np.sin(aside), heading + np.pi)
@@ -152,7 +153,7 @@ def labels(city: int, poses: Sequence[Pose], conditions: Conditions) -> Tensor:
 
 
 def seen_by(way: Way, street: Drives) -> Drives:
-    """The descriptors of the drives, less their means."""
+    """Standardised descriptors of the drives."""
 
     def described(views: Tensor, mirrored: bool) -> Tensor:
         views = views.flip(2) if mirrored else views
@@ -163,7 +164,7 @@ def seen_by(way: Way, street: Drives) -> Drives:
 
 
 def found(street: Drives, followed: bool) -> Found:
-    """What is found of the way back, then of the other street."""
+    """Candidates for the way back, then for the other street."""
     known = street.there
     metres, sure = [], []
     for number, views in enumerate((street.back, street.other)):
@@ -179,14 +180,14 @@ def found(street: Drives, followed: bool) -> Found:
 
 
 def offset(learned: Sequence[Found]) -> float:
-    """How far before a query the frame of the map stands that looks most like it."""
+    """Metres before a query of the frame of the map that is most similar to it."""
     metres = np.concatenate([each.metres for each in learned])
     counts = [np.sum(np.abs(metres - at) <= METRES) for at in range(int(SEARCHED))]
     return float(np.argmax(counts))
 
 
 def rates(measured: Sequence[Found], before: float) -> tuple[float, float]:
-    """Recall of all first candidates, and at the precision."""
+    """Recall of all first candidates, and recall at `PRECISION`."""
     metres, sure = (np.concatenate(part) for part in zip(*measured, strict=True))
     right, queries = np.abs(metres - before) <= METRES, np.sum(~np.isnan(metres))
     order = np.argsort(-sure, kind="stable")
