@@ -1,4 +1,4 @@
-"""Label spaces by name: what the classes of a network are called says which category they are."""
+"""Label spaces from class names: the name of a network's class gives its category."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import yaml
 
 from .taxonomy import CATEGORIES, DYNAMIC, VOID, LabelClass, LabelSpace
 
-_MEANS_NOTHING = re.compile(r"[^a-z0-9]+")
-_ENDINGS = ("other", "stuff", "merged")
+_PUNCTUATION = re.compile(r"[^a-z0-9]+")
+_IGNORED_ENDINGS = ("other", "stuff", "merged")
 
 
 def category_of_name(name: str) -> str | None:
     """The category of a class by its name, from ``class_names.yaml``.
 
     Returns:
-        one of `CATEGORIES`, `DYNAMIC` for what moves, `VOID` for what is known and has no
-        category, or ``None`` for a name that is not in the table.
+        One of `CATEGORIES`, `DYNAMIC` for what moves, `VOID` for a known name without a category,
+        or ``None`` for a name that is not in the table.
 
     Example:
         >>> category_of_name("construction--flat--road")
@@ -33,23 +33,23 @@ def category_of_name(name: str) -> str | None:
 def label_space_of_names(names: Mapping[int, str], name: str) -> LabelSpace:
     """The label space of a network whose classes have these names.
 
-    A class whose name is not in the table has no category, like one that is void.
+    A class whose name is not in the table is void.
 
     Args:
         names: of the classes, by channel.
         name: of the label space.
 
     Raises:
-        ValueError: no name has a category.
+        ValueError: no class has a category.
 
     Example:
         >>> label_space_of_names({0: "road", 1: "car"}, "mine").classes[1].category
         'dynamic'
     """
     if not any(category_of_name(each) in CATEGORIES for each in names.values()):
-        few = ", ".join(list(names.values())[:3])
+        first = ", ".join(list(names.values())[:3])
         raise ValueError(
-            f"none of the {len(names)} class names of {name} ({few}, ...) has a category; "
+            f"none of the {len(names)} class names of {name} ({first}, ...) has a category; "
             "give --labels-as"
         )
     classes = (
@@ -68,16 +68,16 @@ def _table() -> dict[str, str]:
 
 
 def _forms(name: str) -> Iterator[str]:
-    """How a name may stand in the table, the most exact first."""
+    """The spellings under which the table may have a name, the most exact first."""
     for synonym in re.split(r"[,;]", name):
         parts = synonym.split("--")
         for first in range(len(parts)):
-            words = _plain(" ".join(parts[first:]))
+            words = _words(" ".join(parts[first:]))
             yield words
-            while words.endswith(_ENDINGS) and " " in words:
+            while words.endswith(_IGNORED_ENDINGS) and " " in words:
                 words = words.rpartition(" ")[0]
                 yield words
 
 
-def _plain(name: str) -> str:
-    return _MEANS_NOTHING.sub(" ", name.casefold()).strip()
+def _words(name: str) -> str:
+    return _PUNCTUATION.sub(" ", name.casefold()).strip()

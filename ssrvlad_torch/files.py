@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all, folders, and errors in one line."""
+"""Files that are written completely or not at all, folders, and one-line error messages."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
 def check_output(path: Path) -> Path:
-    """The file that something may be written to: ``path``, or what it links to.
+    """The file to write for an output path: ``path``, or the target of a link.
 
     Raises:
-        OSError: a folder, a device or a pipe is there, or there is no such folder; with the name
-            that was given.
+        OSError: ``path`` is a folder, a device or a pipe, or its folder does not exist. The message
+            has ``path`` as it was given.
     """
     if path.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
     if path.exists() and not path.is_file():
-        raise OSError(f"cannot write {path}: it is no regular file")
+        raise OSError(f"cannot write {path}: it is not a regular file")
     target = path.resolve() if path.is_symlink() else path
     if not target.parent.is_dir():
         raise FileNotFoundError(f"cannot write {path}: there is no folder {target.parent}")
@@ -31,15 +31,15 @@ def check_output(path: Path) -> Path:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """A temporary file that takes the place of ``path``, whole and on the disk, or not at all.
+    """A temporary file that replaces ``path`` at the end of the block, not after an error.
 
-    The file is flushed to the disk, renamed, and the folder flushed, in this order. Where the
-    folder cannot be flushed, what was there takes its place again. The temporary file's name
-    starts with a dot and the name of ``path``. A link stays a link; what it leads to is replaced.
+    The file is flushed to disk, renamed, and the folder is flushed, in this order. If the folder
+    cannot be flushed, the old file is restored. The temporary file's name starts with a dot and
+    the name of ``path``. A link stays a link; its target is replaced.
 
     Raises:
-        OSError: nothing can be written there, see `check_output`, or the disk refused; with the
-            name of the file. What was there is as it was.
+        OSError: ``path`` cannot be written, see `check_output`, or the disk reports an error; with
+            the name of the file. The old file is unchanged.
     """
     target = check_output(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(4)}")
@@ -53,7 +53,7 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             flush(target.parent)
         except OSError:
-            _put_back(before, target)
+            _restore(before, target)
             raise
     except OSError as error:
         if error.filename in (str(temporary), temporary) or (
@@ -67,10 +67,10 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def flush(path: Path) -> None:
-    """Has the disk take what was written to a file or, where the system can, a folder.
+    """Flushes a file to disk, or, on POSIX systems, a folder.
 
     Raises:
-        OSError: the disk refused.
+        OSError: the disk reports an error.
     """
     if os.name != "posix" and path.is_dir():
         return
@@ -82,11 +82,11 @@ def flush(path: Path) -> None:
 
 
 def empty_folder(path: Path) -> Path:
-    """A folder without anything in it, made if it is missing.
+    """An empty folder, created if it is missing.
 
     Raises:
-        ValueError: something is in it.
-        OSError: it cannot be made.
+        ValueError: the folder is not empty.
+        OSError: the folder cannot be created.
     """
     path.mkdir(parents=True, exist_ok=True)
     if any(path.iterdir()):
@@ -95,22 +95,22 @@ def empty_folder(path: Path) -> Path:
 
 
 def one_line(error: Exception) -> str:
-    """An error in one line that is never empty; of the system's errors, what the system says."""
+    """An error in one line that is never empty; for a system error, the system's message."""
     reason = getattr(error, "strerror", None) or str(error)
     return " ".join(reason.split()) or type(error).__name__
 
 
 def absolute_folder(folder: Path) -> Path:
-    """A folder's absolute path, so that ``.`` and ``..`` too have a name and a parent.
+    """A folder's absolute path, so that ``.`` and ``..`` have a name and a parent too.
 
-    A symbolic link keeps the name that it was given.
+    A symbolic link keeps its own name.
     """
     path = folder.absolute()
     return path.resolve() if path.name == ".." else path
 
 
-def _put_back(before: Path, path: Path) -> None:
-    """Undoes a rename: what was there, or nothing."""
+def _restore(before: Path, path: Path) -> None:
+    """Undoes a rename: restores the old file, or removes the new one if there was none."""
     if before.exists():
         before.replace(path)
     else:

@@ -1,4 +1,4 @@
-"""A picture of what the method saw in one frame. It needs the extra ``eval`` (matplotlib)."""
+"""A picture of the method's steps on one image. It needs the extra ``eval`` (matplotlib)."""
 
 from __future__ import annotations
 
@@ -48,10 +48,10 @@ than the centre does, blue where they see less (Eq. 2)."""
 
 
 class Cell(NamedTuple):
-    """A layer or a direction with its histogram.
+    """A layer or a boundary direction with its histogram.
 
     Attributes:
-        name: what it is.
+        name: of the layer or direction.
         mask: ``(h, w)`` bool.
         colour: of the mask.
         histogram: ``(N, M)``.
@@ -64,32 +64,32 @@ class Cell(NamedTuple):
 
 
 def require_picture(path: Path) -> None:
-    """Refuses what `write_picture` would refuse, before the work is done.
+    """Raises the errors of `write_picture` before the picture is drawn.
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: no such picture format.
+        ValueError: matplotlib cannot write the format.
         OSError: see `check_output`.
     """
     formats = new_figure(1, 1).canvas.get_supported_filetypes()
-    if _form(path) not in formats:
+    if _format(path) not in formats:
         raise ValueError(f"{path}: a picture is one of {', '.join(formats)}")
     check_output(path)
 
 
 def write_picture(figure: Figure, path: Path) -> None:
-    """Writes a figure, whole or not at all; the suffix says the format, ``.png`` without one.
+    """Writes a figure, completely or not at all, in the format of the suffix, by default PNG.
 
     Raises:
-        ValueError, OSError: see `require_picture`; or the disk refused.
+        ValueError, OSError: see `require_picture`; or the disk reports an error.
     """
     require_picture(path)
     with replacing(path) as temporary:
-        figure.savefig(temporary, dpi=110, format=_form(path))
+        figure.savefig(temporary, dpi=110, format=_format(path))
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of so many inches.
+    """An empty figure; width and height in inches.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -113,7 +113,7 @@ def draw(view: Explanation, image: int = 0, title: str = "") -> Figure:
     top, *rows = parts
     left, right = top.subplots(1, 2)
     _draw_labels(left, view, image, title)
-    _draw_words(right, view, image, harmonic)
+    _draw_legend(right, view, image, harmonic)
     for part, shown in zip(rows, (cells[:columns], cells[columns:]), strict=True):
         grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
         for number, cell in enumerate(shown):
@@ -129,26 +129,23 @@ def draw(view: Explanation, image: int = 0, title: str = "") -> Figure:
 
 
 def _layers(view: Explanation, image: int) -> list[Cell]:
-    """The cleaned layers, and what the keypoints see more or less than the centre."""
-    found = view.histograms
-    assert not isinstance(found, HarmonicHistograms)
-    seen = (found.points - found.counts[..., None, None] * found.centre)[image]
-    masks = view.clean_layers[image].cpu().numpy()
-    return [
-        Cell(*each) for each in zip(CATEGORIES, masks, _COLOURS, seen.cpu().numpy(), strict=True)
-    ]
+    """The clean layers with their residuals, the numerators of Eq. 2."""
+    counts = view.histograms
+    assert not isinstance(counts, HarmonicHistograms)
+    residuals = (counts.points - counts.counts[..., None, None] * counts.centre)[image].cpu()
+    columns = CATEGORIES, view.clean_layers[image].cpu().numpy(), _COLOURS, residuals.numpy()
+    return [Cell(*each) for each in zip(*columns, strict=True)]
 
 
 def _areas_and_boundaries(view: Explanation, image: int) -> list[Cell]:
     """Six layers and the boundaries in four directions, with their histograms."""
-    found = view.histograms
-    assert isinstance(found, HarmonicHistograms)
+    assert isinstance(view.histograms, HarmonicHistograms)
     bits = 1 << torch.arange(len(CATEGORIES))[:, None, None]
     planes = merge((view.layers[image].cpu() * bits).sum(0).to(torch.uint8)[None])
     masks = torch.cat((unpack(planes)[0, :AREA_LAYERS], unpack(boundaries(planes))[0, :4]))
     names = (*CATEGORIES[:AREA_LAYERS], *(f"{name} boundaries" for name in DIRECTIONS))
     colours = (*_COLOURS[:AREA_LAYERS], *(_BOUNDARY for _ in DIRECTIONS))
-    bins = found.bins[image].cpu().numpy()
+    bins = view.histograms.bins[image].cpu().numpy()
     return [Cell(*each) for each in zip(names, masks.numpy(), colours, bins, strict=True)]
 
 
@@ -160,15 +157,15 @@ def _draw_labels(axes: Axes, view: Explanation, image: int, title: str) -> None:
     axes.set_axis_off()
 
 
-def _draw_words(axes: Axes, view: Explanation, image: int, harmonic: bool) -> None:
-    """The classes of the label map with their colours, and what the marks below mean."""
+def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> None:
+    """Draws the classes of the label map with their colours, and explains the marks below."""
     from matplotlib.patches import Patch
 
-    seen = set(np.unique(view.labels[image].cpu().numpy()).tolist())
+    ids = set(np.unique(view.labels[image].cpu().numpy()).tolist())
     classes = [
         Patch(color="#{:02x}{:02x}{:02x}".format(*(each.colour or (0, 0, 0))), label=each.name)
         for each in view.label_space.classes
-        if each.id in seen
+        if each.id in ids
     ]
     legend = axes.legend(
         handles=classes, loc="upper left", ncols=3, frameon=False, fontsize=10, handlelength=1
@@ -178,8 +175,8 @@ def _draw_words(axes: Axes, view: Explanation, image: int, harmonic: bool) -> No
         handles=_marks(harmonic), loc="center left", ncols=2, frameon=False, fontsize=10,
         bbox_to_anchor=(0, 0.34),
     )  # fmt: skip
-    words = _HARMONICS if harmonic else _RESIDUALS
-    axes.text(0, 0, words, transform=axes.transAxes, fontsize=10, va="bottom")
+    text = _HARMONICS if harmonic else _RESIDUALS
+    axes.text(0, 0, text, transform=axes.transAxes, fontsize=10, va="bottom")
     axes.set_axis_off()
 
 
@@ -229,12 +226,12 @@ def _draw_histogram(axes: Axes, cell: Cell, harmonic: bool) -> None:
     colours, least = ("Greys", 0) if harmonic else ("RdBu_r", -most)
     axes.pcolormesh(angles, np.arange(rings + 1), arcs, cmap=colours, vmin=least, vmax=most)
     axes.set_theta_direction(-1)  # type: ignore[attr-defined]
-    if harmonic:  # a soft sector lies around its angle, not after it
+    if harmonic:  # a soft sector is centred on its angle
         axes.set_theta_offset(np.pi / sectors)  # type: ignore[attr-defined]
     axes.set_xticks(angles[:-1:_ARC_STEPS], [])
     axes.set_yticks(np.arange(1, rings + 1), [])
     axes.grid(lw=0.3, color="gray")
 
 
-def _form(path: Path) -> str:
+def _format(path: Path) -> str:
     return path.suffix.removeprefix(".").lower() or "png"

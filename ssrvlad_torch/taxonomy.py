@@ -2,7 +2,7 @@
 
 A label space says what the ids of a label map mean. Each id belongs to one of the eight
 categories, or to `DYNAMIC` or `VOID`, which get no layer. The built-in spaces are YAML files in
-``label_spaces/``; your own space is a file, or a `LabelSpace`, of the same form.
+``label_spaces/``; a custom space is a file of the same form, or a `LabelSpace`.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ class LabelClass:
         id: -65535 to 65535.
         name: of the class, for people.
         category: one of `CATEGORIES`, or `DYNAMIC` or `VOID`.
-        colour: red, green and blue, 0 to 255, in which pictures of label maps show the class;
-            ``None`` where there is none.
+        colour: red, green and blue, 0 to 255, of the class in pictures of label maps; ``None`` if
+            it has no colour.
     """
 
     id: int
@@ -89,11 +89,11 @@ class LabelSpace:
 
         Args:
             document: a mapping with ``name``, ``source`` and ``classes``, a list of mappings with
-                ``id``, ``name``, ``category`` and perhaps ``colour``.
-            where: what messages call it.
+                ``id``, ``name``, ``category`` and optionally ``colour``.
+            where: its name in error messages.
 
         Raises:
-            ValueError: it does not define a label space; the message names the entry.
+            ValueError: ``document`` does not define a label space; the message names the entry.
         """
         expected = "expected a mapping with name, source and classes"
         if not isinstance(document, dict) or not {"name", "source", "classes"} <= document.keys():
@@ -110,37 +110,36 @@ class LabelSpace:
         return cls(str(document["name"]), str(document["source"]), classes)
 
     def to_dict(self) -> dict[str, Any]:
-        """The label space as numbers, texts and lists, ready for JSON."""
-        classes = []
+        """The label space as a mapping, ready for JSON."""
+        classes: list[dict[str, Any]] = []
         for label in self.classes:
-            colour = {} if label.colour is None else {"colour": list(label.colour)}
-            classes.append(
-                {"id": label.id, "name": label.name, "category": label.category, **colour}
-            )
+            classes.append({"id": label.id, "name": label.name, "category": label.category})
+            if label.colour is not None:
+                classes[-1]["colour"] = list(label.colour)
         return {"name": self.name, "source": self.source, "classes": classes}
 
     @property
     def digest(self) -> str:
         """16 hex digits over the classes: ids, names, categories and colours, in the order of ids.
 
-        Label spaces of one digest read every label map alike, whatever they are called.
+        Label spaces with equal digests read every label map alike; their names may differ.
         """
         classes = sorted(self.to_dict()["classes"], key=lambda entry: int(entry["id"]))
         return hashlib.sha256(json.dumps(classes, sort_keys=True).encode()).hexdigest()[:16]
 
     @property
     def channel_counts(self) -> range:
-        """Class counts that a network's scores may have, channel ``c`` standing for id ``c``.
+        """Numbers of channels that a network's scores may have; channel ``c`` stands for id ``c``.
 
         Void classes at the end may be left out: CamVid networks have 11 or 12 channels.
         """
         ids = {label.id for label in self.classes}
-        meant = max(label.id for label in self.classes if label.category != VOID)
+        last = max(label.id for label in self.classes if label.category != VOID)
         most = next(count for count in range(len(ids) + 1) if count not in ids)
-        return range(meant + 1, most + 1)
+        return range(last + 1, most + 1)
 
     def describe_ids(self) -> str:
-        """The ids in words, for messages: ``0 to 18, 255``."""
+        """The ids as text for messages: ``0 to 18, 255``."""
         ids = sorted(label.id for label in self.classes)
         spans: list[list[int]] = []
         for label_id in ids:
@@ -157,25 +156,26 @@ def label_space_names() -> tuple[str, ...]:
     return tuple(sorted(file.name.removesuffix(".yaml") for file in files))
 
 
-def label_space(given: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
-    """A built-in label space, the one that a YAML file defines, or the given one as it is.
+def label_space(labels_as: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
+    """A built-in label space, the one that a YAML file defines, or ``labels_as`` itself.
 
-    A file is read at every call: what was changed in it counts.
+    A file is read at every call, so that its changes take effect.
 
     Args:
-        given: a name in `label_space_names`, the path of a file that ends in ``.yaml`` or
+        labels_as: a name in `label_space_names`, the path of a file that ends in ``.yaml`` or
             ``.yml``, or a label space.
 
     Raises:
-        ValueError: no such space, or the file does not define one; the message names the entry.
+        ValueError: the name is unknown, or the file does not define a label space; the message
+            names the entry.
 
     Example:
         >>> label_space("camvid-11").classes[0].category
         'sky'
     """
-    if isinstance(given, LabelSpace):
-        return given
-    name = os.fspath(given)
+    if isinstance(labels_as, LabelSpace):
+        return labels_as
+    name = os.fspath(labels_as)
     if name.endswith((".yaml", ".yml")):
         try:
             text = read_text(name, MOST_YAML)
@@ -200,7 +200,7 @@ def _parsed(text: str, where: str) -> LabelSpace:
 
 
 def palette(space: str | os.PathLike[str] | LabelSpace) -> npt.NDArray[np.uint8]:
-    """(256, 3) colours of a label space's ids 0 to 255; black where it defines none."""
+    """``(256, 3)`` colours of a label space's ids 0 to 255; black for ids without a colour."""
     colours = np.zeros((256, 3), np.uint8)
     for label in label_space(space).classes:
         if 0 <= label.id < 256 and label.colour:

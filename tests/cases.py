@@ -11,22 +11,19 @@ from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 
-CAMVID = Path(__file__).parents[2] / "shared" / "data" / "camvid"
+REAL = Path(__file__).parents[2] / "shared" / "data"
+CAMVID = REAL / "camvid"
 
 needs_camvid = pytest.mark.skipif(
     not CAMVID.is_dir(), reason="the CamVid labels of ../shared/data are not on this machine"
 )
-
-
-REAL = CAMVID.parent
-
 needs_real = pytest.mark.skipif(
     not (REAL / "networks").is_dir(), reason="the networks of ../shared/data are not here"
 )
 
 
 def degenerate() -> dict[str, npt.NDArray[np.uint8]]:
-    """Label maps at the edge of what there is."""
+    """Extreme label maps."""
     checkerboard = np.indices((17, 23)).sum(0) % 2
     return {
         "one pixel": np.full((1, 1), ROAD, np.uint8),
@@ -49,7 +46,7 @@ def hand_drawn() -> dict[str, npt.NDArray[np.uint8]]:
 
 
 def camvid_labels(every: int) -> list[npt.NDArray[np.uint8]]:
-    """Hand-made labels of both CamVid sequences, every so many-th frame."""
+    """Hand-made labels of both CamVid sequences, one frame in ``every``."""
     files = sorted(CAMVID.glob("*/labels/*.png"))
     return [np.asarray(Image.open(file)) for file in files[::every]]
 

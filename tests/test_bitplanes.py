@@ -1,5 +1,5 @@
 import torch
-from drawings import CROSS, MASKS, RING, SPECKS, mask, planes
+from drawings import MASKS, RING, mask, planes
 
 from ssrvlad_torch import bitplanes
 
@@ -66,19 +66,6 @@ def test_painting_all_runs_gives_the_planes_back():
         assert torch.equal(bitplanes.paint(bitplanes.runs(some), some.shape), some)
 
 
-def test_nothing_has_no_points_and_no_runs():
-    none = torch.zeros(2, 4, 5, dtype=torch.uint8)
-    assert all(len(column) == 0 for column in bitplanes.points(none))
-    assert all(len(column) == 0 for column in bitplanes.runs(none))
-    assert torch.equal(bitplanes.paint(bitplanes.runs(none), none.shape), none)
-
-
 def test_not_contiguous_planes():
     some = random_planes().transpose(1, 2)
     assert torch.equal(bitplanes.paint(bitplanes.runs(some), some.shape), some)
-
-
-def test_layers_do_not_mix():
-    both = planes(mask(CROSS), mask(CROSS) & False)
-    assert (bitplanes.points(both).group == 0).all()
-    assert (bitplanes.points(planes(mask(SPECKS) & False, mask(SPECKS))).group == 1).all()

@@ -44,15 +44,15 @@ def test_a_straight_boundary_is_two_pixels_wide():
     assert counts(half.T) == {"upright": 0, "level": 16, "rising": 0, "falling": 0}
 
 
-def test_a_slanting_boundary_is_told_from_its_mirror_image():
+def test_the_mirror_image_of_a_slanting_boundary_has_the_other_direction():
     rows, columns = np.indices((9, 9))
     rising = rows + columns < 9  # its boundary goes up to the right
-    there = counts(rising)
-    assert there["rising"] > 2 * there["falling"]
-    assert there == counts(~rising)
+    drawn = counts(rising)
+    assert drawn["rising"] > 2 * drawn["falling"]
+    assert drawn == counts(~rising)
     mirrored = {"rising": "falling", "falling": "rising"}
-    here = counts(rising[:, ::-1])
-    assert here == {mirrored.get(name, name): count for name, count in there.items()}
+    expected = {mirrored.get(name, name): count for name, count in drawn.items()}
+    assert counts(rising[:, ::-1]) == expected
 
 
 def test_two_layers_that_meet_are_one_boundary():
@@ -71,6 +71,6 @@ def test_small_and_full_images_have_none(size):
 
 def test_the_edge_of_the_image_is_no_boundary():
     inside = mask(HOLES)
-    seen = found(torch.from_numpy(np.broadcast_to(inside, (1, 8, *inside.shape)).copy()))
-    assert not seen[..., [0, -1], :].any()
-    assert not seen[..., [0, -1]].any()
+    masks = found(torch.from_numpy(np.broadcast_to(inside, (1, 8, *inside.shape)).copy()))
+    assert not masks[..., [0, -1], :].any()
+    assert not masks[..., [0, -1]].any()

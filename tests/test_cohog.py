@@ -82,9 +82,9 @@ def test_entropies_of_regions_equal_those_of_the_libraries():
     picture[:200, :300] = 128
     bits = cv2.resize(entropy(cv2.resize(picture, (100, 100)), disk(5)), (512, 512))
     starts = range(0, 512 - 16, 16)
-    wanted = [bits[y : y + 32, x : x + 32].mean() / 8 for y in starts for x in starts]
+    expected = [bits[y : y + 32, x : x + 32].mean() / 8 for y in starts for x in starts]
     found = region_entropies(torch.from_numpy(picture)[None])[0].numpy()
-    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-5)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5)
     assert found[0] == 0
     assert found.max() > 0.4
 
@@ -100,8 +100,8 @@ def test_scores_equal_a_loop_whatever_the_block(at_once, monkeypatch):
     assert (found.shape, found.dtype) == ((2, 5), torch.float32)
     for row, column in np.ndindex(2, 5):
         query, chosen = queries.descriptors[row].numpy(), queries.chosen[row].numpy()
-        wanted = plain_score(query, chosen, references[column].numpy())
-        assert abs(float(found[row, column]) - wanted) < 1e-5
+        expected = plain_score(query, chosen, references[column].numpy())
+        assert abs(float(found[row, column]) - expected) < 1e-5
 
 
 def test_a_place_is_its_own_best_match_seen_from_elsewhere():
@@ -153,7 +153,7 @@ def corridor(folder, every):
 
 
 def corridor_scores(every, every_reference=1):
-    """Ours and those that VPR-Bench stored, for every so many-th query and reference."""
+    """Ours and those that VPR-Bench stored, for every ``every``-th query and reference."""
     method = make("cohog")
     queries = method.encode_query(corridor("query", every))
     references = method.encode_reference(corridor("ref", every_reference))

@@ -86,7 +86,7 @@ def test_rows_do_not_touch_around_the_edge():
     assert not drop_regions(some, 2).any()
 
 
-def test_planes_of_no_interest_are_returned_as_they_are():
+def test_an_area_of_one_pixel_changes_nothing():
     some = random_planes()
     assert components.fill_holes(some, 1) is some
     assert components.drop_regions(some, 1) is some

@@ -236,9 +236,9 @@ class LargestTensor(TorchDispatchMode):
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         result = func(*args, **(kwargs or {}))
-        for made in result if isinstance(result, (tuple, list)) else (result,):
-            if isinstance(made, torch.Tensor):
-                self.bytes = max(self.bytes, made.untyped_storage().nbytes())
+        for tensor in result if isinstance(result, (tuple, list)) else (result,):
+            if isinstance(tensor, torch.Tensor):
+                self.bytes = max(self.bytes, tensor.untyped_storage().nbytes())
         return result
 
 
@@ -269,10 +269,10 @@ def test_cuda_equals_cpu(preset):
     expected = head.explain(batch)
     view = head.explain(batch.to("cuda"))
     named = {**vars(view), **view.histograms._asdict()}
-    for name, wanted in {**vars(expected), **expected.histograms._asdict()}.items():
-        if isinstance(wanted, torch.Tensor):
-            exact = not wanted.is_floating_point()
-            torch.testing.assert_close(named[name].cpu(), wanted, rtol=0, atol=0 if exact else 1e-7)
+    for name, value in {**vars(expected), **expected.histograms._asdict()}.items():
+        if isinstance(value, torch.Tensor):
+            exact = not value.is_floating_point()
+            torch.testing.assert_close(named[name].cpu(), value, rtol=0, atol=0 if exact else 1e-7)
 
 
 @pytest.mark.parametrize("preset", ["paper", "default"])
@@ -302,7 +302,7 @@ def test_copies_and_narrow_heads_give_the_same_numbers():
             assert torch.equal(other(labels), expected)
 
 
-def test_arrays_are_taken_and_pictures_get_a_sentence():
+def test_arrays_are_accepted_and_a_picture_is_an_error_with_a_hint():
     head, labels = SSRVLAD(DEFAULT), batch_of_blobs(1)
     array = labels.numpy()
     for form in (array, array.astype(">i4"), array[:, ::-1][:, ::-1]):
@@ -311,7 +311,7 @@ def test_arrays_are_taken_and_pictures_get_a_sentence():
         head(Image.fromarray(array[0]))
 
 
-def test_a_label_space_of_ones_own_travels_with_the_config():
+def test_a_custom_label_space_survives_json():
     config = dataclasses.replace(DEFAULT, labels_as=label_space(SPACE))
     again = SSRVLADConfig.from_dict(json.loads(json.dumps(config.to_dict())))
     assert again == config
@@ -323,6 +323,6 @@ def test_a_label_space_of_ones_own_travels_with_the_config():
     "labels",
     [torch.ones(1, 4, 4, device="meta"), torch.ones(1, 4, 4, dtype=torch.int64).to_sparse()],
 )
-def test_a_tensor_without_values_is_a_sentence(labels):
+def test_a_tensor_without_values_is_an_error(labels):
     with pytest.raises(ValueError, match="expected a dense tensor in memory"):
         SSRVLAD.from_preset("default", labels_as="camvid-11")(labels)

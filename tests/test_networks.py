@@ -57,7 +57,7 @@ def test_functions_that_make_a_network(tmp_path, monkeypatch):
     )
     assert_right(Segmenter(open_network("mynets:mine").network, SPACE, PLAIN))
     assert_right(Segmenter.load("net.yaml", SPACE))
-    with pytest.raises(ValueError, match="does not say what its classes are; give --labels-as"):
+    with pytest.raises(ValueError, match="does not name its classes; give --labels-as"):
         Segmenter.load("mynets:mine")
     for name in ("mynets:none", "nothing:mine", "torchhub:strided"):
         with pytest.raises(ValueError, match=name):
@@ -118,7 +118,7 @@ def test_a_model_that_is_not_there_is_an_error_in_one_line(tmp_path, monkeypatch
     import huggingface_hub.constants
 
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
-    with pytest.raises(OSError, match=r"^hf:nobody/nothing@1 cannot be had: ") as error:
+    with pytest.raises(OSError, match=r"^hf:nobody/nothing@1 cannot be loaded: ") as error:
         open_network("hf:nobody/nothing@1")
     assert "\n" not in str(error.value)
     (tmp_path / "empty").mkdir()

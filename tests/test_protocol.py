@@ -13,17 +13,17 @@ NEEDS = {"labels", "images", "weights"}
 WITHOUT_WEIGHTS = ["ssr-vlad", "cohog", "label-grid", "hog", "tiny-image"]
 
 
-def test_the_sequence_is_what_stands_before_the_last_slash():
+def test_the_sequence_is_the_part_before_the_last_slash():
     assert Frame("monday/morning/000042").sequence == "monday/morning"
     assert Frame("000042").sequence == ""
 
 
 @pytest.mark.parametrize("name", METHODS)
 def test_every_method_is_where_the_registry_says(name):
-    module, noun = METHODS[name]
-    method = getattr(import_module(f"ssrvlad_torch.baselines.{module}"), noun)
-    for verb in ("encode_query", "encode_reference", "scores"):
-        assert callable(getattr(method, verb))
+    module, class_name = METHODS[name]
+    method = getattr(import_module(f"ssrvlad_torch.baselines.{module}"), class_name)
+    for function in ("encode_query", "encode_reference", "scores"):
+        assert callable(getattr(method, function))
 
 
 @pytest.mark.parametrize("name", WITHOUT_WEIGHTS)
@@ -58,14 +58,14 @@ def test_an_unknown_setting_is_an_error():
 @pytest.mark.parametrize(
     ("name", "settings", "message"),
     [
-        ("cohog", {"size": 16}, "a size of 32, 48, 64, ..., got 16"),
-        ("cohog", {"size": 100}, "a size of 32, 48, 64, ..., got 100"),
-        ("cohog", {"entropy_threshold": 1.5}, "an entropy threshold from 0 to 1, got 1.5"),
+        ("cohog", {"size": 16}, "method cohog: size must be 32, 48, 64, ..., got 16"),
+        ("cohog", {"size": 100}, "method cohog: size must be 32, 48, 64, ..., got 100"),
+        ("cohog", {"entropy_threshold": 1.5}, "entropy_threshold must be from 0 to 1, got 1.5"),
         ("tiny-image", {"width": 60}, "multiples of 8, got 60 x 32"),
         ("tiny-image", {"height": 0}, "multiples of 8, got 64 x 0"),
-        ("hog", {"rows": 0, "columns": 4}, "method hog wants a grid of 1 x 1 or more, got 0 x 4"),
-        ("label-grid", {"columns": 0}, "wants a grid of 1 x 1 or more, got 6 x 0"),
-        ("ssr-vlad", {"temporal": -1}, "a temporal of 0 or more, got -1"),
+        ("hog", {"rows": 0, "columns": 4}, "method hog: the grid must be 1 x 1 or more, got 0 x 4"),
+        ("label-grid", {"columns": 0}, "the grid must be 1 x 1 or more, got 6 x 0"),
+        ("ssr-vlad", {"temporal": -1}, "temporal must be 0 or more, got -1"),
         ("ssr-vlad", {"preset": "best"}, "preset must be one of paper, default, got 'best'"),
     ],
 )

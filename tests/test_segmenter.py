@@ -28,7 +28,7 @@ def test_kornia_a_network_and_the_head_are_one_module():
 
 
 def test_progress_moves_while_the_network_works(tmp_path):
-    """A frame is told before the network sees the one that is some fifty further."""
+    """A frame is reported before the network gets the frame fifty later."""
     files = find_image_files([str(write_photos(tmp_path / "a", range(80)))])
     network, behind, done = colour_network(), [], [0]
     network.register_forward_pre_hook(
@@ -43,7 +43,7 @@ def test_progress_moves_while_the_network_works(tmp_path):
 
 
 def test_images_give_the_descriptors_of_their_label_maps(tmp_path):
-    """Of an image that is cut off, and one whose ids are unknown, the reason is told."""
+    """A truncated image and one with unknown ids are skipped, each with a reason."""
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
     for seed in range(20):
         labels = street(seed) % SIGN

@@ -63,7 +63,7 @@ def test_gradients_number_by_number(config):
 
 
 def extreme() -> dict[str, Tensor]:
-    """Class scores at the edge of what there is."""
+    """Extreme class scores."""
     noise = torch.randn(1, 12, 20, 30, generator=torch.Generator().manual_seed(0))
     images = {name: one_hot(labels) for name, labels in degenerate().items()}
     return images | {f"noise of {size:g}": noise * size for size in (0.0, 1e-8, 1e4)}
@@ -81,7 +81,7 @@ def test_gradients_are_finite_for_extreme_scores(preset, name):
     assert float(found.detach().norm()) <= 1 + 1e-5
 
 
-def test_an_image_without_layers_is_next_to_nothing():
+def test_an_image_without_layers_has_a_short_descriptor():
     void = one_hot(np.full((20, 30), 11, np.uint8))
     for preset in ("paper", "default"):
         hard = SSRVLAD.from_preset(preset, labels_as=SPACE)

@@ -42,6 +42,6 @@ def test_the_paper_has_no_anchor_to_move(labels):
 
 
 @pytest.mark.parametrize("columns", [[], [2**62], [0.5], ["a"]])
-def test_columns_that_are_none(labels, columns):
+def test_wrong_columns_are_an_error(labels, columns):
     with pytest.raises(ValueError, match="columns: expected one or more integers"):
         SSRVLAD(DEFAULT).sweep(labels, columns)

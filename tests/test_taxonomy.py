@@ -112,7 +112,7 @@ classes:
 """
 
 
-def test_a_space_of_ones_own(tmp_path):
+def test_a_custom_space(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(CUSTOM)
     space = label_space(str(file))

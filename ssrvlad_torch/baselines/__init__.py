@@ -1,4 +1,4 @@
-"""Place-recognition methods behind one protocol: SSR-VLAD, its rivals, and the trivial ones."""
+"""Place-recognition methods behind one protocol: SSR-VLAD, published ones and trivial ones."""
 
 from .protocol import METHODS, Frame, Method, class_of, make
 

@@ -1,7 +1,7 @@
 """Networks that Caffe saved: the arrays of a ``.caffemodel``, read by Google's protobuf.
 
-Only the messages of ``caffe.proto`` that hold weights are defined here, with the layers of before
-2015 beside those of today; protobuf passes over the rest of the file.
+Only the messages of ``caffe.proto`` that hold weights are defined here, for layers of before 2015
+and of today; protobuf skips the rest of the file.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def read_caffemodel(path: Path) -> dict[str, Tensor]:
 
 
 def _array(blob: Any) -> Tensor:
-    """Files from before 2015 give four sizes, the leading ones of which may be missing axes."""
+    """The array of a blob. Files from before 2015 have four sizes; a leading 1 is no axis."""
     shape = list(blob.shape.dim) or [blob.num, blob.c, blob.h, blob.w]
     while not blob.shape.dim and len(shape) > 1 and shape[0] == 1:
         shape.pop(0)

@@ -1,14 +1,14 @@
 """CoHOG (Zaffar, Ehsan, Milford, McDonald-Maier, RA-L 2020): regions of high entropy by HOG.
 
-What the paper leaves open follows the authors' public code, as it stands in VPR-Bench: 512 x 512
-pixels, cells of 16 with 8 signed directions, regions of 2 x 2 cells at every cell, entropy
-threshold 0.4 of 8 bits, entropy in discs of radius 5 on 100 x 100 pixels. That code measures a
-gradient by ``|gx + gy| / 2``, not by its length; so does this one, for its results to compare.
+Where the paper is silent, this follows the authors' public code in VPR-Bench: 512 x 512 pixels,
+cells of 16 with 8 signed directions, regions of 2 x 2 cells at every cell, entropy threshold 0.4 of
+8 bits, entropy in discs of radius 5 on 100 x 100 pixels. Like that code, it measures a gradient by
+``|gx + gy| / 2`` instead of its length, so that results are comparable.
 
-On the corridor set of VPR-Bench this one has the same best match for every query as the same steps
-by OpenCV and scikit-image. The stored result differs by 0.0001 in a score, as much as one gray
-level in every hundredth pixel makes (another JPEG decoder would do), and so by 4 of 111 best
-matches: RecallRate@1 is 0.631 for 0.622, @5 and @10 are equal.
+On the corridor set of VPR-Bench every query has the same best match as with the same steps in
+OpenCV and scikit-image. The scores stored there differ by 0.0001, which one gray level in every
+hundredth pixel explains (for example another JPEG decoder). This changes 4 of 111 best matches:
+RecallRate@1 is 0.631, there 0.622; @5 and @10 are equal.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Regions(Columns):
 
     Attributes:
         descriptors: ``(Q, regions, 32)`` float32 of length 1, or zero for a flat region.
-        chosen: ``(Q, regions)`` bool, those whose entropy reaches the threshold.
+        chosen: ``(Q, regions)`` bool, the regions whose entropy reaches the threshold.
     """
 
     descriptors: Tensor
@@ -50,7 +50,7 @@ class Regions(Columns):
 
 
 class CoHOG:
-    """Regions of the query, each with the region of the reference that is most like it.
+    """Compares each region of the query with the most similar region of the reference.
 
     The score is the mean, over the query's regions of high entropy, of the largest cosine with
     any region of the reference. A query without such a region matches nothing.
@@ -68,17 +68,17 @@ class CoHOG:
 
     def __init__(self, size: int = 512, entropy_threshold: float = 0.4) -> None:
         if size < 2 * CELL or size % CELL:
-            raise ValueError(f"method cohog wants a size of 32, 48, 64, ..., got {size}")
+            raise ValueError(f"method cohog: size must be 32, 48, 64, ..., got {size}")
         if not 0 <= entropy_threshold <= 1:
             raise ValueError(
-                f"method cohog wants an entropy threshold from 0 to 1, got {entropy_threshold}"
+                f"method cohog: entropy_threshold must be from 0 to 1, got {entropy_threshold}"
             )
         self.size, self.entropy_threshold = size, entropy_threshold
         self.regions = (size // CELL - 1) ** 2
 
     @torch.no_grad()
     def encode_query(self, frames: Iterable[Frame]) -> Regions:
-        """The regions of every query, and which of them are looked for."""
+        """The regions of every query, and which of them are compared."""
         described = [torch.zeros(0, self.regions, REGION_NUMBERS)]
         chosen = [torch.zeros(0, self.regions, dtype=torch.bool)]
         for batch in batches(frames, _BATCH, image_shape):
@@ -102,13 +102,13 @@ class CoHOG:
         for row, descriptors, chosen in zip(
             scores, queries.descriptors, queries.chosen, strict=True
         ):
-            wanted = descriptors[chosen]
-            if len(wanted) == 0:
+            regions = descriptors[chosen]
+            if len(regions) == 0:
                 continue
-            at_once = max(1, _SCORES_AT_ONCE // (len(wanted) * self.regions))
+            at_once = max(1, _SCORES_AT_ONCE // (len(regions) * self.regions))
             for part, block in zip(row.split(at_once), references.split(at_once), strict=True):
-                alike = wanted @ block.flatten(0, 1).T
-                part.copy_(alike.unflatten(1, (len(block), -1)).amax(2).mean(0))
+                cosines = regions @ block.flatten(0, 1).T
+                part.copy_(cosines.unflatten(1, (len(block), -1)).amax(2).mean(0))
         return scores
 
     def _pictures(self, frames: Sequence[Frame]) -> Tensor:
@@ -116,8 +116,8 @@ class CoHOG:
 
 
 def region_descriptors(pictures: Tensor) -> Tensor:
-    """HOG of 2 x 2 cells at every cell: square-rooted gray, 5 x 5 Sobel, each pixel voting for the
-    two directions next to its own.
+    """HOG of 2 x 2 cells at every cell: square root of gray, 5 x 5 Sobel; each pixel votes for the
+    two bins next to its direction.
 
     Args:
         pictures: ``(B, H, W)`` uint8; ``H`` and ``W`` are multiples of 16.
@@ -139,8 +139,7 @@ def region_descriptors(pictures: Tensor) -> Tensor:
 
 def sobel(pictures: Tensor) -> tuple[Tensor, Tensor]:
     """5 x 5 Sobel derivatives along x and y of ``(B, H, W)`` float pictures, mirrored at the border
-    as OpenCV does. Differences come first, so that they are exactly zero where a picture is
-    flat."""
+    as OpenCV does. Differences come first, so that flat areas give exact zeros."""
     mirrored = F.pad(pictures[:, None], (2, 2, 2, 2), mode="reflect")[:, 0]
     return _smooth(_derive(mirrored).mT).mT, _smooth(_derive(mirrored.mT).mT)
 
@@ -173,10 +172,10 @@ def local_entropy(pictures: Tensor, radius: int) -> Tensor:
     reach = torch.arange(-radius, radius + 1)
     disc = (reach[:, None] ** 2 + reach**2 <= radius**2).flatten()
     padded = F.pad(pictures.float(), (radius,) * 4, value=_OUTSIDE)
-    seen = F.unfold(padded[:, None], 2 * radius + 1)[:, disc].mT.long()
+    values = F.unfold(padded[:, None], 2 * radius + 1)[:, disc].mT.long()
     votes = torch.zeros(images, height * width, _OUTSIDE + 1, device=pictures.device)
-    votes.scatter_add_(2, seen, torch.ones_like(seen, dtype=votes.dtype))
-    inside = seen < _OUTSIDE
+    votes.scatter_add_(2, values, torch.ones_like(values, dtype=votes.dtype))
+    inside = values < _OUTSIDE
     total = inside.sum(2, keepdim=True)
-    surprise = (total / votes.gather(2, seen)).log2().masked_fill(~inside, 0)
+    surprise = (total / votes.gather(2, values)).log2().masked_fill(~inside, 0)
     return (surprise.sum(2) / total[..., 0]).view(images, height, width)

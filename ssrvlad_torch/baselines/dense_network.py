@@ -1,6 +1,6 @@
-"""Networks that give features and class probabilities at once, for LoST-X.
+"""Networks with two outputs, features and class probabilities, for LoST-X.
 
-One of them stands on ResNet-101 up to its last convolutional stage (He et al., CVPR 2016).
+One of them uses ResNet-101 up to its last convolutional stage (He et al., CVPR 2016).
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Bottleneck(nn.Module):
         self.shortcut = _convolution(channels, outputs, 1, stride) if changes else nn.Identity()
 
     def forward(self, x: Tensor) -> Tensor:
-        """Residual and shortcut together."""
+        """The sum of residual and shortcut."""
         return F.relu(self.residual(x) + self.shortcut(x))
 
 
@@ -87,12 +87,11 @@ def load_dense_network(weights: str | Path | None) -> DenseNetwork:
     """A network from an ONNX file with the outputs ``features`` and ``scores``.
 
     Args:
-        weights: the file, or a folder with ``lost_x.onnx``; None looks in
-            ``~/.cache/ssrvlad/weights``.
+        weights: the file, or a folder with ``lost_x.onnx``; None is ``~/.cache/ssrvlad/weights``.
 
     Raises:
-        FileNotFoundError: there is none; the message says where to get one.
-        ValueError: it is not such a network.
+        FileNotFoundError: the file does not exist; the message says where to get one.
+        ValueError: the network has other outputs.
         ImportError: the extra ``onnx`` is not installed.
     """
     path = find_weights(weights, _FILES, _ORIGIN)
@@ -104,17 +103,17 @@ def load_dense_network(weights: str | Path | None) -> DenseNetwork:
 
     def run(images: Tensor) -> tuple[Tensor, Tensor]:
         scaled = 255 * images if network.form.dtype == torch.uint8 else images
-        found = network(network.form(scaled), ["features", "scores"])
-        return found["features"].float(), found["scores"].float()
+        outputs = network(network.form(scaled), ["features", "scores"])
+        return outputs["features"].float(), outputs["scores"].float()
 
     return run
 
 
 class TrunkAndClassifier(nn.Module):
-    """ResNet-101 and one layer of class scores: the least that LoST-X's own network costs.
+    """ResNet-101 and one layer of class scores, to measure the least cost of LoST-X.
 
-    The authors' RefineNet-101 has the same trunk, whose conv5 gives the features, and a decoder
-    on top.
+    The authors' RefineNet-101 has the same trunk, whose conv5 gives the features, and also a
+    decoder.
 
     Shape:
         - input: ``(B, 3, H, W)`` RGB from 0 to 1

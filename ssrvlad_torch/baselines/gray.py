@@ -1,4 +1,4 @@
-"""Gray pictures: from colour, and of another size."""
+"""Gray pictures: conversion from colour, and resizing."""
 
 from __future__ import annotations
 
@@ -31,27 +31,26 @@ def grays(frames: Sequence[Frame], method: str) -> Tensor:
 def resize(pictures: Tensor, height: int, width: int) -> Tensor:
     """``(B, H, W)`` uint8 pictures at another size, as OpenCV's ``INTER_LINEAR`` for 8 bits.
 
-    Bilinear between pixel centres, in integers: weights are parts of 2048 and low bits are cut off
-    on the way, so that values are up to 0.75 below the exact ones before rounding. Where the
-    picture shrinks, pixels between the samples do not count.
+    It is bilinear between pixel centres, in integers: weights are parts of 2048 and low bits are
+    dropped, so values are up to 0.75 below the exact ones before rounding. If the picture shrinks,
+    pixels between the samples do not count.
     """
-    up, down, to_up, to_down = (tap.to(pictures.device) for tap in _taps(pictures.shape[1], height))
-    left, right, to_left, to_right = (
-        tap.to(pictures.device) for tap in _taps(pictures.shape[2], width)
-    )
+    device = pictures.device
+    (up, up_weight), (down, down_weight) = _taps(pictures.shape[1], height, device)
+    (left, left_weight), (right, right_weight) = _taps(pictures.shape[2], width, device)
     wide = pictures.int()
-    rows = wide[:, :, left] * to_left + wide[:, :, right] * to_right >> 4
-    upper = rows[:, up] * to_up[:, None] >> 16
-    lower = rows[:, down] * to_down[:, None] >> 16
+    rows = wide[:, :, left] * left_weight + wide[:, :, right] * right_weight >> 4
+    upper = rows[:, up] * up_weight[:, None] >> 16
+    lower = rows[:, down] * down_weight[:, None] >> 16
     return (upper + lower + 2 >> 2).to(torch.uint8)
 
 
-def _taps(before: int, after: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """For each place after resizing the two places before it, and their weights."""
-    centres = torch.arange(after, dtype=torch.float64) + 0.5
-    place = (centres * (before / after) - 0.5).float()
-    first = place.floor()
-    fraction = place - first
-    weights = [(part * _WEIGHT_UNIT).round().int() for part in (1 - fraction, fraction)]
-    places = [(first.long() + step).clamp(0, before - 1) for step in (0, 1)]
-    return places[0], places[1], weights[0], weights[1]
+def _taps(before: int, after: int, device: torch.device) -> list[tuple[Tensor, Tensor]]:
+    """The two source positions of each position after resizing, each with its weight."""
+    centres = torch.arange(after, dtype=torch.float64, device=device) + 0.5
+    position = (centres * (before / after) - 0.5).float()
+    first = position.floor()
+    return [
+        ((first.long() + step).clamp(0, before - 1), (weight * _WEIGHT_UNIT).round().int())
+        for step, weight in enumerate((1 - (position - first), position - first))
+    ]

@@ -21,10 +21,11 @@ ORIENTATIONS = 8
 class HOG(Grid):
     """A trivial method: one histogram of gradient directions for each cell of a grid.
 
-    Gray, resized to 16 pixels a cell, central differences (zero at the border), unsigned
-    directions in equal bins, each pixel voting with its gradient's length; each cell's histogram
-    is divided by its L2 norm, and so is the whole. These are the semantics of
-    ``skimage.feature.hog`` with one cell a block and ``block_norm="L2"``.
+    The gray picture is resized to 16 pixels a cell. Gradients are central differences, zero at the
+    border; each pixel votes with its gradient's length for one of equal bins of unsigned
+    directions. Each cell's histogram is divided by its L2 norm, and so is the whole descriptor.
+    These are the semantics of ``skimage.feature.hog`` with one cell a block and
+    ``block_norm="L2"``.
     """
 
     name = "hog"
@@ -33,7 +34,7 @@ class HOG(Grid):
 
     @property
     def fingerprint(self) -> str:
-        """A text, equal where the descriptors compare."""
+        """A text that is equal for comparable descriptors."""
         return f"{self.rows} x {self.columns} cells, {ORIENTATIONS} directions"
 
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
@@ -47,8 +48,8 @@ class HOG(Grid):
 
 
 def central_differences(pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """Differences of the neighbours along x and along y of ``(B, H, W)`` float pictures, zero where
-    one is missing."""
+    """Differences of the neighbours along x and along y of ``(B, H, W)`` float pictures; zero at
+    the border."""
     along_x = F.pad(pictures[:, :, 2:] - pictures[:, :, :-2], (1, 1))
     along_y = F.pad(pictures[:, 2:] - pictures[:, :-2], (0, 0, 1, 1))
     return along_x, along_y

@@ -1,4 +1,4 @@
-"""The trivial method for label maps: how much of each category there is in each cell of a grid."""
+"""The trivial method for label maps: the fraction of each category in each cell of a grid."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from .vectors import Grid
 class LabelGrid(Grid):
     """Square roots of the categories' fractions in the cells of a grid, normalised.
 
-    Where the grid does not divide the image, neighbouring cells share pixels. Pixels of no
-    category count in a cell's size. Label maps are read as SSR-VLAD reads them, so descriptors
-    of different label spaces compare.
+    If the grid does not divide the image, neighbouring cells share pixels. Pixels of no category
+    count in a cell's size. Label maps are read as SSR-VLAD reads them, so descriptors of different
+    label spaces are comparable.
     """
 
     name = "label-grid"

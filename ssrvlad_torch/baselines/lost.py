@@ -1,10 +1,10 @@
-"""Local Semantic Tensor, and how well keypoints agree (Garg, Suenderhauf, Milford, RSS 2018).
+"""Local Semantic Tensor, and the layout of keypoints (Garg, Suenderhauf, Milford, RSS 2018).
 
 The symbols: x_i is the feature vector at place i, l_i its most likely class, m_is the probability
-there of class s, mu_s the mean feature of class s. The two equations are those of the paper as
+of class s there, mu_s the mean feature of class s. The two equations are those of the paper as
 the authors' program (github.com/oravus/lostX, ``LoST.py``) computes them. For the layout, paper and
-program differ: the paper thins out keypoints that crowd together and takes weighted Euclidean
-distances, the program (``match_lost_kc.py``) does neither. The program is followed, because every
+program differ: the paper removes keypoints that are close together and uses weighted Euclidean
+distances, the program (``match_lost_kc.py``) does neither. This follows the program, because every
 step of it is defined.
 """
 
@@ -18,12 +18,12 @@ from torch import Tensor
 
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
-    """Cost of M pairs of keypoints, low where they keep their order along the image; infinity for
+    """Cost of M pairs of keypoints, low if they keep their order along the image; infinity for
     fewer than two pairs.
 
-    The weight w_k of a pair is the largest distance less its own, all divided by their sum; equal
-    weights where all distances are equal. The cost is the cosine distance between the two vectors
-    of weighted columns, over the length of w and over M.
+    The weight w_k of a pair is the largest distance minus its own, after all are divided by their
+    sum; if all distances are equal, so are the weights. The cost is the cosine distance between the
+    two vectors of weighted columns, divided by the length of w and by M.
 
     Args:
         columns: x of the keypoints in both images, ``(M,)`` float each.
@@ -36,14 +36,14 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     weights = fractions.max() - fractions
     if not bool(weights.any()):
         weights = torch.full_like(weights, 1 / count)
-    one, other = (weights * side.double() for side in columns)
-    apart = 1 - F.cosine_similarity(one, other, dim=0)
-    return float(apart.clamp(min=0) / weights.norm() / count)
+    first, second = (weights * side.double() for side in columns)
+    distance = 1 - F.cosine_similarity(first, second, dim=0)
+    return float(distance.clamp(min=0) / weights.norm() / count)
 
 
 def class_sums(features: Tensor, labels: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
-    """What the mean features of classes are made of: sums ``(S, D)`` of the features of each class,
-    and numbers of places ``(S, 1)``.
+    """The parts of the mean features of classes: sums ``(S, D)`` of the features of each class, and
+    numbers of places ``(S, 1)``.
 
     Args:
         features: ``(D, P)`` float, the x_i.
@@ -56,12 +56,12 @@ def class_sums(features: Tensor, labels: Tensor, classes: Tensor) -> tuple[Tenso
 
 def lost_descriptor(features: Tensor, probabilities: Tensor, means: Tensor) -> Tensor:
     """The descriptor of an image, ``(S * D,)`` of length 1: L_s = sum_i m_is |x_i - mu_s| (Eq. 1),
-    each of length 1, one after another.
+    each normalised to length 1, concatenated.
 
     Args:
         features: ``(D, P)`` float, the x_i.
         probabilities: ``(S, P)`` float, the m_is.
-        means: ``(S, D)`` float, the mu_s; zero for a class that was not seen.
+        means: ``(S, D)`` float, the mu_s; zero for a class without places.
     """
     residuals = [
         (features - mean[:, None]).abs() @ weight

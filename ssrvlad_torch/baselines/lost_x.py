@@ -25,15 +25,15 @@ _CANDIDATES = 10
 
 @dataclass(frozen=True)
 class LoSTEncodings(Columns):
-    """Encoded frames: a descriptor, and one keypoint a feature channel where it is strongest.
+    """Encoded frames: a descriptor, and one keypoint per feature channel, at its maximum.
 
     Attributes:
         descriptors: ``(N, S * D)`` float32.
         places: ``(N, D)`` int64, index of each keypoint among the places of its image.
-        labels: ``(N, D)`` int64, the most likely class there.
+        labels: ``(N, D)`` int64, the most likely class at each keypoint.
         columns: ``(N, D)`` int64, x of the keypoints.
         widths: ``(N, 1)`` int64, columns of the feature maps.
-        features: ``(P, D)`` float32 of each image, place by place, of length 1.
+        features: ``(P, D)`` float32 for each image, a vector of length 1 for every place.
     """
 
     descriptors: Tensor
@@ -45,23 +45,23 @@ class LoSTEncodings(Columns):
 
 
 class LoSTX:
-    """Descriptors of features by class; the best ten are ranked again by their keypoints.
+    """Descriptors of features by class; keypoints rank the best ten references again.
 
-    References take the mean features over 15 frames of their sequence, i - 7 to i + 7; a query
-    has only itself. The authors' program also scales every dimension over all queries and over
-    all references; that is left out, as a query must not depend on others.
+    A reference uses the mean features of 15 frames of its sequence, i - 7 to i + 7; a query only
+    its own. The authors' program also scales every dimension over all queries and over all
+    references; this is left out, because a query must not depend on other queries.
 
     Args:
         weights: an ONNX file, see `load_dense_network`.
-        random_weights: only to measure what the method costs; the name then says so.
+        random_weights: only to measure the cost of the method; the name then says so.
         network: any network with features and class probabilities, in place of a file.
         labels_as: label space of its classes.
-        classes: names of the classes in that space, the paper's by default.
-        opposite: the two traverses run in opposite directions: the keypoints of queries are
-            mirrored left to right. The descriptor has no directions in it.
+        classes: names of the classes in that space, by default the paper's.
+        opposite: the two traverses run in opposite directions, so the keypoints of queries are
+            mirrored left to right. The descriptor does not depend on it.
 
     Raises:
-        FileNotFoundError: no network is given and there is no file of it.
+        FileNotFoundError: there is no network and no weights file.
         ValueError: the label space lacks a class, or the file does not fit.
     """
 
@@ -89,17 +89,17 @@ class LoSTX:
             self._network = load_dense_network(weights)
 
     def encode_query(self, frames: Iterable[Frame]) -> LoSTEncodings:
-        """Descriptors with the mean features of each frame alone. 8 kB a place are kept."""
+        """Descriptors with the mean features of each frame alone. They hold 8 kB per place."""
         return self._encode(frames, reach=0)
 
     def encode_reference(self, frames: Iterable[Frame]) -> LoSTEncodings:
-        """Descriptors with the mean features over the frames around each. 8 kB a place are kept."""
+        """Descriptors with the mean features of the frames around each; 8 kB per place."""
         return self._encode(frames, _REACH)
 
     def scores(self, queries: LoSTEncodings, references: LoSTEncodings) -> Tensor:
-        """``(Q, R)``: for the ten references with the highest cosine, minus the cosine distance
-        times the cost of the layout. The others come after them in the order of their cosines,
-        and so do those of the ten with fewer than two pairs of keypoints.
+        """``(Q, R)``: minus the cosine distance times the layout cost, for the ten references with
+        the highest cosine. The others, and references with fewer than two pairs of keypoints, come
+        after these in the order of their cosines.
         """
         distances = 1 - score(queries.descriptors, references.descriptors)
         for q, row in enumerate(distances):
@@ -112,29 +112,29 @@ class LoSTX:
         return -distances
 
     def _layout_cost(self, query: LoSTEncodings, reference: LoSTEncodings) -> float:
-        alike = (query.labels == reference.labels)[0]
+        same = (query.labels == reference.labels)[0]
         x = query.widths - 1 - query.columns if self._opposite else query.columns
-        one, other = query.features[0], reference.features[0]
-        pairs = query.places[0, alike] * len(other) + reference.places[0, alike]
+        features, others = query.features[0], reference.features[0]
+        pairs = query.places[0, same] * len(others) + reference.places[0, same]
         distinct, number = pairs.unique(return_inverse=True)
-        cosine = (one[distinct // len(other)] * other[distinct % len(other)]).sum(dim=1)
-        return layout_cost((x[0, alike], reference.columns[0, alike]), 1 - cosine[number])
+        cosine = (features[distinct // len(others)] * others[distinct % len(others)]).sum(dim=1)
+        return layout_cost((x[0, same], reference.columns[0, same]), 1 - cosine[number])
 
     def _encode(self, frames: Iterable[Frame], reach: int) -> LoSTEncodings:
         views, sequences = [], []
         for frame in frames:
-            views.append(self._look(image_of(frame, self.name)))
+            views.append(self._view(image_of(frame, self.name)))
             sequences.append(frame.sequence)
         if not views:
             raise ValueError(f"method {self.name}: no frames to encode")
         means = _means([view.sums for view in views], sequences, reach)
-        described = [
+        descriptors = [
             lost_descriptor(view.features, view.probabilities, mean)
             for view, mean in zip(views, means, strict=True)
         ]
         places = [view.features.argmax(dim=1) for view in views]
         return LoSTEncodings(
-            torch.stack(described),
+            torch.stack(descriptors),
             torch.stack(places),
             torch.stack([view.labels[at] for view, at in zip(views, places, strict=True)]),
             torch.stack([at % view.width for view, at in zip(views, places, strict=True)]),
@@ -143,7 +143,7 @@ class LoSTX:
         )
 
     @torch.no_grad()
-    def _look(self, image: Image) -> _View:
+    def _view(self, image: Image) -> _View:
         pixels = torch.tensor(image).permute(2, 0, 1)[None] / 255
         features, scores = self._network(pixels)
         self._check(features, scores)
@@ -177,7 +177,7 @@ class LoSTX:
 
 
 class _View(NamedTuple):
-    """What the network saw: the arguments of `lost_descriptor`, and what means are made of."""
+    """The arguments of `lost_descriptor` for one image, and its `class_sums`."""
 
     features: Tensor
     probabilities: Tensor

@@ -1,9 +1,9 @@
 """Networks that MatConvNet saved: MATLAB files of version 5 to 7, read with SciPy.
 
 A network is a variable ``net`` with a cell ``layers`` of structs with ``name`` and ``weights``.
-NetVLAD's own layers are MATLAB objects. They stand in the cell as references, and what they
-refer to lies in a second, unnamed MAT stream behind the variables (SciPy calls it
-``__function_workspace__``), as the structs that the class's ``saveobj`` made of them.
+NetVLAD's own layers are MATLAB objects. The cell holds references to them. The objects are in a
+second, unnamed MAT stream after the variables (SciPy calls it ``__function_workspace__``), as the
+structs that the class's ``saveobj`` wrote.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ Array = npt.NDArray[np.float32]
 
 
 class MatConvNet(NamedTuple):
-    """What a MatConvNet file holds.
+    """The content of a MatConvNet file.
 
     Attributes:
-        weights: arrays of each layer that has some, by the layer's name, in MATLAB's shapes: a
-            convolution's are ``(h, w, in, out)`` and the biases.
-        average: ``(3,)`` the average image's first pixel, RGB of 0 to 255.
+        weights: the arrays of each layer with weights, by the layer's name, in MATLAB's shapes: a
+            convolution has ``(h, w, in, out)`` and the biases.
+        average: ``(3,)`` first pixel of the average image, RGB of 0 to 255.
     """
 
     weights: dict[str, list[Array]]
@@ -75,7 +75,7 @@ def _load(stream: BinaryIO, path: Path) -> dict[str, Any]:
         raise ValueError(
             f"{path} is a MATLAB file of version 7.3; save it again in MATLAB with -v7"
         ) from error
-    except Exception as error:  # SciPy raises nearly anything for damaged bytes
+    except Exception as error:  # SciPy raises many kinds of errors for damaged bytes
         if isinstance(error, OSError) and error.errno is not None:
             raise
         raise ValueError(f"{path} is not a whole MATLAB file: {one_line(error)}") from error
@@ -85,8 +85,8 @@ def _load(stream: BinaryIO, path: Path) -> dict[str, Any]:
 def _saved_objects(content: dict[str, Any], path: Path) -> Iterator[Any]:
     """The structs of the objects in a file.
 
-    The stream starts with the last four bytes of a MAT header and four of padding; with a whole
-    header in their place it is a MAT file.
+    The stream starts with the last four bytes of a MAT header and four of padding. With a complete
+    header in place of these eight bytes it is a MAT file.
     """
     if _WORKSPACE in content:
         stream = content[_WORKSPACE].tobytes()
@@ -96,7 +96,7 @@ def _saved_objects(content: dict[str, Any], path: Path) -> Iterator[Any]:
 
 
 def _weights(layer: Any) -> npt.NDArray[Any] | None:
-    """The cell of a layer's weights; None if it has none or is no layer."""
+    """The cell of a layer's weights; None if ``layer`` has no weights or is not a layer."""
     names = getattr(getattr(layer, "dtype", None), "names", None) or ()
     if not {"name", "weights"} <= set(names) or layer.size != 1:
         return None

@@ -31,14 +31,14 @@ _SMALLEST = 16
 class NetVLAD(Vectors):
     """Descriptors of a trained network, compared by their cosine.
 
-    Images keep their own size, as in the authors' programs. A descriptor has 4096 numbers, without
-    whitening 32768.
+    Images keep their own size, as in the authors' programs. A descriptor has 4096 numbers; without
+    whitening, 32768.
 
     Args:
-        weights: a file in a form of `read_netvlad_weights`, or a folder with one under its
-            published name; None looks in ``~/.cache/ssrvlad/weights``.
-        random_weights: only to measure what the method costs; the name then says so.
-        device: where the network runs.
+        weights: a file that `read_netvlad_weights` can read, or a folder with one under its
+            published name; None is ``~/.cache/ssrvlad/weights``.
+        random_weights: only to measure the cost of the method; the name then says so.
+        device: of the network.
 
     Raises:
         FileNotFoundError: there are no weights; the message says where to get them.

@@ -18,10 +18,10 @@ _DEPTHS = (2, 2, 3, 3, 3)
 
 
 def vgg16(widths: Sequence[int] = VGG16_WIDTHS) -> nn.Sequential:
-    """The thirteen convolutions, cut after conv5_3: neither its ReLU nor the last pooling.
+    """The thirteen convolutions up to conv5_3, without its ReLU and without the last pooling.
 
-    NetVLAD is cut there in the authors' network and in its ports. The numbers of the layers are
-    those of torchvision's ``vgg16().features``, so published names fit.
+    The authors' network and its ports end there too. The numbers of the layers are those of
+    torchvision's ``vgg16().features``, so published names fit.
 
     Shape:
         - input: ``(B, 3, H, W)`` float, H and W at least 16
@@ -67,7 +67,7 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 class NetVLADNetwork(nn.Module):
-    """VGG-16 up to conv5_3, the NetVLAD layer, and PCA whitening where the weights have it.
+    """VGG-16 up to conv5_3, the NetVLAD layer, and PCA whitening if the weights have it.
 
     Args:
         widths: channels of the five blocks of VGG-16.

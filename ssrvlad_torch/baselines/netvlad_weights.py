@@ -1,4 +1,4 @@
-"""Published weights of NetVLAD, in the forms that people have, as one dictionary of tensors."""
+"""Published weights of NetVLAD, in all their file formats, as one dictionary of tensors."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .weights import read_checkpoint
 _MATLAB = b"MATLAB"
 _VGG = ("1_1", "1_2", "2_1", "2_2", "3_1", "3_2", "3_3", "4_1", "4_2", "4_3", "5_1", "5_2", "5_3")
 _POSITIONS = (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
-"""Places of the convolutions conv1_1 to conv5_3 in torchvision's ``vgg16().features``."""
+"""Numbers of the convolutions conv1_1 to conv5_3 in torchvision's ``vgg16().features``."""
 
 
 def read_netvlad_weights(path: Path) -> dict[str, Tensor]:
     """The tensors of a published NetVLAD, named as in `NetVLADNetwork`; another or a damaged file
-    is a ValueError. Two families are told apart by their first bytes.
+    is a ValueError. The first bytes of a file show its family.
 
     MATLAB: the authors' ``vd16_*_conv5_3_vlad_preL2_intra_white.mat``, as published or with its
     objects turned into structs (``net_class2struct.m`` of netvlad_tf_open, the ``*_struct.mat`` of
@@ -35,7 +35,7 @@ def read_netvlad_weights(path: Path) -> dict[str, Tensor]:
 
 
 def _from_pytorch(path: Path) -> dict[str, Tensor]:
-    """VLAD version 1 of the port has no biases b_k: they are zero."""
+    """The tensors of a PyTorch file. VLAD version 1 of the port has no biases b_k: they are 0."""
     state = read_checkpoint(path)
     state |= {
         "mean": 255 * torch.tensor(IMAGENET_MEAN),
@@ -51,8 +51,8 @@ def _from_pytorch(path: Path) -> dict[str, Tensor]:
 
 def _from_matlab(path: Path) -> dict[str, Tensor]:
     weights, average = read_matconvnet(path)
-    wanted = [*(f"conv{name}" for name in _VGG), "vlad:core"]
-    missing = [name for name in wanted if len(weights.get(name, ())) != 2]
+    names = [*(f"conv{name}" for name in _VGG), "vlad:core"]
+    missing = [name for name in names if len(weights.get(name, ())) != 2]
     if missing:
         raise ValueError(f"{path} lacks weights of the layer {missing[0]}; it has {[*weights]}")
     assign, minus_centres = (w.reshape(w.shape[-2:]).T for w in weights["vlad:core"])
@@ -75,6 +75,7 @@ def _from_matlab(path: Path) -> dict[str, Tensor]:
 
 
 def _centre_by_centre(matrix: Array, clusters: int) -> Array:
-    """A whitening matrix for vectors centre by centre; MATLAB's go channel by channel."""
+    """A whitening matrix for vectors ordered by centre, from MATLAB's, which is for vectors ordered
+    by channel."""
     outputs = matrix.shape[-1]
     return matrix.reshape(-1, clusters, outputs).transpose(2, 1, 0).reshape(outputs, -1)

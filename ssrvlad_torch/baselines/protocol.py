@@ -1,4 +1,4 @@
-"""What a place-recognition method is: it encodes queries, encodes references, scores the pairs."""
+"""The protocol of a place-recognition method: encode queries and references, score the pairs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Item = TypeVar("Item")
 
 @dataclass(frozen=True)
 class Frame:
-    """One frame as a method sees it; what the method does not need may be missing.
+    """One frame, the input of a method; fields that the method does not need may be missing.
 
     Attributes:
         frame: the frame's id, ``<sequence>/<name>``.
@@ -43,7 +43,7 @@ class Frame:
 
 
 class Encodings(Protocol):
-    """Encoded frames: how many, some of them by a slice, and their size. A tensor is one."""
+    """Encoded frames with a length, slices, and a size in bytes. A tensor is one."""
 
     def __len__(self) -> int: ...
 
@@ -55,9 +55,9 @@ class Encodings(Protocol):
 
 
 class Columns:
-    """Encodings with a row a frame in each of several fields: a base for frozen dataclasses.
+    """A base for frozen dataclasses of encodings with one row per frame in every field.
 
-    A field is a tensor, or a list with a tensor a frame.
+    A field is a tensor, or a list with one tensor per frame.
     """
 
     def __len__(self) -> int:
@@ -78,13 +78,12 @@ class Method(Protocol):
     """A place-recognition method.
 
     Queries and references may be encoded differently: SSR-VLAD sums references over their
-    neighbours, CoHOG keeps weights of the regions of queries only. What comes out is the
-    method's own business as long as it has a length and slices; mostly it is a tensor whose
-    first dimension counts the frames.
+    neighbours, CoHOG chooses regions of queries only. Encodings are usually a tensor with one row
+    per frame.
 
     Attributes:
         name: its name in `METHODS`.
-        needs: of ``"labels"``, ``"images"`` and ``"weights"``.
+        needs: any of ``"labels"``, ``"images"`` and ``"weights"``.
     """
 
     name: str
@@ -98,17 +97,16 @@ class Method(Protocol):
         """
 
     def encode_reference(self, frames: Iterable[Frame]) -> Encodings:
-        """The encodings of R references, the frames of a sequence one after another in order.
+        """The encodings of R references; the frames of a sequence follow each other in order.
 
         Raises:
             ValueError: a frame lacks what the method needs, or cannot be encoded.
         """
 
     def scores(self, queries: Any, references: Any) -> Tensor:
-        """``(Q, R)`` float32, at most 1, higher for frames that look more alike, ``-inf`` for no
-        candidate.
+        """``(Q, R)`` float32, at most 1, higher for more similar frames, ``-inf`` for no candidate.
 
-        A row does not depend on the other rows. The memory beside the result is bounded.
+        A row does not depend on the other rows. The memory in addition to the result is bounded.
         """
 
 
@@ -117,7 +115,7 @@ class Sweeping(Protocol):
     """A method that can describe queries from several anchors, see `recognition.sweep`."""
 
     def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
-        """``(Q, S, D)`` float32, by the anchors of `recognition.sweep.COLUMNS`."""
+        """``(Q, S, D)`` float32, one vector for each anchor of `recognition.sweep.COLUMNS`."""
 
 
 METHODS = {
@@ -134,16 +132,16 @@ METHODS = {
 
 
 def class_of(name: str) -> type[Method]:
-    """The class of a method of `METHODS`; its module is imported here and not before."""
+    """The class of a method of `METHODS`; its module is imported here, not earlier."""
     if name not in METHODS:
         raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
-    module, noun = METHODS[name]
-    method: type[Method] = getattr(import_module(f".{module}", __package__), noun)
+    module, class_name = METHODS[name]
+    method: type[Method] = getattr(import_module(f".{module}", __package__), class_name)
     return method
 
 
 def make(name: str, **settings: Any) -> Method:
-    """A method of `METHODS` with settings for its class; an unknown name or setting is a
+    """A method of `METHODS`, created with the settings; an unknown name or setting is a
     ValueError."""
     method = class_of(name)
     try:
@@ -154,8 +152,8 @@ def make(name: str, **settings: Any) -> Method:
 
 
 def image_of(frame: Frame, method: str) -> Image:
-    """The image of a frame for a method; a missing one, or none of ``(H, W, 3)`` uint8, is a
-    ValueError."""
+    """The image of a frame for a method. A missing image, or one that is not ``(H, W, 3)`` uint8,
+    is a ValueError."""
     if frame.image is None:
         raise ValueError(f"method {method} needs images, but frame {frame.frame} has none")
     got = frame.image
@@ -168,8 +166,8 @@ def image_of(frame: Frame, method: str) -> Image:
 
 
 def labels_of(frame: Frame, method: str) -> tuple[LabelMap, str]:
-    """The label map of a frame and its label space, for a method; a missing one, or no ``(H, W)``
-    integers, is a ValueError."""
+    """The label map of a frame and its label space, for a method. A missing one, or a label map
+    that is not ``(H, W)`` integers, is a ValueError."""
     if frame.labels is None or frame.labels_as is None:
         lacks = "a label map" if frame.labels is None else "the label space of its label map"
         raise ValueError(f"method {method} needs labels, but frame {frame.frame} lacks {lacks}")
@@ -183,28 +181,27 @@ def labels_of(frame: Frame, method: str) -> tuple[LabelMap, str]:
 
 
 def label_kind(frame: Frame) -> tuple[object, ...]:
-    """Shape, dtype and label space, which the label maps of a batch share; empty without a label
-    map."""
+    """Shape, dtype and label space, which are equal in a batch; empty without a label map."""
     labels = frame.labels
     return () if labels is None else (labels.shape, labels.dtype, frame.labels_as)
 
 
 def image_shape(frame: Frame) -> tuple[int, ...]:
-    """The shape, which the images of a batch share; empty without an image."""
+    """The shape of the image, which is equal in a batch; empty without an image."""
     return () if frame.image is None else frame.image.shape
 
 
 def noting(frames: Iterable[Item], note: Callable[[Item], object]) -> Iterator[Item]:
-    """The frames unchanged; ``note`` is called with each as it is taken."""
+    """Yields the frames unchanged; calls ``note`` with each frame first."""
     for frame in frames:
         note(frame)
         yield frame
 
 
 def batches(
-    frames: Iterable[Item], size: int, alike: Callable[[Item], object] | None = None
+    frames: Iterable[Item], size: int, kind: Callable[[Item], object] | None = None
 ) -> Iterator[list[Item]]:
-    """Frames in order in lists of at most ``size``; ``alike`` is equal for all of a list."""
-    for _, run in groupby(frames, alike or (lambda _: None)):
+    """The frames in order, in lists of at most ``size`` with equal values of ``kind``."""
+    for _, run in groupby(frames, kind or (lambda _: None)):
         while batch := list(islice(run, size)):
             yield batch

@@ -24,9 +24,9 @@ _MEAN_BGR = (104.051, 112.514, 116.676)
 
 
 class AlexNetPlaces365(nn.Module):
-    """The first three convolutions; the layers after conv3 are not needed and have no place here.
+    """The first three convolutions; the layers after conv3 are not needed.
 
-    Names and shapes of the parameters are Caffe's. It is Caffe's AlexNet: two groups in conv2,
+    It is Caffe's AlexNet, with Caffe's names and shapes of the parameters: two groups in conv2,
     pooling before normalisation, pixels in the order blue, green, red. torchvision's AlexNet is
     another network.
 
@@ -60,7 +60,7 @@ class AlexNetPlaces365(nn.Module):
 _FILES = ("alexnet_places365.caffemodel", "alexnet_places365.caffemodel.pt")
 _ORIGIN = "the Places365 project (github.com/CSAILVision/places365)"
 _PYTORCH = (b"PK\x03\x04", b"\x80\x02")
-"""How PyTorch files begin, of the present format and of the one before 1.6."""
+"""First bytes of PyTorch files, of the present format and of the one before 1.6."""
 
 
 class RegionFeatures:
@@ -69,10 +69,10 @@ class RegionFeatures:
     Args:
         weights: ``alexnet_places365.caffemodel`` as published, or a PyTorch file with the same
             layers by Caffe's names (``conv1.weight``, ``conv1.bias``, ... ``conv3.bias``); or a
-            folder with one of them; None looks in ``~/.cache/ssrvlad/weights``.
+            folder with one of them; None is ``~/.cache/ssrvlad/weights``.
         random_weights: only to measure costs.
         regions: N, the most regions of an image.
-        device: where the network runs.
+        device: of the network.
 
     Raises:
         FileNotFoundError: there are no weights; the message says where to get them.

@@ -26,13 +26,13 @@ class RegionVLAD(Vectors):
 
     Args:
         weights: of the network, see `RegionFeatures`.
-        vocabulary: a file in a form of `read_vocabulary`, or a folder with
-            ``region_vlad_vocabulary.npy`` or the authors' file; None looks in
+        vocabulary: a file that `read_vocabulary` can read, or a folder with
+            ``region_vlad_vocabulary.npy`` or the authors' file; None is
             ``~/.cache/ssrvlad/weights``.
-        random_weights: random network and vocabulary, only to measure what the method costs; the
+        random_weights: random network and vocabulary, only to measure the cost of the method; the
             name then says so.
         regions, words: N and V of the paper: 400 and 256, or 200 and 128.
-        device: where the network runs.
+        device: of the network.
 
     Raises:
         FileNotFoundError: there are no weights or no vocabulary; the message says where to get
@@ -69,9 +69,11 @@ class RegionVLAD(Vectors):
 
 
 def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
-    """Vector of locally aggregated descriptors (Jegou et al., CVPR 2010) with signed square root:
-    ``(V * D,)`` float of length 1, or zero without descriptors, of ``(R, D)`` descriptors over
-    ``(V, D)`` words."""
+    """Vector of locally aggregated descriptors (Jegou et al., CVPR 2010) with signed square root.
+
+    ``(R, D)`` descriptors and ``(V, D)`` words give ``(V * D,)`` float of length 1, or zeros if
+    there are no descriptors.
+    """
     nearest = torch.cdist(descriptors, words).argmin(1)
     residuals = torch.zeros_like(words).index_add_(0, nearest, descriptors - words[nearest])
     rooted = residuals.sign() * residuals.abs().sqrt()

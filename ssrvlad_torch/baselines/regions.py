@@ -1,10 +1,10 @@
 """Regions of a convolutional layer with the highest energy (Khaliq et al., T-RO 2019).
 
-A region is a set of 8-connected places of one feature map with one level of activation, and its
-energy is its mean activation. The level is the integer part, and level 0 is no region: the paper
-groups activations that are not zero, but the authors' program gives the real-valued map to
-scikit-image's ``label``, which cuts the fractions off, and their vocabulary was trained on what
-came out. The program is followed. Needs the extra ``eval``.
+A region is a set of 8-connected places of one feature map with the same level of activation, and
+its energy is its mean activation. The level is the integer part of the activation; level 0 is not
+a region. The paper groups activations that are not zero. The authors' program gives the real-valued
+map to scikit-image's ``label``, which drops the fractions, and their vocabulary was trained on the
+result. This follows the program. It needs the extra ``eval``.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from torch import Tensor
 def region_descriptors(maps: Tensor, count: int) -> Tensor:
     """The aggregated descriptors of the regions with the highest energy.
 
-    A descriptor is the sum of the local descriptors, the columns through all maps, over the
-    region's bounding box. Of regions with equal energy the one in the earlier map, then the one
-    that starts further up, then left, comes first.
+    A descriptor is the sum of the local descriptors, the values of all maps at one place, over the
+    region's bounding box. Regions with equal energy are in the order of their maps, then of their
+    first places from top to bottom, then from left to right.
 
     Args:
         maps: ``(C, H, W)`` float activations that are not negative.
         count: N, the most regions to take.
 
     Returns:
-        ``(R, C)`` float32 by falling energy; R is below ``count`` where there are fewer regions.
+        ``(R, C)`` float32 by falling energy; R is below ``count`` if there are fewer regions.
 
     Raises:
         ImportError: scikit-image is not installed.
@@ -48,7 +48,8 @@ def region_descriptors(maps: Tensor, count: int) -> Tensor:
 
 
 def _numbered(maps: Tensor) -> tuple[Tensor, int]:
-    """The number of each place's region, in the order of their first places; -1 for none."""
+    """The number of each place's region, -1 for none, and the number of regions. Regions are
+    numbered in the order of their first places."""
     try:
         from skimage.measure import label
     except ImportError as error:

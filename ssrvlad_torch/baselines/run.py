@@ -1,4 +1,4 @@
-"""Running a method: every query against all references, and what it costs."""
+"""Runs a method: every query against all references, with the costs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Cost:
-    """Milliseconds a frame: the mean over all frames, and the cheapest and dearest block."""
+    """Milliseconds per frame: the mean over all frames, and the fastest and slowest block."""
 
     average: float
     min: float
@@ -28,17 +28,17 @@ class Cost:
 
 @dataclass(frozen=True)
 class Retrieval:
-    """Candidates of every query, and what finding them took.
+    """Candidates of every query, and the costs.
 
     Attributes:
         queries, references: ids of the frames, in the order of rows and indices.
-        scores: ``(Q, top)`` float32, best first; ``-inf`` where there is no candidate.
-        indices: ``(Q, top)`` int64 rows of the references; -1 where there is no candidate. Of
-            references with equal scores the earlier comes first.
-        encode: encoding a query, without reading it from the disk.
-        match: scoring a query against all references, without ranking them.
+        scores: ``(Q, top)`` float32, best first; ``-inf`` for no candidate.
+        indices: ``(Q, top)`` int64 rows of the references; -1 for no candidate. If references have
+            equal scores, the earlier comes first.
+        encode: of encoding a query, without reading it from disk.
+        match: of scoring a query against all references, without ranking them.
         bytes_a_reference: size of an encoded reference.
-        stepped: what the steps of `recognition` make of it, if they are asked for.
+        stepped: the result of the steps of `recognition`, if there are steps.
     """
 
     queries: tuple[str, ...]
@@ -62,23 +62,23 @@ def run(
 ) -> Retrieval:
     """Encodes the references, then takes the queries block by block.
 
-    Frames are taken one after another and are not kept. The first block of queries is worked on
-    twice and timed the second time, so that what happens once in a process does not count.
+    Frames are taken one after another and not stored. The first block of queries is processed
+    twice and timed the second time, so that work that a process does only once is not timed.
 
     Args:
         method: from `make`.
         queries: in any order.
-        references: the frames of a sequence one after another in order.
-        top: candidates of each query.
+        references: the frames of a sequence follow each other in order.
+        top: number of candidates of each query.
         block: queries at a time. With 1, the costs are those of single frames.
         progress: called with 1 for every frame that is done.
-        steps: what is done besides, between encodings and a decision. Encodings that are vectors
-            are standardised and followed, for other methods the scores are followed; the sweep
-            needs a `Sweeping` method. The costs are those of single frames.
+        steps: of `recognition`, in addition. They standardise and follow encodings that are
+            vectors; for other methods they follow the scores. The sweep needs a `Sweeping` method.
+            The costs do not include them.
 
     Raises:
-        ValueError: no references or no queries, ``top`` or ``block`` is below 1, or a frame that
-            the method refuses.
+        ValueError: there are no references or no queries, ``top`` or ``block`` is below 1, or the
+            method refuses a frame.
     """
     if top < 1 or block < 1:
         raise ValueError(f"expected a top and a block of 1 or more, got {top} and {block}")
@@ -86,53 +86,54 @@ def run(
     encoded = method.encode_reference(_noted(references, reference_ids, progress))
     if not reference_ids:
         raise ValueError(f"method {method.name} got no references")
-    found: list[Matches] = []
-    kept: list[Tensor] = []
+    matches: list[Matches] = []
+    inputs: list[Tensor] = []
     vectors: Tensor | None = encoded if _are_vectors(encoded) else None
     encoding, matching = _Clock(), _Clock()
     for frames in batches(_noted(queries, query_ids, progress), block):
-        if not found:
+        if not matches:
             method.scores(method.encode_query(frames), encoded)
-        wanted = encoding.time(len(frames), method.encode_query, frames)
-        scores = matching.time(len(frames), method.scores, wanted, encoded)
-        found += [best_of(row, top) for row in scores]
+        encodings = encoding.time(len(frames), method.encode_query, frames)
+        scores = matching.time(len(frames), method.scores, encodings, encoded)
+        matches += [best_of(row, top) for row in scores]
         if steps is not None:
-            kept.append(scores if vectors is None else _kept(method, frames, wanted, steps))
-    if not found:
+            inputs.append(scores if vectors is None else _swept(method, frames, encodings, steps))
+    if not matches:
         raise ValueError(f"method {method.name} got no queries")
     return Retrieval(
         queries=tuple(query_ids),
         references=tuple(reference_ids),
-        scores=torch.stack([one.scores for one in found]),
-        indices=torch.stack([one.indices for one in found]),
+        scores=torch.stack([match.scores for match in matches]),
+        indices=torch.stack([match.indices for match in matches]),
         encode=encoding.cost,
         match=matching.cost,
         bytes_a_reference=encoded.nbytes / len(reference_ids),
-        stepped=_stepped(kept, vectors, query_ids, reference_ids, steps, top) if steps else None,
+        stepped=_stepped(inputs, vectors, query_ids, reference_ids, steps, top) if steps else None,
     )
 
 
-def _kept(method: Method, frames: Sequence[Frame], wanted: Any, steps: Steps) -> Tensor:
-    """The descriptors of queries that the steps need."""
+def _swept(method: Method, frames: Sequence[Frame], encodings: Any, steps: Steps) -> Tensor:
+    """The encodings of queries, from all anchors if the steps sweep and the method can."""
     if steps.sweep and isinstance(method, Sweeping):
         return method.encode_sweep(frames)
-    assert isinstance(wanted, Tensor)
-    return wanted
+    assert isinstance(encodings, Tensor)
+    return encodings
 
 
 def _stepped(
-    kept: Sequence[Tensor],
-    encoded: Tensor | None,
+    inputs: Sequence[Tensor],
+    vectors: Tensor | None,
     queries: Sequence[str],
     references: Sequence[str],
     steps: Steps,
     top: int,
 ) -> Recognised:
-    """By the encodings of queries and references, or, without the latter, by scores."""
-    here, there = ([frame.rpartition("/")[0] for frame in ids] for ids in (queries, references))
-    if encoded is None:
-        return recognise_by_scores(torch.cat(list(kept)), here, there, steps, top)
-    return recognise(torch.cat(list(kept)), encoded, here, there, steps, top)
+    """The result of the steps for encodings of queries and ``vectors`` of references, or for scores
+    if there are no vectors."""
+    rows, columns = ([frame.rpartition("/")[0] for frame in ids] for ids in (queries, references))
+    if vectors is None:
+        return recognise_by_scores(torch.cat(list(inputs)), rows, columns, steps, top)
+    return recognise(torch.cat(list(inputs)), vectors, rows, columns, steps, top)
 
 
 def _are_vectors(encodings: Any) -> TypeGuard[Tensor]:
@@ -140,7 +141,7 @@ def _are_vectors(encodings: Any) -> TypeGuard[Tensor]:
 
 
 class _Clock:
-    """Adds up the seconds of blocks of frames."""
+    """Measures the seconds of blocks of frames."""
 
     def __init__(self) -> None:
         self._blocks: list[tuple[int, float]] = []

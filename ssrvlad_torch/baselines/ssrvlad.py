@@ -1,4 +1,4 @@
-"""SSR-VLAD as one method among others."""
+"""SSR-VLAD as a method."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from .vectors import Vectors
 class SSRVLADMethod(Vectors):
     """Raw descriptors of queries against references summed over their neighbours (Eq. 3).
 
-    Frames may be of several label spaces; each is read as its own.
+    Frames may have different label spaces.
 
     Args:
         preset: ``"paper"`` or ``"default"``.
-        temporal: t of Eq. 3, reference frames summed on each side inside a sequence.
-        settings: fields of `SSRVLADConfig` in place of the preset's.
+        temporal: t of Eq. 3, the reference frames to sum on each side inside a sequence.
+        settings: fields of `SSRVLADConfig` that replace those of the preset.
 
     Raises:
-        ValueError: no such preset or setting, or one outside its range.
+        ValueError: the preset or a setting does not exist, or a value is outside its range.
     """
 
     name = "ssr-vlad"
@@ -37,24 +37,24 @@ class SSRVLADMethod(Vectors):
 
     def __init__(self, preset: str = "default", temporal: int = 0, **settings: Any) -> None:
         if temporal < 0:
-            raise ValueError(f"method ssr-vlad wants a temporal of 0 or more, got {temporal}")
+            raise ValueError(f"method ssr-vlad: temporal must be 0 or more, got {temporal}")
         self.config = SSRVLADConfig.from_preset(preset, **settings)
         self.temporal, self.length = temporal, self.config.length
         self._heads: dict[str, SSRVLAD] = {}
 
     @torch.no_grad()
     def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
-        """``(Q, S, 480)`` float32; of residuals, which have no anchor to move, ``(Q, 480)``."""
+        """``(Q, S, 480)`` float32; for residuals, which have no anchor, ``(Q, 480)``."""
         if self.config.aggregation != "harmonics":
             return self.encode_query(frames)
-        alike = batches(frames, self._batch, self._kind)
-        described = [self._describe(batch, COLUMNS) for batch in alike]
-        return torch.cat([torch.zeros(0, len(COLUMNS), self.config.length), *described])
+        grouped = batches(frames, self._batch, self._kind)
+        descriptors = [self._describe(batch, COLUMNS) for batch in grouped]
+        return torch.cat([torch.zeros(0, len(COLUMNS), self.config.length), *descriptors])
 
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
         """``(R, 480)`` float32, after Eq. 3."""
         sequences: list[str] = []
-        raw = self.encode_query(noting(frames, lambda one: sequences.append(one.sequence)))
+        raw = self.encode_query(noting(frames, lambda frame: sequences.append(frame.sequence)))
         return temporal_sum(raw, sequences, self.temporal)
 
     def _describe(self, frames: Sequence[Frame], columns: Sequence[int] = ()) -> Tensor:

@@ -1,7 +1,7 @@
-"""The trivial method for images: tiny pictures, their difference normalised along the drive.
+"""The trivial method for images: differences of tiny pictures, normalised over a sequence.
 
-The image comparison and the contrast enhancement of SeqSLAM (Milford & Wyeth, ICRA 2012), over
-whole sequences of references and without its search over sequences of queries.
+These are the image comparison and the contrast enhancement of SeqSLAM (Milford & Wyeth, ICRA 2012)
+over whole sequences of references, without its search over sequences of queries.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _BATCH = 16
 _SCORES_AT_ONCE = 1 << 20
 _LEAST_DEVIATION = 1e-4
 _LEAST_Z = -80.0
-"""Its exponential is a float32: every reference keeps a score."""
+"""Its exponential fits into a float32, so every reference has a finite score."""
 
 
 @dataclass(frozen=True)
@@ -68,27 +68,27 @@ class TinyImage:
     def __init__(self, width: int = 64, height: int = 32) -> None:
         if min(width, height) < PATCH or width % PATCH or height % PATCH:
             raise ValueError(
-                f"method tiny-image wants sides that are multiples of 8, got {width} x {height}"
+                f"method tiny-image: sides must be multiples of 8, got {width} x {height}"
             )
         self.width, self.height = width, height
 
     @torch.no_grad()
     def encode_query(self, frames: Iterable[Frame]) -> Tensor:
         """``(Q, height * width)`` float32."""
-        described = map(self._describe, batches(frames, _BATCH, image_shape))
-        return torch.cat([torch.zeros(0, self.height * self.width), *described])
+        pictures = map(self._describe, batches(frames, _BATCH, image_shape))
+        return torch.cat([torch.zeros(0, self.height * self.width), *pictures])
 
     def encode_reference(self, frames: Iterable[Frame]) -> Drive:
-        """The pictures, and which of them belong together."""
+        """The pictures, and the sequence of each."""
         sequences: list[str] = []
-        pictures = self.encode_query(noting(frames, lambda one: sequences.append(one.sequence)))
-        number = {name: place for place, name in enumerate(dict.fromkeys(sequences))}
+        pictures = self.encode_query(noting(frames, lambda frame: sequences.append(frame.sequence)))
+        number = {name: i for i, name in enumerate(dict.fromkeys(sequences))}
         sequence = torch.tensor([number[name] for name in sequences], dtype=torch.int64)
         return Drive(pictures, sequence)
 
     @torch.no_grad()
     def scores(self, queries: Tensor, references: Drive) -> Tensor:
-        """Differences of the pictures, normalised along the references, ``(Q, R)``."""
+        """``(Q, R)``: differences of the pictures, normalised over each reference sequence."""
         scores = torch.zeros(len(queries), len(references))
         at_once = max(1, _SCORES_AT_ONCE // max(1, len(references)))
         for part, block in zip(scores.split(at_once), queries.split(at_once), strict=True):
@@ -103,8 +103,8 @@ class TinyImage:
 
 
 def normalise_patches(pictures: Tensor) -> Tensor:
-    """Pictures ``(B, H, W)`` float, sides multiples of 8, with each patch of 8 x 8 pixels at mean 0
-    and standard deviation 1, or zero if it is flat."""
+    """``(B, H, W)`` float pictures, sides multiples of 8, with mean 0 and standard deviation 1 in
+    each patch of 8 x 8 pixels; a flat patch is zero."""
     patches = pictures.unflatten(2, (-1, PATCH)).unflatten(1, (-1, PATCH))
     centred = patches - patches.mean((2, 4), keepdim=True)
     deviation = centred.square().mean((2, 4), keepdim=True).sqrt()
@@ -114,7 +114,7 @@ def normalise_patches(pictures: Tensor) -> Tensor:
 
 
 def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
-    """Contrast enhancement, ``(Q, R)`` float32, at most 1, higher for what is more alike.
+    """Contrast enhancement, ``(Q, R)`` float32, at most 1, higher for more similar pictures.
 
     Args:
         difference: ``(Q, R)`` of queries and references.
@@ -122,10 +122,10 @@ def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
     """
     scores = torch.zeros_like(difference, dtype=torch.float32)
     for number in sequence.unique():
-        own = sequence == number
-        part = difference[:, own].double()
+        columns = sequence == number
+        part = difference[:, columns].double()
         deviation, mean = torch.std_mean(part, 1, correction=0, keepdim=True)
         flat = deviation < _LEAST_DEVIATION
         z = ((mean - part) / deviation.masked_fill(flat, torch.inf)).clamp(min=_LEAST_Z)
-        scores[:, own] = -torch.expm1(-z).float()
+        scores[:, columns] = -torch.expm1(-z).float()
     return scores

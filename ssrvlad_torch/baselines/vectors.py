@@ -1,4 +1,4 @@
-"""The common part of methods whose encodings are vectors, compared by their cosine."""
+"""Base classes of methods whose encodings are vectors, compared by their cosine."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from .protocol import Frame, batches
 class Vectors:
     """A method that encodes queries and references alike, in batches of frames of one kind.
 
-    A subclass has `name` and `length`, and describes a batch.
+    A subclass defines `name`, `length` and `_describe`, the vectors of a batch.
     """
 
     name: str
     length: int
     _batch = 16
     _kind: Callable[[Frame], object] | None = None
-    """What the frames of a batch have in common."""
+    """A value that is equal for all frames of a batch."""
 
     @torch.no_grad()
     def encode_query(self, frames: Iterable[Frame]) -> Tensor:
-        """``(Q, length)`` float32 of length 1, or zero for a frame in which nothing is seen."""
-        described = map(self._describe, batches(frames, self._batch, self._kind))
-        return torch.cat([torch.zeros(0, self.length), *described])
+        """``(Q, length)`` float32 of length 1, or zero for an empty frame."""
+        vectors = map(self._describe, batches(frames, self._batch, self._kind))
+        return torch.cat([torch.zeros(0, self.length), *vectors])
 
     def encode_reference(self, frames: Iterable[Frame]) -> Tensor:
-        """``(R, length)``, as queries are encoded."""
+        """``(R, length)``, encoded as queries are."""
         return self.encode_query(frames)
 
     def scores(self, queries: Tensor, references: Tensor) -> Tensor:
@@ -54,6 +54,6 @@ class Grid(Vectors):
     def __init__(self, rows: int = 6, columns: int = 10) -> None:
         if rows < 1 or columns < 1:
             raise ValueError(
-                f"method {self.name} wants a grid of 1 x 1 or more, got {rows} x {columns}"
+                f"method {self.name}: the grid must be 1 x 1 or more, got {rows} x {columns}"
             )
         self.rows, self.columns, self.length = rows, columns, 8 * rows * columns

@@ -1,4 +1,4 @@
-"""Vocabularies of Region-VLAD: reading the published ones and own ones, training others."""
+"""Vocabularies of Region-VLAD: reading and training."""
 
 from __future__ import annotations
 
@@ -30,25 +30,25 @@ def read_vocabulary(path: Path, words: int = 256, regions: int = 400) -> Tensor:
     Args:
         path: a ``.npy`` file, or the authors' pickle (``Vocabulary_400.pkl`` and
             ``Vocabulary_100_200_300.pkl``): fitted ``KMeans`` objects of scikit-learn by regions,
-            words and layer. Only the cluster centres are read; it needs no scikit-learn and cannot
-            run code, see `load_pickle`.
+            words and layer. Only the cluster centres are read: this does not need scikit-learn and
+            runs no code, see `load_pickle`.
         words: V, number of words.
-        regions: N, which entry of the pickle to take.
+        regions: N, the entry of the pickle to read.
 
     Raises:
-        ValueError: the file is damaged or holds no such vocabulary.
+        ValueError: the file is damaged or does not hold this vocabulary.
     """
     with path.open("rb") as file:
         start = file.read(len(_NPY))
     try:
         array = np.load(path) if start == _NPY else _centres(path, words, regions)
-        found = torch.from_numpy(np.asarray(array, np.float32))
+        vocabulary = torch.from_numpy(np.asarray(array, np.float32))
     except (ValueError, TypeError, EOFError, AttributeError) as error:
         raise ValueError(f"{path} is not a whole vocabulary: {error}") from error
-    if found.shape != (words, CHANNELS) or not bool(found.isfinite().all()):
+    if vocabulary.shape != (words, CHANNELS) or not bool(vocabulary.isfinite().all()):
         expected = f"{path} must hold a vocabulary ({words}, {CHANNELS}) of finite numbers"
-        raise ValueError(f"{expected}, got {tuple(found.shape)}")
-    return found
+        raise ValueError(f"{expected}, got {tuple(vocabulary.shape)}")
+    return vocabulary
 
 
 def train_vocabulary(
@@ -58,30 +58,30 @@ def train_vocabulary(
     words: int = 256,
     seed: int = 0,
 ) -> Tensor:
-    """Clusters the regions of all images of a folder with k-means, and writes the centres ``(words,
-    384)`` float32, which it returns.
+    """Clusters the regions of all images of a folder with k-means, writes the centres and returns
+    them, ``(words, 384)`` float32.
 
-    The authors took 2,600 images of many places. Every region takes 1.5 kB of memory, an image 0.6
+    The authors used 2,600 images of many places. Every region needs 1.5 kB of memory, an image 0.6
     MB.
 
     Args:
-        folder: images in it and in the folders under it.
+        folder: of the images; subfolders included.
         path: the ``.npy`` file to write.
-        features: what describes the regions; its network must be the one that will be used.
+        features: the descriptors of regions; its network must be the one that will be used.
         words: V, number of words.
         seed: of the choice of the first centres.
 
     Raises:
         ImportError: scikit-learn is not installed.
-        ValueError: no image, an image that cannot be read, or too few regions.
+        ValueError: there is no image, an image cannot be read, or there are too few regions.
 
     Example:
         >>> train_vocabulary("images", "vocabulary.npy", RegionFeatures())  # doctest: +SKIP
     """
-    described = list(features(_images(Path(folder))))
-    if not described:
+    regions = list(features(_images(Path(folder))))
+    if not regions:
         raise ValueError(f"no images under {folder}; expected files with {', '.join(_SUFFIXES)}")
-    centres = _cluster(torch.cat(described), words, seed)
+    centres = _cluster(torch.cat(regions), words, seed)
     with replacing(Path(path)) as temporary, temporary.open("wb") as file:
         np.save(file, centres.numpy())
     return centres
@@ -97,10 +97,10 @@ def _cluster(points: Tensor, count: int, seed: int) -> Tensor:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", ConvergenceWarning)  # fewer distinct points than words
-            found = KMeans(count, n_init=1, random_state=seed).fit(points.numpy())
+            clusters = KMeans(count, n_init=1, random_state=seed).fit(points.numpy())
     except (ValueError, ConvergenceWarning) as error:
         raise ValueError(f"{count} words need as many distinct regions: {error}") from error
-    return torch.from_numpy(found.cluster_centers_)
+    return torch.from_numpy(clusters.cluster_centers_)
 
 
 def _images(folder: Path) -> Iterator[npt.NDArray[np.uint8]]:

@@ -1,6 +1,6 @@
-"""Weights on disk: where they are looked for, how a checkpoint is read, how a network takes them.
+"""Weights on disk: finds the files, reads checkpoints, and loads them into networks.
 
-Nothing is ever downloaded. A method looks for its published files by name in one folder, or takes
+Nothing is ever downloaded. A method looks for its published files by name in one folder, or uses
 the file that it is given.
 """
 
@@ -18,26 +18,25 @@ Network = TypeVar("Network", bound=nn.Module)
 
 
 def weights_folder() -> Path:
-    """Where weights are looked for when no place is given: ``~/.cache/ssrvlad/weights``."""
+    """The default folder of weights: ``~/.cache/ssrvlad/weights``."""
     return Path.home() / ".cache" / "ssrvlad" / "weights"
 
 
-def find_weights(given: str | Path | None, names: Sequence[str], origin: str) -> Path:
-    """The file of a method's weights; a FileNotFoundError names the files, the origin and the
-    place.
+def find_weights(weights: str | Path | None, names: Sequence[str], origin: str) -> Path:
+    """The file of a method's weights; a FileNotFoundError says what is missing and who has it.
 
     Args:
-        given: a file of any name, or a folder to look in; None for `weights_folder`.
-        names: published file names, relative to the folder, the first that exists wins.
+        weights: a file of any name, or a folder; None for `weights_folder`.
+        names: published file names, relative to the folder; the first that exists is used.
         origin: who publishes them, for the message.
     """
-    place = weights_folder() if given is None else Path(given).expanduser()
-    wanted = [place / name for name in names] if given is None or place.is_dir() else [place]
-    for path in wanted:
-        if path.is_file():
-            return path
+    path = weights_folder() if weights is None else Path(weights).expanduser()
+    folder = weights is None or path.is_dir()
+    for candidate in [path / name for name in names] if folder else [path]:
+        if candidate.is_file():
+            return candidate
     raise FileNotFoundError(
-        f"no weights at {place}: expected {' or '.join(names)}, published by {origin}; "
+        f"no weights at {path}: expected {' or '.join(names)}, published by {origin}; "
         f"put it into {weights_folder()}, or name the file or its folder"
     )
 
@@ -47,12 +46,12 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
     ValueError.
 
     Only tensors, plain containers and NumPy numbers are unpickled, never code. The ``module.`` that
-    ``nn.DataParallel`` puts into names is taken out.
+    ``nn.DataParallel`` adds to names is removed.
     """
     try:
         with torch.serialization.safe_globals(_numpy_numbers()):
             content = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises nearly anything for damaged bytes
+    except Exception as error:  # torch raises many kinds of errors for damaged bytes
         if isinstance(error, OSError) and error.errno is not None:
             raise
         reason = (str(error).strip().splitlines() or [type(error).__name__])[0]
@@ -69,14 +68,14 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
 
 
 def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
-    """Gives a network its weights, and ignores those that it does not have. The network may be on
-    the device ``meta``, so that it needs no memory of its own.
+    """Loads weights into a network and ignores those that it does not have. The network may be on
+    the device ``meta``, where it needs no memory.
 
     Raises:
         ValueError: a tensor is missing, has another shape, or is not finite.
     """
-    wanted = network.state_dict()
-    for name, tensor in wanted.items():
+    expected = network.state_dict()
+    for name, tensor in expected.items():
         got = state.get(name)
         if got is None:
             has = ", ".join(list(state)[:3])
@@ -87,14 +86,14 @@ def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
             )
         if not bool(got.isfinite().all()):
             raise ValueError(f"{path}: {name} holds values that are not finite")
-    taken = {name: state[name].to(tensor.dtype) for name, tensor in wanted.items()}
-    network.load_state_dict(taken, assign=True)
+    weights = {name: state[name].to(tensor.dtype) for name, tensor in expected.items()}
+    network.load_state_dict(weights, assign=True)
 
 
 def random_network(make: Callable[[], Network]) -> Network:
-    """A network with random weights, the same ones every time: it costs what a trained one costs.
+    """A network with random weights, the same every time, to measure costs.
 
-    The random numbers of the caller stay as they are.
+    It does not change the random state of the caller.
     """
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
@@ -102,7 +101,7 @@ def random_network(make: Callable[[], Network]) -> Network:
 
 
 def _numpy_numbers() -> list[Any]:
-    """What a pickled NumPy number refers to, under NumPy's old and new module names."""
+    """The names in a pickled NumPy number, under NumPy's old and new modules."""
     scalar = np.float64(0).__reduce__()[0]
     kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int32, np.int64, bool)]
     old, new = ((scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core"))

@@ -1,8 +1,9 @@
-"""Label maps on the disk, so that no picture is segmented twice; bounded, the oldest go first."""
+"""A cache of label maps on disk, so that no picture is segmented twice; of bounded size."""
 
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from PIL import Image
@@ -13,9 +14,9 @@ from ..files import replacing
 from ..taxonomy import LabelSpace
 
 LARGEST = 10 * 10**9
-"""Bytes that a cache may hold."""
+"""Most bytes of a cache."""
 
-_KEPT = 0.9
+_FILLED_TO = 0.9
 _WIDEST = 2
 
 
@@ -23,10 +24,10 @@ class LabelMapCache:
     """A folder of label maps, one PNG for each picture that a network has segmented.
 
     Args:
-        folder: the whole cache, of all networks.
-        key: of the network and its preparation: a folder inside.
+        folder: of the whole cache, for all networks.
+        key: of the network and its preparation; the name of a folder inside ``folder``.
         space: label space of the label maps.
-        largest: bytes that the whole may hold; beyond, the least recently used are removed.
+        largest: most bytes of the whole cache; above it the least recently used are removed.
     """
 
     def __init__(self, folder: Path, key: str, space: LabelSpace, largest: int = LARGEST) -> None:
@@ -37,7 +38,7 @@ class LabelMapCache:
         self._size: int | None = None
 
     def get(self, picture: str) -> LabelMap | None:
-        """The label map of a picture, by the digest of its file; ``None`` if it is missing or
+        """The label map of the picture whose file has this digest; ``None`` if it is missing or
         damaged."""
         entry = self._entry(picture)
         try:
@@ -48,7 +49,7 @@ class LabelMapCache:
         return labels
 
     def put(self, picture: str, labels: LabelMap) -> None:
-        """Keeps a label map, unless no PNG can hold its ids.
+        """Stores a label map, unless its ids do not fit into a PNG.
 
         Raises:
             OSError: the folder cannot be written.
@@ -71,20 +72,18 @@ class LabelMapCache:
 
     def _entries(self) -> list[tuple[int, int, Path]]:
         """Time of last use, size and path of every label map of the cache."""
-        found = []
+        entries = []
         for path in self.folder.glob("*/??/*.png"):
-            try:
+            with suppress(OSError):  # another process has removed it
                 status = path.stat()
-            except OSError:  # another process has removed it
-                continue
-            found.append((status.st_mtime_ns, status.st_size, path))
-        return found
+                entries.append((status.st_mtime_ns, status.st_size, path))
+        return entries
 
     def _remove_oldest(self) -> None:
         entries = sorted(self._entries())
         size = sum(size for _, size, _ in entries)
         for _, part, path in entries:
-            if size <= self.largest * _KEPT:
+            if size <= self.largest * _FILLED_TO:
                 break
             path.unlink(missing_ok=True)
             size -= part

@@ -1,4 +1,4 @@
-"""The identity of a network: a digest of all that decides its output."""
+"""The identity of a network: a digest of everything that determines its output."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from .onnx_network import OnnxNetwork
 
 
 def digest_of(network: nn.Module, probe: bytes) -> str:
-    """A text that another network does not share: of the files of an ONNX graph, of the program of
-    a frozen module; of others, of the code of the classes, their plain attributes, weights and
-    buffers, and of ``probe``, the network's output for some picture, for what cannot be read."""
+    """A digest in hex that differs between networks.
+
+    It covers the files of an ONNX graph and the program of a frozen module. For other modules it
+    covers the code of the classes, their plain attributes, weights and buffers, and ``probe``, the
+    network's output for one picture, which depends on the rest.
+    """
     if isinstance(network, OnnxNetwork):
         return network.digest()
     content = hashlib.blake2b(digest_size=16)
@@ -55,5 +58,5 @@ def _is_plain(value: Any) -> bool:
 def _source(kind: type) -> str:
     try:
         return inspect.getsource(kind)
-    except (OSError, TypeError):  # it was typed at a prompt
+    except (OSError, TypeError):  # the class was typed at a prompt
         return str(kind)

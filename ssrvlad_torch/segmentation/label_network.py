@@ -25,7 +25,7 @@ class LabelNetwork(nn.Module):
     Args:
         network: any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`.
         space: label space of its classes.
-        config: how its pictures are prepared.
+        config: the preparation of its pictures.
 
     Shape:
         - input: ``(B, H, W, 3)`` uint8 in RGB.
@@ -41,7 +41,7 @@ class LabelNetwork(nn.Module):
         self.config, form = config, None
         if isinstance(network, OnnxNetwork):
             try:
-                self.config, form = _fitted(config, network, space), network.form
+                self.config, form = _completed(config, network, space), network.form
             except ValueError as error:
                 raise ValueError(f"{network.path}: {error}") from error
         self.preparation = Preparation(self.config, form)
@@ -52,7 +52,7 @@ class LabelNetwork(nn.Module):
         return enlarged(classes_of(self.outputs(images)), *images.shape[1:3])
 
     def outputs(self, images: Tensor) -> Tensor:
-        """``(B, C, h, w)`` class scores or ``(B, h, w)`` ids, as the network gives them.
+        """The output of the network: ``(B, C, h, w)`` class scores or ``(B, h, w)`` ids.
 
         Raises:
             ValueError: the output is not recognised.
@@ -75,18 +75,17 @@ class LabelNetwork(nn.Module):
         return next((tensor for tensor in weights if tensor.is_floating_point()), torch.empty(0))
 
 
-def _fitted(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:
-    """The settings completed by what a graph declares: the size that it fixes, and the output."""
+def _completed(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:
+    """The settings with the size that a graph requires and the name of its output."""
     if network.form.dtype == torch.uint8:
         for name, value in _BYTES.items():
-            if getattr(config, name) != value:
-                got = getattr(config, name)
+            if (got := getattr(config, name)) != value:
                 raise ValueError(f"takes bytes: expected {name} {value}, got {got}")
     output = choose_output(network.outputs, space, config.output, config.classes)
-    return dataclasses.replace(config, size=_fitted_size(config.size, network.size), output=output)
+    return dataclasses.replace(config, size=_size_of(config.size, network.size), output=output)
 
 
-def _fitted_size(
+def _size_of(
     size: tuple[int, int] | int | None, fixed: tuple[int | None, int | None]
 ) -> tuple[int, int] | int | None:
     if fixed == (None, None):
@@ -95,7 +94,7 @@ def _fitted_size(
         return cast(tuple[int, int], fixed)
     if not isinstance(size, tuple):
         raise ValueError(f"takes images of {_by(fixed)}; expected a size among the settings")
-    if any(expected not in (None, given) for given, expected in zip(size, fixed, strict=True)):
+    if any(expected not in (None, got) for got, expected in zip(size, fixed, strict=True)):
         raise ValueError(f"takes images of {_by(fixed)}, the settings say {_by(size)}")
     return size
 

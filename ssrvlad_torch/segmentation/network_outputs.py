@@ -1,4 +1,4 @@
-"""Outputs of segmentation networks: which of them holds labels, and the class of every pixel."""
+"""Outputs of segmentation networks: which output holds labels, and the class of every pixel."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ..stages.layers import best_class
 from ..taxonomy import LabelSpace
 
 Classes = tuple[int, int] | None
-"""First channel of the scores that is taken and the one after the last; ``None`` for all."""
+"""The first channel of the scores to use and the one after the last; ``None`` for all."""
 
 _USUAL_NAMES = ("out", "logits")
 
 
 class UnrecognisedError(ValueError):
-    """No output of a network holds labels, or several could."""
+    """No output of a network can be labels, or several can."""
 
 
 class Form(NamedTuple):
-    """What is known of an output before or after the network has run.
+    """Shape and dtype of an output, declared or actual.
 
     Attributes:
-        shape: lengths of its axes, ``None`` where one is free; ``None`` where even their number is.
-        dtype: as the library calls it.
+        shape: lengths of its axes, ``None`` for a free axis; ``None`` if their number is free.
+        dtype: the library's name of it.
         kind: ``"scores"`` for floating numbers, ``"ids"`` for integers, or ``""``.
     """
 
@@ -45,28 +45,28 @@ def choose_output(
 ) -> str:
     """The name of the output that holds labels: class scores, or integer ids.
 
-    Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with a class count of the label
-    space; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or ``(B, h, w, 1)``. Free axes fit
-    anything. Of several that fit, one with the name ``out`` or ``logits`` is taken.
+    Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels as the
+    label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or ``(B, h, w, 1)``.
+    Free axes fit any number. If several outputs fit, one named ``out`` or ``logits`` is chosen.
 
     Args:
         forms: the outputs by name.
         space: label space of the classes.
-        name: the output to take.
-        classes: the channels to take, which then must be a class count of the label space.
+        name: of the output to choose.
+        classes: the channels to use; their number must be that of the label space's classes.
 
     Raises:
-        UnrecognisedError: none fits, or several do; the message has them all.
+        UnrecognisedError: no output fits, or several do; the message lists them.
     """
     if name is not None and name not in forms:
         raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(forms)}")
-    at_hand = forms if name is None else {name: forms[name]}
-    fitting = {key: form for key, form in at_hand.items() if _fits(form, space, classes)}
+    candidates = forms if name is None else {name: forms[name]}
+    fitting = {key: form for key, form in candidates.items() if _fits(form, space, classes)}
     if not fitting:
         raise UnrecognisedError(
-            f"no output fits label space {space.name}: got {_list(at_hand)}; expected "
+            f"no output fits label space {space.name}: got {_list(candidates)}; expected "
             f"(B, C, h, w) class scores, C = {_counts(space, classes)}, or (B, h, w) integer ids"
-            f"{_hint(at_hand, space, classes)}"
+            f"{_hint(candidates, space, classes)}"
         )
     usual = [key for key in _USUAL_NAMES if key in fitting]
     if len(fitting) > 1 and not usual:
@@ -83,14 +83,14 @@ def take_output(
     classes: Classes = None,
     channels_last: bool = False,
 ) -> Tensor:
-    """The output that holds labels, among all that a network gave.
+    """The output that holds labels, from the result of a network.
 
     Args:
         result: a tensor, a mapping of names to tensors, an object with ``logits``, or a tuple,
             whose tensors are named ``0``, ``1`` and so on.
         space, name, classes: as for `choose_output`.
-        channels_last: which axis holds the classes should both be as long: the last, not the
-            second.
+        channels_last: whether the last axis holds the classes, not the second, if both have a
+            fitting length.
 
     Returns:
         ``(B, C, h, w)`` floating class scores or ``(B, h, w)`` integer ids.
@@ -112,7 +112,7 @@ def take_output(
 
 
 def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
-    """How many channels the scores of a network may have for a label space."""
+    """The numbers of channels that a network's scores may have for a label space."""
     if classes is None:
         return space.channel_counts
     first, last = classes
@@ -127,8 +127,8 @@ def class_axis(shape: tuple[int | None, ...], counts: range, channels_last: bool
 
 
 def classes_of(output: Tensor) -> Tensor:
-    """The one rule of which class a pixel is: the largest score wins, the first of equals.
-    `Segmenter`, `SSRVLAD` on class scores and the files of `fuse` all use it.
+    """The class of every pixel: the largest score wins, the first of equal ones. `Segmenter`,
+    `SSRVLAD` on class scores and the files of `fuse` all use this rule.
 
     Args:
         output: ``(B, C, h, w)`` floating class scores, or ``(B, h, w)`` ids, which stay.
@@ -137,7 +137,7 @@ def classes_of(output: Tensor) -> Tensor:
         ``(B, h, w)`` integers.
 
     Raises:
-        ValueError: a score is NaN. A graph cannot raise: there NaN goes unnoticed.
+        ValueError: a score is NaN. A graph cannot raise: there NaN is not detected.
     """
     if not output.is_floating_point():
         return output
@@ -145,9 +145,8 @@ def classes_of(output: Tensor) -> Tensor:
 
 
 def enlarged(labels: Tensor, height: int, width: int) -> Tensor:
-    """``(B, height, width)``: label maps ``(B, h, w)`` at another size. Each pixel takes the label
-    of the cell that its middle is in; integers only, so that every backend gives the same
-    pixels."""
+    """``(B, h, w)`` label maps at another size, ``(B, height, width)``. Each pixel takes the label
+    of the cell that contains its centre, in integer arithmetic: the same on every backend."""
     device = labels.device
     rows = (2 * torch.arange(height, device=device) + 1) * labels.shape[1] // (2 * height)
     columns = (2 * torch.arange(width, device=device) + 1) * labels.shape[2] // (2 * width)
@@ -196,7 +195,7 @@ def _counts(space: LabelSpace, classes: Classes) -> str:
 
 
 def _hint(forms: Mapping[str, Form], space: LabelSpace, classes: Classes) -> str:
-    """What to do where the network has more channels than the label space has classes."""
+    """The option to use if the network has more channels than the label space has classes."""
     most = max(space.channel_counts, default=0)
     more = any(
         form.kind == "scores"

@@ -1,4 +1,4 @@
-"""Networks by name: a graph, a YAML file, a published model, or a function that makes one."""
+"""Networks by name: a graph, a YAML file, a published model, or a function that returns one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .onnx_network import OnnxNetwork
 from .preparation import SegmenterConfig
 
 AUTO = "auto"
-"""The label space that the class names of the network itself give."""
+"""The label space that the network's own class names define."""
 
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
 _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL, MODULE:NAME"
@@ -29,14 +29,14 @@ _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/
 
 @dataclass(frozen=True)
 class NamedNetwork:
-    """A network that was found by its name.
+    """A network and its settings.
 
     Attributes:
-        name: as it was given.
+        name: the name that `open_network` was given.
         network: the module.
-        config: how its pictures are prepared.
-        class_names: of its channels, those that it declares.
-        labels_as: label space, if the file that names the network declares one.
+        config: the preparation of its pictures.
+        class_names: the names of its channels, if it declares them.
+        labels_as: the label space, if the YAML file declares one.
     """
 
     name: str
@@ -53,22 +53,21 @@ def open_network(name: str | Path) -> NamedNetwork:
         name: one of
 
             - the path of an ``.onnx`` file;
-            - the path of a ``.yaml`` file with ``network``, one of these names, where a path is
-              relative to the file, and what settings of `SegmenterConfig` differ; also
-              ``labels_as``, and ``arguments`` for a function;
+            - the path of a ``.yaml`` file with ``network``, one of these names, in which a path is
+              relative to the file, and those settings of `SegmenterConfig` that are not the
+              defaults; also ``labels_as``, and ``arguments`` for a function;
             - ``hf:ORG/NAME`` or ``hf:ORG/NAME@REVISION`` of the Hugging Face hub, or a folder in
               that format (extra ``hf``): any model for semantic segmentation, with the settings
-              of its own image processor;
+              of its image processor;
             - ``torchhub:REPO/MODEL``, where REPO is that of `torch.hub.load` or a folder;
-            - ``MODULE:NAME``, a function in a Python module that gives an `nn.Module`.
+            - ``MODULE:NAME``, a function in a Python module that returns an `nn.Module`.
 
-            What a name of the hub stands for is downloaded if it is not there yet; nothing else
-            ever is.
+            Only names of a hub are downloaded, if they are not in its cache.
 
     Raises:
-        ValueError: the name or its settings mean nothing, or the network cannot be used.
+        ValueError: the name or a setting is not understood, or the network cannot be used.
         OSError: the network cannot be downloaded.
-        ImportError: a missing extra.
+        ImportError: an extra is not installed.
     """
     return _open(str(name), {}, {})
 
@@ -107,10 +106,10 @@ def _of_file(path: Path) -> NamedNetwork:
     """The network that a YAML file names, with its settings."""
     name, document = _named(path)
     labels_as, arguments = document.pop("labels_as", None), document.pop("arguments", {})
-    known = [each.name for each in dataclasses.fields(SegmenterConfig)]
-    unknown = [key for key in document if key not in known]
+    names = [field.name for field in dataclasses.fields(SegmenterConfig)]
+    unknown = [key for key in document if key not in names]
     if unknown:
-        expected = ", ".join(("network", "labels_as", "arguments", *known))
+        expected = ", ".join(("network", "labels_as", "arguments", *names))
         raise ValueError(f"{path}: unknown setting {unknown[0]!r}; expected {expected}")
     if isinstance(document.get("classes"), str):
         document["classes"] = channels(document["classes"])
@@ -121,10 +120,10 @@ def _of_file(path: Path) -> NamedNetwork:
         SegmenterConfig(**settings)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    found = _open(name, settings, arguments)
+    network = _open(name, settings, arguments)
     if labels_as and (path.parent / str(labels_as)).is_file():
         labels_as = str(path.parent / labels_as)
-    return dataclasses.replace(found, name=str(path), labels_as=labels_as)
+    return dataclasses.replace(network, name=str(path), labels_as=labels_as)
 
 
 def _named(path: Path) -> tuple[str, dict[str, Any]]:
@@ -142,7 +141,7 @@ def _named(path: Path) -> tuple[str, dict[str, Any]]:
 
 
 def channels(text: str | None) -> tuple[int, int] | None:
-    """``"0:19"`` as two numbers, ``None`` as it is; other text is a ValueError."""
+    """``"0:19"`` as two numbers; ``None`` stays ``None``; other text is a ValueError."""
     if text is None:
         return None
     first, colon, last = text.partition(":")
@@ -195,21 +194,21 @@ class MaskScores(nn.Module):
 
 
 def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
-    """A published model, or a folder in that format, with its own image processor's settings."""
+    """A published model, or a folder in that format, with the settings of its image processor."""
     try:
         import transformers as hub
     except ImportError as error:
         raise ImportError(f"{name} needs: pip install ssrvlad-torch[hf]") from error
-    place, _, revision = name.removeprefix("hf:").partition("@")
+    source, _, revision = name.removeprefix("hf:").partition("@")
     pinned = {"revision": revision} if revision else {}
     with _quiet(name):
-        config = hub.AutoConfig.from_pretrained(place, **pinned)
+        config = hub.AutoConfig.from_pretrained(source, **pinned)
         family: Any = hub.AutoModelForSemanticSegmentation
         if config.model_type in _MASK_NETWORKS:
             family = hub.AutoModelForUniversalSegmentation
-        network: nn.Module = family.from_pretrained(place, **pinned)
+        network: nn.Module = family.from_pretrained(source, **pinned)
         kind = hub.AutoProcessor if config.model_type == "oneformer" else hub.AutoImageProcessor
-        processor = kind.from_pretrained(place, backend="pil", **pinned)
+        processor = kind.from_pretrained(source, backend="pil", **pinned)
     if config.model_type in _MASK_NETWORKS:
         task = None
         if config.model_type == "oneformer":
@@ -217,40 +216,41 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
             processor = processor.image_processor
         network = MaskScores(network, task)
     try:
-        own = _settings_of(processor, settings)
+        settings = _settings_of(processor, settings)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
-    return NamedNetwork(name, network, SegmenterConfig(**own), dict(config.id2label))
+    return NamedNetwork(name, network, SegmenterConfig(**settings), dict(config.id2label))
 
 
-def _settings_of(processor: Any, given: dict[str, Any]) -> dict[str, Any]:
-    """The settings of an image processor, where not given; a step without a setting is a
-    ValueError."""
+def _settings_of(processor: Any, overrides: dict[str, Any]) -> dict[str, Any]:
+    """The settings of an image processor, with overrides; a step that `SegmenterConfig` does not
+    have is a ValueError."""
     settings: dict[str, Any] = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
     if processor.do_normalize:
         settings |= {"mean": tuple(processor.image_mean), "std": tuple(processor.image_std)}
     settings["white"] = 255 * (processor.rescale_factor if processor.do_rescale else 1)
-    if "size" in given:
-        return settings | given
+    if "size" in overrides:
+        return settings | overrides
     if getattr(processor, "do_center_crop", False):
         raise ValueError("its image processor cuts off the borders; give a size in a YAML file")
     divisor = getattr(processor, "size_divisor", None) or 1
     if processor.do_resize:
         size = processor.size
         if size.height and size.width:
-            kept = getattr(processor, "keep_aspect_ratio", False)
-            settings["size"] = min(size.height, size.width) if kept else (size.height, size.width)
+            sides = size.height, size.width
+            keeps_aspect = getattr(processor, "keep_aspect_ratio", False)
+            settings["size"] = min(sides) if keeps_aspect else sides
             divisor = getattr(processor, "ensure_multiple_of", None) or divisor
         elif size.shortest_edge:
             settings |= {"size": size.shortest_edge, "longest": size.longest_edge}
         else:
             raise ValueError(f"its image processor resizes to {size}; give a size in a YAML file")
-    return settings | {"multiple": divisor} | given
+    return settings | {"multiple": divisor} | overrides
 
 
 @contextmanager
 def _quiet(name: str) -> Iterator[None]:
-    """Errors of a hub in one line, without what its libraries log on the way."""
+    """Turns errors of a hub into one line, and hides what its libraries log."""
     if not sys.stderr.isatty():
         _hide_progress()
     loggers = [logging.getLogger(each) for each in ("huggingface_hub", "transformers")]
@@ -261,8 +261,8 @@ def _quiet(name: str) -> Iterator[None]:
         yield
     except OSError as error:
         reason = one_line(error).partition(" Check your internet")[0]
-        raise OSError(f"{name} cannot be had: {reason}") from error
-    except Exception as error:  # what the libraries raise has no bounds
+        raise OSError(f"{name} cannot be loaded: {reason}") from error
+    except Exception as error:  # the libraries raise many kinds of errors
         raise ValueError(f"{name} cannot be used: {one_line(error)}") from error
     finally:
         for logger, level in zip(loggers, levels, strict=True):

@@ -30,22 +30,22 @@ _NAMES = ("id2label", "names", "classes", "class_names")
 
 
 class OnnxNetwork(nn.Module):
-    """A graph of ONNX Runtime with one image input, on CUDA where the runtime has it.
+    """A graph in ONNX Runtime with one image input, on CUDA if the runtime supports it.
 
     Args:
         path: the ``.onnx`` file; external weights lie beside it.
 
     Attributes:
-        size: height and width that the graph takes, ``None`` where it takes any.
-        form: dtype and layout that its input takes.
+        size: height and width of the input, ``None`` for a free side.
+        form: dtype and layout of the input.
         outputs: the form of every output by name, as far as the graph declares it.
 
     Shape:
         - input: ``(B, 3, H, W)`` or ``(B, H, W, 3)`` in the form of the graph.
-        - output: a mapping of the names that were asked for, or all, to tensors.
+        - output: a mapping of the requested names, or all, to tensors.
 
     Raises:
-        ValueError: the file is missing, no graph that can be run, or takes no image.
+        ValueError: the file is missing, cannot be run, or does not take one image input.
         ImportError: the extra ``onnx`` is not installed.
     """
 
@@ -53,11 +53,11 @@ class OnnxNetwork(nn.Module):
         super().__init__()
         self.path = Path(path)
         if not self.path.is_file():
-            raise ValueError(f"{path} does not exist or is no file; expected an ONNX graph")
+            raise ValueError(f"{path} does not exist or is not a file; expected an ONNX graph")
         self._session = open_session(self.path, path, "CUDAExecutionProvider", otherwise=CPU)
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
-            names = ", ".join(given.name for given in inputs)
+            names = ", ".join(each.name for each in inputs)
             raise ValueError(f"{path} has inputs {names}; expected one, for images")
         self.input: str = inputs[0].name
         shape = _shape(inputs[0])
@@ -77,18 +77,18 @@ class OnnxNetwork(nn.Module):
         }
 
     def forward(self, images: Tensor, names: Iterable[str] = ()) -> dict[str, Tensor]:
-        """Runs the graph, in batches of its own length if that is fixed."""
-        expected = list(names) or list(self.outputs)
+        """Runs the graph, in batches of the length that it declares, if it declares one."""
+        names = list(names) or list(self.outputs)
         array = np.ascontiguousarray(images.numpy(force=True))
         length = self.batch or len(array)
-        parts = [self._run(array[i : i + length], expected) for i in range(0, len(array), length)]
+        parts = [self._run(array[i : i + length], names) for i in range(0, len(array), length)]
         return {
             name: torch.from_numpy(np.concatenate(arrays))
-            for name, arrays in zip(expected, zip(*parts, strict=True), strict=True)
+            for name, arrays in zip(names, zip(*parts, strict=True), strict=True)
         }
 
     def class_names(self) -> dict[int, str]:
-        """Names of its classes by channel, from the metadata that exporters write; or none."""
+        """Names of its classes by channel, from the metadata that exporters write; may be empty."""
         properties = self._session.get_modelmeta().custom_metadata_map
         for key in _NAMES:
             if key in properties:
@@ -116,13 +116,13 @@ def _names(text: str) -> dict[int, str]:
     mapping, or a list."""
     for parse in (json.loads, ast.literal_eval):
         with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-            found = parse(text)
+            names = parse(text)
             break
     else:
         return {}
-    if not isinstance(found, list | dict):
+    if not isinstance(names, list | dict):
         return {}
-    entries: Any = enumerate(found) if isinstance(found, list) else found.items()
+    entries: Any = enumerate(names) if isinstance(names, list) else names.items()
     try:
         return {int(number): str(name) for number, name in entries}
     except (TypeError, ValueError):
@@ -130,7 +130,8 @@ def _names(text: str) -> dict[int, str]:
 
 
 def _shape(value: Any) -> tuple[int | None, ...] | None:
-    """Lengths of the axes; ONNX Runtime gives names for free ones, and none for a free rank."""
+    """Lengths of the axes, ``None`` for free ones, which ONNX Runtime gives as names; ``None`` if
+    the rank is free."""
     if not value.shape:
         return None
     return tuple(n if isinstance(n, int) and n > 0 else None for n in value.shape)

@@ -1,4 +1,4 @@
-"""What is done to pictures before a network: the settings, and the module that does it."""
+"""The preparation of pictures for a network: the settings and the module."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _IMAGENET_STD = (0.229, 0.224, 0.225)
 
 @dataclass(frozen=True)
 class SegmenterConfig:
-    """What a network wants its images to be. The defaults are those of torchvision, transformers
-    and segmentation-models-pytorch: ImageNet statistics, RGB.
+    """The input of a network. The defaults are those of torchvision, transformers and
+    segmentation-models-pytorch: ImageNet statistics, RGB.
 
     Attributes:
-        size: what every image is resized to (bilinear, antialiased): height and width, the aspect
-            not kept; or the shorter side, the aspect kept; ``None`` leaves each at its own size,
-            or is the size that an ONNX graph fixes.
+        size: every image is resized (bilinear, antialiased) to this height and width, or to this
+            shorter side with its aspect kept. ``None`` is the size that an ONNX graph requires, or
+            else keeps the size of each image.
         longest: with the shorter side as ``size``, the most that the longer side may have.
         multiple: both sides become multiples of this number, unless ``size`` gives both.
-        white: the number for the brightest pixel: 1, or 255 for networks that count in bytes.
+        white: the number for the brightest pixel: 1, or 255 for networks that take byte values.
         mean, std: subtracted, then divided by, in the network's order of colours.
         colour_order: ``"rgb"`` or ``"bgr"``.
-        output: name of the output to take, where a network has several that would do.
-        classes: first channel of the class scores that is taken and the one after the last, for a
-            network with more channels than the label space has classes. ``None`` takes all.
+        output: name of the output to use, if several outputs of the network fit.
+        classes: the first channel of the class scores to use and the one after the last, for a
+            network with more channels than the label space has classes. ``None`` uses all.
 
     Raises:
         ValueError: a setting is outside its range; the message names it and what was got.
@@ -48,14 +48,13 @@ class SegmenterConfig:
     classes: tuple[int, int] | None = None
 
     def __post_init__(self) -> None:
-        number, some = (int, float), self.classes
+        number, ends = (int, float), self.classes
         sides = self.size if isinstance(self.size, tuple) else (self.size or 1,)
-        few = len(sides) in (1, 2) and _are_numbers(sides, len(sides), int, above=0)
-        side = "height and width in pixels, or the shorter side"
+        size = len(sides) in (1, 2) and _are_numbers(sides, len(sides), int, above=0)
         longest = self.longest is None or _are_numbers((self.longest,), 1, int, above=0)
-        ends = some is None or (_are_numbers(some, 2, int, above=-1) and some[0] < some[1])
+        classes = ends is None or (_are_numbers(ends, 2, int, above=-1) and ends[0] < ends[1])
         for name, fits, expected in (
-            ("size", few, side),
+            ("size", size, "height and width in pixels, or the shorter side"),
             ("longest", longest, "a number of pixels"),
             ("multiple", _are_numbers((self.multiple,), 1, int, above=0), "a number of pixels"),
             ("white", _are_numbers((self.white,), 1, number, above=0), "a number above 0"),
@@ -63,7 +62,7 @@ class SegmenterConfig:
             ("std", _are_numbers(self.std, 3, number, above=0), "three numbers above 0"),
             ("colour_order", self.colour_order in ("rgb", "bgr"), "rgb or bgr"),
             ("output", isinstance(self.output, str | None), "a name"),
-            ("classes", ends, "FIRST:LAST, LAST not included"),
+            ("classes", classes, "FIRST:LAST, LAST not included"),
         ):
             if not fits:
                 raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")
@@ -71,19 +70,18 @@ class SegmenterConfig:
 
     @property
     def resizes(self) -> bool:
-        """Whether images are brought to another size than their own."""
+        """Whether the size of an image may change."""
         return self.size is not None or self.multiple > 1
 
     def network_size(self, height: int, width: int) -> tuple[int, int]:
-        """Height and width at which the network is given an image of this height and width."""
+        """Height and width of the network's input for an image of this height and width."""
         if isinstance(self.size, tuple):
             return self.size
         if self.size is not None:
-            short = torch.sym_min(height, width)
-            wanted = self.size
-            if self.longest is not None:  # the shorter side where the longer one is at its most
-                wanted = torch.sym_min(wanted, self.longest * short // torch.sym_max(height, width))
-            height, width = height * wanted // short, width * wanted // short
+            short, target = torch.sym_min(height, width), self.size
+            if self.longest is not None:  # the shorter side if the longer one is at its most
+                target = torch.sym_min(target, self.longest * short // torch.sym_max(height, width))
+            height, width = height * target // short, width * target // short
         step = self.multiple
         if step == 1:
             return height, width
@@ -92,8 +90,8 @@ class SegmenterConfig:
 
 
 class Form(nn.Module):
-    """The last step of a preparation: the dtype (to bytes, numbers are rounded) and the layout that
-    a graph takes, ``(B, H, W, 3)`` in place of ``(B, 3, H, W)`` with ``channels_last``."""
+    """The last step of a preparation: the dtype and the layout of a graph's input. Bytes are
+    rounded; with ``channels_last`` the layout is ``(B, H, W, 3)``, else ``(B, 3, H, W)``."""
 
     def __init__(self, dtype: torch.dtype = torch.float32, channels_last: bool = False) -> None:
         super().__init__()
@@ -108,19 +106,19 @@ class Form(nn.Module):
 
 
 class Preparation(nn.Module):
-    """Pictures as they come -> what a network takes, of Kornia's operators.
+    """Pictures -> the input of a network, by Kornia's operators.
 
     ``nn.Sequential(Preparation(config), network, head)`` is a PyTorch module from pictures to
-    places; `torch.onnx.export` traces it, for any number of pictures of any size.
+    descriptors; `torch.onnx.export` traces it for any number of pictures of any size.
 
-    Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`,
-    which is that of Pillow without its rounding to bytes, and of the ONNX operator ``Resize``:
-    PyTorch and ONNX Runtime differ by less than 1e-5. Kornia's own ``Resize`` blurs first, with a
-    kernel whose size is a Python number and cannot be traced.
+    Pictures are resized by the antialiased bilinear filter of `torch.nn.functional.interpolate`. It
+    is the filter of Pillow without rounding to bytes, and of the ONNX operator ``Resize``: PyTorch
+    and ONNX Runtime differ by less than 1e-5. Kornia's ``Resize`` blurs first, with a kernel whose
+    size is a Python number and cannot be traced.
 
     Args:
         config: the settings.
-        form: what the network takes, if it is not ``(B, 3, h, w)`` float32.
+        form: of the network's input, if it is not ``(B, 3, h, w)`` float32.
 
     Shape:
         - input: ``(B, H, W, 3)`` uint8 in RGB.
@@ -145,7 +143,7 @@ class Preparation(nn.Module):
         )
 
     def forward(self, images: Tensor) -> Tensor:
-        """The numbers that the network is given."""
+        """The input of the network for a batch of pictures."""
         planes = images.permute(0, 3, 1, 2).float() / 255
         if self.config.resizes:
             size = self.config.network_size(*images.shape[1:3])

@@ -33,16 +33,16 @@ from .onnx_network import OnnxNetwork
 from .preparation import SegmenterConfig
 
 PIXELS_AT_ONCE = 1 << 21
-"""Pixels of a batch that the network is given, of one image at least."""
+"""Most pixels of a batch for the network, which has at least one image."""
 
 REVISION = 2
-"""Raised whenever the same network and settings would give other label maps; part of every key."""
+"""Increased whenever the same network and settings give other label maps; part of every key."""
 
 _AHEAD = 16
 
 
 class _Picture(NamedTuple):
-    """An ``(H, W, 3)`` uint8 picture, and the digest of its file if its label map is kept."""
+    """An ``(H, W, 3)`` uint8 picture, and the digest of its file if its label map is cached."""
 
     pixels: Pixels
     digest: str | None
@@ -51,25 +51,25 @@ class _Picture(NamedTuple):
 class Segmenter:
     """Pictures -> label maps, each at the size of its picture.
 
-    The network's output is recognised by its shape (see `choose_output`), be it a tensor
-    (segmentation-models-pytorch), in a mapping (torchvision), in an object with ``logits``
-    (transformers) or in a tuple: class scores at any stride, or integer ids. The class of a pixel
-    is decided at the network's own stride (`classes_of`), and the label map is then brought to the
+    The network's output is recognised by its shape (see `choose_output`): class scores at any
+    stride, or integer ids. It may be a tensor (segmentation-models-pytorch), a mapping
+    (torchvision), an object with ``logits`` (transformers) or a tuple. The class of a pixel is
+    decided at the network's own stride (`classes_of`), and the label map is then resized to the
     size of the picture (`enlarged`).
 
     Args:
-        network: any module that takes ``(B, 3, H, W)`` floats; it is put into evaluation mode and
-            runs where its weights lie. `OnnxNetwork` is such a module.
+        network: any module that takes ``(B, 3, H, W)`` floats, or an `OnnxNetwork`. It is put into
+            evaluation mode and runs on the device of its weights.
         labels_as: label space of its classes.
-        config: how its pictures are prepared.
-        cache: folder in which `label_maps` keeps label maps, by the content of the image file, the
-            settings, and the network as `digest_of` tells it from others.
-        cache_bytes: most that the whole cache may hold.
-        name: by which `load` finds the network again, if there is one.
+        config: the preparation of its pictures.
+        cache: folder in which `label_maps` stores label maps, by the content of the image file, the
+            settings and the digest of the network (`digest_of`).
+        cache_bytes: most bytes of the whole cache.
+        name: of the network for `load`, if it has one.
 
     Raises:
         ValueError: the settings or the label space do not fit the ONNX graph.
-        ImportError: a missing extra.
+        ImportError: an extra is not installed.
 
     Example:
         >>> segmenter = Segmenter(nn.Conv2d(3, 19, 1), "cityscapes-trainids")
@@ -98,7 +98,7 @@ class Segmenter:
 
     @property
     def config(self) -> SegmenterConfig:
-        """How pictures are prepared, completed by what an ONNX graph declares."""
+        """The preparation of pictures, with the size and the output that an ONNX graph declares."""
         return self.labels.config
 
     @classmethod
@@ -112,41 +112,41 @@ class Segmenter:
         """A segmenter by the name of its network; see `open_network` for the names.
 
         Args:
-            name: of the network, or what `open_network` made of it.
-            labels_as: label space of its classes; ``"auto"`` takes what the YAML file says, or
-                what the network's own class names mean (`label_space_of_names`).
+            name: of the network, or the result of `open_network`.
+            labels_as: label space of its classes; ``"auto"`` is the one of the YAML file, or else
+                the one of the network's own class names (`label_space_of_names`).
             cache: as for `Segmenter`.
-            classes: the channels to take, if not those of the YAML file.
+            classes: the channels to use in place of those of the YAML file.
 
         Raises:
-            ValueError: the name means nothing, the network cannot be used, or it has no class
-                names and no label space is given.
+            ValueError: the name is unknown, the network cannot be used, or it has no class names
+                and no label space is given.
             OSError: the network cannot be downloaded.
-            ImportError: a missing extra.
+            ImportError: an extra is not installed.
         """
-        found = name if isinstance(name, NamedNetwork) else open_network(name)
-        config = found.config
+        named = name if isinstance(name, NamedNetwork) else open_network(name)
+        config = named.config
         if classes is not None:
             config = dataclasses.replace(config, classes=classes)
         space = (
             labels_as
             if isinstance(labels_as, LabelSpace)
-            else _space(found, str(labels_as), config)
+            else _space(named, str(labels_as), config)
         )
-        return cls(found.network, space, config, cache, name=_lasting(found.name))
+        return cls(named.network, space, config, cache, name=_absolute(named.name))
 
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
-        """The label maps of pictures in memory, past the cache.
+        """The label maps of pictures in memory, without the cache.
 
         Args:
             images: each ``(H, W, 3)`` uint8 in RGB, of any size.
 
         Returns:
-            ``(H, W)`` label maps: uint8, or uint16 or int64 if ids want it.
+            ``(H, W)`` label maps: uint8, or uint16 or int64 for ids that need it.
 
         Raises:
-            ValueError: a picture is of another form, the network fails, its output is not
-                recognised or holds NaN scores.
+            ValueError: a picture has another shape or dtype, the network fails, or its output is
+                not recognised or holds NaN scores.
         """
         for image in images:
             if not isinstance(image, np.ndarray):
@@ -168,7 +168,7 @@ class Segmenter:
         workers: int = 2,
         progress: Callable[[int], None] | None = None,
     ) -> Iterator[tuple[FrameFile, LabelMap | ValueError]]:
-        """The label maps of images on disk, in order; an error in place of one that has none.
+        """The label maps of images on disk, in order; an error in place of a map that failed.
 
         Args:
             files: from `find_image_files`.
@@ -191,8 +191,8 @@ class Segmenter:
                 yield file, result
 
     def key(self) -> str:
-        """A name for what the network makes with these settings; another network or other
-        settings have another."""
+        """The key of the network with these settings in the cache, in hex; other networks and
+        settings have other keys."""
         key = [REVISION, self._digest(), dataclasses.astuple(self.config)]
         key.append(list(channel_counts(self.label_space, self.config.classes))[:2])
         return hashlib.blake2b(json.dumps(key).encode(), digest_size=16).hexdigest()
@@ -200,49 +200,49 @@ class Segmenter:
     def _digest(self) -> str:
         probe = np.random.default_rng(0).integers(0, 256, (224, 448, 3), np.uint8)
         try:
-            made = b"" if isinstance(self.network, OnnxNetwork) else self([probe])[0].tobytes()
-        except ValueError:  # it takes no picture of this size
-            made = b"none"
-        return digest_of(self.network, made)
+            labels = b"" if isinstance(self.network, OnnxNetwork) else self([probe])[0].tobytes()
+        except ValueError:  # the network does not take pictures of this size
+            labels = b"none"
+        return digest_of(self.network, labels)
 
     def _complete(
         self, chunk: Sequence[LabelMap | _Picture | ValueError], cache: LabelMapCache | None
     ) -> list[LabelMap | ValueError]:
-        """Puts label maps in the place of pictures, those of like size in one batch."""
-        results = {p: item for p, item in enumerate(chunk) if not isinstance(item, _Picture)}
-        alike: dict[tuple[int, ...], list[tuple[int, _Picture]]] = {}
-        for place, item in enumerate(chunk):
+        """Replaces pictures by their label maps; pictures of one size form batches."""
+        results = {i: item for i, item in enumerate(chunk) if not isinstance(item, _Picture)}
+        by_size: dict[tuple[int, ...], list[tuple[int, _Picture]]] = {}
+        for i, item in enumerate(chunk):
             if isinstance(item, _Picture):
-                alike.setdefault(item.pixels.shape, []).append((place, item))
-        for (height, width, _), members in alike.items():
-            given = self.config.network_size(height, width)
-            step = max(1, PIXELS_AT_ONCE // max(height * width, given[0] * given[1]))
+                by_size.setdefault(item.pixels.shape, []).append((i, item))
+        for (height, width, _), members in by_size.items():
+            size = self.config.network_size(height, width)
+            step = max(1, PIXELS_AT_ONCE // max(height * width, size[0] * size[1]))
             for first in range(0, len(members), step):
-                places, pictures = zip(*members[first : first + step], strict=True)
-                labels = self._segment([picture.pixels for picture in pictures])
-                results.update(zip(places, labels, strict=True))
-                for picture, made in zip(pictures, labels, strict=True):
-                    if cache and picture.digest and not isinstance(made, ValueError):
-                        cache.put(picture.digest, made)
-        return [results[place] for place in range(len(chunk))]
+                indices, pictures = zip(*members[first : first + step], strict=True)
+                maps = self._segment([picture.pixels for picture in pictures])
+                results.update(zip(indices, maps, strict=True))
+                for picture, labels in zip(pictures, maps, strict=True):
+                    if cache and picture.digest and not isinstance(labels, ValueError):
+                        cache.put(picture.digest, labels)
+        return [results[i] for i in range(len(chunk))]
 
     @torch.inference_mode()
     def _segment(self, pictures: Sequence[Pixels]) -> list[LabelMap | ValueError]:
-        """The label maps of a batch; where the network fails, each picture is tried alone."""
+        """The label maps of a batch; if the network fails, each picture is tried alone."""
         images = self.labels.place(torch.from_numpy(np.stack(pictures)))
         try:
             check_pixels(*self.config.network_size(*images.shape[1:3]))
             output = self.labels.outputs(images)
         except UnrecognisedError:
             raise
-        except Exception as error:  # what networks raise has no bounds
+        except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
                 return [labels for picture in pictures for labels in self._segment([picture])]
             height, width, _ = pictures[0].shape
             return [ValueError(f"the network fails at {height}x{width}: {one_line(error)}")]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
-        return [_label_map(one, *images.shape[1:3]) for one in output.split(1)]
+        return [_label_map(part, *images.shape[1:3]) for part in output.split(1)]
 
 
 def _label_map(output: Tensor, height: int, width: int) -> LabelMap | ValueError:
@@ -269,19 +269,19 @@ def _narrowest(ids: Tensor) -> LabelMap:
     return labels
 
 
-def _space(found: NamedNetwork, labels_as: str, config: SegmenterConfig) -> LabelSpace:
+def _space(network: NamedNetwork, labels_as: str, config: SegmenterConfig) -> LabelSpace:
     """The label space of a network's classes."""
-    name = (found.labels_as or AUTO) if labels_as == AUTO else labels_as
+    name = (network.labels_as or AUTO) if labels_as == AUTO else labels_as
     if name != AUTO:
         return label_space(name)
-    if not found.class_names:
-        raise ValueError(f"{found.name} does not say what its classes are; give --labels-as")
-    first, last = config.classes or (0, max(found.class_names) + 1)
-    names = {c - first: name for c, name in found.class_names.items() if first <= c < last}
-    return label_space_of_names(names, found.name)
+    if not network.class_names:
+        raise ValueError(f"{network.name} does not name its classes; give --labels-as")
+    first, last = config.classes or (0, max(network.class_names) + 1)
+    names = {c - first: name for c, name in network.class_names.items() if first <= c < last}
+    return label_space_of_names(names, network.name)
 
 
-def _lasting(name: str) -> str:
+def _absolute(name: str) -> str:
     """The name of a network with an absolute path, valid in any folder."""
     path = Path(name.removeprefix("hf:"))
     return absolute(path) if path.exists() else name

@@ -31,32 +31,32 @@ from .stages.skeleton import soft_skeleton
 from .stages.vanishing_column import soft_vanishing_columns
 
 HARD_FRACTION = 0.95
-"""At temperature 1, the fraction of the thinned skeleton in the soft one, and the fraction of a bin
-that counts in this bin only."""
+"""At temperature 1: the fraction of the thinned skeleton in the soft one, and the fraction of a bin
+that counts in that bin only."""
 
 
 class SoftSSRVLAD(nn.Module):
     """Class scores -> place descriptors through which a segmentation network can be trained.
 
-    Each step is that of `SSRVLAD` in real numbers. What decides and does not weigh stays as the
-    hard method has it, without a gradient: which holes are filled, which regions are dropped,
-    which pixels the thinning keeps. The module has no weights.
+    Each step is that of `SSRVLAD` in real numbers. Yes-or-no decisions are those of `SSRVLAD`,
+    without a gradient: which holes are filled, which regions are dropped, which pixels the thinning
+    keeps. The module has no weights.
 
     Args:
-        config: the settings, of either aggregation; without, the preset ``default``.
-        temperature: 1 for probabilities as they are and a descriptor near the hard one; towards 0
-            it becomes the hard one, gradients vanish; above 1 everything is softer. It divides
-            the logits, and ``softness`` follows it.
+        config: the settings, of either aggregation; the default is the preset ``default``.
+        temperature: it divides the logits, and ``softness`` follows it. At 1 probabilities stay as
+            they are and the descriptor is near the hard one. Towards 0 it becomes the hard one and
+            gradients vanish; above 1 everything is softer.
 
     Shape:
         - input: ``(B, C, H, W)`` floating class scores: logits, or probabilities, which are
           recognised by their sums (see `are_probabilities`); any ``H`` and ``W`` from 1.
-        - output: ``(B, 480)`` float32, float64 for float64 input, of length 1, shorter where next
-          to nothing is seen; exact zeros where nothing is. Autocast does not touch it.
+        - output: ``(B, 480)`` float32, float64 for float64 input, of length 1; shorter if the image
+          shows almost no category, exact zeros if it shows none. Autocast does not change it.
 
     Raises:
-        ValueError: a temperature that is not above 0; input that `SSRVLAD` refuses, label ids,
-            or a pixel whose largest score is infinite.
+        ValueError: the temperature is not above 0; `SSRVLAD` refuses the input; the input is a
+            label map, or the largest score of a pixel is infinite.
 
     Example:
         >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
@@ -74,20 +74,23 @@ class SoftSSRVLAD(nn.Module):
 
     @property
     def softness(self) -> float:
-        """0 to 1: fraction of the eroded skeleton, and of a bin that also counts in the next."""
+        """The fraction of the eroded skeleton, and of a bin that also counts in the next."""
         return float(1 - HARD_FRACTION**self.temperature)
 
     def forward(self, scores: Tensor, layers: Tensor | None = None) -> Tensor:
-        """The descriptors of a batch; ``layers`` are those of the hard method, if known."""
+        """The descriptors of a batch; ``layers`` are the hard layers, if they are known."""
         if scores.ndim != 4:
             raise ValueError(f"expected (B, C, H, W) class scores, got {tuple(scores.shape)}")
         with torch.autocast(scores.device.type, enabled=False):
             wide = scores.float() if scores.dtype in (torch.half, torch.bfloat16) else scores
             _refuse_infinite(wide)
-            return self._describe(wide, self._seen(wide.detach()) if layers is None else layers)
+            if layers is None:
+                layers = self._hard_layers(wide.detach())
+            return self._describe(wide, layers)
 
-    def _seen(self, scores: Tensor) -> Tensor:
-        """The hard layers; of probabilities, what is missing to 1 has none where it is most."""
+    def _hard_layers(self, scores: Tensor) -> Tensor:
+        """The hard layers. A pixel is in none if its probabilities leave more to 1 than the largest
+        of them."""
         layers = cast(Tensor, self._front_end(scores))
         classes = self._front_end.label_space.classes
         no_layer = [label.id for label in classes if label.category_index == NO_LAYER]
@@ -108,7 +111,7 @@ class SoftSSRVLAD(nn.Module):
         return self._residuals(layers, hard)
 
     def _residuals(self, layers: Tensor, hard: Tensor) -> Tensor:
-        """Eq. 2 in one correlation: each keypoint counts, the centre as often less."""
+        """Eq. 2 in one correlation: each keypoint weighs 1, the centre minus their number."""
         config, grid = self.config, (layers.shape[2], layers.shape[3])
         radii = [config.radius_pixels(part, *grid) for part in (config.opening, config.closing)]
         masks = masks_of(hard, config)
@@ -153,7 +156,7 @@ class SoftSSRVLAD(nn.Module):
 
 
 def _refuse_infinite(scores: Tensor) -> None:
-    """Refuses pixels whose largest score is infinite: it has no softmax."""
+    """Raises an error for pixels whose largest score is infinite: they have no softmax."""
     largest = scores.detach().amax(1)
     if not bool(largest.isinf().any()):
         return

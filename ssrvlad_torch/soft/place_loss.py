@@ -1,4 +1,4 @@
-"""Multi-similarity loss: frames of one place together, others apart, hard pairs first."""
+"""Multi-similarity loss: pulls frames of one place together and pushes others apart."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ def multi_similarity(
     beta: float = 50.0,
     base: float = 0.5,
 ) -> Tensor:
-    """The mean over the queries of Eq. 15 of Wang et al., CVPR 2019, of all pairs.
+    """Eq. 15 of Wang et al., CVPR 2019, over all pairs, as the mean over the queries.
 
-    The defaults are the paper's, and those of ``pytorch_metric_learning``, of whose
-    ``MultiSimilarityLoss`` this has the numbers where every query has a pair.
+    The defaults are those of the paper and of ``pytorch_metric_learning``. If every query has a
+    pair, the loss equals that library's ``MultiSimilarityLoss``.
 
     Args:
         similarity: ``(Q, R)`` cosines of queries and references.
-        same: ``(Q, R)`` bool, the pairs that show one place.
-        other: ``(Q, R)`` bool, those that do not; without, all that are not ``same``. Pairs in
-            neither, neighbours say, do not count.
-        alpha, beta: how much more the worst of the same, and of the other pairs, count.
-        base: the cosine from which on pairs count.
+        same: ``(Q, R)`` bool, the pairs that show the same place.
+        other: ``(Q, R)`` bool, the pairs that show different places; by default all that are not
+            ``same``. Pairs in neither, for example neighbours, do not count.
+        alpha, beta: how much more the hardest pairs of ``same``, and of ``other``, weigh.
+        base: the cosine (lambda of the paper) below which pairs of ``same`` weigh most, and above
+            which pairs of ``other`` do.
 
     Returns:
         ``()``, 0 or more.
@@ -45,6 +46,6 @@ def multi_similarity(
 
 
 def _soft_excess(values: Tensor, counted: Tensor) -> Tensor:
-    """log(1 + sum of exp) over the values that are counted, row by row."""
+    """log(1 + sum of exp) over the counted values of each row."""
     counted_values = values.masked_fill(~counted, float("-inf"))
     return torch.cat([torch.zeros_like(values[:, :1]), counted_values], 1).logsumexp(1)

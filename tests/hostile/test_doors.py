@@ -218,8 +218,8 @@ def test_nothing_is_written_over_what_is_no_file(here, ssrvlad, command):
     (here / "device.png").symlink_to(os.devnull)
     for name, message in (
         ("folder.png", "cannot write folder.png: it is a folder"),
-        ("pipe.png", "cannot write pipe.png: it is no regular file"),
-        ("device.png", "cannot write device.png: it is no regular file"),
+        ("pipe.png", "cannot write pipe.png: it is not a regular file"),
+        ("device.png", "cannot write device.png: it is not a regular file"),
         ("none/x.png", "cannot write none/x.png: there is no folder none"),
     ):
         one_line(ssrvlad, f"{command} {name}", message)

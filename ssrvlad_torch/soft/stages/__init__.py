@@ -1,2 +1,2 @@
-"""The stages of the differentiable twin: each does what the stage of its name does, in real
-numbers with gradients, and on zeros and ones it gives the same. None imports another."""
+"""The stages of the differentiable twin: each is the stage of the same name in real numbers with
+gradients, and gives the same result for zeros and ones. None imports another."""

@@ -1,4 +1,4 @@
-"""Soft boundaries: how likely a boundary of some layer runs past a pixel, by direction."""
+"""Soft boundaries: how likely a boundary of any layer is at each pixel, by direction."""
 
 from __future__ import annotations
 
@@ -20,21 +20,23 @@ def soft_boundaries(layers: Tensor) -> Tensor:
         return torch.zeros_like(layers[:, :4])
     ends = slice(None, -2), slice(2, None)
     a, b, c, d = (layers[..., y, x] for y in ends for x in ends)
-    found = (
-        _parted(a * c, b * d, (1 - a) * (1 - c), (1 - b) * (1 - d)),
-        _parted(a * b, c * d, (1 - a) * (1 - b), (1 - c) * (1 - d)),
+    by_layer = (
+        _one_pair(a * c, b * d, (1 - a) * (1 - c), (1 - b) * (1 - d)),
+        _one_pair(a * b, c * d, (1 - a) * (1 - b), (1 - c) * (1 - d)),
         _odd(a, b * c * d, (1 - b) * (1 - c) * (1 - d))
         + _odd(d, a * b * c, (1 - a) * (1 - b) * (1 - c)),
         _odd(b, a * c * d, (1 - a) * (1 - c) * (1 - d))
         + _odd(c, a * b * d, (1 - a) * (1 - b) * (1 - d)),
     )
-    of_any = [1 - (1 - each).prod(1) for each in found]
+    of_any = [1 - (1 - weight).prod(1) for weight in by_layer]
     return F.pad(torch.stack(of_any, 1), (1, 1, 1, 1))
 
 
-def _parted(here: Tensor, there: Tensor, not_here: Tensor, not_there: Tensor) -> Tensor:
-    return here * not_there + there * not_here
+def _one_pair(first: Tensor, second: Tensor, not_first: Tensor, not_second: Tensor) -> Tensor:
+    """The weight of exactly one of two pairs being in the layer, the other outside."""
+    return first * not_second + second * not_first
 
 
 def _odd(corner: Tensor, others: Tensor, no_other: Tensor) -> Tensor:
+    """The weight of one corner differing from the three others."""
     return corner * no_other + (1 - corner) * others

@@ -1,4 +1,4 @@
-"""Soft centre of a layer: the centroid of its pixels by their weight (Eq. 1)."""
+"""Soft centre of a layer: the weighted centroid of its pixels (Eq. 1)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 FAINT = 1e-3
-"""Pixels in the middle of the image that are added to every layer: one of less has no centre."""
+"""Weight, in pixels, added to every layer in the middle of the image: an empty layer's centre."""
 
 
 def soft_centroids(layers: Tensor) -> Tensor:
@@ -23,7 +23,7 @@ def soft_centroids(layers: Tensor) -> Tensor:
 
 
 def soft_points(centres: Tensor, height: int, width: int) -> Tensor:
-    """A map of each centre: its weight, 1, is spread bilinearly over the four pixels around it.
+    """A map of each centre: weight 1, spread bilinearly over the four pixels around it.
 
     Args:
         centres: ``(B, 8, 2)`` rows and columns inside the image.
@@ -40,6 +40,6 @@ def soft_points(centres: Tensor, height: int, width: int) -> Tensor:
 
 
 def _mean(profile: Tensor, area: Tensor) -> Tensor:
-    """Where the weights of a ``(B, 8, n)`` line have their mean, ``(B, 8)``."""
+    """``(B, 8)`` mean positions of the weights along a ``(B, 8, n)`` line."""
     position = torch.arange(profile.shape[-1]).to(profile)
     return (profile @ position + FAINT * (len(position) - 1) / 2) / area

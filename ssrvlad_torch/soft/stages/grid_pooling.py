@@ -1,4 +1,4 @@
-"""Soft grid pooling: what fraction of each cell a layer covers, moved by any number of columns."""
+"""Soft grid pooling: the fraction of each cell that a layer covers, for any real shift."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ def soft_pool(layers: Tensor, shift: Tensor, cells: tuple[int, int]) -> Tensor:
 
     Args:
         layers: ``(B, 8, h, w)``, 0 to 1.
-        shift: ``(B,)`` columns, not whole ones only, negative to move right.
+        shift: ``(B,)`` columns, any real number, negative to move right.
         cells: rows and columns of the grid of cells.
 
     Returns:
-        ``(B, 8, rows, columns)``, 0 to 1. It is what `pool` gives for whole layers and shifts.
+        ``(B, 8, rows, columns)``, 0 to 1; equal to `pool` for layers of 0 and 1 and whole shifts.
     """
-    upright = soft_overlaps(layers.shape[2], cells[0], shift.new_zeros(1))
-    across = soft_overlaps(layers.shape[3], cells[1], shift)
-    return upright.mT[:, None] @ layers @ across[:, None]
+    rows = soft_overlaps(layers.shape[2], cells[0], shift.new_zeros(1))
+    columns = soft_overlaps(layers.shape[3], cells[1], shift)
+    return rows.mT[:, None] @ layers @ columns[:, None]
 
 
 def soft_overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:

@@ -1,4 +1,4 @@
-"""Soft harmonics: the coefficients of the basis functions, with roots that are safe at zero."""
+"""Soft harmonics: the coefficients of the basis functions, with roots of finite slope at zero."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import torch
 from torch import Tensor
 
 FAINT = 1e-3
-"""Fraction of a bin, below which a root is a straight line."""
+"""Fraction of a bin below which a root is nearly a straight line."""
 
 LEAST = 0.1
-"""A descriptor that is far shorter before it is normalised, some hundredths of one layer's, is
-that of an image in which next to nothing is seen."""
+"""The length that a descriptor needs before normalisation: a much shorter one, of an image that
+shows almost no category, keeps a length below 1."""
 
 
 def soft_coefficients(
@@ -27,25 +27,25 @@ def soft_coefficients(
 
     Args:
         area: ``(B, 6, rows, columns)`` from `soft_pool`.
-        lengths: ``(B, 4, rows, columns)``, of the boundaries, in sides of a cell.
+        lengths: ``(B, 4, rows, columns)``, lengths of the boundaries in sides of a cell.
         bins, basis, numbers, power: as for `soft_histograms` and `coefficients`.
 
     Returns:
         ``(B, 6 * numbers[0] + 4 * numbers[1])`` of length 1 at most; zeros for an image without
         layers.
     """
-    found = torch.cat(
+    coefficients = torch.cat(
         [
             (safe_root(cells.flatten(2) @ bins.T) @ basis[:number].T).flatten(1)
             for cells, number in zip((area, lengths), numbers, strict=True)
         ],
         1,
     )
-    damping = (found.square() + FAINT * FAINT) ** ((power - 1) / 2)
-    damped: Tensor = found * damping
+    damping = (coefficients.square() + FAINT * FAINT) ** ((power - 1) / 2)
+    damped: Tensor = coefficients * damping
     return damped / (damped.square().sum(1, keepdim=True) + LEAST * LEAST).sqrt()
 
 
 def safe_root(fractions: Tensor) -> Tensor:
-    """The square root from 0 on with a finite slope at 0."""
+    """The square root of numbers from 0, with a finite slope at 0."""
     return fractions / ((fractions + FAINT).sqrt() + math.sqrt(FAINT))

@@ -1,4 +1,4 @@
-"""Soft keypoints: how much of an end point and of an intersection each skeleton pixel is."""
+"""Soft keypoints: the weight of each skeleton pixel as an end point and as an intersection."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ def soft_keypoints(skeleton: Tensor) -> Tensor:
 
 
 def soft_end_points(skeleton: Tensor) -> Tensor:
-    """The pixel's weight while its neighbours sum to 1 at most; nothing from 2 on."""
-    beside = torch.zeros_like(skeleton)
+    """The pixel's weight if its neighbours sum to 1 or less, falling to 0 at a sum of 2."""
+    total = torch.zeros_like(skeleton)
     for neighbour in _neighbours(skeleton):
-        beside = beside + neighbour
-    return skeleton * (2 - beside).clamp(0, 1)
+        total = total + neighbour
+    return skeleton * (2 - total).clamp(0, 1)
 
 
 def soft_intersections(skeleton: Tensor) -> Tensor:
-    """The pixel's weight from three steps around it on, less where an earlier pixel has it.
+    """The pixel's weight if there are three or more steps around it, 0 for two or fewer.
 
-    A step is a neighbour that is off before one that is on, their product; none up to two steps.
-    Earlier are the pixels W, NW, N and NE.
+    A step is the product of a neighbour being off and the next one being on. The weight is smaller
+    if an earlier pixel, W, NW, N or NE, is an intersection too.
     """
     ring = _neighbours(skeleton)
     steps = torch.zeros_like(skeleton)
-    for here, there in zip(ring, [*ring[1:], ring[0]], strict=True):
-        steps = steps + (1 - here) * there
+    for neighbour, following in zip(ring, [*ring[1:], ring[0]], strict=True):
+        steps = steps + (1 - neighbour) * following
     crossing = skeleton * (steps - 2).clamp(0, 1)
     north, north_east, *_, west, north_west = _neighbours(crossing)
     return crossing * (1 - west) * (1 - north_west) * (1 - north) * (1 - north_east)

@@ -8,31 +8,31 @@ from torch import Tensor
 from ...taxonomy import CATEGORIES, LabelSpace
 
 TINY = 1e-6
-"""Added to a probability before its logarithm: what is impossible has a finite score."""
+"""Added to a probability before its logarithm, so that probability 0 has a finite score."""
 
 TOLERANCE = 0.01
-"""How far probabilities may miss 0 from below, and their sum 1: bfloat16 has three digits."""
+"""How far probabilities may be below 0, and their sum away from 1: bfloat16 has three digits."""
 
 
 def membership(space: LabelSpace, channels: int) -> Tensor:
-    """``(C, 8)`` float64, 1 where the class of a channel is of a category; dynamic and void rows
-    are zero. Channel ``c`` stands for id ``c``."""
+    """``(C, 8)`` float64, 1 where the class of a channel has the category; rows of dynamic and void
+    classes are zero. Channel ``c`` stands for id ``c``."""
     categories = {label.id: label.category_index for label in space.classes}
     columns = torch.tensor([categories[channel] for channel in range(channels)])
     return torch.eye(len(CATEGORIES) + 1).double()[columns, : len(CATEGORIES)]
 
 
 def soft_layers(scores: Tensor, members: Tensor, temperature: float) -> Tensor:
-    """The probability of every category at every pixel: those of its classes, summed.
+    """The probability of every category at every pixel: the sum over its classes.
 
     Args:
-        scores: ``(B, C, H, W)`` logits, or `are_probabilities`, one-hot labels among them. These
-            count by their logarithm; what is missing to 1 is void.
+        scores: ``(B, C, H, W)`` logits, or probabilities, which count by their logarithm (see
+            `are_probabilities`). If they sum to less than 1, the rest is void.
         members: `membership`.
         temperature: divides the logits before the softmax; 1 leaves probabilities as they are.
 
     Returns:
-        ``(B, 8, H, W)``, 0 to 1; what is missing to 1 belongs to no layer.
+        ``(B, 8, H, W)``, 0 to 1; the rest to 1 belongs to no layer.
     """
     if are_probabilities(scores):
         missing = 1 - scores.sum(1, keepdim=True)
@@ -43,14 +43,14 @@ def soft_layers(scores: Tensor, members: Tensor, temperature: float) -> Tensor:
 
 
 def soft_merge(layers: Tensor) -> Tensor:
-    """``(B, 6, h, w)`` of ``(B, 8, h, w)``, see `merge`."""
+    """``(B, 8, h, w)`` layers -> ``(B, 6, h, w)``, see `merge`."""
     ground, sidewalk, building, pole, vegetation, sky, rail, parking = layers.unbind(1)
     return torch.stack((ground + parking, sidewalk, building + rail, pole, vegetation, sky), 1)
 
 
 def are_probabilities(scores: Tensor) -> bool:
-    """Whether ``(B, C, H, W)`` scores are probabilities over the classes: none is below 0, and they
-    sum to 1, or to less at pixels that have no class."""
+    """Whether ``(B, C, H, W)`` scores are probabilities: none is below 0, and they sum to 1 or, at
+    pixels without a class, to less. One-hot labels are probabilities too."""
     with torch.no_grad():
         totals = scores.sum(1)
         whole = (totals.amax() - 1).abs() <= TOLERANCE

@@ -1,7 +1,7 @@
 """Soft morphology: dilation and erosion as maximum and minimum over a square.
 
-The semantics are those of ``kornia.morphology`` with a flat square and ``geodesic`` borders; a
-maximum by rows, then by columns, needs neither its memory nor its time.
+The semantics are those of ``kornia.morphology`` with a flat square and ``geodesic`` borders. A
+maximum over rows, then over columns, needs less memory and time.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from torch import Tensor
 
 
 def soft_dilate(layers: Tensor, radius: int) -> Tensor:
-    """The largest value in a square of ``2 * radius + 1`` pixels; outside the image is ignored.
+    """The largest value in a square of ``2 * radius + 1`` pixels inside the image.
 
     Args:
         layers: ``(B, K, H, W)``.
@@ -28,7 +28,7 @@ def soft_dilate(layers: Tensor, radius: int) -> Tensor:
 
 
 def soft_erode(layers: Tensor, radius: int) -> Tensor:
-    """The smallest value in a square; otherwise as `soft_dilate`."""
+    """The smallest value in a square; arguments and result as for `soft_dilate`."""
     return -soft_dilate(-layers, radius)
 
 

@@ -1,4 +1,4 @@
-"""Soft majority: layers on the working grid, each cell by what its pixels hold."""
+"""Soft majority: layers on the working grid, from the fractions of each cell's pixels."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ TINY = 1e-6
 
 
 def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> Tensor:
-    """The fraction of each cell that each category has; a low temperature favours the largest.
+    """The fraction of each cell that each category covers; a low temperature favours the largest.
 
-    Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``, as in the vote of
-    `reduce_by_majority`, of which this is the softmax: fractions to the power of one over the
-    temperature. At temperature 1 they are the mean of the pixels.
+    This is the softmax in place of the vote of `reduce_by_majority`: fractions to the power of
+    ``1 / temperature``, normalised. At temperature 1 they are the mean of the pixels. Pixel
+    ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``.
 
     Args:
         layers: ``(B, 8, H, W)`` from `soft_layers`.
@@ -35,7 +35,7 @@ def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> 
 
 
 def _means(pixels: int, cells: int, like: Tensor) -> Tensor:
-    """``(cells, pixels)``: the mean over the pixels of each cell of a line."""
+    """``(cells, pixels)`` matrix that takes the mean over the pixels of each cell of a line."""
     cell = torch.arange(pixels, device=like.device) * cells // pixels
     belongs = (cell == torch.arange(cells, device=like.device)[:, None]).to(like)
     return belongs / belongs.sum(1, keepdim=True)

@@ -1,7 +1,6 @@
-"""Soft regions: holes that are filled and regions that are dropped, as the hard method has them.
+"""Soft regions: fills the holes that the hard method fills, and drops the regions that it drops.
 
-Whether a region is too small is a matter of counting and has no gradient; what is dropped, and
-what is filled, has none either.
+The decision counts pixels and has no gradient; filled and dropped pixels have none either.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Soft aggregation: residuals of each layer, normalised where there is something (Eq. 2)."""
+"""Soft aggregation: residuals of each layer, normalised (Eq. 2); nearly empty ones stay short."""
 
 from __future__ import annotations
 
 from torch import Tensor
 
 FAINT = 1.0
-"""Pairs of points: a layer whose residual is far shorter counts as if it were not there."""
+"""Pairs of points: a layer with a much shorter residual counts almost nothing."""
 
 LEAST = 0.01
-"""Layers: an image of far fewer is one in which next to nothing is seen."""
+"""Layers: the descriptor of an image with much fewer keeps a length below 1."""
 
 
 def soft_aggregate(residuals: Tensor) -> Tensor:
@@ -26,5 +26,5 @@ def soft_aggregate(residuals: Tensor) -> Tensor:
 
 
 def _length(vector: Tensor, least: float) -> Tensor:
-    """The length of vectors, and of one that is ``least`` and at right angles to them."""
+    """The length of vectors, bounded from below: ``sqrt(length ** 2 + least ** 2)``."""
     return (vector.square().sum(-1, keepdim=True) + least * least).sqrt()

@@ -1,8 +1,8 @@
 """Soft shape context: the correlation of two maps, summed under smooth ring and sector masks.
 
 The sum of the histograms around weighted reference points counts every pair of a reference and a
-context pixel by its offset. How often each offset occurs is the correlation of the two maps, by
-FFT; which offsets make a bin is a mask.
+context pixel by its offset. The correlation of the two maps, computed by FFT, gives the weight of
+each offset; a mask gives the offsets of each bin.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ import torch
 from torch import Tensor
 
 NEAREST = 0.25
-"""A squared distance below that of any two pixels, where logarithms begin."""
+"""A squared distance below that of any two pixels, the smallest with a logarithm here."""
 
 
 def soft_shape_contexts(references: Tensor, context: Tensor, masks: Tensor) -> Tensor:
-    """Sum of the shape contexts around each layer's reference points, weight by weight.
+    """Weighted sum of the shape contexts around each layer's reference points.
 
     Args:
-        references: ``(B, 8, h, w)`` weights of the points around which is counted, of any sign.
-        context: ``(B, 8, h, w)`` weights of the points that are counted.
+        references: ``(B, 8, h, w)`` weights of the reference points, of any sign.
+        context: ``(B, 8, h, w)`` weights of the context points.
         masks: `bin_masks` for the size of the image.
 
     Returns:
@@ -38,7 +38,7 @@ def soft_shape_contexts(references: Tensor, context: Tensor, masks: Tensor) -> T
 
 
 @lru_cache(maxsize=4)
-@torch.inference_mode(False)  # what is kept is used in training, too
+@torch.inference_mode(False)  # cached masks are used in training too
 def bin_masks(
     height: int,
     width: int,
@@ -50,9 +50,9 @@ def bin_masks(
 ) -> Tensor:
     """The masks of all bins over the offsets.
 
-    Past the end of a ring, and before the start of a sector, a pair counts in both bins, linearly
-    in the logarithm of the distance and in the angle. On a boundary it counts where the hard
-    method has it.
+    A pair just past the end of a ring, or just before the start of a sector, counts in both bins,
+    linearly in the logarithm of the distance and in the angle. On a boundary it counts in the bin
+    of the hard method.
 
     Args:
         height, width: size of the image.
@@ -77,10 +77,10 @@ def bin_masks(
             places.append(place)
             weights.append(within[place] * fraction)
     weight = torch.cat(weights)
-    kept = weight > 0
-    indices = torch.stack([torch.cat(bins), torch.cat(places)])[:, kept]
+    positive = weight > 0
+    indices = torch.stack([torch.cat(bins), torch.cat(places)])[:, positive]
     shape = len(limits) * sectors, len(squared)
-    values = weight[kept].to(dtype)
+    values = weight[positive].to(dtype)
     return torch.sparse_coo_tensor(indices, values, shape, check_invariants=True).coalesce()
 
 
@@ -90,8 +90,8 @@ def _offsets(size: int, device: torch.device) -> Tensor:
 
 
 def _rings(squared: Tensor, limits: tuple[int, ...], softness: float) -> Iterator[Tensor]:
-    """How much of each squared distance counts in each ring: what lies past the end of the ring
-    before it, and not past its own."""
+    """How much of each squared distance counts in each ring: the part past the end of the previous
+    ring minus the part past its own."""
     logarithm = squared.clamp(min=NEAREST).log()
     ends = [math.log(max(limit, NEAREST)) for limit in limits]
     ramp = softness * ((ends[-1] - ends[0]) / max(1, len(ends) - 1) or math.log(4))

@@ -1,9 +1,8 @@
-"""Soft skeleton: iterated soft erosion and opening, held together by the thinned one.
+"""Soft skeleton: a mixture of the thinned skeleton and of iterated soft erosion and opening.
 
-The skeleton of Shit et al., clDice, CVPR 2021, has a gradient at every pixel, but on a street's
-layers it falls into pieces: what is counted around its end points has little to do with what the
-method counts. The pixels that the hard thinning keeps make the other part; there the layer itself
-is what is differentiated.
+The skeleton of Shit et al., clDice, CVPR 2021, has a gradient at every pixel, but on street layers
+it falls into pieces, so its end points are not those of the method. The other part is the layer at
+the pixels that the hard thinning keeps; its gradient is that of the layer.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 COARSE = 48
-"""Largest shorter side of the grid on which is eroded; above it, pixels are averaged in squares."""
+"""Largest shorter side of the grid for erosion; a larger image is averaged in squares first."""
 
 
 def soft_skeleton(layers: Tensor, thinned: Tensor, softness: float) -> Tensor:
@@ -23,25 +22,25 @@ def soft_skeleton(layers: Tensor, thinned: Tensor, softness: float) -> Tensor:
     Args:
         layers: ``(B, 8, h, w)`` clean layers, 0 to 1.
         thinned: ``(B, 8, h, w)`` bool, the skeleton of the hard layers.
-        softness: fraction of the eroded skeleton in it, from 0, the hard skeleton where the layers
-            are 0 and 1, to 1.
+        softness: fraction of the eroded skeleton in the mixture, 0 to 1. At 0 the result is the
+            hard skeleton if the layers are 0 and 1.
 
     Returns:
         ``(B, 8, h, w)``, 0 to 1.
     """
-    kept = layers * thinned
+    hard = layers * thinned
     if not softness:
-        return kept
+        return hard
     eroded: Tensor = checkpoint(eroded_skeleton, layers, use_reentrant=False)
-    return kept + softness * (eroded - kept)
+    return hard + softness * (eroded - hard)
 
 
 def eroded_skeleton(layers: Tensor) -> Tensor:
-    """The soft skeleton of Shit et al.: what an opening removes, of the layers as they erode.
+    """The soft skeleton of Shit et al.: what an opening removes from the layers, at every erosion.
 
-    It is made on a grid of at most `COARSE` rows or columns and spread over the pixels of each
-    cell so that lengths stay the same. Half the grid's longer side is how often it is eroded: no
-    more is left of what lies inside the image.
+    It is computed on a grid of at most `COARSE` rows or columns and spread over the pixels of each
+    cell so that lengths stay the same. The number of erosions is half the grid's longer side:
+    after that, nothing inside the image is left.
 
     Args:
         layers: ``(B, K, h, w)``, 0 to 1.
@@ -55,12 +54,12 @@ def eroded_skeleton(layers: Tensor) -> Tensor:
     skeleton = torch.zeros_like(cells)
     for _ in range(max(cells.shape[2:]) // 2 + 1):
         eroded = -_largest_around(-cells)
-        found = (cells - _largest_around(eroded)).relu()
-        skeleton, cells = skeleton + found * (1 - skeleton), eroded
+        removed = (cells - _largest_around(eroded)).relu()
+        skeleton, cells = skeleton + removed * (1 - skeleton), eroded
     spread = skeleton.repeat_interleave(side, 2).repeat_interleave(side, 3) / side
     return spread[..., :height, :width]
 
 
 def _largest_around(layers: Tensor) -> Tensor:
-    """The largest value in the 3 x 3 pixels around; outside the image is ignored."""
+    """The largest value in the 3 x 3 pixels around each pixel, inside the image."""
     return F.max_pool2d(layers, 3, 1, 1)

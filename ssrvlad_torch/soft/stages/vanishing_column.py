@@ -1,4 +1,4 @@
-"""Soft vanishing column: where the street narrows to, as a real number."""
+"""Soft vanishing column: the column towards which the street narrows, as a real number."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ OPEN = (0, 1, 5)
 
 POWER = 8
 PULL = 20
-"""As in `vanishing_columns`: openness weighs by its eighth power, and the middle of the image as
-much as a twentieth of all columns."""
+"""As in `vanishing_columns`: the weight of a column is the eighth power of its open fraction, and
+the middle of the image has the weight of a twentieth of all columns, fully open."""
 
 
 def soft_vanishing_columns(layers: Tensor) -> Tensor:
-    """How many columns right of the middle the street's vanishing column is, in each image.
+    """How many columns right of the middle the vanishing column is, in each image.
 
     Args:
         layers: ``(B, K, h, w)``, 0 to 1.
@@ -24,7 +24,7 @@ def soft_vanishing_columns(layers: Tensor) -> Tensor:
         ``(B,)``, negative to the left; `vanishing_columns` rounds it.
     """
     width = layers.shape[3]
-    openness = layers[:, OPEN].sum(1).clamp(max=1).mean(1)
-    weight = openness**POWER
+    open_fraction = layers[:, OPEN].sum(1).clamp(max=1).mean(1)
+    weight = open_fraction**POWER
     from_middle = torch.arange(width).to(layers) - (width - 1) / 2
     return (weight @ from_middle) / (weight.sum(1) + width / PULL)
