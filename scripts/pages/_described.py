@@ -1,8 +1,8 @@
-"""Drives of all data sets as the methods describe them, and the searches that pages measure.
+"""Descriptors of the drives of all data sets by every method, and the searches that pages measure.
 
 The city and CamVid are those of `conditions.py`. The real traverses are folders of ``--data`` with
 ``images`` and the label maps of two networks, ``predicted_espnetv2`` and ``predicted_dabnet``.
-Descriptions are kept on the disk, by drive and method: another run takes minutes.
+Descriptors are cached on disk, by drive and method: a second run takes minutes.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ BASELINES = {
 METHODS = (*PRESETS, *BASELINES)
 OF_PICTURES = ("HOG", "CoHOG", "tiny image")
 BY_SCORES = ("CoHOG", "tiny image")
-"""Their encodings are no vectors: the steps see their scores."""
+"""Their encodings are not vectors, so the steps use their scores."""
 
 NETWORKS = ("espnetv2", "dabnet")
 REAL = {
@@ -62,7 +62,7 @@ REAL = {
         "night -> left": ("gardens_walk/night_right", "gardens_walk/day_left", 2),
     },
 }
-"""Queries, references, and how many rows a true match may be away."""
+"""Queries, references, and the largest distance of a true match in rows."""
 
 FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
 OFFSET = 10**6
@@ -96,11 +96,11 @@ class Condition:
 
 @dataclass
 class Described:
-    """Descriptions of drives by every method, each made once.
+    """Descriptors of drives by every method, cached.
 
     Args:
-        data: folder of the real data sets; without, there is only the city.
-        cache: where descriptions are kept.
+        data: folder of the real data sets; without it, only the city is measured.
+        cache: folder of the cached descriptors.
     """
 
     data: Path | None
@@ -149,7 +149,7 @@ class Described:
         return queries[here], references[there]
 
     def scores(self, search: Search, method: str) -> Tensor:
-        """``(Q, R)`` of a method whose encodings are no vectors."""
+        """``(Q, R)`` scores of a method whose encodings are not vectors."""
 
         def run() -> Tensor:
             made = baselines.make(BASELINES[method])
@@ -170,14 +170,14 @@ class Described:
         return self._kept(f"{' to '.join(kind)} {method}", run)
 
     def rows(self, search: Search) -> tuple[list[int], list[int]]:
-        """Of the queries' and the references' drives."""
+        """Rows of the queries and of the references in their drives."""
         ends = (len(self.about(name)[0]) for name in (search.queries, search.references))
         given = (search.query_rows, search.reference_rows)
         here, there = (rows or list(range(n)) for rows, n in zip(given, ends, strict=True))
         return here, there
 
     def sequences(self, search: Search) -> tuple[list[str], list[str]]:
-        """Of queries and references."""
+        """Sequences of the queries and of the references."""
         names = (self.about(name)[0] for name in (search.queries, search.references))
         here, there = (
             [frames[row].rpartition("/")[0] for row in rows]
@@ -199,10 +199,10 @@ class Described:
 
 
 class Decisions(NamedTuple):
-    """What was decided about all queries of a condition, references counted through its searches.
+    """Candidates of all queries of a condition; rows of the references count through its searches.
 
     Attributes:
-        scores, rows: ``(Q, 5)`` of the candidates.
+        scores, rows: ``(Q, 5)`` scores and rows of the candidates.
         truth: true matches of each query.
         confidence: ``(Q,)``.
     """
@@ -218,7 +218,7 @@ class Decisions(NamedTuple):
         return np.array([row in set(t) for row, t in zip(self.rows[:, 0], self.truth, strict=True)])
 
     def figures(self) -> dict[str, tuple[float, float, float]]:
-        """Each of `FIGURES`, and the ends of its 95 % bootstrap interval over the queries."""
+        """Each of `FIGURES` with the ends of its 95 % bootstrap interval over the queries."""
         found = evaluate(self.scores, self.rows, self.truth, at=(1, 5), resamples=RESAMPLES)
         ends = found["intervals"]
         rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}
@@ -230,7 +230,7 @@ class Decisions(NamedTuple):
 def decide(
     described: Described, condition: Condition, method: str, steps: Steps, reach: int = 0
 ) -> Decisions:
-    """Decides about the queries of a condition.
+    """Finds candidates for the queries of a condition.
 
     Args:
         reach: t of the temporal sum over the references (Eq. 3).
@@ -275,7 +275,7 @@ def frames(drive: Drive) -> Iterator[Frame]:
 
 @cache
 def real(folder: Path, network: str) -> Drive:
-    """A real traverse as a network sees it."""
+    """A real traverse with the label maps of a network."""
     space = label_space("cityscapes-trainids")
     files = find_label_files([str(folder / f"predicted_{network}")], folder.name)
     return Drive(
@@ -290,7 +290,7 @@ def real(folder: Path, network: str) -> Drive:
 def all_conditions(
     described: Described, seeds: Sequence[int] = CITY_SEEDS, networks: Sequence[str] = NETWORKS
 ) -> Iterator[Condition]:
-    """Every condition of every data set that is there."""
+    """Every condition of every available data set."""
     if described.data:
         yield from real_conditions(described, networks)
         yield from camvid_conditions(described)
@@ -334,7 +334,7 @@ def city_conditions(described: Described, seeds: Sequence[int]) -> Iterator[Cond
 
 
 def every_other(names: Sequence[str], start: int) -> list[int]:
-    """Of each sequence the rows of frame ``start`` and every second after it."""
+    """Rows of every second frame of each sequence, from frame ``start``."""
     sequences = np.array([name.rpartition("/")[0] for name in names])
     chosen = [np.flatnonzero(sequences == name)[start::2] for name in dict.fromkeys(sequences)]
     return np.concatenate(chosen).tolist()

@@ -1,4 +1,4 @@
-"""What the pages that are written by scripts have in common: tables, figures, the machine."""
+"""Parts of pages that scripts write: paragraphs, tables, numbers, the machine."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ssrvlad_torch.files import replacing
 
 
 def paragraph(text: str) -> str:
-    """Text in lines of at most 100 letters, and an empty line after it."""
+    """Text wrapped at 100 characters, with a newline."""
     return fill(text, 100, break_long_words=False, break_on_hyphens=False) + "\n"
 
 
@@ -30,7 +30,7 @@ def row(*cells: str) -> str:
 
 
 def interval(value: float, ends: Sequence[float], digits: int = 3) -> str:
-    """``0.738 [0.682, 0.799]``; a dash for a figure without a meaning."""
+    """``0.738 [0.682, 0.799]``; a dash for NaN."""
     if math.isnan(value):
         return "-"
     return f"{value:.{digits}f} [{ends[0]:.{digits}f}, {ends[1]:.{digits}f}]"
@@ -43,7 +43,7 @@ def largest_mean_smallest(values: Sequence[float]) -> str:
 
 
 def significant(value: float, digits: int = 3) -> str:
-    """A number of at least 0 with so many significant digits, without an exponent."""
+    """A number of at least 0 with `digits` significant digits, without an exponent."""
     if value == 0:
         return "0"
     places = max(0, digits - 1 - math.floor(math.log10(value)))
@@ -51,12 +51,12 @@ def significant(value: float, digits: int = 3) -> str:
 
 
 def processor() -> str:
-    """What computes: the class of the processor, threads, torch."""
+    """The processor, the number of threads and the version of torch."""
     return f"one thread of a processor {_model()} ({platform.machine()}), torch {torch.__version__}"
 
 
 def _model() -> str:
-    """As the system calls it, where it says."""
+    """Model name of the processor, by the system if possible."""
     about = Path("/proc/cpuinfo")
     lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
@@ -64,7 +64,7 @@ def _model() -> str:
 
 
 def write(path: Path, page: str) -> None:
-    """Writes a page; its folder is made."""
+    """Writes a page and makes its folder."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")

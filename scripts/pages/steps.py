@@ -1,7 +1,6 @@
-"""The preset `default` from its masks with any settings, and the steps that were not kept.
+"""The preset `default` from masks with any settings, and rejected variants of its steps.
 
-They stand here so that `ablate.py` and `shape.py` can measure them again; nothing of the package
-uses them.
+`ablate.py` and `shape.py` measure them. The package does not use them.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ IMAGES_AT_ONCE = 16
 
 
 def harmonics(config: SSRVLADConfig) -> Describe:
-    """The preset `default` with other settings behind its layers."""
+    """The preset `default` with other settings for the stages after the layers."""
     made = Harmonics(config)
     return described_from_masks(lambda masks: made.descriptor(made.histograms(masks.layers)))
 
@@ -51,7 +50,7 @@ def area_alone(masks: Masks) -> Tensor:
 
 
 def with_merged(kept: int, other: int, masks: Masks) -> Tensor:
-    """The area of one layer is counted as that of another."""
+    """Merges the area of one layer into another layer."""
     found = cells(masks).clone()
     found[:, kept] += found[:, other]
     found[:, other] = 0
@@ -76,7 +75,7 @@ def weighted_by_agreement(describe: Describe) -> Describe:
 
 
 def between_labelled_pixels(masks: Masks) -> Tensor:
-    """Boundaries are seen only where all four diagonal neighbours are in some layer."""
+    """Counts boundaries only where all four diagonal neighbours are in a layer."""
     layers = merge(masks.layers)
     known = F.pad((layers != 0).to(torch.uint8), (1, 1, 1, 1))
     height, width = layers.shape[1:]
@@ -87,7 +86,7 @@ def between_labelled_pixels(masks: Masks) -> Tensor:
 
 
 def with_boundaries_of_each_layer(masks: Masks, of_area: int, of_boundaries: int) -> Tensor:
-    """The directions of the boundaries of buildings, poles, vegetation and sky, each by itself."""
+    """Boundary directions of buildings, poles, vegetation and sky, one histogram per layer."""
     layers, found = merge(masks.layers), cells(masks)
     parts = [described_part(found[:, :AREA_LAYERS], of_area)]
     for bit in (2, 3, 4, 5):
@@ -110,7 +109,7 @@ def skeleton_in_place_of_boundaries(masks: Masks) -> Tensor:
 
 
 def skeleton_lengths_too(masks: Masks) -> Tensor:
-    """The lengths of the six skeletons beside the preset, with 8 numbers each."""
+    """The preset with the lengths of the six skeletons added, 8 numbers each."""
     return _with_skeleton(masks, 8, DEFAULT.boundary_harmonics)
 
 
@@ -127,7 +126,7 @@ def _with_skeleton(masks: Masks, of_skeleton: int, of_boundaries: int) -> Tensor
 
 
 def layers_of_one_length(masks: Masks) -> Tensor:
-    """Every layer weighs the same, as in the paper: a pole as much as the sky."""
+    """Normalises each layer to the same length, as in the paper."""
     bins, basis = harmonic_tables(DEFAULT)
     held = soft_histograms(cells(masks), bins) @ basis.T
     damped = held.sign() * held.abs() ** DEFAULT.power
@@ -137,12 +136,12 @@ def layers_of_one_length(masks: Masks) -> Tensor:
 
 
 def residuals(masks: Masks) -> Tensor:
-    """The paper's residuals, on the preset's masks."""
+    """The residuals of the paper, on the masks of the preset."""
     return aggregate(*_residuals(masks))
 
 
 def residuals_with_root_and_area(masks: Masks) -> Tensor:
-    """The same, signed square root, weighted by the root of the layer's area."""
+    """Signed square roots of the residuals, weighted by the root of the layer's area."""
     sums, centres, counts = _residuals(masks)
     held = (sums - counts[..., None] * centres).double()
     layers = F.normalize(held.sign() * held.abs().sqrt(), dim=2)
@@ -151,7 +150,7 @@ def residuals_with_root_and_area(masks: Masks) -> Tensor:
 
 
 def anchored_at_each_layers_centre(masks: Masks) -> Tensor:
-    """The soft histogram of each layer around its own centroid's column, as Eq. 1 has it."""
+    """The soft histogram of each layer around the column of its centroid (Eq. 1)."""
     layers = merge(masks.layers)
     columns = centre_table(centroids(layers), len(layers))[..., 1]
     shifts = torch.where(columns < 0, 0, columns - (layers.shape[2] - 1) // 2)
@@ -163,7 +162,7 @@ def anchored_at_each_layers_centre(masks: Masks) -> Tensor:
 
 
 def dynamic_objects_filled(masks: Masks) -> Tensor:
-    """What cars and people hide is filled with what stands around it."""
+    """Fills moving objects with the classes around them."""
     found = cells(masks)
     area = found[:, :AREA_LAYERS]
     blurred = F.avg_pool2d(area, 5, 1, 2)
@@ -187,7 +186,7 @@ def waves_over_the_picture(masks: Masks) -> Tensor:
 
 
 def plain_bins(masks: Masks) -> Tensor:
-    """Square-rooted soft bins themselves, 4 x 12 of each area and direction, without harmonics."""
+    """Square roots of 4 x 12 soft bins of each area and direction, without harmonics."""
     bins = bin_table(CELLS, 4, 12, DEFAULT.radius, DEFAULT.inner_radius)
     return F.normalize(soft_histograms(cells(masks), bins).flatten(1)).float()
 
@@ -208,12 +207,12 @@ REJECTED: dict[str, Describe] = {
 
 @cache
 def cells(masks: Masks) -> Tensor:
-    """``(B, 10, rows, columns)``, areas and lengths of boundaries; made once a drive."""
+    """``(B, 10, rows, columns)`` areas and lengths of boundaries, computed once per drive."""
     return with_lengths(masks, boundaries(merge(masks.layers)))
 
 
 def with_lengths(masks: Masks, seen: Tensor) -> Tensor:
-    """Likewise, of these bit-planes of directions."""
+    """``(B, 10, rows, columns)`` areas and lengths of boundaries, from bit-planes of directions."""
     layers = merge(masks.layers)
     shift = vanishing_columns(layers)
     lengths = pool(seen, shift)[:, :BOUNDARY_DIRECTIONS] * (_side(masks) / WIDTH)

@@ -1,4 +1,4 @@
-"""Runs docs/tutorial.ipynb and keeps what its cells give.
+"""Runs docs/tutorial.ipynb and stores the outputs of its cells.
 
 python scripts/pages/tutorial.py
 """
@@ -15,12 +15,12 @@ NOTEBOOK = Path(__file__).resolve().parents[2] / "docs" / "tutorial.ipynb"
 
 
 def main() -> None:
-    """Runs it in place."""
+    """Runs the notebook in place."""
     nbformat.write(executed(), NOTEBOOK)
 
 
 def executed() -> Any:
-    """The notebook as it is now, run anew.
+    """The notebook with new outputs.
 
     Raises:
         nbclient.exceptions.CellExecutionError: a cell failed.
