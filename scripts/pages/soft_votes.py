@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
-"""Writes docs/soft-votes.md: class scores in place of labels, and what says how far to trust them.
+"""Writes docs/soft-votes.md: class scores in place of labels, with weights of pixels.
 
     .venv/bin/python scripts/pages/soft_votes.py --data ../shared/data
 
 The folder holds `camvid`, `uofa`, `gardens_walk` and `networks`. The network's scores of every
-picture and of its mirror image are kept in `--cache`, 1 MB each.
+picture and of its mirror image are cached in `--cache`, 1 MB each.
 """
 
 from __future__ import annotations
@@ -29,35 +29,43 @@ from ssrvlad_torch.config import SSRVLADConfig
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.recognition.sweep import score
 
-NETWORK, LABELS_AS, KEPT = "espnetv2", "cityscapes-trainids", 4
+NETWORK, LABELS_AS, STRIDE = "espnetv2", "cityscapes-trainids", 4
 LONG = "0016E5"
 BATCH = 8
 VOID, SURE = 255, 0.5
 
 HEAD = f"""# Soft votes
 
-Written by `scripts/pages/soft_votes.py`; no number is typed by hand. Can the class scores of a
-network say more than its labels, or how far to trust them, without truth? {NETWORK}, which was
-trained elsewhere, on photographs; its scores are kept at a quarter of its input. *Labels* is
-`default` on the class of the highest score. *Soft* adds up probabilities over cells in place of
-labels, by `SoftSSRVLAD`. A *weight* takes probability from all classes of a pixel. RecallRate@1
-of single frames, standardised, on the second half of each route, and the mean over the conditions
-on the first half, by which one would choose; then the same, followed online. The city has no
-pictures.
+Written by `scripts/pages/soft_votes.py`. Are the class scores of a network better than its labels?
+Can they show, without ground truth, which pixels to trust? **Not everywhere**:
 
-*Evened* are the scores of each class less their mean over the picture, in parts of their
-deviation. What one would choose by the first halves, soft votes of them, is also the best on the
-second half of three of the four routes of UofA and Gardens Point, by far. On CamVid, where the
-labels are good, it loses. So it is no preset: it does not gain everywhere, and it takes the class
-scores of every picture, which label maps and exact graphs have not. Who has them, and a network
-far from home, can do it with `SoftSSRVLAD`, as this script does. Weights by the mirror image or
-by entropy gain little, and labels that are void where they are unsure are hardly better than
-labels.
+- *Soft, scores evened per picture* is clearly the best single-frame variant on three of the four
+  routes of UofA and Gardens Point, where the network is poor, and on the first halves. On CamVid,
+  where the labels are good, it is worse than labels.
+- The other variants gain little.
+- None is in the package: none gains everywhere, and label maps and exported graphs have no class
+  scores. With class scores, `SoftSSRVLAD` computes soft votes as this script does.
+
+The network is {NETWORK}, trained on other data. Its scores are stored at a quarter of its input
+size. The city has no pictures and is not measured.
+
+- *labels*: `default` on the class with the highest score.
+- *labels where*: labels are void where the condition does not hold.
+- *soft*: probabilities are summed over cells in place of labels, by `SoftSSRVLAD`.
+- *picture and mirror image*: the mean of the probabilities of both.
+- *evened*: the scores of each class minus their mean over the picture, divided by their standard
+  deviation.
+- *weighted*: the probabilities of a pixel times a weight: the agreement with the mirror image, or
+  one minus the entropy as a fraction of the highest entropy.
+
+The tables show RecallRate@1, standardised, on the second half of each route, their mean, and the
+mean over the first halves, which one would use to choose a variant. *Followed* is online.
 """
 
 
 class Seen(NamedTuple):
-    """``(B, C, h, w)`` class probabilities of pictures, and of their mirror images, turned back."""
+    """``(B, C, h, w)`` class probabilities of pictures and of their mirror images (mirrored back),
+    and class scores of pictures."""
 
     picture: Tensor
     mirror: Tensor
@@ -65,18 +73,18 @@ class Seen(NamedTuple):
 
     @property
     def mean(self) -> Tensor:
-        """Of both."""
+        """Mean probabilities of picture and mirror image."""
         return (self.picture + self.mirror) / 2
 
 
 def sure(seen: Seen) -> Tensor:
-    """``(B, 1, h, w)``: 1 less the entropy of the probabilities, in parts of the highest."""
+    """``(B, 1, h, w)``: 1 minus the entropy, as a fraction of the highest entropy."""
     p = seen.picture
     return 1 + (p * p.clamp(min=1e-9).log()).sum(1, keepdim=True) / math.log(p.shape[1])
 
 
 def agreeing(seen: Seen) -> Tensor:
-    """``(B, 1, h, w)``: how much of the probabilities of picture and mirror image is the same."""
+    """``(B, 1, h, w)``: agreement of the probabilities of picture and mirror image, 0 to 1."""
     return (seen.picture * seen.mirror).sqrt().sum(1, keepdim=True)
 
 
@@ -94,7 +102,7 @@ def where(weight: Callable[[Seen], Tensor], seen: Seen) -> Tensor:
 
 
 def where_equal(seen: Seen) -> Tensor:
-    """Labels, void where those of the mirror image are others."""
+    """Labels, void where those of the mirror image differ."""
     return labels(seen).masked_fill(labels(seen) != seen.mirror.argmax(1), VOID)
 
 
@@ -107,7 +115,7 @@ def soft_of_both(seen: Seen) -> Tensor:
 
 
 def evened(seen: Seen) -> Tensor:
-    """Scores of each class less their mean over the picture, in parts of their deviation."""
+    """Probabilities of the scores minus their mean over the picture, divided by their deviation."""
     deviation, mean = torch.std_mean(seen.scores, (2, 3), keepdim=True)
     return ((seen.scores - mean) / deviation.clamp(min=1e-6)).softmax(1)
 
@@ -146,7 +154,7 @@ def main() -> None:
     write(options.output, "\n".join(page(options.data, options.cache)) + "\n")
 
 
-def page(data: Path, kept: Path) -> Iterator[str]:
+def page(data: Path, cached: Path) -> Iterator[str]:
     chosen = [search for search in searches(data) if is_of_scores(search)]
     names = [search.name.removesuffix(f", {NETWORK}").split(",")[0] for search in chosen]
     yield HEAD
@@ -154,22 +162,24 @@ def page(data: Path, kept: Path) -> Iterator[str]:
         yield f"## {title}\n"
         yield from head_row("votes", *names, "mean", "mean of the first halves")
         for way in WAYS:
-            halves = np.array([rates(search, data, kept, way, followed) for search in chosen])
+            halves = np.array([rates(search, data, cached, way, followed) for search in chosen])
             second, first = halves[:, 1], halves[:, 0].mean()
             yield row(way, *(f"{each:.3f}" for each in (*second, second.mean(), first)))
         yield ""
 
 
 def is_of_scores(search: Search) -> bool:
-    """Whether both traverses are what this network sees; of CamVid one drive is enough."""
+    """Whether both traverses are outputs of this network; only one drive of CamVid is taken."""
     parts = (search.queries, search.references)
     return all(part[1] == f"predicted_{NETWORK}" and LONG not in part[0] for part in parts)
 
 
-def rates(search: Search, data: Path, kept: Path, way: str, followed: bool) -> tuple[float, float]:
+def rates(
+    search: Search, data: Path, cached: Path, way: str, followed: bool
+) -> tuple[float, float]:
     """RecallRate@1 of the first and of the second half of the queries."""
     here, there = (
-        standardise(described(data, kept, folder[0], way)[rows])
+        standardise(described(data, cached, folder[0], way)[rows])
         for folder, rows in (
             (search.queries, search.query_rows),
             (search.references, search.reference_rows),
@@ -183,11 +193,11 @@ def rates(search: Search, data: Path, kept: Path, way: str, followed: bool) -> t
 
 
 @cache
-def described(data: Path, kept: Path, folder: str, way: str) -> Tensor:
-    """The descriptors of a traverse by one way to vote."""
+def described(data: Path, cached: Path, folder: str, way: str) -> Tensor:
+    """The descriptors of a traverse by one of `WAYS`."""
     config = SSRVLADConfig.from_preset("default", labels_as=LABELS_AS)
     hard, twin, parts = SSRVLAD(config), SoftSSRVLAD(config), []
-    for batch in torch.from_numpy(scores_of(data, kept, folder)).split(BATCH):
+    for batch in torch.from_numpy(scores_of(data, cached, folder)).split(BATCH):
         picture, mirror = batch.float().unbind(1)
         voted = WAYS[way](Seen(picture.softmax(1), mirror.softmax(1), picture))
         with torch.no_grad():
@@ -195,22 +205,22 @@ def described(data: Path, kept: Path, folder: str, way: str) -> Tensor:
     return torch.cat(parts)
 
 
-def scores_of(data: Path, kept: Path, folder: str) -> np.ndarray:
+def scores_of(data: Path, cached: Path, folder: str) -> np.ndarray:
     """``(N, 2, C, h, w)`` float16 class scores of pictures and of their mirror images."""
-    file = kept / f"{folder} {NETWORK}.npy".replace("/", " ")
+    file = cached / f"{folder} {NETWORK}.npy".replace("/", " ")
     if not file.exists():
         segmenter = Segmenter.load(data / "networks" / f"{NETWORK}.yaml", LABELS_AS)
         pictures = map(read_image, find_image_files([str(data / folder / "images")]))
         np.save(file, np.stack([seen_by(segmenter, picture) for picture in pictures]))
         print(file, flush=True)
-    kept_scores: np.ndarray = np.load(file, mmap_mode="c")
-    return kept_scores
+    scores: np.ndarray = np.load(file, mmap_mode="c")
+    return scores
 
 
 @torch.inference_mode()
 def seen_by(segmenter: Segmenter, picture: np.ndarray) -> np.ndarray:
     both = torch.from_numpy(np.stack([picture, picture[:, ::-1]]))
-    straight, mirrored = avg_pool2d(segmenter.labels.outputs(both), KEPT)
+    straight, mirrored = avg_pool2d(segmenter.labels.outputs(both), STRIDE)
     return torch.stack([straight, mirrored.flip(2)]).half().numpy()
 
 
