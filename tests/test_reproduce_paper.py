@@ -115,9 +115,9 @@ def test_all_shifts_are_measured_beside_the_papers(page):
     assert noise[0][2:] == ["+-25", "+-50", "+-75", "+-100", "+-125", "+-150"]
     assert noise[1][2:] == ["1", "0.989", "0.914", "0.853", "0.797", "0.663"]
     names = [cells[1] for cells in noise[2:]]
-    assert names[:4] == names[4:]
-    assert [name.split(",")[0] for name in names[:4]] == [
-        *("paper", "paper", "paper with `context` keypoints", "default")
+    assert names[:3] == names[3:]
+    assert [name.split(",")[0] for name in names[:3]] == [
+        *("paper", "paper", "paper with `context` keypoints")
     ]
     for cells in noise[2:]:
         for cell in cells[2:]:

@@ -30,7 +30,7 @@ def made(patch, camvid, tmp_path_factory):
     script, twin = load("train_segmenter", patch), load("_train_twin", patch)
     patch.setattr(twin, "FRAMES", 2)
     patch.setattr(twin, "TEMPERATURES", (1.0,))
-    patch.setattr(twin, "cost", lambda: iter(["## What it costs\n"]))
+    patch.setattr(twin, "cost", lambda: iter(["## Cost of SoftSSRVLAD\n"]))
     given = {"--camvid": camvid, "--work": home / "work", "--output": home / "docs" / "page.md"}
     told = [str(part) for pair in given.items() for part in pair]
     told += ["--onnx", str(home / "net.onnx"), "--size", "48", "64", "--seeds", "4"]
@@ -76,12 +76,12 @@ def test_the_page_has_every_network_with_intervals(made):
             value, low, high = map(float, re.fullmatch(r"(.+) \[(.+), (.+)\]", cell).groups())
             assert 0 <= low <= value <= high <= 1.001
     assert rows[-1][2] == rows[-1][4] == "1.000 [1.000, 1.000]"
-    assert page.count("The claim, a higher RecallRate@1") == 1
+    assert page.count("Does the place loss raise RecallRate@1") == 1
 
 
 @pytest.mark.slow
 def test_the_page_has_the_twin_by_category(made):
-    rows = table((made / "docs" / "page.md").read_text(), "## How near the twin is")
+    rows = table((made / "docs" / "page.md").read_text(), "## Accuracy of SoftSSRVLAD")
     assert rows[0][3:6] == ["descriptor", "ground", "sidewalk"]
     assert len(rows) == 1 + 3 * 2
     for row in rows[1:]:
@@ -110,9 +110,9 @@ def test_a_second_run_trains_nothing_and_says_the_same(made, patch):
 @pytest.mark.parametrize(
     ("gain", "lost", "words"),
     [
-        ((0.05, (0.01, 0.09)), 0.002, "is earned"),
-        ((0.05, (-0.01, 0.09)), 0.002, "holds zero"),
-        ((0.05, (0.01, 0.09)), 0.02, "not earned against the control"),
+        ((0.05, (0.01, 0.09)), 0.002, "**Yes**"),
+        ((0.05, (-0.01, 0.09)), 0.002, "contains zero"),
+        ((0.05, (0.01, 0.09)), 0.02, "more than one point"),
         ((-0.05, (-0.09, -0.01)), 0.0, "Recall falls"),
     ],
 )

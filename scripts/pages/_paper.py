@@ -1,4 +1,4 @@
-"""What the paper prints: Tables I, III and IV of Nie, Feng et al., arXiv 2202.03677."""
+"""The numbers of the paper: Tables I, III and IV of Nie, Feng et al., arXiv 2202.03677."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ TABLE_III = {
     SSR_VLAD: ("159.61/105.57/186.29", "1.864/1.696/1.685", "0.01/0.009/0.001"),
     "SSR-VLAD on a TDA4VM": ("709/672.658/639", "9/8.551/8", "1/0.28/0.10"),
 }
-"""Method: feature extraction, descriptor encoding, matching, in ms, max/average/min. For CoHOG
-extraction and encoding are one. A maximum below the minimum is the paper's."""
+"""Feature extraction, descriptor encoding and matching of each method, in ms, max/average/min. For
+CoHOG, extraction includes encoding. A maximum below the minimum is as printed in the paper."""
 
 TABLE_IV = {25: "1", 50: "0.989", 75: "0.914", 100: "0.853", 125: "0.797", 150: "0.663"}
 """Shift in pixels: average Recall@1."""

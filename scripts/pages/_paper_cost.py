@@ -1,4 +1,4 @@
-"""Table III of the paper: what a frame of 1024 x 1024 costs, by every method."""
+"""Table III of the paper: the time of every method for a frame of 1024 x 1024."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 import _paper
 import numpy as np
 from _costs import ENCODED, Cost, measure
-from _markdown import head_row, largest_mean_smallest, paragraph, processor, row
+from _markdown import head_row, largest_mean_smallest, processor, row
 from _problems import IMAGES, LABELS, CityDrive, camvid_problems
 from _trials import TRAINED, Cache, Rival
 from PIL import Image
@@ -40,29 +40,33 @@ RIVALS = (
     Rival("tiny image", "tiny-image", IMAGES),
 )
 
-INTRODUCTION = f"""Milliseconds of a frame of {SIZE[0]} x {SIZE[1]} pixels, max/average/min. Ours:
-{{processor}}. The paper's: an i7-10700KF, SSR-VLAD in C++, the others in Python. {{frames}} All
-methods take turns on the same frames, {ROUNDS} of them ({ROUNDS_OF_NETWORKS} for the networks with
-random weights). Extraction goes from the label map to skeletons, keypoints and centres, encoding
-from there to the descriptor; where there is one number, the two are one step. Matching
-is one query against {REFERENCES} references (RobotCar's number), divided by them; LoST-X and tiny
-image are matched with {ENCODED}. What a segmentation network costs is not in it, nor in the
-paper's. Some of the paper's cells have a maximum below the minimum; they stand as printed."""
+INTRODUCTION = f"""Milliseconds for a frame of {SIZE[0]} x {SIZE[1]} pixels, max/average/min.
+
+- Our machine: {{processor}}. The paper's: an i7-10700KF, SSR-VLAD in C++, the others in Python.
+- {{frames}} The methods take turns on {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for networks with
+  random weights).
+- *Extraction* is from the label map to skeletons, keypoints and centres, *encoding* from there to
+  the descriptor. A single number is both together.
+- *Matching a pair* is the time of one query against {REFERENCES} references (as in RobotCar)
+  divided by their number; LoST-X and tiny image have {ENCODED} references.
+- The cost of a segmentation network is not included, also not by the paper.
+- In some cells of the paper the maximum is below the minimum; they are as printed.
+"""
 
 
-def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
+def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     """The lines of Table III."""
     origin = ("costs", _stamp(options.camvid), [rival.stamp(options.weights) for rival in RIVALS])
     costs = {
-        name: Cost(**cost) for name, cost in kept.get(origin, partial(_records, options)).items()
+        name: Cost(**cost) for name, cost in cache.get(origin, partial(_records, options)).items()
     }
     frames = (
         "The frames are those of CamVid, enlarged."
         if options.camvid
-        else "The frames are those of the synthetic city, its label maps in colours for images."
+        else "The frames are those of the synthetic city; its images are coloured label maps."
     )
     yield "## Table III: cost\n"
-    yield paragraph(INTRODUCTION.format(processor=processor(), frames=frames))
+    yield INTRODUCTION.format(processor=processor(), frames=frames)
     steps = ("extraction", "encoding", "matching a pair")
     yield from head_row("method", *steps, *(f"the paper: {step}" for step in steps))
     for rival in RIVALS:
@@ -84,7 +88,7 @@ def shown(rival: Rival, cost: Cost) -> str:
 
 
 def measure_all(camvid: Path | None, weights: Path | None) -> dict[str, Cost]:
-    """What each of `RIVALS` costs, by its name; networks without weights get random ones."""
+    """Costs of each of `RIVALS` by its name; networks without weights get random ones."""
     pictures = {LABELS: [], IMAGES: []}
     for labels, image in islice(_pictures(camvid), PICTURES):
         pictures[LABELS].append(labels)
@@ -98,7 +102,7 @@ def measure_all(camvid: Path | None, weights: Path | None) -> dict[str, Cost]:
 
 
 def _pictures(camvid: Path | None) -> Iterator[tuple[Frame, Frame]]:
-    """Label map and image of the same frame."""
+    """Pairs of label map and image of one frame."""
     if camvid is None:
         for frame in CityDrive(0, REFERENCE, PICTURES, SIZE):
             yield frame, Frame(frame.frame, image=colourise(frame.labels, frame.labels_as))

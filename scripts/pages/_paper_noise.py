@@ -27,7 +27,7 @@ CAMVID_EVERY = 5
 
 @dataclass(frozen=True)
 class Variant:
-    """What is shifted, and the settings that describe it."""
+    """The points that are shifted, and the context of the descriptor."""
 
     name: str
     nodes_only: bool
@@ -40,15 +40,16 @@ VARIANTS = (
     Variant("paper with `context` keypoints, keypoints", True, "keypoints"),
 )
 
-INTRODUCTION = f"""Each point of the extracted skeleton is shifted at random by up to so many
-pixels in both coordinates, and the centres stay; Recall@1 is how often the shifted image finds its
-original among all originals. Mean of {_paper.REPEATS} repeats, in brackets the least and the most.
-The paper shifts "skeleton nodes". It does not say whether these are all pixels of the skeleton or
-its keypoints, nor how many images it takes, of which size: here are the readings, on images of
-{SHORTER_SIDE} pixels on the shorter side. The preset `default` does not look at the skeleton."""
+INTRODUCTION = f"""Each point of the extracted skeleton is shifted at random by up to that many
+pixels (+-) in both coordinates; the centres are not shifted. Recall@1 is the fraction of shifted
+images whose first candidate is their original. The cells are means of {_paper.REPEATS} repeats,
+with minimum and maximum in brackets. The paper shifts "skeleton nodes". It does not say whether
+these are all pixels of the skeleton or its keypoints, and gives neither the number nor the size
+of its images. Both readings are measured here, on images whose shorter side is {SHORTER_SIDE}
+pixels. The preset `default` does not use the skeleton."""
 
 
-def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
+def part(options: argparse.Namespace, results: Cache) -> Iterator[str]:
     """The lines of Table IV."""
     drives = {f"city, {CITY_FRAMES} frames": _city()}
     if options.camvid:
@@ -58,19 +59,19 @@ def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
     yield "## Table IV: noise of the skeleton\n"
     yield paragraph(INTRODUCTION)
     yield from head_row("images", "preset, what is shifted", *(f"+-{p}" for p in _paper.TABLE_IV))
-    yield row("the paper's", "not told", *_paper.TABLE_IV.values())
+    yield row("the paper's", "not specified", *_paper.TABLE_IV.values())
     for name, drive in drives.items():
         for variant in VARIANTS:
             origin = ("noise", drive.stamp, variant, SHORTER_SIDE, CAMVID_EVERY)
-            rates = kept.get(origin, partial(recall_rates, drive, variant))
+            rates = results.get(origin, partial(recall_rates, drive, variant))
             yield row(name, variant.name, *map(_cell, rates))
     yield ""
 
 
 def recall_rates(drive: Drive, variant: Variant) -> list[list[float]]:
-    """Recall@1 of every repeat, for each shift of the paper's."""
+    """Recall@1 of every repeat, for each shift in the paper."""
     originals = list(_points(drive, variant))
-    wanted = torch.cat([points.descriptors() for points in originals])
+    references = torch.cat([points.descriptors() for points in originals])
     rates = []
     for pixels in _paper.TABLE_IV:
         generator = torch.Generator().manual_seed(pixels)
@@ -78,7 +79,7 @@ def recall_rates(drive: Drive, variant: Variant) -> list[list[float]]:
         for _ in range(_paper.REPEATS):
             noisy = [points.shifted(pixels, generator, variant.nodes_only) for points in originals]
             queries = torch.cat([points.descriptors() for points in noisy])
-            found = match(queries, wanted, top=1).indices[:, 0]
+            found = match(queries, references, top=1).indices[:, 0]
             rates[-1].append(float((found == torch.arange(len(found))).double().mean()))
         print(f"{variant.name}, +-{pixels}: {np.mean(rates[-1]):.3f}", flush=True)
     return rates

@@ -53,7 +53,7 @@ DRAWN = tuple(rival.name for rival in RIVALS if not rival.name.endswith("t = 0")
 
 
 class PaperSet(NamedTuple):
-    """A data set of the paper: what of it is searched, and where it is to be had."""
+    """A data set of the paper: the searched sequences, and where to get it."""
 
     name: str
     details: str
@@ -91,41 +91,45 @@ PAPER_SETS = (
 )
 
 Lacking = dict[tuple[str, str], str]
-"""Why a data set has no label maps, or no images, by its name and the kind."""
+"""The reason why a data set has no label maps or no images, by its name and the kind."""
 
-INTRODUCTION = f"""Metrics by the convention `{CONVENTION}`, as in the paper: recall counts among
-the queries whose best match is right, so it says how well scores tell right from wrong, not how
-many places are found. In brackets stand 95 % bootstrap intervals over the queries ({RESAMPLES}
-resamples). Recall@100%Precision and RecallRate@1 are in per cent. Without pre-processing means no
-closing, no hole filling and no removal of small regions. {REACH} frames on each side are summed
-(Eq. 3, t = {REACH}) where nothing else is said. `default` is not in the paper, nor are label grid,
-HOG and tiny image, the trivial methods."""
+INTRODUCTION = f"""- The metrics follow the convention `{CONVENTION}`, as in the paper. Recall is
+  over the queries whose best match is right: Recall@100%Precision and AUC measure how well scores
+  separate right from wrong matches, not how many places are found.
+- Recall@100%Precision and RecallRate@1 are in per cent. In brackets are 95 % bootstrap intervals
+  over the queries ({RESAMPLES} resamples).
+- *No pre-processing* is without closing, hole filling and removal of small regions.
+- References are summed over {REACH} frames on each side (Eq. 3, t = {REACH}), unless the name
+  says t = 0.
+- `default`, label grid, HOG and tiny image are not in the paper; the last three are trivial
+  baselines.
+"""
 
-REACHING = f"""RecallRate@1 in per cent with and without a step of the paper's. On CamVid and in the
-city true matches lie nearer than the {2 * REACH + 1} frames that t = {REACH} sums: one frame, and
-5 m where frames are 3 m apart."""
+REACHING = f"""RecallRate@1 in per cent with and without steps of the paper. With t = {REACH}, a
+sum covers {2 * REACH + 1} frames. On CamVid and in the city, true matches are nearer: within one
+frame, and within 5 m at 3 m between frames."""
 
-ABOUT_CAMVID = """Not in the paper. The odd frames of two drives against the even ones; a true match
-is a neighbouring frame. `espnetv2` is the output of a real network that was trained on other data.
+ABOUT_CAMVID = """Not in the paper. Odd frames of two drives are queries, even frames are
+references; a true match is a neighbouring frame. `espnetv2` is the output of a network trained on
+other data.
 """
 
 ABOUT_CITY = f"""Not in the paper. {len(CITY_SEEDS)} cities of {CITY_FRAMES} frames, driven again
-0.7 m to the left among other cars; `all together` is 2 m to the left, turned by 5 degrees, in
-winter, with heavy traffic and the mistakes of a bad segmenter. It is made of label maps: methods
-that see images cannot run there."""
+0.7 m to the left with other cars. `all together` is 2 m to the left, turned by 5 degrees, in
+winter, with heavy traffic and the errors of a bad segmenter. The city has no images."""
 
 
-def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
+def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     """The lines of Table I; draws the figure beside the page."""
     problems, lacking = open_all(options)
-    outcomes = try_all(problems, RIVALS, kept, options.weights)
+    outcomes = try_all(problems, RIVALS, cache, options.weights)
     if options.only is None:
         figure = options.output.parent / "figures" / "paper_pr_curves.png"
         draw(problems, outcomes, DRAWN, CONVENTION, figure)
     yield "## Table I: recognition\n"
-    yield paragraph(INTRODUCTION)
+    yield INTRODUCTION
     yield "![PR curves and AUC](figures/paper_pr_curves.png)\n"
-    yield "As the paper's figure: precision over recall above, the area below.\n"
+    yield "As in the figure of the paper: precision over recall above, AUC below.\n"
     yield paragraph(REACHING)
     yield from in_short(problems, outcomes)
     for chosen in PAPER_SETS:
@@ -136,7 +140,7 @@ def part(options: argparse.Namespace, kept: Cache) -> Iterator[str]:
 
 
 def open_all(options: argparse.Namespace) -> tuple[list[Problem], Lacking]:
-    """What can be searched, and what is lacking."""
+    """The problems that can be searched, and what is missing."""
     problems: list[Problem] = []
     lacking: Lacking = {(CITY, IMAGES): "it is made of label maps"}
     for chosen in PAPER_SETS:
@@ -156,7 +160,7 @@ def open_all(options: argparse.Namespace) -> tuple[list[Problem], Lacking]:
 
 
 def looked_for(options: argparse.Namespace) -> Iterator[str]:
-    """What the tables need, and what of it is there."""
+    """Lines of what the tables need, found or missing."""
     problems, lacking = open_all(options)
     for problem in problems:
         queries, references = (
@@ -176,7 +180,7 @@ def looked_for(options: argparse.Namespace) -> Iterator[str]:
 
 
 def folder_of(chosen: PaperSet, places: Sequence[Path]) -> Path:
-    """The folder of a data set among places that are it or hold it.
+    """The folder of a data set, among folders that are it or contain it.
 
     Raises:
         ValueError: it is not there.
@@ -213,7 +217,7 @@ def open_one(chosen: PaperSet, kind: str, options: argparse.Namespace) -> Proble
 
 
 def in_short(problems: Sequence[Problem], outcomes: Outcomes) -> Iterator[str]:
-    """What pre-processing and the temporal sum change, condition by condition."""
+    """The effect of pre-processing and of the temporal sum, by condition."""
     yield from head_row("condition", "preset", "as in the paper", "no pre-processing", "t = 0")
     for problem in problems:
         for preset in ("paper", "default") if problem.gives == LABELS else ():
@@ -269,13 +273,13 @@ def _beside(ours: Sequence[str], of_paper: Sequence[str] | None) -> list[str]:
 
 
 def missing(lacking: Lacking, outcomes: Outcomes) -> Iterator[str]:
-    """What could not be run, and how to get what it needs."""
+    """Data sets and methods that could not be run, and what they need."""
     yield "### What could not be run\n"
     kinds: dict[tuple[str, str], list[str]] = {}
     for (dataset, kind), reason in lacking.items():
         kinds.setdefault((dataset, reason), []).append(kind)
     for (dataset, reason), without in kinds.items():
         yield f"- {dataset}, {' and '.join(without)}: {reason}."
-    reasons = {rival: told for (_, rival), told in outcomes.items() if isinstance(told, str)}
+    reasons = {rival: text for (_, rival), text in outcomes.items() if isinstance(text, str)}
     yield from (f"- {rival}: {reason}." for rival, reason in reasons.items())
     yield ""

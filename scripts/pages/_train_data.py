@@ -80,7 +80,7 @@ def read_drive(root: Path, name: str, size: tuple[int, int]) -> Drive:
 
 
 def draw(drive: Drive, count: int, number: int, zoomed: bool) -> Batch:
-    """A batch of random frames, mirrored or not, in other light, and zoomed if wanted."""
+    """A batch of random frames, some mirrored, in changed light, and zoomed on request."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(number)
         rows = torch.randperm(len(drive.frames))[:count]
@@ -94,8 +94,8 @@ def draw(drive: Drive, count: int, number: int, zoomed: bool) -> Batch:
 
 
 def augmentation(zoomed: bool) -> K.AugmentationSequential:
-    """What is done to images and their label maps alike: mirrored, seen wider or narrower and
-    moved, in light of another colour, contrast and exposure, by a noisy sensor."""
+    """Augments images and their label maps: mirrors, zooms and moves both; changes colour, contrast
+    and exposure of the images, and adds noise."""
     zoom = K.RandomAffine(
         0, (ZOOM / 2, ZOOM / 2), (1 - ZOOM, 1 + ZOOM), p=1, padding_mode="reflection"
     )
@@ -119,5 +119,5 @@ def augmentation(zoomed: bool) -> K.AugmentationSequential:
 
 
 def normalise(images: Tensor) -> Tensor:
-    """Images from 0 to 1 as the network wants them."""
+    """Normalises images from 0 to 1 for the network."""
     return normalize(images, torch.tensor(MEAN), torch.tensor(STD))

@@ -25,8 +25,8 @@ from ssrvlad_torch.soft.place_loss import multi_similarity
 
 BATCH = 8
 FAR = 10
-"""A frame's place is told by its own label map; the label maps of frames farther than this show
-another place, and of those between nothing is said."""
+"""The label maps of frames farther away than this show another place than a frame; those of nearer
+frames are not used in the loss, except its own."""
 
 PAIRS = {"alpha": 10.0, "beta": 50.0, "base": 0.9}
 """Settings of the loss: label maps of one street have cosines around 0.8."""
@@ -34,7 +34,7 @@ PAIRS = {"alpha": 10.0, "beta": 50.0, "base": 0.9}
 
 @dataclass(frozen=True)
 class Phase:
-    """What one run of the loop does.
+    """One run of the loop.
 
     Attributes:
         name: of its folder.
@@ -66,7 +66,7 @@ class Problem(NamedTuple):
 
 @dataclass
 class _State:
-    """All that the next step depends on."""
+    """The state on which the next step depends."""
 
     network: nn.Module
     optimiser: torch.optim.Optimizer
@@ -128,14 +128,14 @@ def train(network: nn.Module, phase: Phase, problem: Problem, folder: Path, seed
 
 
 def _run(phase: Phase, problem: Problem, seed: int) -> str:
-    """What a checkpoint must have in common with a run that goes on from it."""
+    """Settings in which a checkpoint must agree with a run that resumes from it."""
     drive = problem.training
     size = "x".join(str(length) for length in drive.images.shape[:3])
     return f"{phase}, {PAIRS}, seed {seed}, {size} from {drive.frames[0]}"
 
 
 def _step(state: _State, phase: Phase, drive: Drive, loss: Loss, seed: int) -> dict[str, float]:
-    """One batch forward and backward; returns what the log has of it."""
+    """One batch forward and backward; returns the values for the log."""
     for group in state.optimiser.param_groups:
         group["lr"] = phase.rate * (1 - state.step / phase.steps) ** 0.9
     batch = draw(drive, BATCH, seed * 10**6 + state.step, phase.zoomed)
@@ -149,7 +149,7 @@ def _step(state: _State, phase: Phase, drive: Drive, loss: Loss, seed: int) -> d
 
 
 def _loss(phase: Phase, problem: Problem) -> Loss:
-    """Cross-entropy, and where it has a weight the place loss against all frames' label maps."""
+    """Cross-entropy, and the place loss against the label maps of all frames if it has a weight."""
     bank = _bank(problem) if phase.place else None
 
     def loss(batch: Batch, scores: Tensor) -> tuple[Tensor, dict[str, float]]:
@@ -179,7 +179,7 @@ def describe(head: SSRVLAD, labels: Tensor) -> Tensor:
 
 
 def _validate(state: _State, row: dict[str, float], problem: Problem) -> None:
-    """Adds to the log, and keeps the weights if they are the best so far."""
+    """Adds a line to the log, and stores the weights if they are the best so far."""
     predicted = predict(state.network, problem.validation.images)
     score = mean_iou(confusion(predicted, problem.validation.targets).sum(0))
     state.log.append({"step": state.step, **row, "validation_miou": score})

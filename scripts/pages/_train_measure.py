@@ -1,4 +1,4 @@
-"""What a segmentation network is worth: mIoU, and the places that its label maps are found at."""
+"""Metrics of a segmentation network: mIoU, and RecallRate@1 of its label maps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Estimate = tuple[float, tuple[float, float]]
 
 
 class Outcome(NamedTuple):
-    """What came of each of n frames.
+    """Results of each of n frames.
 
     Attributes:
         counts: ``(n, 11, 11)`` int64 pixels by label and prediction.
@@ -71,7 +71,7 @@ def predict_at_size(network: nn.Module, drive: Drive) -> Tensor:
 
 
 Figure = Callable[[Outcome, np.ndarray], np.ndarray]
-"""Of an outcome and ``(B, n)`` how often each frame counts, ``(B,)`` figures."""
+"""``(B,)`` figures of an outcome and of ``(B, n)`` weights of its frames."""
 
 
 def miou(found: Outcome, weights: np.ndarray) -> np.ndarray:
@@ -110,8 +110,8 @@ FIGURES: dict[str, Figure] = {
 def estimates(
     outcomes: Sequence[Outcome], against: Sequence[Outcome] | None = None
 ) -> dict[str, Estimate]:
-    """The mean of each figure over the seeds, or by how much it is above that of others, with 95 %
-    intervals over the frames, which are drawn for all seeds together."""
+    """The mean of each figure over the seeds, or its difference to that of others, with 95 %
+    bootstrap intervals over the frames; all seeds use the same resampled frames."""
 
     def figures(weights: np.ndarray) -> dict[str, np.ndarray]:
         return {

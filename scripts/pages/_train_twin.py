@@ -1,4 +1,4 @@
-"""How near the twin is to the method, and what it costs: tables for docs/training.md."""
+"""Accuracy and cost of `SoftSSRVLAD`: tables for docs/training.md."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ FRAMES = 20
 CITY_SPACE = "cityscapes-trainids"
 UNLABELLED = 255
 
-WHAT = """Label maps as one-hot class scores: the cosine between the twin's descriptor and the hard
-one, the mean over the frames, and that of each category's block over the frames that have it. At
-temperature 1 the twin is what `SSRVLAD(..., surrogate=True)` differentiates."""
+WHAT = """The mean cosine between the descriptor of `SoftSSRVLAD` and the exact descriptor, for the
+whole descriptor and for the block of each category. Label maps are given as one-hot class scores.
+`SSRVLAD(..., surrogate=True)` uses the gradient at temperature 1."""
 
 COST = """
 import sys, time, torch
@@ -47,8 +47,8 @@ print(min(walls), min(processors), int(status[status.index("VmHWM:") + 1]) * 102
 
 
 def agreement(drives: dict[str, Drive]) -> Iterator[str]:
-    """The section on how near the twin is."""
-    yield "## How near the twin is\n"
+    """The section on accuracy."""
+    yield "## Accuracy of SoftSSRVLAD\n"
     yield paragraph(WHAT)
     maps = {
         name: (drive.labels[:: -(-len(drive.labels) // FRAMES)], SPACE, 12)
@@ -74,13 +74,13 @@ def _city() -> Tensor:
 
 @torch.no_grad()
 def _described(twin: SoftSSRVLAD, labels: Tensor, classes: int) -> Tensor:
-    """Descriptors of one-hot scores; what is unlabelled is zero in every class."""
+    """Descriptors of one-hot scores; unlabelled pixels are zero in every class."""
     ids = torch.arange(classes).view(1, -1, 1, 1)
     return torch.cat([twin((part[:, None] == ids).float()) for part in labels.split(4)])
 
 
 def _cosines(soft: Tensor, hard: Tensor) -> Iterator[str]:
-    """The mean of the whole, and of each category's block where the hard one is not zero."""
+    """Mean cosine of the whole, and of each category's block where the exact one is not zero."""
     yield f"{float(torch.cosine_similarity(soft, hard).mean()):.3f}"
     soft, hard = (one.view(len(one), len(CATEGORIES), -1) for one in (soft, hard))
     cosines, there = torch.cosine_similarity(soft, hard, dim=2), hard.any(2)
@@ -91,13 +91,12 @@ def _cosines(soft: Tensor, hard: Tensor) -> Iterator[str]:
 
 def cost() -> Iterator[str]:
     """The section on memory and time."""
-    yield "## What it costs\n"
+    yield "## Cost of SoftSSRVLAD\n"
     yield paragraph(
-        "A batch of eight at 128 x 256 with 19 classes, forward and backward, each row a process "
-        "of its own: the fastest of eight rounds, and the largest memory of the whole process, "
-        f"torch included. {processor().replace('one thread of a', 'A')}. Processor seconds "
-        "are those of all threads together, waiting included: other work on the same cores costs "
-        "two threads that wait for each other more than one."
+        "A batch of eight at 128 x 256 with 19 classes, forward and backward. Each row is a new "
+        "process: the fastest of eight rounds, and the peak memory of the whole process with "
+        f"torch. {processor().replace('one thread of a', 'A')}. Processor seconds are the sum over "
+        "all threads, with waiting."
     )
     yield from head_row("preset", "threads", "seconds", "processor seconds", "memory, GB")
     for preset in PRESETS:

@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
-"""Writes docs/paper.md: the paper's tables and its figure, ours beside its own.
+"""Writes docs/paper.md: the tables and the figure of the paper, with our results beside them.
 
     .venv/bin/python scripts/pages/reproduce_paper.py --camvid ../shared/data/camvid
 
-The paper's data sets are taken from `--data`, each if it is there: `Synthia-NightToFall` and
-`CrossSeason_CoHOG_Dataset` as VPR-Bench lays them out, `slice7` of Extended CMU Seasons. Name these
-folders, or those that hold them; `--dry-run` lists what is looked for and what is found. Their
-label maps lie in `labels/<sequence>/<name of the image>.png` of each, or a `--segmenter` makes
-them. CamVid (see `_problems.py`) and the synthetic city are measured beside them. Results are kept
-in `--cache`, and an interrupted run goes on where it was. Needs the extra `eval`.
+`--data` names the folders of the paper's data sets, or folders that contain them:
+`Synthia-NightToFall` and `CrossSeason_CoHOG_Dataset` in the layout of VPR-Bench, and `slice7` of
+Extended CMU Seasons. Missing ones are left out; `--dry-run` lists what was found. Label maps are
+read from `labels/<sequence>/<name of the image>.png` in each folder, or made by `--segmenter`.
+CamVid (see `_problems.py`) and the synthetic city are also measured. Results are cached in
+`--cache`, so an interrupted run can be resumed. Needs the extra `eval`.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ PARTS = {"table1": _paper_quality.part, "table3": _paper_cost.part, "table4": _p
 
 HEAD = """# The paper's experiments
 
-Written by `scripts/pages/reproduce_paper.py`; no own number is typed by hand. The paper's are those
-of Nie, Feng et al., arXiv 2202.03677.
+Written by `scripts/pages/reproduce_paper.py`. The columns *the paper* are the numbers of Nie, Feng
+et al., arXiv 2202.03677. *Not here* means that the data set is not available here, *weights not
+here* that the weights of a network are not.
 """
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
-    told = "folder of one of the paper's data sets, or of several; repeatable"
-    arguments.add_argument("--data", type=Path, action="append", default=[], help=told)
+    data = "folder of one of the paper's data sets, or of several; repeatable"
+    arguments.add_argument("--data", type=Path, action="append", default=[], help=data)
     arguments.add_argument("--dry-run", action="store_true", help="list what is found, and end")
     arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
@@ -48,9 +49,9 @@ def main() -> None:
     if options.dry_run:
         print("\n".join(_paper_quality.looked_for(options)))
         return
-    kept = Cache(options.cache)
+    cache = Cache(options.cache)
     with threads(1):
-        parts = [PARTS[name](options, kept) for name in PARTS if options.only in (None, name)]
+        parts = [PARTS[name](options, cache) for name in PARTS if options.only in (None, name)]
     page = "\n".join([HEAD, *(line for part in parts for line in part)]) + "\n"
     print(page)
     if options.only is None:

@@ -3,11 +3,11 @@
 
     .venv/bin/python scripts/pages/train_segmenter.py --camvid ../shared/data/camvid
 
-A network of its own is trained on one drive with cross-entropy, then fine-tuned twice for the same
-number of steps: with cross-entropy alone (the control) and with a place loss beside it, on the
-descriptors of its label maps through `SSRVLAD(..., surrogate=True)`. All three are measured on the
-other drive. Checkpoints and logs are kept in `--work`; an interrupted run goes on where it was.
-Any layout of CamVid will do, see `ssrvlad_torch/datasets/camvid.py`.
+A network is trained on one drive with cross-entropy, then fine-tuned twice for the same number of
+steps: with cross-entropy alone (the control), and with an additional place loss on the descriptors
+of its label maps, by `SSRVLAD(..., surrogate=True)`. All three networks are measured on the other
+drive. Checkpoints and logs are stored in `--work`, so an interrupted run can be resumed. Any layout
+of CamVid is accepted, see `ssrvlad_torch/datasets/camvid.py`.
 """
 
 from __future__ import annotations
