@@ -1,15 +1,15 @@
 #!/usr/bin/env python3
-"""Writes image pairs for hloc and COLMAP from what `ssrvlad` found: a line "query reference" each.
+"""Writes image pairs for hloc and COLMAP from results of `ssrvlad`: a line "query reference" each.
 
 ssrvlad query town.ssrdb images/today --top 20 --json | \\
     python export/hloc_pairs.py --images images -o pairs.txt
 
-Reads JSON lines on stdin: of `ssrvlad query --json` and `export/run_onnx.py --json`, a pair for
-each candidate, best first; of `ssrvlad loops --json` and `export/loops_onnx.py`, a pair for each
-accepted loop. The file is as `hloc.pairs_from_retrieval` writes it, for `hloc.match_features`,
-`hloc.localize_sfm` and COLMAP's `matches_importer`. Both know an image by its path below the folder
-`--images`, suffix included; without `--images` frames are named by their ids, as `ssrvlad db export
---format hloc` names them. Needs nothing but Python.
+Reads JSON lines on stdin. Lines of `ssrvlad query --json` and `export/run_onnx.py --json` give a
+pair for each candidate, best first; lines of `ssrvlad loops --json` and `export/loops_onnx.py` give
+a pair for each accepted loop. The file has the form of `hloc.pairs_from_retrieval`, for
+`hloc.match_features`, `hloc.localize_sfm` and COLMAP's `matches_importer`. Both name an image by
+its path below the folder `--images`, with suffix; without `--images`, frames are named by their
+ids, as in `ssrvlad db export --format hloc`. Needs Python only.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ class ImageNames:
     """The name that hloc has for each frame: its file's path below a folder.
 
     Args:
-        folder: of all images, which may be in folders of it; the image of a frame
-            ``monday/left/000042`` is the only one whose path ends so, without its suffix.
+        folder: of all images, also in subfolders; the image of a frame ``monday/left/000042`` is
+            the only one whose path without suffix ends with this id.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -46,7 +46,7 @@ class ImageNames:
         """The name of a frame.
 
         Raises:
-            ValueError: there is no such image, or more than one.
+            ValueError: there is not exactly one such image.
         """
         names = [
             path.relative_to(self.folder).as_posix()
@@ -60,10 +60,10 @@ class ImageNames:
 
 
 def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
-    """Frames and their candidates, by their ids.
+    """Ids of frames and of their candidates.
 
     Raises:
-        ValueError: a line is not in the expected form; the message has its number.
+        ValueError: a line has another form; the message has its number.
     """
     for number, line in enumerate(lines, 1):
         try:
@@ -83,10 +83,10 @@ def pairs_of(lines: Iterable[str]) -> Iterator[Pair]:
 
 
 def write_pairs(path: Path, pairs: Iterable[Pair]) -> int:
-    """Writes pairs as `hloc.pairs_from_retrieval` does; how many.
+    """Writes pairs as `hloc.pairs_from_retrieval` does, and returns their number.
 
     Raises:
-        ValueError: a name has white space, at which hloc parts the two names.
+        ValueError: a name has white space, which separates the two names in the file.
     """
     lines = []
     for pair in pairs:
@@ -105,13 +105,13 @@ def main() -> int:
     )
     parser.add_argument("--images", type=Path, help="the folder that hloc is given as images")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="PAIRS.txt")
-    given = parser.parse_args()
+    options = parser.parse_args()
     try:
         pairs = list(pairs_of(sys.stdin))
-        if given.images:
-            names = ImageNames(given.images)
+        if options.images:
+            names = ImageNames(options.images)
             pairs = [(names[query], names[reference]) for query, reference in pairs]
-        print(f"{write_pairs(given.output, pairs)} pairs: {given.output}")
+        print(f"{write_pairs(options.output, pairs)} pairs: {options.output}")
     except (ValueError, OSError) as error:
         print(f"hloc_pairs: {error}", file=sys.stderr)
         return 2

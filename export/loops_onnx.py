@@ -5,11 +5,11 @@ python export/loops_onnx.py place.onnx images/monday
 camera | python export/loops_onnx.py place.onnx -
 
 Prints a JSON object a line for every frame, as `ssrvlad loops --json` does: `frame`, `reason`,
-`candidate`, `score`, `probability`, `ahead`. `-` takes names of files on stdin, one a line, each as
-soon as it is there. Needs numpy, onnxruntime and `run_onnx.py` beside it, which says what a frame
-can be; the rules are those of `ssrvlad_torch.LoopDetector`, whose thresholds hold here too, and
-with one anchor a frame those of `ssrvlad loops --no-sweep`. Exit code 0 for success, 2 for wrong
-use, 3 for finished with some frames skipped.
+`candidate`, `score`, `probability`, `ahead`. `-` reads names of files on stdin, one a line, and
+answers each at once. Needs numpy, onnxruntime and `run_onnx.py` beside it, which lists the formats
+of frames. The rules and thresholds are those of `ssrvlad_torch.LoopDetector`; with one anchor a
+frame, those of `ssrvlad loops --no-sweep`. Exit code 0 for success, 2 for wrong use, 3 for finished
+with some frames skipped.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from run_onnx import SOME_SKIPPED, add_model, find_frames, note, one_line, open_
 Vector = npt.NDArray[np.float32]
 
 BLOCK_ROWS = 1024
-"""Rows of the map that are made room for at once."""
+"""Rows of a block of the map."""
 STDIN = Path("-")
 
 SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
@@ -42,28 +42,27 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
     (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
     (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
 )
-"""How likely each speed is along the map, and its steps in rows."""
+"""Probability of each speed along the map, and of its steps in rows."""
 GAP = 5
-"""Empty cells between two sequences: no step is longer."""
+"""The longest step in rows, and the number of empty cells between two sequences."""
 CHANGE, JUMP, UNMAPPED, STAY = 0.05, 0.05, 0.9, 0.97
-"""Chances to change the speed, to jump, to jump to a new place, and to stay at new places."""
-WEIGHT, LEVEL, MOST = 0.3, 2.5, 50.0
-"""The evidence for a row of z-score z is exp(WEIGHT * (z - LEVEL)), or at most exp(MOST)."""
-SAME_WEIGHT, LIKENESS = 0.5, 0.9
-"""For rows of the same sequence: the weight, and the level as a part of the z-score that three
-quarters of the frames have with the one before them."""
+"""Probabilities: a changed speed, a jump, a jump to a new place, and to stay at new places."""
+WEIGHT, LEVEL, MAX_LOG = 0.3, 2.5, 50.0
+"""The likelihood of a row of z-score z is exp(WEIGHT * (z - LEVEL)), and at most exp(MAX_LOG)."""
+SAME_WEIGHT, LEVEL_FRACTION = 0.5, 0.9
+"""For rows of the same sequence: the weight, and the level as a fraction of the z-score that three
+quarters of the frames have with their previous frame."""
 STRIDE = 50
-"""The frame before is one frame before for so many excluded ones, and two for twice as many."""
+"""The previous frame is one frame before where 50 are excluded, and two where 100 are."""
 NEAR, RECENT = 5, 10
-"""Rows around one that show its place, and how old a row is that can be the present place."""
+"""Rows on each side of a row that show its place, and the least age of the present place."""
 
-_LEAST_SPREAD = _ROUNDING = 1e-6
+_MIN_SPREAD = _ROUNDING = 1e-6
 
 
 class Settings(NamedTuple):
-    """The settings of the detector, which are those of `ssrvlad_torch.LoopConfig`.
-
-    The last `exclude` frames are no candidates, and a loop is at least as probable as `threshold`.
+    """The settings of the detector, as in `ssrvlad_torch.LoopConfig`: the last `exclude` frames are
+    no candidates, and a loop has at least the probability `threshold`.
     """
 
     exclude: int = 50
@@ -71,8 +70,8 @@ class Settings(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """What became of a frame; see `ssrvlad_torch.loops.result.LoopResult`. No pose is known here,
-    so `ahead` is not either."""
+    """The result of a frame, see `ssrvlad_torch.loops.result.LoopResult`; without poses, `ahead` is
+    always `None`."""
 
     frame: str
     reason: str
@@ -92,7 +91,7 @@ class Map:
         self._total = np.zeros(1)
 
     def append(self, descriptor: Vector) -> None:
-        """Adds the next frame of the stream."""
+        """Appends the next frame of the stream."""
         block, place = divmod(self.rows, BLOCK_ROWS)
         if place == 0:
             self._blocks.append(np.zeros((BLOCK_ROWS, len(descriptor)), np.float32))
@@ -102,17 +101,17 @@ class Map:
         self.rows += 1
 
     def scores(self, swept: Vector) -> Vector:
-        """``(rows,)`` cosines of a new frame's best anchor, -inf for an empty frame; the mean of
-        all frames so far is taken off both."""
+        """``(rows,)`` cosines of a new frame's best anchor, standardised by the mean of all frames
+        with the new one; -inf for an empty frame."""
         counted = self.rows - np.count_nonzero(self.empty) + 1
         mean = ((self._total + swept[len(swept) // 2]) / counted).astype(np.float32)
-        less = swept - mean
-        less[np.abs(less).max(axis=1) <= _ROUNDING] = 0
-        less /= np.maximum(np.linalg.norm(less, axis=1, keepdims=True), _ROUNDING)
-        columns = np.concatenate((less, mean[None])).T
+        centred = swept - mean
+        centred[np.abs(centred).max(axis=1) <= _ROUNDING] = 0
+        centred /= np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), _ROUNDING)
+        columns = np.concatenate((centred, mean[None])).T
         products = np.concatenate([block @ columns for block in self._blocks])[: self.rows]
         lengths = np.sqrt(np.maximum(1 - 2 * products[:, -1] + mean @ mean, 1e-9))
-        scores: Vector = (products[:, :-1] - less @ mean).max(axis=1) / lengths
+        scores: Vector = (products[:, :-1] - centred @ mean).max(axis=1) / lengths
         scores[self.empty] = -np.inf
         return scores
 
@@ -120,7 +119,8 @@ class Map:
 class Filter:
     """A hidden Markov model over the rows of the map and a new place.
 
-    Cells are the rows in their order, with empty ones between sequences, which no speed crosses.
+    Cells are the rows in their order, with empty cells between sequences, so that no step leads
+    from one sequence into the next.
     """
 
     def __init__(self) -> None:
@@ -128,11 +128,11 @@ class Filter:
         self.inside = np.zeros(GAP, np.float32)
         self.mapped = np.zeros((len(SPEEDS), GAP), np.float32)
         self.unmapped = 1.0
-        self._prior = np.array([chance for chance, _ in SPEEDS], np.float32)[:, None]
-        self._begins = True
+        self._prior = np.array([probability for probability, _ in SPEEDS], np.float32)[:, None]
+        self._starting = True
 
     def extend(self, starts_sequence: bool) -> None:
-        """Adds a row at the end."""
+        """Appends a row."""
         fresh = np.full(1 + GAP, 0, np.float32)
         if not starts_sequence:
             fresh = fresh[:1]
@@ -143,40 +143,40 @@ class Filter:
         self.mapped = np.concatenate((self.mapped, more), axis=1)
 
     def restart(self) -> None:
-        """Forgets the place: another sequence begins."""
+        """Forgets the place: the next frame starts another sequence."""
         self.unmapped = UNMAPPED if len(self.cells) else 1.0
         each = (1 - self.unmapped) / max(1, len(self.cells))
         self.mapped = self._prior * (self.inside * np.float32(each))
-        self._begins = True
+        self._starting = True
 
-    def step(self, told: Vector) -> Vector:
-        """Takes in the next frame; ``(rows,)``, how probable each row is.
+    def step(self, log_likelihood: Vector) -> Vector:
+        """The probability of each row ``(rows,)`` after the next frame.
 
         Args:
-            told: ``(rows,)``, the logarithm of its evidence, -inf where there can be no match.
+            log_likelihood: ``(rows,)``, of the frame, -inf where there can be no match.
         """
-        if not self._begins:
+        if not self._starting:
             self._move()
-        self._begins = False
-        likely = np.zeros_like(self.inside)
-        likely[self.cells] = np.exp(np.minimum(told, MOST))
-        mapped = self.mapped * likely
+        self._starting = False
+        likelihood = np.zeros_like(self.inside)
+        likelihood[self.cells] = np.exp(np.minimum(log_likelihood, MAX_LOG))
+        mapped = self.mapped * likelihood
         total = float(mapped.sum()) + self.unmapped
         self.mapped, self.unmapped = mapped / np.float32(total), self.unmapped / total
         rows: Vector = self.mapped.sum(axis=0)[self.cells]
         return rows
 
     def _move(self) -> None:
-        """One frame later, before it is seen."""
+        """Predicts the place of the next frame."""
         if not len(self.cells):
             return
         mixed = self.mapped * (1 - CHANGE) + CHANGE * self._prior * self.mapped.sum(axis=0)
         moved = np.zeros_like(mixed)
         end = mixed.shape[1] - GAP
         for speed, (_, steps) in enumerate(SPEEDS):
-            for step, chance in steps.items():
+            for step, probability in steps.items():
                 part = mixed[speed, GAP - step : end - step]
-                moved[speed, GAP:end] += np.float32(chance * (1 - JUMP)) * part
+                moved[speed, GAP:end] += np.float32(probability * (1 - JUMP)) * part
         moved *= self.inside
         lost = max(0.0, 1 - self.unmapped - float(moved.sum()))
         arriving = lost * (1 - UNMAPPED) + self.unmapped * (1 - STAY)
@@ -185,16 +185,16 @@ class Filter:
 
 
 class Detector:
-    """Tells for each frame of a stream whether its place was seen before."""
+    """Decides for each frame of a stream whether its place was seen before."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.map, self.filter = Map(), Filter()
-        self.began, self.neighbours = 0, list[float]()
+        self.start, self.neighbours = 0, list[float]()
         self.frames: list[str] = []
 
     def update(self, frame: str, descriptor: Vector) -> Loop:
-        """Looks for the place of the next frame among the earlier ones, then remembers it.
+        """Looks for the place of the next frame among the earlier frames, then stores it.
 
         Args:
             frame: its id, ``<sequence>/<name>``.
@@ -204,49 +204,49 @@ class Detector:
         swept = np.atleast_2d(descriptor)
         if not self.frames or _sequence(frame) != _sequence(self.frames[-1]):
             self.filter.restart()
-            self.began, self.neighbours = len(self.frames), []
-        result = self._look(frame, swept)
+            self.start, self.neighbours = len(self.frames), []
+        result = self._step(frame, swept)
         self.frames.append(frame)
         self.map.append(swept[len(swept) // 2])
         return result
 
-    def _look(self, frame: str, swept: Vector) -> Loop:
+    def _step(self, frame: str, swept: Vector) -> Loop:
         exclude = self.settings.exclude
         old = max(0, len(self.frames) - exclude)
         for row in range(len(self.filter.cells), len(self.frames) - min(RECENT, exclude)):
             before = self.frames[row - 1] if row else ""
             self.filter.extend(not row or _sequence(self.frames[row]) != _sequence(before))
-        empty, compared = not swept[len(swept) // 2].any(), ~self.map.empty
-        if np.count_nonzero(compared[:old]) < 2:
-            known = "too_recent" if compared.any() else "no_candidate"
-            return Loop(frame, "empty_frame" if empty else known)
+        empty, described = not swept[len(swept) // 2].any(), ~self.map.empty
+        if np.count_nonzero(described[:old]) < 2:
+            reason = "too_recent" if described.any() else "no_candidate"
+            return Loop(frame, "empty_frame" if empty else reason)
         if empty:
             self.filter.step(np.zeros(len(self.filter.cells), np.float32))
             return Loop(frame, "empty_frame")
         scores = self.map.scores(swept)
         nearness = -np.log(np.maximum(1 - scores, np.float32(_ROUNDING)))
-        held = nearness[:old][compared[:old]]
-        spread = max(_LEAST_SPREAD, float(held.std()))
-        z = (nearness - held.mean()) / spread
-        z[~compared] = -np.inf
-        told = self._told(z) if spread > _LEAST_SPREAD else np.zeros_like(z)
-        rows = self.filter.step(told[: len(self.filter.cells)])
+        candidates = nearness[:old][described[:old]]
+        spread = max(_MIN_SPREAD, float(candidates.std()))
+        z = (nearness - candidates.mean()) / spread
+        z[~described] = -np.inf
+        likelihood = self._log_likelihood(z) if spread > _MIN_SPREAD else np.zeros_like(z)
+        rows = self.filter.step(likelihood[: len(self.filter.cells)])
         candidate = int(rows[:old].argmax())
         around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
         probability = min(1.0, float(around.sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
         return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), probability)
 
-    def _told(self, z: Vector) -> Vector:
-        """The logarithm of the evidence of a frame that has z-scores with all earlier ones."""
-        before = len(z) - max(1, self.settings.exclude // STRIDE)
-        if self.began <= before and np.isfinite(z[before]):
-            self.neighbours.append(float(z[before]))
-        usual = np.quantile(self.neighbours, 0.25) if self.neighbours else 0.0
-        told = np.float32(WEIGHT) * (z - np.float32(LEVEL))
-        same = z[self.began :] - np.float32(max(LEVEL, LIKENESS * usual))
-        told[self.began :] = np.float32(SAME_WEIGHT) * same
-        return told
+    def _log_likelihood(self, z: Vector) -> Vector:
+        """``(rows,)``, of a frame by its z-scores with all earlier frames."""
+        previous = len(z) - max(1, self.settings.exclude // STRIDE)
+        if self.start <= previous and np.isfinite(z[previous]):
+            self.neighbours.append(float(z[previous]))
+        quartile = np.quantile(self.neighbours, 0.25) if self.neighbours else 0.0
+        log_likelihood = np.float32(WEIGHT) * (z - np.float32(LEVEL))
+        same = z[self.start :] - np.float32(max(LEVEL, LEVEL_FRACTION * quartile))
+        log_likelihood[self.start :] = np.float32(SAME_WEIGHT) * same
+        return log_likelihood
 
     def _reason(self, probability: float, old: float, recent: float) -> str:
         threshold = self.settings.threshold
@@ -262,7 +262,7 @@ def _sequence(frame: str) -> str:
 
 
 def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """Ids and files of the frames, of folders or as their names come in on stdin.
+    """Ids and files of the frames of folders, or of the names on stdin.
 
     Raises:
         ValueError: a source does not exist or holds no frame.
@@ -276,51 +276,51 @@ def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
             yield f"{path.absolute().parent.name}/{path.stem}", path
 
 
-def run(given: argparse.Namespace) -> int:
-    """What the command line asks for; the exit code."""
-    model = open_model(given)
-    detector = Detector(Settings(given.exclude, given.threshold))
-    seen: set[str] = set()
+def run(options: argparse.Namespace) -> int:
+    """Runs the detector over a stream; the exit code."""
+    model = open_model(options)
+    detector = Detector(Settings(options.exclude, options.threshold))
+    done: set[str] = set()
     skipped = 0
-    for frame, path in frames_of(given.source):
+    for frame, path in frames_of(options.source):
         try:
-            if frame in seen:
+            if frame in done:
                 raise ValueError(f"frame {frame} was there before")
             descriptor = model.describe(path)
         except ValueError as error:
             note(f"{path}: {one_line(error)}")
             skipped += 1
             continue
-        seen.add(frame)
+        done.add(frame)
         result = detector.update(frame, descriptor)
         print(json.dumps(result._asdict()), flush=True)
     if skipped:
-        note(f"skipped {skipped} of {skipped + len(seen)} frames")
+        note(f"skipped {skipped} of {skipped + len(done)} frames")
     return SOME_SKIPPED if skipped else 0
 
 
 def arguments() -> argparse.ArgumentParser:
     """The command line."""
-    plain: dict[str, Any] = Settings()._asdict()
+    defaults: dict[str, Any] = Settings()._asdict()
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     add_model(parser)
     parser.add_argument("source", type=Path, nargs="+", help="files or folders of frames, or -")
-    parser.add_argument("--exclude", type=int, default=plain["exclude"])
-    parser.add_argument("--threshold", type=float, default=plain["threshold"])
+    parser.add_argument("--exclude", type=int, default=defaults["exclude"])
+    parser.add_argument("--threshold", type=float, default=defaults["threshold"])
     return parser
 
 
 def main() -> int:
     """The command line; errors are one line."""
     parser = arguments()
-    given = parser.parse_args()
-    alone = STDIN not in given.source or len(given.source) == 1
-    if given.exclude < 0 or not 0 <= given.threshold <= 1 or not alone:
+    options = parser.parse_args()
+    alone = STDIN not in options.source or len(options.source) == 1
+    if options.exclude < 0 or not 0 <= options.threshold <= 1 or not alone:
         parser.error("expected --exclude from 0, --threshold from 0 to 1, and - alone")
     try:
-        return run(given)
+        return run(options)
     except (ValueError, OSError, ImportError) as error:
         note(f"loops_onnx: {one_line(error)}")
         return 2

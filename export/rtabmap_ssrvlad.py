@@ -22,7 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 sys.path.append(str(Path(__file__).resolve().parent))
-if not hasattr(sys, "argv"):  # an embedded interpreter need not have it
+if not hasattr(sys, "argv"):  # as in an embedded interpreter
     sys.argv = [""]
 
 from run_onnx import Model, note, one_line
@@ -34,24 +34,24 @@ _failure = "init() was not called"
 
 
 class Extractor:
-    """A fused file, and how RTAB-Map's pixels become its input.
+    """Describes RTAB-Map's images by a fused file.
 
     Args:
         settings: JSON file as above; without it, `place.onnx` in its folder.
-        dimension: what ``PyDescriptor/Dim`` says, which must be the length of the descriptors.
+        dimension: of ``PyDescriptor/Dim``, which must be the length of the descriptors.
 
     Raises:
-        ValueError: a file is not what it should be; the message names it.
-        OSError: one cannot be read.
+        ValueError: a file has wrong content; the message names it.
+        OSError: a file cannot be read.
     """
 
     def __init__(self, settings: Path, dimension: int) -> None:
-        given: dict[str, Any] = {"model": "place.onnx"}
+        options: dict[str, Any] = {"model": "place.onnx"}
         if settings.exists():
-            given |= json.loads(settings.read_text(encoding="utf-8"))
-        path = settings.parent / given.pop("model")
-        if given:
-            raise ValueError(f"{settings}: no setting {', '.join(sorted(given))}")
+            options |= json.loads(settings.read_text(encoding="utf-8"))
+        path = settings.parent / options.pop("model")
+        if options:
+            raise ValueError(f"{settings}: no setting {', '.join(sorted(options))}")
         self.model = Model(path)
         if len(self.model.input.shape) != 4 or self.model.input.name == "logits":
             raise ValueError(f"{path}: expected a file of `ssrvlad fuse`, whose input is images")
@@ -63,15 +63,15 @@ class Extractor:
         """The descriptor of an image, zero if nothing in it belongs to a category.
 
         Args:
-            image: ``(H, W, 3)`` BGR or ``(H, W, 1)`` gray, in bytes. RTAB-Map says that they are
-                signed (``NPY_BYTE``); they are not.
+            image: ``(H, W, 3)`` BGR or ``(H, W, 1)`` gray, in bytes. RTAB-Map declares them as
+                signed (``NPY_BYTE``); they are unsigned.
 
         Returns:
-            ``(1, D)`` float32 of length 1.
+            ``(1, D)`` float32 of length 1 or zero.
 
         Raises:
-            ValueError: the image has another form, ids come out that the label space
-                lacks, or it is too wide.
+            ValueError: the image has another form or is too wide, or the network gives ids that the
+                label space lacks.
         """
         pixels = np.ascontiguousarray(image)
         if pixels.ndim != 3 or pixels.shape[2] not in (1, 3) or pixels.itemsize != 1:
@@ -84,8 +84,8 @@ class Extractor:
 
 
 def init(descriptor_dimension: int) -> None:
-    """What RTAB-Map calls once. It does not survive an exception here, so what is wrong is said on
-    stderr, and again by every `extract`, which RTAB-Map logs."""
+    """RTAB-Map calls it once. An exception here would end RTAB-Map, so an error is printed on
+    stderr, and raised by every `extract`, where RTAB-Map logs it."""
     global _extractor, _failure  # noqa: PLW0603
     try:
         _extractor = Extractor(SETTINGS, descriptor_dimension)
@@ -95,7 +95,7 @@ def init(descriptor_dimension: int) -> None:
 
 
 def extract(image: npt.NDArray[Any]) -> npt.NDArray[np.float32]:
-    """What RTAB-Map calls for every image; see `Extractor`.
+    """RTAB-Map calls it for every image; see `Extractor`.
 
     Raises:
         RuntimeError: `init` failed, or was not called.

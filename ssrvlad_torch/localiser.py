@@ -1,4 +1,4 @@
-"""Localiser: a picture in, a place out."""
+"""Localiser: from a picture to a place."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ _ALONE = Steps(follow=None)
 
 
 class Place(NamedTuple):
-    """Where a picture was taken, as far as a database knows.
+    """The best place for a picture among those of a database.
 
     Attributes:
         frame: id of the best frame of the database.
         score: its cosine (Eq. 4), see `recognise`.
-        confidence: probability that the place is right, 0 to 1; 0 where the database has too few
-            frames to tell.
-        pose: of that frame: metres and radians, NaN where unknown.
+        confidence: probability that the place is right, 0 to 1; 0 if the database has too few
+            frames to estimate it.
+        pose: of the frame, in metres and radians, NaN where unknown.
     """
 
     frame: str
@@ -48,17 +48,17 @@ class Place(NamedTuple):
 
 
 class Localiser:
-    """Pictures to places: a network, the descriptor, and a database of known places.
+    """Finds the places of pictures: a network, the descriptor, and a database of known places.
 
-    It judges every picture by itself. A drive is recognised far better as a whole: that is
-    `LoopDetector` for a stream, and ``ssrvlad locate`` for folders.
+    Each picture is judged alone. A drive is recognised far better as a whole: use `LoopDetector`
+    for a stream, and ``ssrvlad locate`` for folders.
 
     Args:
         segmenter: labels pictures.
         database: of known places.
 
     Raises:
-        ValueError: another network made frames of the database.
+        ValueError: another network labelled frames of the database.
 
     Example:
         >>> localiser = Localiser.from_pretrained("net.yaml", "town.ssrdb")  # doctest: +SKIP
@@ -69,11 +69,11 @@ class Localiser:
 
     def __init__(self, segmenter: Segmenter, database: Database) -> None:
         self.segmenter, self.database = segmenter, database
-        see_made_by(database, segmenter)
+        require_network(database, segmenter)
         config = dataclasses.replace(database.config, labels_as=segmenter.label_space)
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
         self._methods = extra_methods(database.beside)
-        self._known: FrameSet | None = None
+        self._loaded: FrameSet | None = None
 
     @classmethod
     def from_pretrained(
@@ -84,107 +84,108 @@ class Localiser:
         preset: str | None = None,
         beside: str | None = None,
     ) -> Localiser:
-        """A localiser by the name of its network.
+        """A localiser with a network by its name.
 
         Args:
-            network: see `open_network` for the names.
-            database: folder or URI; a new one is made where there is none.
-            labels_as: label space of the network's classes; ``"auto"`` is what their names mean.
-            preset: of a new database; ``"default"`` if not given.
-            beside: ``"hog"`` describes each picture of a new database by it, too, and recognition
-                fuses both.
+            network: its name, see `open_network`.
+            database: folder or URI; created if it does not exist.
+            labels_as: label space of the network's classes; with ``"auto"`` the names of the
+                classes decide.
+            preset: of a new database; without, ``"default"``.
+            beside: a further method for a new database, ``"hog"``; recognition fuses both.
 
         Raises:
-            ValueError: as for the class, or the network cannot be used, or the database that is
-                there has another preset, or not what shall be beside.
-            OSError: the network cannot be downloaded, or the database not be written.
-            ImportError: a missing extra.
+            ValueError: as for the class, or the network cannot be used, or an existing database has
+                another preset or other methods beside.
+            OSError: downloading the network or writing the database failed.
+            ImportError: an extra is not installed.
         """
         segmenter = Segmenter.load(network, labels_as)
-        also = [extra_descriptor(beside)] if beside else []
-        if Database.exists(database) and preset is None and not also:
+        extra = [extra_descriptor(beside)] if beside else []
+        if Database.exists(database) and preset is None and not extra:
             return cls(segmenter, Database.open(database))
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=segmenter.label_space)
-        return cls(segmenter, Database.open_or_create(database, config, also))
+        return cls(segmenter, Database.open_or_create(database, config, extra))
 
     @classmethod
     def open(cls, database: str | Path) -> Localiser:
-        """A localiser by the network that made a database, which the database names.
+        """A localiser with the network that labelled the frames of a database.
 
         Raises:
-            ValueError: as `made_by`, or the network is no longer the same.
+            ValueError: as `origin_of`, or the network has changed since.
         """
         opened = Database.open(database)
-        origin = made_by(opened)
+        origin = origin_of(opened)
         return cls(Segmenter.load(origin.network, origin.label_space or AUTO), opened)
 
     def __len__(self) -> int:
-        """Frames of the database."""
+        """Number of frames in the database."""
         return len(self.database)
 
     def add(self, *sources: str | Path) -> Summary:
-        """Adds pictures to the database, those that it lacks: folders, globs or files.
+        """Adds the pictures that the database lacks, from folders, globs or files.
 
-        A folder is a sequence; ``poses.csv`` in or beside it gives its frames positions.
+        Each folder is a sequence; ``poses.csv`` in or beside it holds the poses of its frames.
 
         Raises:
             ValueError: there are no pictures.
             OSError: the database cannot be written.
         """
         files = find_image_files([*map(str, sources)], known=self.database.folders())
-        self._known = None
+        self._loaded = None
         return encode_to_database(self._add, files, self.database, segmenter=self.segmenter)
 
     def locate(self, picture: Pixels | str | Path) -> Place | None:
-        """Where a picture was taken.
+        """The place of a picture.
 
         Args:
             picture: ``(H, W, 3)`` uint8 in RGB, or an image file.
 
         Returns:
-            the best place, however unsure: see its confidence. ``None`` if the picture is
-            empty or all frames are.
+            The best place, even at low confidence; ``None`` if the picture or every frame is empty.
 
         Raises:
-            ValueError: it is no picture, the network fails, or the database is empty or damaged.
+            ValueError: the file is no picture, the network fails, or the database is empty or
+                damaged.
         """
         if not isinstance(picture, np.ndarray):
             picture = _read(Path(picture))
-        known = self._references()
+        references = self._references()
         (labels,) = self.segmenter([picture])
         frame = Frame("picture", image=picture)
         found = recognise(
             self._locate(torch.from_numpy(labels)[None]),
-            known.descriptors,
+            references.descriptors,
             ["picture"],
-            known.sequences,
+            references.sequences,
             _ALONE,
             top=1,
             beside={
-                each.name: (each.encode_query([frame]), known.beside[each.name])
+                each.name: (each.encode_query([frame]), references.beside[each.name])
                 for each in self._methods
             },
         )
         row = int(found.matches.indices[0, 0])
         if row < 0:
             return None
-        score, sure = float(found.matches.scores[0, 0]), float(found.confidence[0])
-        return Place(known.frames[row], score, sure, Pose(*known.poses[row].tolist()))
+        score, confidence = float(found.matches.scores[0, 0]), float(found.confidence[0])
+        pose = Pose(*references.poses[row].tolist())
+        return Place(references.frames[row], score, confidence, pose)
 
     def _references(self) -> FrameSet:
-        if self._known is None:
-            self._known = self.database.load()
-        if not self._known.frames:
+        if self._loaded is None:
+            self._loaded = self.database.load()
+        if not self._loaded.frames:
             raise ValueError(f"{self.database.path} holds no frames yet")
-        return self._known
+        return self._loaded
 
 
-def made_by(database: Database) -> Origin:
-    """The one network, with its label space, that made the frames of a database.
+def origin_of(database: Database) -> Origin:
+    """The network and the label space with which all frames of a database were labelled.
 
     Raises:
-        ValueError: no network did, or several; or it has no name, or one that runs code, which
-            only the user may ask for.
+        ValueError: there is no network or more than one, or it has no name, or its name runs code,
+            which only a user may choose.
     """
     origins = [origin for origin in database.origins.values() if origin.segmenter]
     if not origins:
@@ -197,19 +198,19 @@ def made_by(database: Database) -> Origin:
     return origins[0]
 
 
-def see_made_by(database: Database, segmenter: Segmenter) -> None:
-    """Refuses a network that did not make the frames of a database.
+def require_network(database: Database, segmenter: Segmenter) -> None:
+    """Requires that no other network labelled frames of a database.
 
     Raises:
-        ValueError: another network made some.
+        ValueError: another network did.
     """
     others = {origin.segmenter: origin.network for origin in database.origins.values()}
     others.pop("", None)
     if others and others.keys() != {segmenter.key()}:
-        mine = segmenter.name or "the network at hand"
-        theirs = ", ".join(name or "a network without a name" for name in others.values())
+        got = segmenter.name or "the given network"
+        expected = ", ".join(name or "a network without a name" for name in others.values())
         raise ValueError(
-            f"{database.path} was made by {theirs} as it was then; {mine} gives other label maps"
+            f"{database.path} was made by {expected} as it was then; {got} gives other label maps"
         )
 
 

@@ -292,7 +292,7 @@ def test_a_detector_keeps_what_is_beside(tmp_path):
         again.update(torch.full((60, 80), 2), "later/1")
     with pytest.raises(ValueError, match="expected hog beside, got nothing"):
         again.observe(FrameRecord("later", "1"), torch.zeros(480))
-    with pytest.raises(ValueError, match="nothing describes it"):
+    with pytest.raises(ValueError, match="no method beside"):
         LoopDetector().update(torch.zeros(60, 80).int(), "a/1", picture=pictures[0])
     with pytest.raises(ValueError, match="has no descriptors by hog"):
         detector.save(Database.create(tmp_path / "other", detector.head.config))

@@ -59,9 +59,7 @@ def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
 def test_another_network_is_refused_and_label_maps_are_not(settings, folder, maps, tmp_path):
     Localiser.from_pretrained(settings, tmp_path / "town").add(folder)
     other = Segmenter(Strided(2), SPACE, PLAIN)
-    with pytest.raises(
-        ValueError, match=r"made by .*net\.yaml as it was then; the network at hand"
-    ):
+    with pytest.raises(ValueError, match=r"made by .*net\.yaml as it was then; the given network"):
         Localiser(other, Database.open(tmp_path / "town"))
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
     drawn = Database.create(tmp_path / "drawn", head.config)

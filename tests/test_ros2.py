@@ -162,14 +162,14 @@ def test_meanings_are_given_as_words():
 def seen(core, seeds=SEEDS, start=0):
     """What a core says of a drive, a frame a second."""
     return [
-        core.see(picture(street(seed)), number * SECOND, (number, -1.0, 0.5)).result
+        core.update(picture(street(seed)), number * SECOND, (number, -1.0, 0.5)).result
         for number, seed in enumerate(seeds, start)
     ]
 
 
 def test_it_finds_what_the_detector_finds():
     core = live_loops.LiveLoops(CONFIG, "monday")
-    core.learn_labels(CAMVID)
+    core.set_labels(CAMVID)
     detector = LoopDetector(CONFIG, SSRVLAD.from_preset("default", labels_as="camvid-11"))
     expected = [
         detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
@@ -183,9 +183,9 @@ def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
     core = live_loops.LiveLoops(CONFIG)
     with pytest.raises(ValueError, match="no table of labels has come yet"):
         seen(core, [1])
-    core.learn_labels(CAMVID)
+    core.set_labels(CAMVID)
     with pytest.raises(ValueError, match="unknown meaning: 'x'"):
-        core.learn_labels([(1, "x")])
+        core.set_labels([(1, "x")])
     assert seen(core, [1])[0].reason == "no_candidate"
 
 
@@ -208,7 +208,7 @@ def test_a_machine_that_describes_otherwise_is_refused(tmp_path, monkeypatch):
 
 def test_time_must_not_go_back():
     core = live_loops.LiveLoops(CONFIG)
-    core.learn_labels(CAMVID)
+    core.set_labels(CAMVID)
     seen(core, [1], start=5)
     with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.0"):
         seen(core, [1], start=4)
@@ -219,16 +219,16 @@ def test_time_must_not_go_back():
 def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
     monkeypatch.setattr(live_loops, "CHECKPOINT_FRAMES", 6)
     whole = live_loops.LiveLoops(CONFIG)
-    whole.learn_labels(CAMVID)
+    whole.set_labels(CAMVID)
     expected = seen(whole)
     memory = tmp_path / "drive.ssrdb"
     first = live_loops.LiveLoops(CONFIG, memory=memory)
-    first.learn_labels(CAMVID)
+    first.set_labels(CAMVID)
     got = seen(first, SEEDS[:14])
     assert len(Database.open(memory)) == 12  # what a crash leaves
     first.save()
     second = live_loops.LiveLoops(CONFIG, memory=memory)
-    second.learn_labels(CAMVID)
+    second.set_labels(CAMVID)
     got += seen(second, SEEDS[14:], 14)
     assert [result.frame for result in got] == [result.frame for result in expected]
     assert got[-1].candidate == expected[-1].candidate
@@ -427,7 +427,7 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
         expected = head(street(seed)[None])[0].numpy()
         np.testing.assert_allclose(uncompressed(message.data.tobytes()), expected, atol=1e-6)
     core = live_loops.LiveLoops(CONFIG)
-    core.learn_labels(CAMVID)
+    core.set_labels(CAMVID)
     closed = [result for result in seen(core, start=1) if result.accepted]
     pairs = [(int(r.frame[-19:-9]), int(r.candidate[-19:-9])) for r in closed]
     assert len(pairs) == 9

@@ -1,4 +1,4 @@
-"""The ROS 2 package `ssrvlad_ros`, as `colcon build` wants it."""
+"""The ROS 2 package `ssrvlad_ros`, for `colcon build`."""
 
 from setuptools import setup
 

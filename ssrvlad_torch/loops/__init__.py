@@ -1,1 +1,1 @@
-"""What the detector of `loop_closure` is made of."""
+"""Loop closures: online detection in a live stream, for SLAM."""

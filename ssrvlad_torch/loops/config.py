@@ -12,11 +12,11 @@ class LoopConfig:
     """The settings of `LoopDetector`.
 
     Attributes:
-        exclude: the last so many frames are no candidates. The default is for frames some 3 m
-            apart; where they are denser, exclude more.
+        exclude: number of the last frames, which are no candidates. The default is for frames
+            about 3 m apart; exclude more where they are denser.
         threshold: least probability of a loop, 0 to 1.
-        sweep: describe each frame from three anchors, so that a camera that is turned a little
-            still fits; descriptors without an anchor, as those of ``paper``, have none to move.
+        sweep: whether to describe each frame from three anchors, so that a slightly turned camera
+            still matches; without effect on descriptors without anchors, such as ``paper``.
 
     Raises:
         ValueError: a setting is outside its range.

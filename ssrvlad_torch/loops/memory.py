@@ -1,4 +1,4 @@
-"""The map of a live stream, which grows frame by frame, and the scores of a frame against it."""
+"""The frames of a live stream so far, and the scores of a new frame against them."""
 
 from __future__ import annotations
 
@@ -10,43 +10,43 @@ import numpy.typing as npt
 from torch import Tensor
 
 BLOCK_ROWS = 1024
-"""Rows that are made room for at once; a block never moves, so growing copies no descriptor."""
+"""Rows of a block; blocks never move, so growing copies no descriptor."""
 
 Floats = npt.NDArray[np.float32]
 
 _ROUNDING = 1e-6
-"""A frame this near to the mean of all is like all others; see `recognition.standardise`."""
-_LEAST_SQUARE = 1e-9
-_OFF_LENGTH = 1e-3
+"""A vector this near to the mean equals it; see `recognition.standardise`."""
+_MIN_SQUARE = 1e-9
+_LENGTH_TOLERANCE = 1e-3
 
 
 class GrowingArray:
-    """Rows of any dtype and shape; the room for them doubles, so a row costs O(1)."""
+    """Rows of any dtype and shape; its capacity doubles, so appending a row costs O(1)."""
 
     def __init__(self, dtype: npt.DTypeLike, *shape: int) -> None:
-        self._room: npt.NDArray[Any] = np.empty((1, *shape), dtype)
+        self._buffer: npt.NDArray[Any] = np.empty((1, *shape), dtype)
         self._rows = 0
 
     @property
     def values(self) -> npt.NDArray[Any]:
-        """The rows, in place; later ones do not show in it."""
-        return self._room[: self._rows]
+        """A view of the rows so far."""
+        return self._buffer[: self._rows]
 
     def append(self, row: object) -> None:
-        """Adds a row."""
-        if self._rows == len(self._room):
-            wider = np.empty((2 * self._rows, *self._room.shape[1:]), self._room.dtype)
-            wider[: self._rows] = self._room
-            self._room = wider
-        self._room[self._rows] = row
+        """Appends a row."""
+        if self._rows == len(self._buffer):
+            wider = np.empty((2 * self._rows, *self._buffer.shape[1:]), self._buffer.dtype)
+            wider[: self._rows] = self._buffer
+            self._buffer = wider
+        self._buffer[self._rows] = row
         self._rows += 1
 
 
 class Vectors:
-    """Descriptors of the frames of a stream by one method, in its order; each is held once.
+    """Descriptors of the frames of a stream by one method, in order.
 
     Args:
-        length: D, numbers in a descriptor.
+        length: D, the number of values in a descriptor.
     """
 
     def __init__(self, length: int) -> None:
@@ -60,11 +60,11 @@ class Vectors:
 
     @property
     def empty(self) -> npt.NDArray[np.bool_]:
-        """``(N,)``, frames whose descriptor is zero; in place."""
+        """``(N,)``, whether the descriptor of each frame is zero; a view."""
         return self._empty.values
 
     def add(self, descriptor: Floats) -> None:
-        """Adds a frame; its ``(D,)`` descriptor is of length 1 or zero."""
+        """Appends a frame by its ``(D,)`` descriptor of length 1 or zero."""
         block, place = divmod(len(self), len(self._blocks[0]))
         if block == len(self._blocks):
             self._blocks.append(np.empty_like(self._blocks[0]))
@@ -81,21 +81,21 @@ class Vectors:
         return np.array(rows, np.float32).reshape(-1, len(self._total))
 
     def scores(self, swept: Floats) -> Floats:
-        """``(N,)`` float32 cosines of a new frame to all others, less the mean of all frames so far
-        with its own; -inf for an empty frame. ``swept`` ``(S, D)`` are its descriptors from S
-        anchors, the usual one in the middle; the best anchor counts."""
+        """``(N,)`` float32 cosines of a new frame to all others, standardised by the mean of all
+        frames with the new one; -inf for an empty frame. ``swept`` ``(S, D)`` are its descriptors
+        from S anchors, the usual one in the middle; the best anchor counts."""
         mean = (self._total + swept[len(swept) // 2]) / (self._counted + 1)
         mean = mean.astype(np.float32)
-        less = swept - mean
-        less[np.abs(less).max(axis=1) <= _ROUNDING] = 0
-        less /= np.maximum(np.linalg.norm(less, axis=1, keepdims=True), _ROUNDING)
-        columns = np.concatenate((less, mean[None])).T
+        centred = swept - mean
+        centred[np.abs(centred).max(axis=1) <= _ROUNDING] = 0
+        centred /= np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), _ROUNDING)
+        columns = np.concatenate((centred, mean[None])).T
         products = np.empty((len(self), columns.shape[1]), np.float32)
         for first, block in enumerate(self._blocks):
             part = products[first * len(block) : (first + 1) * len(block)]
             np.dot(block[: len(part)], columns, out=part)
-        lengths = np.sqrt(np.maximum(1 - 2 * products[:, -1] + mean @ mean, _LEAST_SQUARE))
-        scores: Floats = (products[:, :-1] - less @ mean).max(axis=1) / lengths
+        lengths = np.sqrt(np.maximum(1 - 2 * products[:, -1] + mean @ mean, _MIN_SQUARE))
+        scores: Floats = (products[:, :-1] - centred @ mean).max(axis=1) / lengths
         scores[self.empty] = -np.inf
         return scores
 
@@ -111,11 +111,11 @@ class Memory(Vectors):
 
     @property
     def poses(self) -> npt.NDArray[np.float64]:
-        """``(N, 3)`` x and y in metres, heading in radians, NaN where unknown; in place."""
+        """``(N, 3)`` x and y in metres, heading in radians, NaN where unknown; a view."""
         return self._poses.values
 
     def append(self, frame: str, pose: Sequence[float], descriptor: Floats) -> None:
-        """Adds a frame; its ``(D,)`` descriptor is of length 1 or zero."""
+        """Appends a frame by its ``(D,)`` descriptor of length 1 or zero."""
         self.rows[frame] = len(self)
         self.frames.append(frame)
         self._poses.append(pose)
@@ -123,7 +123,11 @@ class Memory(Vectors):
 
 
 def checked_vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
-    """``(S, D)`` of a frame's descriptor ``(D,)`` or descriptors; others are a ValueError."""
+    """``(S, D)`` descriptors of a frame, from ``(D,)`` or ``(S, D)``.
+
+    Raises:
+        ValueError: the shape is another, or a descriptor is not of length 1 or zero.
+    """
     vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
     if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
         raise ValueError(
@@ -131,7 +135,7 @@ def checked_vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
             f"anchors, got {tuple(descriptor.shape)}"
         )
     lengths = np.linalg.norm(vectors, axis=1)
-    if not ((np.abs(lengths - 1) <= _OFF_LENGTH) | (lengths == 0)).all():
+    if not ((np.abs(lengths - 1) <= _LENGTH_TOLERANCE) | (lengths == 0)).all():
         raise ValueError(
             f"frame {frame!r}: expected a descriptor of length 1 or zero, got {lengths.max():g}"
         )

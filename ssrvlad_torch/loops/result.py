@@ -1,4 +1,4 @@
-"""The result of a frame that the loop detector was shown."""
+"""The result of a frame of the loop detector."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class LoopResult(NamedTuple):
         frame: its id.
         reason: why it closes a loop or does not:
 
-            - ``accepted``: the candidate is at least as probable as the threshold. The two frames
-              look in the same direction: a street driven the other way is not recognised.
+            - ``accepted``: the probability reaches the threshold. The two frames look in the same
+              direction: a street driven the other way is not recognised.
             - ``empty_frame``: its descriptor is zero.
-            - ``no_candidate``: no frame came before, or none but empty ones.
+            - ``no_candidate``: all earlier frames are empty, or it is the first frame.
             - ``too_recent``: fewer than two of them are old enough to be candidates; or, with a
-              candidate, the place is more probably that of a frame that is excluded.
+              candidate, the place is more probably that of an excluded frame.
             - ``ambiguous``: the frame is probably at an old place, but not clearly at one of them.
             - ``below_threshold``: it is probably at a new place.
-        candidate: id of the most probable old frame, ``None`` if there is none.
+        candidate: id of the most probable old frame, or ``None``.
         score: its cosine (Eq. 4), standardised by the mean of all frames so far, or ``None``.
-        probability: that the frame is within `detector.NEAR` frames of its candidate, or ``None``.
-        ahead: metres that the frame stands ahead of its candidate along the candidate's drive,
-            negative behind, by the poses of the frames around the candidate weighted with their
-            probabilities; ``None`` where a pose is unknown, and unless accepted.
+        probability: that the place is within `tracker.NEAR` frames of the candidate, or ``None``.
+        ahead: distance in metres from the candidate to the frame along the candidate's drive,
+            negative behind it: a mean over the frames around the candidate by their poses, weighted
+            with their probabilities; ``None`` where a pose is unknown, and unless accepted.
     """
 
     frame: str

@@ -30,6 +30,7 @@ from .detector import LoopDetector
 from .result import LoopResult
 
 CHECKPOINT_FRAMES = 500
+"""Frames between two checkpoints of a stream."""
 
 
 def open_detector(
@@ -39,13 +40,13 @@ def open_detector(
     labels_as: str | LabelSpace,
     beside: Sequence[ExtraDescriptor] = (),
 ) -> tuple[LoopDetector, Database | None]:
-    """A detector, and the database that it was loaded from and is saved to, if any.
+    """A detector, and the database that it was loaded from and is saved to.
 
     Args:
         config: the settings of the detector.
-        memory: a database, new if there is none; ``None`` for none.
+        memory: folder of the database, created if it does not exist; without, nothing is saved.
         preset: of the descriptors; without, the database's, or ``default``.
-        labels_as: label space of the frames to come.
+        labels_as: label space of the frames.
         beside: further methods; without, those of the database.
 
     Raises:
@@ -68,7 +69,7 @@ def encode_files(
     workers: int | None = None,
     segmenter: Segmenter | None = None,
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes the files of frames that a detector does not know yet; see `encoding.encode`."""
+    """Encodes the files whose frames the detector does not know yet; see `encoding.encode`."""
     fresh = [file for file in files if file.frame not in detector]
     return encode(detector.encoder(), fresh, workers, segmenter, detector.beside)
 
@@ -81,24 +82,24 @@ def encode_as_they_come(
     database: Database | None = None,
 ) -> Iterator[Encoded | Skipped]:
     """Encodes files one by one, each as soon as its name arrives. Frames that the detector knew at
-    the start are left out. A ``poses.csv`` in or beside a file's folder is read once.
+    the start are omitted. A ``poses.csv`` in or beside a file's folder is read once.
 
     Args:
-        detector: whose head describes the frames.
-        names: lines with one file name each; empty ones are ignored.
-        sequence: the name of the sequence in place of the folder's.
-        segmenter: makes label maps of images; without, the files are label maps.
-        database: that the detector was loaded from, if any: a folder that it knows keeps its name.
+        detector: its head describes the frames.
+        names: lines with one file name each; empty lines are ignored.
+        sequence: the name of the sequence; without, that of the folder.
+        segmenter: labels images; without, the files are label maps.
+        database: from which the detector was loaded; its folders keep their sequence names.
     """
-    known, encoder = frozenset(detector.frames), detector.encoder()
+    at_start, encoder = frozenset(detector.frames), detector.encoder()
     records, folders = (database.known(), database.folders()) if database else ({}, set())
     find = functools.cache(find_poses)
 
     @functools.cache
-    def name(folder: str) -> str:
-        found = sequence or sequence_names([folder], folders)[folder]
-        folders.add((folder, found))
-        return found
+    def sequence_of(folder: str) -> str:
+        name = sequence or sequence_names([folder], folders)[folder]
+        folders.add((folder, name))
+        return name
 
     for line in names:
         if not line.strip():
@@ -106,10 +107,10 @@ def encode_as_they_come(
         path = Path(line.rstrip("\r\n"))
         frame = str(path)
         try:
-            file = FrameFile(name(absolute(path.parent)), path.stem, path)
+            file = FrameFile(sequence_of(absolute(path.parent)), path.stem, path)
             if (frame := file.frame) in records:
                 check_folder(file, records[frame])
-            if frame in known:
+            if frame in at_start:
                 continue
             posed = [*with_poses([file], find)]
         except ValueError as error:
@@ -121,8 +122,8 @@ def encode_as_they_come(
 def detect_loops(
     detector: LoopDetector, frames: Iterable[Encoded | Skipped], database: Database | None = None
 ) -> Generator[LoopResult | Skipped]:
-    """Shows frames to a detector, in order; a frame that it cannot use is skipped. A database gets
-    a checkpoint every `CHECKPOINT_FRAMES` frames and when the stream ends or breaks off."""
+    """Passes frames to a detector, in order; a frame that it cannot use is skipped. The detector is
+    saved to the database every `CHECKPOINT_FRAMES` frames and when the stream ends or fails."""
     try:
         for frame in frames:
             yield frame if isinstance(frame, Skipped) else _observe(detector, frame)
@@ -134,14 +135,14 @@ def detect_loops(
 
 
 def loops_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
-    """``(N,)`` int64: for each frame that a detector knows the row of the frame to which it closes
-    a loop, -1 for none."""
+    """``(N,)`` int64: for each frame of a detector the row of the frame to which it closes a loop,
+    -1 for none."""
     return candidates_of(detector, [result for result in results if result.accepted])
 
 
 def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
-    """``(N,)`` int64: for each frame that a detector knows the row of its candidate in some
-    results, -1 for none."""
+    """``(N,)`` int64: for each frame of a detector the row of its candidate in the results, -1 for
+    none."""
     row = {frame: number for number, frame in enumerate(detector.frames)}
     candidates = np.full(len(row), -1, np.int64)
     for result in results:
@@ -153,20 +154,20 @@ def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows
 def report(
     detector: LoopDetector, results: Sequence[LoopResult], metres: float | None = None
 ) -> dict[str, Any]:
-    """The results of a detector's last frames, summed up.
+    """A summary of the results of a detector's last frames.
 
     Args:
         detector: after these frames.
-        results: one a frame.
+        results: one for each frame.
         metres: largest distance of a right loop; without, loops are not judged.
 
     Returns:
-        ``frames``, ``reasons`` (how often each), ``steps`` (what was done), and with a distance the
+        ``frames``, ``reasons`` (the number of each), ``steps`` (as taken), and with a distance the
         counts of `LoopScore`, ``precision``, ``recall``, and ``suggested``: the threshold of
         `evaluation.loops.surest_point` as a mapping, ``None`` if no candidate is right.
 
     Raises:
-        ValueError: loops are to be judged and no frame has a pose.
+        ValueError: there is a distance and no frame has a pose.
     """
     counts = Counter(result.reason.value for result in results)
     steps = {
@@ -176,21 +177,21 @@ def report(
         "follow": "online",
         "weights": detector.weights,
     }
-    told: dict[str, Any] = {"frames": len(results), "reasons": dict(counts), "steps": steps}
+    summary: dict[str, Any] = {"frames": len(results), "reasons": dict(counts), "steps": steps}
     if metres is not None:
         exclude = detector.config.exclude
         loops = loops_of(detector, results)
         first = len(loops) - len(results)
         score = score_loops(loops, detector.poses, exclude, metres, first)
-        told |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
+        summary |= {**score._asdict(), "precision": score.precision, "recall": score.recall}
         judged = [result for result in results if result.probability is not None]
         errors = loop_errors(candidates_of(detector, judged), detector.poses)
         known = np.isfinite(errors)
         probabilities = np.array([result.probability for result in judged], float)
         right = errors[known] <= metres
         point = surest_point(loop_curve(probabilities[known], right, score.revisits))
-        told["suggested"] = point and point._asdict()
-    return told
+        summary["suggested"] = point and point._asdict()
+    return summary
 
 
 def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Skipped:

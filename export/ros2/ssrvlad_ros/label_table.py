@@ -1,4 +1,4 @@
-"""From the ids of a network, told by a table of names, to ids that the head knows."""
+"""From the ids of a network to ids of the head, by a table of class names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ssrvlad_torch.taxonomy import CATEGORIES, DYNAMIC, VOID, label_space, label_space_names
 
 LABELS_AS = "cityscapes-ids"
-"""The label space of what `LabelTable` gives; it has all eight categories."""
+"""The label space of the output of `LabelTable`; it has all eight categories."""
 
 _UNKNOWN = 255
 
@@ -19,17 +19,17 @@ _UNKNOWN = 255
 class LabelTable:
     """Turns a network's ids into those of `LABELS_AS` that belong to the same categories.
 
-    A class means what the label spaces of the package mean by its name, `LABELS_AS` before the
-    others; capitals, blanks and signs do not count. The largest id of an image's dtype, 255 or
-    65535, is unlabelled unless the table says otherwise, as ``vision_msgs/LabelInfo`` has it.
+    The category of a class is that of its name in the label spaces of the package, `LABELS_AS`
+    before the others; only letters and digits count, in any case. The largest id of an image's
+    dtype, 255 or 65535, is unlabelled unless the table has it, as in ``vision_msgs/LabelInfo``.
 
     Args:
         class_map: ids from 0 to 65535 and names of the classes.
-        meanings: categories of names that mean something else or that no label space has, by
-            name: one of `taxonomy.CATEGORIES`, ``dynamic`` or ``void``.
+        meanings: categories by name, for names that no label space has or that mean something
+            else: one of `taxonomy.CATEGORIES`, ``dynamic`` or ``void``.
 
     Raises:
-        ValueError: the table is empty, an id stands twice, or the meaning of names is not known.
+        ValueError: the table is empty, an id occurs twice, or the meaning of names is unknown.
     """
 
     def __init__(
@@ -53,21 +53,21 @@ class LabelTable:
             self._ids[identity] = _ids()[known[_plain(name)]]
 
     def __call__(self, labels: npt.NDArray[Any]) -> npt.NDArray[np.uint8]:
-        """An ``(H, W)`` uint8 or uint16 image of a network's ids -> the same in `LABELS_AS`.
+        """From an ``(H, W)`` uint8 or uint16 image of a network's ids to one of ids in `LABELS_AS`.
 
         Raises:
-            ValueError: there are ids that the table lacks; the message names one.
+            ValueError: the table lacks ids of the image; the message names one.
         """
-        meant = self._ids[labels]
+        mapped = self._ids[labels]
         unlabelled = labels == np.iinfo(labels.dtype).max
-        meant[unlabelled & (meant == _UNKNOWN)] = _ids()[VOID]
-        wrong = meant == _UNKNOWN
+        mapped[unlabelled & (mapped == _UNKNOWN)] = _ids()[VOID]
+        wrong = mapped == _UNKNOWN
         if wrong.any():
             raise ValueError(
                 f"{wrong.sum()} of {labels.size} pixels have an id that the label table lacks, "
                 f"such as {labels[wrong][0]}"
             )
-        return meant
+        return mapped
 
 
 def _meanings() -> dict[str, str]:

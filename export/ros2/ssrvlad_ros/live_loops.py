@@ -1,4 +1,4 @@
-"""What the node does, without ROS: label images in, descriptors and loops out."""
+"""The node without ROS: from label images to descriptors and loops."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from ssrvlad_torch.loops.stream import CHECKPOINT_FRAMES, open_detector
 from .label_table import LABELS_AS, LabelTable
 
 DTYPES = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
-"""The encodings that a label image can have."""
+"""Encodings of label images, and their dtypes."""
 
 _OPENCV_FLOAT32 = 5
 
 
 GOLDEN = Path(__file__).with_name("golden.npz")
-"""Label maps and what the reference makes of them, by the fingerprint of a preset."""
+"""Label maps with their descriptors by the reference, by the fingerprint of a preset."""
 TOLERANCE = 1e-6
 
 
 class LabelImage(Protocol):
-    """The part of ``sensor_msgs/Image`` that is read."""
+    """The fields of ``sensor_msgs/Image`` that are read."""
 
     height: int
     width: int
@@ -49,8 +49,8 @@ class Quaternion(NamedTuple):
     w: float
 
 
-class Seen(NamedTuple):
-    """What was found of a frame.
+class Observation(NamedTuple):
+    """The results for a frame.
 
     Attributes:
         result: whether it closes a loop.
@@ -68,13 +68,13 @@ class LiveLoops:
         config: the settings of the detector.
         sequence: the name of this drive; frames are called ``<sequence>/<nanoseconds>``.
         meanings: see `LabelTable`.
-        memory: database that keeps the frames: new, or gone on from; ``None`` for none.
+        memory: database that stores the frames, created if it does not exist; without, none.
         preset: of the descriptors; without, the memory's, or ``default``.
-        check: whether to refuse a machine that describes the golden label maps otherwise.
+        check: whether to run `check_head`.
 
     Raises:
-        ValueError: the memory is damaged, was made with another preset, or has other frames; or
-            see `check_head`.
+        ValueError: the memory is damaged, has another preset or frames with other ids; or as for
+            `check_head`.
     """
 
     def __init__(
@@ -96,27 +96,27 @@ class LiveLoops:
         self._saved = len(self._detector)
         self._table: LabelTable | None = None
 
-    def learn_labels(self, class_map: Iterable[tuple[int, str]]) -> None:
-        """Takes the ids and names of the classes, as in ``vision_msgs/LabelInfo``.
+    def set_labels(self, class_map: Iterable[tuple[int, str]]) -> None:
+        """Sets the ids and names of the classes, as in ``vision_msgs/LabelInfo``.
 
         Raises:
-            ValueError: see `LabelTable`; the last table stands.
+            ValueError: as for `LabelTable`; the last table stays.
         """
         self._table = LabelTable(class_map, self._meanings)
 
-    def see(
+    def update(
         self, image: LabelImage, nanoseconds: int, pose: tuple[float, float, float] | None = None
-    ) -> Seen:
-        """Looks for the place of the next frame, and remembers it.
+    ) -> Observation:
+        """Looks for the place of the next frame, then stores it.
 
         Args:
-            image: ids of classes; its encoding is in `DTYPES`.
-            nanoseconds: when it was taken.
+            image: ids of classes; its encoding is one of `DTYPES`.
+            nanoseconds: time at which it was taken.
             pose: x and y in metres, heading in radians.
 
         Raises:
-            ValueError: the frame cannot be used: no table yet, another encoding, an unknown id, a
-                stamp that goes back. Nothing has changed.
+            ValueError: there is no table of labels yet, the encoding is another, an id is unknown,
+                or the stamp goes back. Nothing is changed.
         """
         if self._table is None:
             raise ValueError("no table of labels has come yet")
@@ -125,13 +125,13 @@ class LiveLoops:
         result = self._detector.update(labels, frame, nanoseconds / 1e9, pose)
         if len(self._detector) >= self._saved + CHECKPOINT_FRAMES:
             self.save()
-        return Seen(result, self._detector.descriptor)
+        return Observation(result, self._detector.descriptor)
 
     def save(self) -> None:
-        """Writes a checkpoint, if there is a memory.
+        """Writes a checkpoint to the memory; without a memory, does nothing.
 
         Raises:
-            OSError: the disk refused; the last checkpoint stands.
+            OSError: writing failed; the last checkpoint stays.
         """
         if self._database is not None:
             self._detector.save(self._database)
@@ -139,11 +139,12 @@ class LiveLoops:
 
 
 def check_head(head: SSRVLAD) -> None:
-    """Refuses a machine that computes descriptors otherwise than they were recorded.
+    """Requires that this machine computes the recorded descriptors of the golden label maps.
+
+    Nothing is recorded, and so nothing is checked, for custom settings.
 
     Raises:
-        ValueError: a number differs by more than `TOLERANCE`. Settings of one's own pass: nothing
-            is recorded of them.
+        ValueError: a number differs by more than `TOLERANCE`.
     """
     fingerprint = head.config.fingerprint
     with np.load(GOLDEN) as recorded:
@@ -159,10 +160,10 @@ def check_head(head: SSRVLAD) -> None:
 
 
 def decode(image: LabelImage) -> npt.NDArray[Any]:
-    """``(H, W)`` uint8 or uint16, without what pads the rows.
+    """``(H, W)`` uint8 or uint16 pixels of an image, without the padding of its rows.
 
     Raises:
-        ValueError: another encoding, or less data than the image's size wants.
+        ValueError: the encoding is another, or there is less data than the size requires.
     """
     if image.encoding not in DTYPES:
         raise ValueError(f"encoding {image.encoding!r}; expected one of {', '.join(DTYPES)}")
@@ -188,7 +189,7 @@ def nanoseconds_of(frame: str) -> tuple[str, int]:
     """The drive and the stamp in the id of a frame.
 
     Raises:
-        ValueError: the id is of another form.
+        ValueError: the id has another form.
     """
     drive, _, number = frame.rpartition("/")
     if not (drive and number.isdecimal()):
@@ -203,10 +204,10 @@ def heading(rotation: Quaternion) -> float:
 
 
 def meanings_of(words: Iterable[str]) -> dict[str, str]:
-    """``name=category`` each -> categories by name; empty words are passed over.
+    """Categories by name, from words ``name=category``; empty words are skipped.
 
     Raises:
-        ValueError: a word is of another form.
+        ValueError: a word has another form.
     """
     meanings = {}
     for word in filter(None, words):

@@ -1,6 +1,6 @@
 """Not run in ROS itself: the tests run it over a bag, between stand-ins for `rclpy`.
 
-The ROS 2 node: messages to `LiveLoops` and back, nothing else.
+The ROS 2 node: passes messages to `LiveLoops` and publishes its results.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _OF_PYTHON = 1
 
 
 class LoopNode(Node):
-    """Hears ``labels``, ``label_info`` and ``odom``; publishes ``descriptor`` and ``loops``.
+    """Reads ``labels``, ``label_info`` and ``odom``; publishes ``descriptor`` and ``loops``.
 
     Its parameters are the settings of `LoopConfig`, and ``sequence``, ``memory``, ``preset``,
     ``meanings``, ``check`` (see `LiveLoops`) and ``latched``: whether ``label_info`` is published
@@ -38,19 +38,21 @@ class LoopNode(Node):
     def __init__(self) -> None:
         super().__init__("ssrvlad_loops")
         settings = dataclasses.asdict(LoopConfig())
-        config = LoopConfig(**{name: self._given(name, value) for name, value in settings.items()})
-        memory, preset = self._given("memory", ""), self._given("preset", "")
+        config = LoopConfig(
+            **{name: self._parameter(name, value) for name, value in settings.items()}
+        )
+        memory, preset = self._parameter("memory", ""), self._parameter("preset", "")
         self._loops = LiveLoops(
             config,
-            self._given("sequence", "drive"),
-            meanings_of(self._given("meanings", [""])),
+            self._parameter("sequence", "drive"),
+            meanings_of(self._parameter("meanings", [""])),
             Path(memory) if memory else None,
             preset or None,
-            self._given("check", True),
+            self._parameter("check", True),
         )
         self._pose = None
         once = DurabilityPolicy.TRANSIENT_LOCAL
-        durability = once if self._given("latched", True) else DurabilityPolicy.VOLATILE
+        durability = once if self._parameter("latched", True) else DurabilityPolicy.VOLATILE
         self._descriptors = self.create_publisher(GlobalDescriptor, "descriptor", 10)
         self._closures = self.create_publisher(TimeReference, "loops", 10)
         self.create_subscription(
@@ -60,15 +62,15 @@ class LoopNode(Node):
         self.create_subscription(Image, "labels", self._on_image, qos_profile_sensor_data)
 
     def close(self) -> None:
-        """Saves what was seen."""
+        """Saves the frames."""
         self._loops.save()
 
-    def _given(self, name, default):
+    def _parameter(self, name, default):
         return self.declare_parameter(name, default).value
 
     def _on_labels(self, message: LabelInfo) -> None:
         try:
-            self._loops.learn_labels((each.class_id, each.class_name) for each in message.class_map)
+            self._loops.set_labels((each.class_id, each.class_name) for each in message.class_map)
         except ValueError as error:
             self.get_logger().error(str(error))
 
@@ -80,7 +82,7 @@ class LoopNode(Node):
         header = message.header
         try:
             nanoseconds = header.stamp.sec * _SECOND + header.stamp.nanosec
-            result, descriptor = self._loops.see(message, nanoseconds, self._pose)
+            result, descriptor = self._loops.update(message, nanoseconds, self._pose)
             closed = nanoseconds_of(result.candidate) if result.accepted else None
         except (ValueError, OSError) as error:
             self.get_logger().warning(f"frame skipped: {error}")

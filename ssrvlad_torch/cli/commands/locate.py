@@ -56,14 +56,14 @@ def locate(
 
 def _by_its_network(town: Database, source: Source) -> Source:
     """The source with the network that made a database; a changed network is refused."""
-    from ...localiser import made_by, see_made_by
+    from ...localiser import origin_of, require_network
 
-    origin = made_by(town)
+    origin = origin_of(town)
     given = dataclasses.replace(source.given, segmenter=origin.network)
     source = dataclasses.replace(source, given=given, labels_as=origin.label_space)
     segmenter = source.segmenter(origin.label_space or town.config.labels_as)
     if segmenter:
-        see_made_by(town, segmenter)
+        require_network(town, segmenter)
     return source
 
 

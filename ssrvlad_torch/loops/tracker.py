@@ -1,0 +1,148 @@
+"""Tracker: the place of a live stream among its own frames, by a Bayes filter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..recognition.filter import Filter
+from ..recognition.fusion import fused, weights_of, z_lead
+from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
+from .config import LoopConfig
+from .memory import Floats, GrowingArray, Memory, Vectors
+from .result import LoopResult, Reason
+
+MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.3, level=2.5)
+"""A stream comes to new places more often than a query of a map does. These settings and those of
+frames of the same sequence are chosen on the cities on which docs/loops.md learns thresholds, not
+on those that it measures."""
+
+WEIGHT, LEVEL_FRACTION = 0.5, 0.9
+"""For frames of the same sequence: the weight, and the level as a fraction of the z-score that
+three quarters of the frames have with their previous frame."""
+
+STRIDE = 50
+"""The more frames a stream excludes, the denser it is. Where it excludes 50, the previous frame is
+one frame before; where it excludes 100, two."""
+
+NEAR = 5
+"""Frames on each side of a frame that show the same place."""
+
+RECENT = 10
+"""Least age, in frames, of an excluded frame that can be the present place."""
+
+
+class Tracker:
+    """The filter of `LoopDetector` over the frames of a memory.
+
+    Args:
+        config: the settings.
+        memory: ids, poses and descriptors of all earlier frames; the detector appends to it.
+        others: their descriptors by further methods.
+    """
+
+    def __init__(self, config: LoopConfig, memory: Memory, others: Mapping[str, Vectors]) -> None:
+        self._config, self._memory, self._others = config, memory, others
+        self._leads = [0.0] * (1 + len(others))
+        self._filter = Filter(motion=MOTION)
+        self.start_sequence()
+
+    @property
+    def weights(self) -> tuple[float, ...]:
+        """The present weights of the methods, see `fusion.weights_of`."""
+        return weights_of(self._leads)
+
+    def start_sequence(self) -> None:
+        """Forgets the place: the next frame starts another sequence."""
+        self._filter.restart()
+        self._start, self._neighbours = len(self._memory), GrowingArray(np.float64)
+
+    def step(self, frame: str, swept: Floats, others: Mapping[str, Floats]) -> LoopResult:
+        """The result of the next frame.
+
+        Args:
+            frame: its id.
+            swept: ``(S, D)`` descriptors from S anchors, the usual one in the middle.
+            others: its descriptors by the further methods.
+        """
+        frames, exclude = len(self._memory), self._config.exclude
+        old = max(0, frames - exclude)
+        self._extend(frames - min(RECENT, exclude))
+        described, empty = ~self._memory.empty, not swept[len(swept) // 2].any()
+        if np.count_nonzero(described[:old]) < 2:
+            if empty:
+                return LoopResult(frame, Reason.EMPTY_FRAME)
+            return LoopResult(frame, Reason.TOO_RECENT if described.any() else Reason.NO_CANDIDATE)
+        if empty:
+            self._filter.step(torch.full((len(self._filter),), -torch.inf))
+            return LoopResult(frame, Reason.EMPTY_FRAME)
+        scores = self._scores(swept, others, old)
+        likelihood = self._likelihood(scores, moments(scores[:old]))
+        self._filter.update(self._filter.in_cells(likelihood[: len(self._filter)]))
+        rows = self._filter.rows()
+        candidate = int(rows[:old].argmax())
+        near = slice(max(0, candidate - NEAR), min(candidate + NEAR + 1, old))
+        probability = min(1.0, float(rows[near].sum()))
+        reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
+        ahead = self._ahead(candidate, near, rows) if reason is Reason.ACCEPTED else None
+        name, score = self._memory.frames[candidate], float(scores[candidate])
+        return LoopResult(frame, reason, name, score, probability, ahead)
+
+    def _extend(self, rows: int) -> None:
+        """Adds frames to the filter, up to a number of rows."""
+        fresh = self._memory.frames[len(self._filter) : max(0, rows)]
+        self._filter.extend([frame.rpartition("/")[0] for frame in fresh])
+
+    def _scores(self, swept: Floats, others: Mapping[str, Floats], old: int) -> Tensor:
+        """``(N,)`` scores of a frame by all methods, scaled by those of the old frames."""
+        scores = [torch.from_numpy(self._memory.scores(swept))]
+        if not others:
+            return scores[0]
+        scores += [torch.from_numpy(self._others[name].scores(v)) for name, v in others.items()]
+        for method, each in enumerate(scores):
+            self._leads[method] += max(0.0, z_lead(each[:old]))
+        return fused(scores, self.weights, old)
+
+    def _likelihood(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
+        """``(N,)``, see `motion.likelihoods`. Frames of the same sequence share light and network:
+        their level is the higher, the more alike neighbouring frames are."""
+        mean, deviation = spread
+        previous = len(self._memory) - max(1, self._config.exclude // STRIDE)
+        if self._start <= previous and deviation > MIN_SPREAD:
+            z = (float(nearness(scores[previous])) - mean) / deviation
+            if math.isfinite(z):
+                self._neighbours.append(z)
+        z_scores = self._neighbours.values
+        level = LEVEL_FRACTION * float(np.quantile(z_scores, 0.25)) if len(z_scores) else 0.0
+        same_sequence = replace(MOTION, weight=WEIGHT, level=max(MOTION.level, level))
+        earlier, own = scores[: self._start], scores[self._start :]
+        return torch.cat(
+            (likelihoods(earlier, MOTION, spread), likelihoods(own, same_sequence, spread))
+        )
+
+    def _reason(self, probability: float, old: float, recent: float) -> Reason:
+        """By the probabilities of the candidate's place, all old frames and all recent frames."""
+        threshold = self._config.threshold
+        if probability >= threshold:
+            return Reason.ACCEPTED
+        if recent > max(old, 1 - old - recent):
+            return Reason.TOO_RECENT
+        return Reason.AMBIGUOUS if old >= threshold else Reason.BELOW_THRESHOLD
+
+    def _ahead(self, candidate: int, near: slice, rows: Tensor) -> float | None:
+        """`LoopResult.ahead`, by the probabilities of the rows."""
+        frames = self._memory.frames
+        sequence = frames[candidate].rpartition("/")[0]
+        around = range(near.start, near.stop)
+        same = [row for row in around if frames[row].rpartition("/")[0] == sequence]
+        places = self._memory.poses[same, :2]
+        if np.isnan(places).any():
+            return None
+        along = np.cumsum([0.0, *np.hypot(*np.diff(places, axis=0).T)])
+        weights = rows[same].double().numpy()
+        return float(weights @ (along - along[same.index(candidate)]) / weights.sum())
