@@ -4,14 +4,13 @@
 python export/run_onnx.py head.onnx maps/today --database town.npy --top 3
 python export/run_onnx.py head.onnx photos --network net.onnx --provider CUDAExecutionProvider
 
-Needs numpy and onnxruntime, nothing else; pictures need Pillow too, `.npy` arrays do not. Label
-maps (H, W) go into a graph of `ssrvlad export`, class scores (C, H, W) as `.npy` into one made
-with `--input logits`, images (H, W, 3) into one of `ssrvlad fuse`. With the two files of `ssrvlad
-fuse --split` the network runs where --provider says and the head on the CPU. Every file runs its
-golden pair as it is loaded, and one that gives something else on this runtime is refused. A
-database is what `ssrvlad db export --format npy` or --save-descriptors writes. Exit code 0 for
-success, 1 for a golden pair that --check finds wrong, 2 for wrong use, 3 for finished with some
-frames skipped.
+Needs numpy and onnxruntime, and Pillow for pictures; `.npy` arrays do not need it. A file of
+`ssrvlad export` takes label maps (H, W), or with `--input logits` class scores (C, H, W) as `.npy`;
+a file of `ssrvlad fuse` takes images (H, W, 3). With the two files of `ssrvlad fuse --split` the
+network runs on --provider and the head on the CPU. Every file is run on its golden pair when it is
+loaded, and refused if this runtime gives other outputs. A database is written by `ssrvlad db export
+--format npy` or by --save-descriptors. Exit code 0 for success, 1 if --check finds the golden pair
+wrong, 2 for wrong use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -40,21 +39,21 @@ FORMAT = "2"
 TOLERANCE = 1e-6
 SOME_SKIPPED = 3
 
-MOST_OTHER_PIXELS = 0.01
-"""Fraction of a golden image's pixels that may get another label on another runtime."""
-LEAST_COSINE = 0.8
-"""Of the descriptors of two label maps that differ so little; other maps have less."""
+MAX_OTHER_PIXELS = 0.01
+"""Fraction of a golden image's pixels whose label may differ on another runtime."""
+MIN_COSINE = 0.8
+"""Cosine of the descriptors of two label maps that differ so little; unlike maps have less."""
 
 _BLOCK = 1 << 14
-_HIGHEST_ID, _EVEN = 40, 0.8
-_MOST_GOLDEN = 64 << 20
+_MAX_ID, _MIN_EVEN = 40, 0.8
+_MAX_GOLDEN_BYTES = 64 << 20
 _NPY = b"\x93NUMPY"
 _ONLY_FATAL = 4
 
 
 class Golden(NamedTuple):
-    """How the golden pair came out: the largest difference of a descriptor, infinite if a count
-    differs; the fraction of the pixels that got another label; the cosine to what is expected."""
+    """The result of a golden pair: the largest difference of the descriptor, infinite if a count
+    differs; the fraction of pixels with another label; the cosine to the expected descriptor."""
 
     difference: float
     other_pixels: float = 0.0
@@ -66,10 +65,11 @@ class Golden(NamedTuple):
 
     @property
     def holds(self) -> bool:
-        """Whether the runtime can be trusted. Where the network labels some pixels otherwise, the
-        descriptor is another too, and only a gross fault of the head shows."""
-        roughly = self.other_pixels > 0 and self.cosine >= LEAST_COSINE
-        return self.other_pixels <= MOST_OTHER_PIXELS and (self.difference <= TOLERANCE or roughly)
+        """Whether the runtime can be trusted. Where some labels differ, the descriptor differs too,
+        so only a large error of the head is found."""
+        is_similar = self.other_pixels > 0 and self.cosine >= MIN_COSINE
+        is_right = self.difference <= TOLERANCE or is_similar
+        return self.other_pixels <= MAX_OTHER_PIXELS and is_right
 
 
 class Model:
@@ -77,11 +77,11 @@ class Model:
 
     Args:
         path: the file.
-        provider: execution provider of ONNX Runtime; what it lacks runs on the CPU.
-        check: whether to run the golden pair and refuse a runtime that gives something else.
+        provider: execution provider of ONNX Runtime; operators that it lacks run on the CPU.
+        check: whether to run the golden pair and refuse a runtime that gives other outputs.
 
     Raises:
-        ValueError: it is no such file or of another format, or the golden pair comes out otherwise.
+        ValueError: the file is of another kind or format, or its golden pair gives other outputs.
         OSError: it cannot be read.
     """
 
@@ -91,21 +91,21 @@ class Model:
         self.input = _input(path, self.session)
         self.dtype = _dtype(self.input.type)
         if check:
-            _refuse_unless_right(path, self.golden())
+            _require_golden(path, self.golden())
 
     @property
     def fingerprint(self) -> str:
-        """Of the settings; descriptors of another do not compare."""
+        """Fingerprint of the settings; descriptors of another one do not compare."""
         return str(self.properties["ssrvlad.fingerprint"])
 
     @property
     def anchors(self) -> list[int]:
-        """Columns of the anchors of a sweep; none for single descriptors."""
+        """Columns of the anchors of a sweep; empty for single descriptors."""
         return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
 
     def describe(self, path: Path) -> Array:
-        """The descriptor of the frame in a file: ``(D,)`` float32 of length 1, or zero for an empty
-        frame; of a file of `ssrvlad export --sweep` ``(S, D)``, one for each anchor.
+        """The descriptor of the frame in a file: ``(D,)`` float32 of length 1, or zeros for an
+        empty frame; with `ssrvlad export --sweep` ``(S, D)``, one for each anchor.
 
         Raises:
             ValueError: it cannot be read, or has ids outside the label space.
@@ -118,25 +118,25 @@ class Model:
             return self.describe_array(read(path))
         except ImportError:
             raise
-        except Exception as error:  # what decoders raise on damaged bytes has no bounds
+        except Exception as error:  # decoders raise anything on damaged bytes
             raise ValueError(one_line(error)) from error
 
-    def describe_array(self, given: Array) -> Array:
-        """That of a frame in memory, as the file takes it, without the axis of the batch.
+    def describe_array(self, array: Array) -> Array:
+        """The descriptor of a frame in memory: the input of the file without the batch axis.
 
         Raises:
             ValueError: it has ids outside the label space, more than the file can count, or another
-                size than the file takes.
+                size than the fixed size of the file.
         """
-        takes, shape = self.input.shape, (1, *given.shape)
-        if any(isinstance(n, int) and n != m for n, m in zip(takes, shape, strict=True)):
-            raise ValueError(f"the file takes {self.input.name} of {tuple(takes)}, got {shape}")
-        descriptor, unknown = self._run(given[None])
+        expected, shape = self.input.shape, (1, *array.shape)
+        if any(isinstance(n, int) and n != m for n, m in zip(expected, shape, strict=True)):
+            raise ValueError(f"the file takes {self.input.name} of {tuple(expected)}, got {shape}")
+        descriptor, unknown = self._run(array[None])
         if unknown[0]:
             space = json.loads(self.properties["ssrvlad.label_space"])["name"]
-            channels = {"labels": 1, "logits": given.shape[0]}.get(self.input.name, 3)
+            channels = {"labels": 1, "logits": array.shape[0]}.get(self.input.name, 3)
             raise ValueError(
-                f"{unknown[0]} of {given.size // channels} pixels have an id outside label space "
+                f"{unknown[0]} of {array.size // channels} pixels have an id outside label space "
                 f"{space}"
             )
         if not np.isfinite(descriptor).all():
@@ -149,22 +149,22 @@ class Model:
         """Runs the golden pair.
 
         Raises:
-            ValueError: the file has no golden pair for its input, or it cannot be run.
+            ValueError: the file has no golden pair for its input, or cannot run it.
         """
         return _golden(self.session, self.input.name, self.properties)
 
-    def _run(self, given: Array) -> list[Array]:
-        return list(self.session.run(["descriptor", "unknown"], {self.input.name: given}))
+    def _run(self, batch: Array) -> list[Array]:
+        return list(self.session.run(["descriptor", "unknown"], {self.input.name: batch}))
 
     def _labels(self, path: Path) -> Array:
         labels = _npy(path) if _is_npy(path) else _label_picture(path)
         if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
             raise ValueError(f"expected an (H, W) label map, got {labels.shape} {labels.dtype}")
-        held = labels.astype(self.dtype)
-        lost = int((held != labels).sum())
-        if lost:
-            raise ValueError(f"{lost} of {labels.size} pixels have an id that is no {self.dtype}")
-        return held
+        converted = labels.astype(self.dtype)
+        changed = int((converted != labels).sum())
+        if changed:
+            raise ValueError(f"{changed} of {labels.size} pixels have an id outside {self.dtype}")
+        return converted
 
     def _scores(self, path: Path) -> Array:
         if not _is_npy(path):
@@ -182,19 +182,18 @@ class Model:
 
 
 class Split(Model):
-    """The two files of `ssrvlad fuse --split`: the network where a provider runs it, the head on
-    the CPU. The label map goes from one to the other as it lies in memory; from a GPU it is
-    fetched once.
+    """The two files of `ssrvlad fuse --split`: the network on a provider, the head on the CPU. The
+    label map is not copied between them, except once from a GPU.
 
     Args:
         network: pictures to label maps.
         head: label maps to descriptors.
-        provider: of the network.
-        check: as for `Model`, of both files.
+        provider: execution provider of the network.
+        check: as for `Model`, for both files.
 
     Raises:
         ValueError: as `Model`, or the files were not written together.
-        OSError: one cannot be read.
+        OSError: a file cannot be read.
     """
 
     def __init__(self, network: Path, head: Path, provider: str = CPU, check: bool = True) -> None:
@@ -204,13 +203,13 @@ class Split(Model):
         for name in ("ssrvlad.fingerprint", "ssrvlad.label_space"):
             if self.network_properties[name] != self.properties[name]:
                 raise ValueError(f"{network} and {head} differ in {name}: expected the two files")
-        between, self.input = self.input, _input(network, self.network)
-        made = [(output.name, output.type) for output in self.network.get_outputs()]
-        if made != [("labels", between.type)] or between.name != "labels":
-            raise ValueError(f"{network} gives {made}, {head} takes {between.name} {between.type}")
+        labels, self.input = self.input, _input(network, self.network)
+        outputs = [(output.name, output.type) for output in self.network.get_outputs()]
+        if outputs != [("labels", labels.type)] or labels.name != "labels":
+            raise ValueError(f"{network} gives {outputs}, {head} takes {labels.name} {labels.type}")
         if check:
             golden = self.golden()
-            _refuse_unless_right(network if golden.difference <= TOLERANCE else head, golden)
+            _require_golden(network if golden.difference <= TOLERANCE else head, golden)
 
     def golden(self) -> Golden:
         """Runs the golden pairs of both files."""
@@ -218,38 +217,38 @@ class Split(Model):
         network = _golden(self.network, "image", self.network_properties)
         return head._replace(other_pixels=network.other_pixels) if head.holds else head
 
-    def _run(self, given: Array) -> list[Array]:
-        image = onnxruntime.OrtValue.ortvalue_from_numpy(given)
+    def _run(self, batch: Array) -> list[Array]:
+        image = onnxruntime.OrtValue.ortvalue_from_numpy(batch)
         (labels,) = self.network.run_with_ort_values(["labels"], {"image": image})
         names = ["descriptor", "unknown"]
-        found = self.session.run_with_ort_values(names, {"labels": labels})
-        return [each.numpy() for each in found]
+        outputs = self.session.run_with_ort_values(names, {"labels": labels})
+        return [output.numpy() for output in outputs]
 
 
-def open_model(given: argparse.Namespace) -> Model:
+def open_model(options: argparse.Namespace) -> Model:
     """The model that the command line names."""
-    check = not (given.unchecked or getattr(given, "check", False))
-    if given.network:
-        return Split(given.network, given.model, given.provider, check)
-    return Model(given.model, given.provider, check)
+    check = not (options.unchecked or getattr(options, "check", False))
+    if options.network:
+        return Split(options.network, options.model, options.provider, check)
+    return Model(options.model, options.provider, check)
 
 
 def add_model(parser: argparse.ArgumentParser) -> None:
-    """The arguments that `open_model` reads."""
+    """Adds the arguments that `open_model` reads."""
     parser.add_argument("model", type=Path, help="the .onnx file")
-    parser.add_argument("--network", type=Path, help="pictures to labels, of `fuse --split`")
-    parser.add_argument("--provider", default=CPU, help="of the network, or of the one file")
+    parser.add_argument("--network", type=Path, help="network file of `fuse --split`")
+    parser.add_argument("--provider", default=CPU, help="of the network, or of a single file")
     parser.add_argument("--unchecked", action="store_true", help="do not run the golden pair first")
 
 
 class Database:
-    """Descriptors of reference frames in a `.npy` file, read as needed, and the frames' ids.
+    """Descriptors of reference frames in a `.npy` file, read block by block, and the frames' ids.
 
-    The ids stand in ``FILE.frames.txt``, one a line, the fingerprint in ``FILE.fingerprint.txt``.
+    ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint.
 
     Raises:
         ValueError: the files do not fit each other or the model.
-        OSError: one cannot be read.
+        OSError: a file cannot be read.
     """
 
     def __init__(self, path: Path, fingerprint: str) -> None:
@@ -261,20 +260,20 @@ class Database:
         if self.descriptors.ndim != 2 or len(self.descriptors) != len(self.frames):
             raise ValueError(f"{path}: {self.descriptors.shape} for {len(self.frames)} frames")
         if not beside(path, "fingerprint").exists():
-            note(f"{path} carries no fingerprint: whether it fits the model cannot be checked")
+            note(f"{path} has no fingerprint: it may not fit the model")
         elif (own := beside(path, "fingerprint").read_text().strip()) != fingerprint:
             raise ValueError(
                 f"{path} has fingerprint {own}, the model {fingerprint}: they do not compare"
             )
 
     def search(self, query: Array, top: int) -> list[tuple[str, float]]:
-        """The frames with the highest cosines (Eq. 4), best first, the earlier of equals.
+        """The frames with the highest cosines (Eq. 4), best first; of equal ones the earlier first.
 
-        Of several anchors the best counts. A zero vector, the descriptor of an empty frame,
+        Of several anchors the best one counts. A zero vector, the descriptor of an empty frame,
         matches nothing.
 
         Raises:
-            ValueError: the query is of another length.
+            ValueError: the query has another length.
         """
         anchors = query if query.ndim == 2 else query[None]
         if anchors.shape[1:] != self.descriptors.shape[1:]:
@@ -297,7 +296,7 @@ class Database:
 
 
 def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """Frames, a file each, sorted as a person would, with their ids ``<folder>/<name>``.
+    """Ids ``<folder>/<name>`` and files of frames, in natural order.
 
     Raises:
         ValueError: a source does not exist or holds no frame.
@@ -313,16 +312,16 @@ def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
 
 
 def save(path: Path, descriptors: Sequence[Array], frames: Sequence[str], fingerprint: str) -> None:
-    """Writes descriptors as a database: the array, ids and fingerprint beside it.
+    """Writes descriptors as a database: the array, and files with ids and fingerprint beside it.
 
-    The array, which says that the database is there, is written last and as a whole.
+    The array is written last, whole or not at all.
 
     Raises:
         ValueError: an id has several lines.
-        OSError: they cannot be written.
+        OSError: a file cannot be written.
     """
     for frame in frames:
-        _see_line(frame)
+        _require_one_line(frame)
     beside(path, "frames").write_text("".join(f"{frame}\n" for frame in frames), encoding="utf-8")
     beside(path, "fingerprint").write_text(f"{fingerprint}\n")
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
@@ -335,55 +334,56 @@ def save(path: Path, descriptors: Sequence[Array], frames: Sequence[str], finger
 
 
 def beside(path: Path, what: str) -> Path:
-    """The file that says more about an array."""
+    """A text file that belongs to an array."""
     return path.with_name(f"{path.name}.{what}.txt")
 
 
 def note(line: str) -> None:
-    """One line on stderr."""
+    """Prints one line on stderr."""
     print(line, file=sys.stderr)
 
 
 def one_line(error: Exception) -> str:
-    """An error in one line that is never empty."""
+    """The message of an error as one line, never empty."""
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def run(given: argparse.Namespace) -> int:
-    """What the command line asks for; the exit code."""
-    model = open_model(given)
-    if given.check:
+def run(options: argparse.Namespace) -> int:
+    """Runs the program; the exit code."""
+    model = open_model(options)
+    if options.check:
         golden = model.golden()
         print(golden)
         return int(not golden.holds)
-    if given.save_descriptors and model.anchors:
-        raise ValueError("--save-descriptors: expected a file without --sweep, references have one")
-    database = given.database and Database(given.database, model.fingerprint)
-    kept: dict[str, Array] = {}
+    if options.save_descriptors and model.anchors:
+        raise ValueError("--save-descriptors: expected a file without --sweep")
+    database = options.database and Database(options.database, model.fingerprint)
+    descriptors: dict[str, Array] = {}
     skipped = 0
-    for frame, path in find_frames(given.source):
-        if frame in kept:
+    for frame, path in find_frames(options.source):
+        if frame in descriptors:
             raise ValueError(f"{path} is a second frame {frame}")
-        if given.save_descriptors:
-            _see_line(frame)
+        if options.save_descriptors:
+            _require_one_line(frame)
         try:
             descriptor = model.describe(path)
         except ValueError as error:
             note(f"{path}: {error}")
             skipped += 1
             continue
-        kept[frame] = descriptor
-        candidates = database.search(descriptor, given.top) if database else []
-        report(frame, not descriptor.any(), candidates, given.json)
-    if given.save_descriptors and kept:
-        save(given.save_descriptors, list(kept.values()), list(kept), model.fingerprint)
+        descriptors[frame] = descriptor
+        candidates = database.search(descriptor, options.top) if database else []
+        report(frame, not descriptor.any(), candidates, options.json)
+    if options.save_descriptors and descriptors:
+        rows, frames = list(descriptors.values()), list(descriptors)
+        save(options.save_descriptors, rows, frames, model.fingerprint)
     if skipped:
-        note(f"skipped {skipped} of {skipped + len(kept)} frames")
+        note(f"skipped {skipped} of {skipped + len(descriptors)} frames")
     return SOME_SKIPPED if skipped else 0
 
 
 def report(frame: str, empty: bool, candidates: list[tuple[str, float]], as_json: bool) -> None:
-    """One line about a frame."""
+    """Prints one line about a frame."""
     if as_json:
         ranked = [{"frame": name, "score": score} for name, score in candidates]
         print(json.dumps({"query": frame, "candidates": ranked, "empty": empty}))
@@ -404,11 +404,11 @@ def main() -> int:
     parser.add_argument("--save-descriptors", type=Path, metavar="OUT.npy")
     parser.add_argument("--json", action="store_true", help="a JSON object a line")
     parser.add_argument("--check", action="store_true", help="run the golden pair and stop")
-    given = parser.parse_args()
-    if bool(given.source) == given.check or given.top < 1:
+    options = parser.parse_args()
+    if bool(options.source) == options.check or options.top < 1:
         parser.error("expected frames or --check, and --top of at least 1")
     try:
-        return run(given)
+        return run(options)
     except (ValueError, OSError, ImportError) as error:
         note(f"run_onnx: {one_line(error)}")
         return 2
@@ -416,25 +416,25 @@ def main() -> int:
 
 def _session(path: Path, provider: str) -> Any:
     path.open("rb").close()
-    at_hand = onnxruntime.get_available_providers()
-    if provider not in at_hand:
-        raise ValueError(f"no provider {provider}; expected one of {', '.join(at_hand)}")
+    available = onnxruntime.get_available_providers()
+    if provider not in available:
+        raise ValueError(f"no provider {provider}; expected one of {', '.join(available)}")
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _ONLY_FATAL
     providers = [*dict.fromkeys((provider, CPU))]
     try:
         return onnxruntime.InferenceSession(str(path), options, providers=providers)
-    except Exception as error:  # what ONNX Runtime raises has no common base
+    except Exception as error:  # ONNX Runtime has no common error type
         raise ValueError(f"{path}: {one_line(error)}") from error
 
 
 def _properties(path: Path, session: Any) -> dict[str, str]:
     properties = dict(session.get_modelmeta().custom_metadata_map)
     if "ssrvlad.fingerprint" not in properties or "ssrvlad.label_space" not in properties:
-        raise ValueError(f"{path}: no metadata ssrvlad.*: no file of `ssrvlad export` or `fuse`")
-    written = properties.get("ssrvlad.format", "1")
-    if written != FORMAT:
-        raise ValueError(f"{path}: a file of format {written}; expected {FORMAT}: export it again")
+        raise ValueError(f"{path}: no metadata ssrvlad.*: not a file of `ssrvlad export` or `fuse`")
+    number = properties.get("ssrvlad.format", "1")
+    if number != FORMAT:
+        raise ValueError(f"{path}: a file of format {number}; expected {FORMAT}: export it again")
     return properties
 
 
@@ -446,51 +446,57 @@ def _input(path: Path, session: Any) -> Any:
     return inputs[0]
 
 
-def _golden(session: Any, given: str, properties: dict[str, str]) -> Golden:
-    """How a file's own golden pair comes out.
+def _golden(session: Any, name: str, properties: dict[str, str]) -> Golden:
+    """Runs the golden pair of a file.
+
+    Args:
+        session: the session of the file.
+        name: name of its input.
+        properties: its metadata.
 
     Raises:
-        ValueError: it has none for its input, or cannot be run.
+        ValueError: it has none for the input, or cannot be run.
     """
     entries = json.loads(properties.get("ssrvlad.golden", "{}"))
     try:
-        golden = {name: _array(entry) for name, entry in entries.items()}
+        golden = {key: _array(entry) for key, entry in entries.items()}
     except (KeyError, TypeError, zlib.error) as error:
         raise ValueError(f"the golden pair is damaged: {one_line(error)}") from error
-    if given not in golden:
-        raise ValueError(f"no golden pair for input {given}; see `ssrvlad verify`")
-    inputs = {given: golden.pop(given)}
+    if name not in golden:
+        raise ValueError(f"no golden pair for input {name}; see `ssrvlad verify`")
+    inputs = {name: golden.pop(name)}
     try:
-        found = dict(zip(golden, session.run(list(golden), inputs), strict=True))
-    except Exception as error:  # what ONNX Runtime raises has no common base
+        outputs = dict(zip(golden, session.run(list(golden), inputs), strict=True))
+    except Exception as error:  # ONNX Runtime has no common error type
         raise ValueError(f"cannot run the golden pair: {one_line(error)}") from error
-    if any(found[name].shape != array.shape for name, array in golden.items()):
+    if any(outputs[key].shape != array.shape for key, array in golden.items()):
         return Golden(float("inf"), cosine=0.0)
-    other = float((found["labels"] != golden["labels"]).mean()) if "labels" in golden else 0.0
+    other = float((outputs["labels"] != golden["labels"]).mean()) if "labels" in golden else 0.0
     if "descriptor" not in golden:
         return Golden(0.0, other)
-    got, expected = found["descriptor"], golden["descriptor"]
+    got, expected = outputs["descriptor"], golden["descriptor"]
     counts = golden.keys() - {"descriptor", "labels"}
-    equal = all(np.array_equal(found[name], golden[name]) for name in counts)
+    equal = all(np.array_equal(outputs[key], golden[key]) for key in counts)
     steps = np.nan_to_num(np.abs(got - expected), nan=np.inf)
     cosine = np.nan_to_num((got * expected).sum(-1)).min()
     return Golden(float(steps.max()) if equal else float("inf"), other, float(cosine))
 
 
-def _refuse_unless_right(path: Path, golden: Golden) -> None:
+def _require_golden(path: Path, golden: Golden) -> None:
+    """Refuses a runtime whose golden pair is wrong."""
     if not golden.holds:
         raise ValueError(
-            f"{path} is computed wrong here ({golden}); `ssrvlad verify --provider` tells where, "
-            "--unchecked runs it nevertheless"
+            f"{path} is computed wrong here ({golden}); `ssrvlad verify --provider` says where, "
+            "--unchecked runs it anyway"
         )
     if golden.difference > TOLERANCE:
         note(f"{path}: {golden}: the head was checked roughly; `ssrvlad verify` checks it exactly")
 
 
-def _see_line(frame: str) -> None:
-    """Refuses an id that cannot stand in a file of one id a line."""
+def _require_one_line(frame: str) -> None:
+    """Refuses an id of several lines: a database has one id a line."""
     if frame.splitlines() != [frame]:
-        raise ValueError(f"a database holds an id a line; frame {frame!r} has several")
+        raise ValueError(f"a database has one id a line; frame {frame!r} has several lines")
 
 
 def _is_npy(path: Path) -> bool:
@@ -510,8 +516,8 @@ def _npy(path: Path, mmap_mode: Literal["r"] | None = None) -> Array:
 
 
 def _label_picture(path: Path) -> Array:
-    """``(H, W)`` ids; of a palette image they are the indices."""
-    with _opened(path) as image:
+    """``(H, W)`` ids; of a palette image the indices."""
+    with _open_image(path) as image:
         stored = str(image.tile[0][3]) if image.tile else ""
         scaled = image.mode == "L" and ";" in stored
         if scaled or image.mode not in ("L", "P", "I", "I;16", "I;16B"):
@@ -523,26 +529,25 @@ def _label_picture(path: Path) -> Array:
 
 def _picture(path: Path) -> Array:
     """``(H, W, 3)`` uint8 RGB, turned upright by its EXIF orientation."""
-    with _opened(path) as image:
+    with _open_image(path) as image:
         from PIL import ImageOps
 
         if image.mode in ("L", "P"):
-            _see_photograph(np.asarray(image))
+            _require_photograph(np.asarray(image))
         return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
 
 
-def _see_photograph(values: Array) -> None:
-    """Refuses what looks like a label map: small ids, and 255 for what has none, in even areas; a
-    dark photograph has noise."""
+def _require_photograph(values: Array) -> None:
+    """Refuses a label map: small ids, or 255, in even areas. A dark photograph has noise."""
     ids = np.setdiff1d(values, [255])
-    is_even = np.mean(values[:, 1:] == values[:, :-1]) > _EVEN
-    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID and is_even:
+    is_even = np.mean(values[:, 1:] == values[:, :-1]) > _MIN_EVEN
+    if len(ids) > 1 and ids[-1] <= _MAX_ID and is_even:
         raise ValueError(
             f"expected a photograph, got a label map: {len(ids)} values, {ids[0]} to {ids[-1]}"
         )
 
 
-def _opened(path: Path) -> Any:
+def _open_image(path: Path) -> Any:
     try:
         from PIL import Image
     except ImportError as error:
@@ -560,7 +565,7 @@ def _array(entry: dict[str, Any]) -> Array:
     """An array of the golden pair."""
     dtype = np.dtype(entry["dtype"])
     size = dtype.itemsize * math.prod(entry["shape"])
-    if not 0 <= size <= _MOST_GOLDEN:
+    if not 0 <= size <= _MAX_GOLDEN_BYTES:
         raise ValueError(f"the golden pair has an array of {size} bytes; expected at most 64 MiB")
     content = zlib.decompressobj().decompress(base64.b64decode(entry["data"]), size + 1)
     return np.frombuffer(content, dtype.newbyteorder("<")).astype(dtype).reshape(entry["shape"])

@@ -1,4 +1,4 @@
-"""ONNX files: read with their external weights, written whole or not at all, and run."""
+"""ONNX files: reading with external weights, writing whole or not at all, sessions."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from .untrusted import InputError, check_regular
 if TYPE_CHECKING:
     import onnx
 
-LARGEST = (1 << 31) - (1 << 20)
-"""Bytes that one file may have: protobuf's limit, and some room for what is not weights."""
+MAX_FILE_BYTES = (1 << 31) - (1 << 20)
+"""Size limit of one file: protobuf's 2 GiB, less 1 MiB for the metadata."""
 
 CPU = "CPUExecutionProvider"
 
-_EXTERNAL = 1024
+_EXTERNAL_BYTES = 1024
 _NEEDED = "ONNX files need: pip install ssrvlad-torch[onnx]"
 _ONLY_FATAL = 4
 
 
 def load_model(path: Path) -> onnx.ModelProto:
-    """An ONNX file with the weights that lie beside it.
+    """The model in an ONNX file, with its external weights.
 
     Raises:
-        ValueError: the file is missing or no ONNX graph, or external weights are missing or lie
+        ValueError: the file is missing or is not an ONNX graph, or external weights are missing or
             outside its folder.
         ImportError: the extra ``onnx`` is not installed.
     """
@@ -44,7 +44,7 @@ def load_model(path: Path) -> onnx.ModelProto:
     except Exception as error:  # protobuf's, the checker's and the file system's own types
         raise ValueError(f"{path} cannot be read as an ONNX graph: {one_line(error)}") from error
     if not model.graph.node:
-        raise ValueError(f"{path} is no ONNX graph: it has no nodes")
+        raise ValueError(f"{path} is not an ONNX graph: it has no nodes")
     for tensor in _tensors(model.graph):
         tensor.ClearField("data_location")
     return model
@@ -54,31 +54,31 @@ def open_session(
     source: Path | bytes,
     name: object,
     provider: str = CPU,
-    otherwise: str | None = None,
+    fallback: str | None = None,
     settings: Mapping[str, str] | None = None,
 ) -> Any:
     """A session of ONNX Runtime.
 
     Args:
-        source: a file, or the content of one.
-        name: what messages call it.
-        provider: execution provider; what it lacks runs on the CPU.
-        otherwise: the provider to take where ONNX Runtime does not have the first.
-        settings: entries of the session's configuration.
+        source: an ONNX file, or its content.
+        name: name of the file in error messages.
+        provider: execution provider; operators that it lacks run on the CPU.
+        fallback: provider to use if this ONNX Runtime lacks `provider`.
+        settings: configuration entries of the session.
 
     Raises:
-        ValueError: ONNX Runtime does not have the provider, or cannot run the graph.
+        ValueError: ONNX Runtime lacks the provider, or cannot run the graph.
         ImportError: the extra ``onnx`` is not installed.
     """
     try:
         import onnxruntime
     except ImportError as error:
         raise ImportError(_NEEDED) from error
-    at_hand = onnxruntime.get_available_providers()
-    provider = provider if provider in at_hand else otherwise or provider
-    if provider not in at_hand:
+    available = onnxruntime.get_available_providers()
+    provider = provider if provider in available else fallback or provider
+    if provider not in available:
         raise ValueError(
-            f"no execution provider {provider!r}; expected one of {', '.join(at_hand)}"
+            f"no execution provider {provider!r}; expected one of {', '.join(available)}"
         )
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _ONLY_FATAL
@@ -86,12 +86,12 @@ def open_session(
         options.add_session_config_entry(key, value)
     try:
         return onnxruntime.InferenceSession(source, options, [*dict.fromkeys((provider, CPU))])
-    except Exception as error:  # each kind of failure has its own type, not all of them public
+    except Exception as error:  # each kind of failure has its own type, and not all are public
         raise ValueError(f"{name} cannot run in ONNX Runtime: {one_line(error)}") from error
 
 
 def external_files(path: Path) -> list[Path]:
-    """The files beside a graph that hold its weights; where there are none, all is in it."""
+    """The files that hold the external weights of an ONNX file, sorted; often none."""
     try:
         import onnx
     except ImportError as error:
@@ -108,7 +108,7 @@ def external_files(path: Path) -> list[Path]:
 
 
 def graph_digest(model: onnx.ModelProto) -> str:
-    """SHA-256 of a graph, its functions and opsets, in hex; the same wherever its weights lie."""
+    """SHA-256 of a graph, its functions and opsets, in hex; the same for external weights."""
     digest = hashlib.sha256()
     parts = (*model.opset_import, *model.functions, *_parts(model.graph))
     for part in parts:
@@ -122,14 +122,14 @@ def save_model(
 ) -> None:
     """Writes an ONNX file, whole or not at all.
 
-    Where it would be too large for one file, the weights go to another beside it, whose name
-    holds a digest, so that what an earlier file refers to stays as it was.
+    A model of more than `MAX_FILE_BYTES` keeps its weights in a second file beside it. The name of
+    the second file holds a digest, so that it never replaces the weights of an earlier model.
 
     Args:
-        model: what to write; without its weights afterwards where they went to another file.
-        path: the file; what was there is replaced.
-        describe: is given the file before it takes its place, and gives the metadata properties
-            that it is to have; may reject it by raising.
+        model: the model. If its weights went to a second file, it refers to that file afterwards.
+        path: the file; an existing one is replaced.
+        describe: takes the temporary file and returns the metadata properties of the model. It can
+            raise an error to reject the model.
 
     Raises:
         OSError: the file cannot be written.
@@ -140,24 +140,24 @@ def save_model(
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
         staged = Path(folder) / path.name
         weights = f"{path.name}.{graph_digest(model)[:16]}.data"
-        if _size(model) > LARGEST:
+        if _size(model) > MAX_FILE_BYTES:
             onnx.external_data_helper.convert_model_to_external_data(
-                model, location=weights, size_threshold=_EXTERNAL
+                model, location=weights, size_threshold=_EXTERNAL_BYTES
             )
         onnx.save_model(model, staged)
         onnx.helper.set_model_props(model, dict(describe(staged)))
         onnx.save_model(model, staged)
-        if (beside := staged.with_name(weights)).exists():
-            flush(beside)
-            beside.replace(path.with_name(weights))
+        if (external := staged.with_name(weights)).exists():
+            flush(external)
+            external.replace(path.with_name(weights))
         with replacing(path) as temporary:
             staged.replace(temporary)
 
 
 def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
-    """Gives every node and value of a graph, and of those inside it, a new name.
+    """Renames every node and value of a graph and of its subgraphs.
 
-    `onnx.compose.add_prefix` leaves the names that a loop takes from outside as they were.
+    `onnx.compose.add_prefix` does not rename the outer values that a loop body uses.
     """
     for node in graph.node:
         node.name = new(node.name)
@@ -165,8 +165,8 @@ def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
         node.output[:] = [name and new(name) for name in node.output]
     for value in (*graph.input, *graph.output, *graph.value_info, *graph.initializer):
         value.name = new(value.name)
-    for inside in _inside(graph):
-        rename(inside, new)
+    for subgraph in _subgraphs(graph):
+        rename(subgraph, new)
 
 
 def _size(model: onnx.ModelProto) -> int:
@@ -176,20 +176,20 @@ def _size(model: onnx.ModelProto) -> int:
 
 
 def _parts(graph: onnx.GraphProto) -> Iterator[Any]:
-    """What a graph is made of, each part small enough to be serialised."""
+    """The fields of a graph, in parts that are small enough to be serialised."""
     for field, value in graph.ListFields():
         yield field.name
         yield from [value] if isinstance(value, str) else value
 
 
 def _tensors(graph: onnx.GraphProto) -> Iterator[onnx.TensorProto]:
-    """The weights of a graph and of those inside it."""
+    """The weights of a graph and of its subgraphs."""
     yield from graph.initializer
-    for inside in _inside(graph):
-        yield from _tensors(inside)
+    for subgraph in _subgraphs(graph):
+        yield from _tensors(subgraph)
 
 
-def _inside(graph: onnx.GraphProto) -> Iterator[onnx.GraphProto]:
+def _subgraphs(graph: onnx.GraphProto) -> Iterator[onnx.GraphProto]:
     """The bodies of loops and branches."""
     for node in graph.node:
         for attribute in node.attribute:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .untrusted import MOST_YAML, parse_yaml, read_text
+from .untrusted import MAX_YAML_BYTES, parse_yaml, read_text
 
 CATEGORIES = (
     "ground",
@@ -178,7 +178,7 @@ def label_space(labels_as: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
     name = os.fspath(labels_as)
     if name.endswith((".yaml", ".yml")):
         try:
-            text = read_text(name, MOST_YAML)
+            text = read_text(name, MAX_YAML_BYTES)
         except (OSError, ValueError) as error:
             raise ValueError(f"cannot read the label space {name}: {error}") from error
         return _parsed(text, name)

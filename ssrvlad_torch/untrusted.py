@@ -1,4 +1,4 @@
-"""Files from elsewhere: read up to a bound and turned into plain values, or refused in one line.
+"""Untrusted files: read up to a size limit and parsed to plain values.
 
 Whatever a parser raises on damaged or hostile bytes becomes an `InputError` that names the file.
 """
@@ -23,25 +23,25 @@ from numpy.lib import format as npy
 
 from .files import one_line
 
-MOST_YAML = 1 << 20
-"""Bytes of a YAML file."""
+MAX_YAML_BYTES = 1 << 20
+"""Size limit of a YAML file."""
 
-_MOST_BYTES = 256 << 20
-_MOST_PIXELS = 64_000_000
-_MOST_LEVELS = 20
+_MAX_BYTES = 256 << 20
+_MAX_PIXELS = 64_000_000
+_MAX_LEVELS = 20
 
 
 class InputError(ValueError):
-    """Something in a file from elsewhere is not what it should be."""
+    """The content of an untrusted file is invalid."""
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Checks that a path, or what it links to, is a file on a disk: a pipe can make a reader wait
-    for ever, and a device never ends.
+    """Checks that a path, or the target of a link, is a regular file: reading a pipe can block for
+    ever, and a device has no end.
 
     Raises:
         InputError: it is a folder, a pipe, a socket or a device.
-        OSError: there is no such file.
+        OSError: it does not exist.
     """
     mode = Path(path).stat().st_mode
     if not stat.S_ISREG(mode):
@@ -49,56 +49,56 @@ def check_regular(path: str | os.PathLike[str]) -> None:
         raise InputError(f"{os.fspath(path)} is {kind}; expected a file")
 
 
-def read_bytes(path: str | os.PathLike[str], most: int | None = None) -> bytes:
+def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
     """The content of a file.
 
     Args:
         path: the file.
-        most: bytes that it may have; ``None``: 256 MiB, or what the environment variable
-            ``SSRVLAD_FILE_LIMIT`` says.
+        limit: largest size in bytes; by default the environment variable ``SSRVLAD_FILE_LIMIT``,
+            or 256 MiB.
 
     Raises:
-        InputError: it is larger, or no file.
+        InputError: it is larger, or not a regular file.
         OSError: it cannot be read.
     """
     check_regular(path)
     with Path(path).open("rb") as file:
         size = os.fstat(file.fileno()).st_size
-        check_size(size, path, most)
+        check_size(size, path, limit)
         return file.read(size)
 
 
-def check_size(size: int, name: object, most: int | None = None) -> None:
-    """Checks how many bytes something has before they are in memory; ``most`` as for `read_bytes`.
+def check_size(size: int, name: object, limit: int | None = None) -> None:
+    """Checks the size of a file in bytes before it is read; ``limit`` as for `read_bytes`.
 
     Raises:
-        InputError: it has more.
+        InputError: it is larger.
     """
-    limit = most or _limit("SSRVLAD_FILE_LIMIT", _MOST_BYTES)
+    hint = "" if limit else " (SSRVLAD_FILE_LIMIT)"
+    limit = limit or _limit("SSRVLAD_FILE_LIMIT", _MAX_BYTES)
     if size > limit:
-        hint = "" if most else " (SSRVLAD_FILE_LIMIT)"
         raise InputError(f"{name} has {size} bytes; expected at most {limit}{hint}")
 
 
-def read_text(path: str | os.PathLike[str], most: int | None = None) -> str:
-    """The text of a UTF-8 file, with or without a byte-order mark; otherwise as `read_bytes`."""
-    with naming(path, "no UTF-8 text"):
-        return read_bytes(path, most).decode("utf-8-sig")
+def read_text(path: str | os.PathLike[str], limit: int | None = None) -> str:
+    """The text of a UTF-8 file, with or without a byte-order mark; arguments as `read_bytes`."""
+    with input_errors(path, "not UTF-8 text"):
+        return read_bytes(path, limit).decode("utf-8-sig")
 
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
     """The document in a YAML file of at most 1 MiB; see `parse_yaml`."""
-    return parse_yaml(read_text(path, MOST_YAML), path)
+    return parse_yaml(read_text(path, MAX_YAML_BYTES), path)
 
 
 def parse_yaml(text: str, name: object) -> Any:
     """A YAML document as plain values.
 
     Raises:
-        InputError: it is no YAML, is nested too deeply, or has aliases, by which a short text can
-            stand for a huge one.
+        InputError: it is not YAML, is nested too deeply, or has aliases, with which a short text
+            can expand to a huge one.
     """
-    with naming(name, "no plain YAML"):
+    with input_errors(name, "not plain YAML"):
         return yaml.load(text, _PlainLoader)
 
 
@@ -111,9 +111,9 @@ def parse_json(text: str, name: object) -> Any:
     """A JSON value.
 
     Raises:
-        InputError: it is no JSON, or is nested too deeply.
+        InputError: it is not JSON, or is nested too deeply.
     """
-    with naming(name, "not JSON"):
+    with input_errors(name, "not JSON"):
         return json.loads(text)
 
 
@@ -121,21 +121,20 @@ def parse_npy(content: bytes) -> npt.NDArray[Any]:
     """The array in the content of a ``.npy`` file.
 
     Raises:
-        InputError: it is damaged, holds Python objects, or its header promises another number of
-            bytes than there are.
+        InputError: it is damaged, holds Python objects, or its length does not fit its header.
     """
     file = io.BytesIO(content)
     shape, _, dtype = npy_header(file)
-    promised, there = math.prod(shape) * dtype.itemsize, len(content) - file.tell()
+    expected, size = math.prod(shape) * dtype.itemsize, len(content) - file.tell()
     if dtype.hasobject:
         raise InputError("holds Python objects; expected numbers")
-    if promised != there:
-        raise InputError(f"has {there} bytes for an array of shape {shape} {dtype}")
+    if size != expected:
+        raise InputError(f"has {size} bytes for an array of shape {shape} {dtype}")
     return npy.read_array(io.BytesIO(content), allow_pickle=False)
 
 
 def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, order and dtype that the header of a ``.npy`` file gives; the file stands behind it.
+    """Shape, Fortran order and dtype in the header of a ``.npy`` file; reads up to its end.
 
     Raises:
         ValueError: it is damaged.
@@ -147,33 +146,34 @@ def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 
 def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """The arrays in a ``.npz`` archive by name, together no larger than a file may be.
+    """The arrays in a ``.npz`` archive by name; their total size has the limit of `read_bytes`.
 
     Raises:
         InputError: it is damaged, too large, or holds Python objects.
     """
-    with naming(path, "no .npz archive"), zipfile.ZipFile(io.BytesIO(read_bytes(path))) as archive:
+    with input_errors(path, "not a .npz archive"):
+        archive = zipfile.ZipFile(io.BytesIO(read_bytes(path)))
         entries = archive.infolist()
-        check_size(sum(entry.file_size for entry in entries), f"what is in {path}")
+        check_size(sum(entry.file_size for entry in entries), f"the content of {path}")
         return {e.filename.removesuffix(".npy"): parse_npy(archive.read(e)) for e in entries}
 
 
 def check_pixels(height: int, width: int) -> None:
-    """Checks the size of a picture before its pixels are in memory: a small file may hold many.
+    """Checks the size of a picture before it is decoded: a small file can hold many pixels.
 
     Raises:
-        InputError: more than 64 million pixels, or than the environment variable
-            ``SSRVLAD_PIXEL_LIMIT`` says.
+        InputError: it has more pixels than the environment variable ``SSRVLAD_PIXEL_LIMIT``, or by
+            default 64 million.
     """
-    most = _limit("SSRVLAD_PIXEL_LIMIT", _MOST_PIXELS)
-    if height * width > most:
+    limit = _limit("SSRVLAD_PIXEL_LIMIT", _MAX_PIXELS)
+    if height * width > limit:
         raise InputError(
-            f"has {height} x {width} pixels; expected at most {most} (SSRVLAD_PIXEL_LIMIT)"
+            f"has {height} x {width} pixels; expected at most {limit} (SSRVLAD_PIXEL_LIMIT)"
         )
 
 
 def _limit(name: str, default: int) -> int:
-    """What an environment variable allows."""
+    """The value of an environment variable, or a default."""
     text = os.environ.get(name) or str(default)
     if not text.isdecimal():
         raise InputError(f"the environment variable {name} is {text!r}; expected a whole number")
@@ -181,22 +181,22 @@ def _limit(name: str, default: int) -> int:
 
 
 @contextmanager
-def naming(name: object, problem: str) -> Iterator[None]:
-    """Whatever the body raises becomes an `InputError`: the name, the problem, the reason.
+def input_errors(name: object, problem: str) -> Iterator[None]:
+    """Turns whatever the body raises into an `InputError`: "NAME is PROBLEM: REASON".
 
-    An `InputError` and an `OSError` pass as they are.
+    An `InputError` or an `OSError` passes unchanged.
     """
     try:
         yield
     except (InputError, OSError):
         raise
-    except Exception as error:  # what parsers raise on damaged bytes has no bounds
+    except Exception as error:  # parsers raise anything on damaged bytes
         reason = "nested too deeply" if isinstance(error, RecursionError) else one_line(error)
         raise InputError(f"{name} is {problem}: {reason}") from error
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Refuses aliases, and more levels than settings and label spaces need."""
+    """Refuses aliases and deep nesting."""
 
     _level = 0
 
@@ -204,8 +204,8 @@ class _PlainLoader(yaml.SafeLoader):
         line = self.peek_event().start_mark.line + 1
         if self.check_event(yaml.AliasEvent):
             raise yaml.YAMLError(f"an alias in line {line}; expected YAML without aliases")
-        if self._level == _MOST_LEVELS:
-            raise yaml.YAMLError(f"more than {_MOST_LEVELS} levels in line {line}")
+        if self._level == _MAX_LEVELS:
+            raise yaml.YAMLError(f"more than {_MAX_LEVELS} levels in line {line}")
         self._level += 1
         node: yaml.Node | None = super().compose_node(parent, index)
         self._level -= 1
@@ -218,5 +218,5 @@ _KINDS: tuple[tuple[Callable[[int], bool], str], ...] = (
     (stat.S_ISSOCK, "a socket"),
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
-    (lambda _: True, "no regular file"),
+    (lambda _: True, "not a regular file"),
 )

@@ -16,7 +16,7 @@ from drives import write_maps
 from hypothesis import settings
 
 from ssrvlad_torch import native
-from ssrvlad_torch.deployment import export, fuse
+from ssrvlad_torch.deployment import export, fuse, label_graph
 from ssrvlad_torch.stages import harmonics
 from ssrvlad_torch.taxonomy import label_space_names
 
@@ -54,28 +54,41 @@ def core():
     return native.core()
 
 
-@pytest.fixture(scope="session", autouse=True)
-def built_once():
-    """The commands, the tables of a head, and its graph, which is one for settings of a named label
-    space."""
-    build = export.head_model
+def stored(build):
+    """A function that builds an ONNX model, once for the same arguments."""
 
     @cache
-    def built(*settings: object) -> bytes:
-        return build(*settings).SerializeToString()
+    def content(*arguments: object) -> bytes:
+        return build(*arguments).SerializeToString()
 
-    def model(config, input="labels", dtype="uint8", columns=(), *form):
-        if config.labels_as not in label_space_names():
-            return build(config, input, dtype, columns, *form)
+    def load(*arguments: object):
         import onnx
 
-        return onnx.load_from_string(built(config, input, dtype, tuple(columns), *form))
+        return onnx.load_from_string(content(*arguments))
+
+    return load
+
+
+@pytest.fixture(scope="session", autouse=True)
+def built_once():
+    """Caches the commands, the tables of a head, its graph where the label space has a name, and
+    the traced parts of fused graphs."""
+    head_model = export.head_model
+    stored_head = stored(head_model)
+
+    def model(config, input="labels", dtype=None, columns=(), form="standard", shape=None):
+        if input == "labels":
+            dtype = dtype or "uint8"
+        build = stored_head if config.labels_as in label_space_names() else head_model
+        return build(config, input, dtype, tuple(columns), form, shape)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
         patch.setattr(harmonics, "harmonic_tables", cache(harmonics.harmonic_tables))
         for module in (export, fuse):
             patch.setattr(module, "head_model", model)
+        for name in ("_traced_preparation", "_traced_decision"):
+            patch.setattr(label_graph, name, stored(getattr(label_graph, name)))
         yield
 
 

@@ -1,4 +1,4 @@
-"""Files in the form arithmetic: what they compute, with which operators, and of which sizes."""
+"""Files in the form arithmetic: results, operators and sizes."""
 
 from functools import cache
 
@@ -14,8 +14,9 @@ from hypothesis import strategies as st
 from test_export import CUSTOM, city, hundreds_of_label_maps, noise, of_preset, random_blobs
 
 from ssrvlad_torch import SSRVLAD, reference
-from ssrvlad_torch.deployment.arithmetic.vanishing_column import WIDEST
-from ssrvlad_torch.deployment.export import export_head, head_model
+from ssrvlad_torch.deployment import export
+from ssrvlad_torch.deployment.arithmetic.vanishing_column import MAX_WIDTH
+from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.verify import verify
 
@@ -27,13 +28,11 @@ Unsqueeze Where
 """
 """The operators of a file of fixed size."""
 OF_SIZES = "Or And ConstantOfShape Greater Less Range ScatterElements Shape Size"
-"""More of a file of any size: they compute from sizes and tables only."""
+"""More operators of a file of any size: they compute from sizes and tables only."""
 
 
-@cache
 def model_of(config, dtype=None, shape=None, given="labels"):
-    """The exported head; not to be changed."""
-    return head_model(config, given, dtype, form="arithmetic", shape=shape)
+    return export.head_model(config, given, dtype, (), "arithmetic", shape)
 
 
 @cache
@@ -72,7 +71,7 @@ def test_camvid():
 
 @pytest.mark.slow
 def test_hundreds_of_label_maps():
-    """The maps of the parity test of words, then resized to a fixed size by nearest neighbours."""
+    """The maps of the parity test of words, also resized to a fixed size by nearest neighbours."""
     for space, each in hundreds_of_label_maps().items():
         config = of_preset("default", labels_as=space)
         for labels in each:
@@ -83,8 +82,12 @@ def test_hundreds_of_label_maps():
             assert_parity(labels[rows[:, None], columns][None], config, fixed=True)
 
 
+SLOW_SHAPES = [(1, 1, 1), (1, 2, 40), (2, 120, 161), (1, 1081, 90)]
+
+
 @pytest.mark.parametrize(
-    "shape", [(1, 1, 1), (1, 2, 40), (3, 19, 1), (2, 120, 161), (1, 241, 317), (1, 1081, 90)]
+    "shape",
+    [(3, 19, 1), (1, 241, 317), *(pytest.param(n, marks=pytest.mark.slow) for n in SLOW_SHAPES)],
 )
 def test_a_fixed_size_of_any_kind(shape):
     config = of_preset("default")
@@ -115,7 +118,7 @@ def test_wide_ids_and_ids_below_zero(dtype):
     assert unknown == 81
 
 
-@pytest.mark.parametrize("shape", [None, (1, 61, 83)])
+@pytest.mark.parametrize("shape", [pytest.param(None, marks=pytest.mark.slow), (1, 61, 83)])
 def test_class_scores(shape):
     scores = np.random.default_rng(0).normal(size=(1, 12, 61, 83)).astype(np.float32)
     scores += 4 * np.eye(12, dtype=np.float32)[:, blobs(1, 61, 83, 9)[None]].swapaxes(0, 1)
@@ -125,7 +128,7 @@ def test_class_scores(shape):
     np.testing.assert_allclose(descriptor, expected, rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("shape", [None, (2, 300, 190)])
+@pytest.mark.parametrize("shape", [pytest.param(None, marks=pytest.mark.slow), (2, 130, 90)])
 def test_a_sweep_is_that_of_the_module(shape, tmp_path):
     columns, config = (-24, 0, 9), of_preset("default")
     export_head(config, tmp_path / "sweep.onnx", "labels", "uint8", columns, "arithmetic", shape)
@@ -141,12 +144,13 @@ def test_no_bits_no_loops_and_nothing_in_64_bits(shape):
     if shape:
         known = onnx.shape_inference.infer_shapes(model, strict_mode=True).graph.value_info
         types = {value.name: value.type.tensor_type for value in known}
-        made = {name for node in model.graph.node for name in node.output}
-        assert made - types.keys() == {"descriptor", "unknown"}
+        outputs = {name for node in model.graph.node for name in node.output}
+        assert outputs - types.keys() == {"descriptor", "unknown"}
         kinds = onnx.TensorProto
         allowed = {kinds.FLOAT, kinds.INT32, kinds.BOOL, kinds.UINT8}
-        assert {types[name].elem_type for name in made & types.keys()} <= allowed
-        assert all(axis.dim_value for name in made & types.keys() for axis in types[name].shape.dim)
+        assert {types[name].elem_type for name in outputs & types.keys()} <= allowed
+        shapes = [types[name].shape for name in outputs & types.keys()]
+        assert all(axis.dim_value for shape in shapes for axis in shape.dim)
 
 
 @pytest.mark.parametrize("shape", [None, (2, 150, 200)])
@@ -165,8 +169,8 @@ def test_the_file_says_what_it_is(shape, tmp_path):
 def test_what_cannot_be_counted_is_nan_or_refused():
     config = of_preset("default", labels_as=TRAINIDS)
     (street,) = city(1, 0, (120, 160))
-    assert_parity(np.tile(street, (1, 1, WIDEST // 160)).reshape(1, 120, WIDEST), config)
-    wider = np.zeros((1, 120, WIDEST + 1), np.uint8)
+    assert_parity(np.tile(street, (1, 1, MAX_WIDTH // 160)).reshape(1, 120, MAX_WIDTH), config)
+    wider = np.zeros((1, 120, MAX_WIDTH + 1), np.uint8)
     assert np.isnan(run_of(config)(wider)[0]).all()
     for shape in (wider.shape, (1, 0, 5), (0, 5, 5), (1, 1 << 13, 1 << 13)):
         with pytest.raises(ValueError, match="expected"):
@@ -188,11 +192,11 @@ def test_the_command_line(ssrvlad, tmp_path):
 @pytest.mark.parametrize(
     ("preset", "form", "shape", "problem"),
     [
-        ("paper", "arithmetic", None, "form arithmetic is of harmonics"),
+        ("paper", "arithmetic", None, "form arithmetic is for harmonics"),
         ("default", "standard", (1, 99, 99), "form standard takes any size"),
         ("default", "bits", None, "form must be one of standard, arithmetic"),
     ],
 )
-def test_forms_that_there_are_not(preset, form, shape, problem):
+def test_forms_that_do_not_exist(preset, form, shape, problem):
     with pytest.raises(ValueError, match=problem):
-        head_model(of_preset(preset), form=form, shape=shape)
+        export.head_model(of_preset(preset), form=form, shape=shape)

@@ -12,12 +12,15 @@ from ssrvlad_torch.deployment.arithmetic.boundaries import boundaries_in_graph
 from ssrvlad_torch.deployment.arithmetic.grid_pooling import pool_in_graph
 from ssrvlad_torch.deployment.arithmetic.layers import layers_in_graph, layers_of_categories
 from ssrvlad_torch.deployment.arithmetic.reduction import (
+    MAX_CELL_WIDTH,
     RADIX,
-    WIDEST_CELL,
     side_of,
     votes_in_graph,
 )
-from ssrvlad_torch.deployment.arithmetic.vanishing_column import WIDEST, vanishing_columns_in_graph
+from ssrvlad_torch.deployment.arithmetic.vanishing_column import (
+    MAX_WIDTH,
+    vanishing_columns_in_graph,
+)
 from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.grid_pooling import pool
 from ssrvlad_torch.stages.layers import UNKNOWN, merge, split
@@ -87,7 +90,7 @@ def test_votes_are_counted_and_the_commonest_kind_wins(seed, height, width, rows
         assert torch.equal(of_votes, got)
 
 
-@pytest.mark.parametrize("size", [(2000, 3), (9, WIDEST_CELL), (1200, WIDEST_CELL)])
+@pytest.mark.parametrize("size", [(2000, 3), (9, MAX_CELL_WIDTH), (1200, MAX_CELL_WIDTH)])
 @pytest.mark.parametrize("kind", range(len(ALL)))
 def test_the_largest_cells_are_counted_exactly(size, kind):
     """All pixels of a kind, and all but one: the sums are as large as they get."""
@@ -127,7 +130,7 @@ def test_vanishing_column(seed, height, width, density):
     columns(np.arange(height)[:, None] < rng.integers(0, height + 1, (2, 1, width)))
 
 
-@pytest.mark.parametrize("width", [1, 2, 239, 240, WIDEST - 1, WIDEST])
+@pytest.mark.parametrize("width", [1, 2, 239, 240, MAX_WIDTH - 1, MAX_WIDTH])
 def test_vanishing_columns_at_the_ends(width):
     """The largest sums: everything open, one half, and the last columns only."""
     for first in {0, width // 2, width - 1, width - width // 20}:

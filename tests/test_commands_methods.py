@@ -87,7 +87,7 @@ def test_random_weights_are_told_of(ssrvlad, tmp_path, monkeypatch):
         ("--method orb --weights a", "unknown method 'orb'; expected one of ssr-vlad, cohog"),
         ("--method label-grid", "label-grid reads label maps; expected their --labels-as"),
         ("--method hog --set rows", "--set wants NAME=VALUE, got 'rows'"),
-        ("--method hog --set rows=[", "the value of --set rows is no plain YAML: "),
+        ("--method hog --set rows=[", "the value of --set rows is not plain YAML: "),
         ("--method hog --set rows=many", "method hog cannot take rows='many': "),
         ("--method hog --set rows=0", "a grid of 1 x 1 or more, got 0 x 10"),
         ("--method hog --set depth=0", "method hog: got an unexpected keyword argument 'depth'"),

@@ -102,7 +102,7 @@ def test_what_runs_elsewhere_is_said(tmp_path):
     """The provider for remote services is in every build, and runs nothing of its own."""
     file = tmp_path / "x.onnx"
     onnx.save(small_graph(), file)
-    assert OnnxRuntime().elsewhere(file) == ""
+    assert OnnxRuntime().cpu_fallback(file) == ""
     runtime = OnnxRuntime("AzureExecutionProvider")
-    assert re.fullmatch(r"(\d) of \1 nodes run on the CPU", runtime.elsewhere(file))
+    assert re.fullmatch(r"(\d) of \1 nodes run on the CPU", runtime.cpu_fallback(file))
     assert runtime.open(file)(GIVEN)["y"].tolist() == [(x + 3) * 16 % 7 for x in range(1, 7)]

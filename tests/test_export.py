@@ -1,4 +1,4 @@
-"""The exported file against the module: what it computes, what it says, and how it is written."""
+"""The exported file against the module: its results, its metadata, and how it is written."""
 
 import sys
 from collections.abc import Iterator, Sequence
@@ -17,8 +17,9 @@ from graphs import session
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.deployment.arithmetic.vanishing_column import WIDEST
-from ssrvlad_torch.deployment.export import export_head, head_model
+from ssrvlad_torch.deployment import export
+from ssrvlad_torch.deployment.arithmetic.vanishing_column import MAX_WIDTH
+from ssrvlad_torch.deployment.export import export_head
 from ssrvlad_torch.deployment.graph import OPSET
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.verify import verify
@@ -72,10 +73,8 @@ def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:
     return SSRVLADConfig.from_preset(preset, **{"labels_as": SPACE, **settings})
 
 
-@cache
 def model_of(config: SSRVLADConfig, given: str = "labels", dtype: str | None = None) -> Any:
-    """The exported head; not to be changed."""
-    return head_model(config, given, dtype)
+    return export.head_model(config, given, dtype)
 
 
 @cache
@@ -92,7 +91,7 @@ def assert_parity(batch: Maps, config: SSRVLADConfig, given: str = "labels") -> 
 
 
 def assert_equal(outputs: Sequence[Maps], batch: Maps, config: SSRVLADConfig) -> None:
-    """Outputs of a file on some runtime are what the module makes of a batch."""
+    """Outputs of a file on some runtime are those of the module."""
     descriptor, unknown, *others = outputs
     view = SSRVLAD(config).explain(torch.tensor(batch))
     np.testing.assert_allclose(descriptor, view.descriptor, rtol=0, atol=1e-6)
@@ -104,7 +103,7 @@ def assert_equal(outputs: Sequence[Maps], batch: Maps, config: SSRVLADConfig) ->
 
 
 def noise(seed: int) -> Maps:
-    """Regions as winding as they get, on a map of any shape."""
+    """Regions of a few pixels, on a map of any shape."""
     rng = np.random.default_rng(seed)
     size = rng.integers(1, 80, 2)
     return rng.choice(rng.permutation(12)[: rng.integers(2, 5)], size).astype(np.uint8)
@@ -151,7 +150,7 @@ def test_camvid(preset):
 
 
 def hundreds_of_label_maps() -> dict[str, list[Maps]]:
-    """What the quick tests sample, at length, by label space: more than 300 without CamVid."""
+    """The maps of the fast tests and more, by label space: more than 300 without CamVid."""
     maps = [random_blobs(seed) for seed in range(100, 240)] + [noise(s) for s in range(100, 180)]
     maps += [*degenerate().values(), *hand_drawn().values(), *camvid_labels(4)]
     streets = []
@@ -193,24 +192,22 @@ def test_a_sweep_is_that_of_the_module(tmp_path):
     export_head(config, tmp_path / "sweep.onnx", "logits", columns=columns)
     assert verify(tmp_path / "sweep.onnx").passed
     model = session((tmp_path / "sweep.onnx").read_bytes())
-    for size in ((97, 211), (300, 190)):
-        labels = np.random.default_rng(1).integers(0, 11, (2, size[0] // 9 + 1, size[1] // 9 + 1))
-        labels = labels.repeat(9, 1).repeat(9, 2)[:, : size[0], : size[1]].astype(np.uint8)
-        scores = np.eye(11, dtype=np.float32)[:, labels].swapaxes(0, 1).copy()
-        swept = model.run(["descriptor"], {"logits": scores})[0]
-        expected = SSRVLAD(config).sweep(torch.from_numpy(labels), columns).numpy()
-        assert swept.shape == (2, 4, 480)
-        np.testing.assert_allclose(swept, expected, atol=1e-6)
+    labels = np.stack([blobs(seed, 97, 211, 12) % 11 for seed in range(2)])
+    scores = np.eye(11, dtype=np.float32)[:, labels].swapaxes(0, 1).copy()
+    (swept,) = model.run(["descriptor"], {"logits": scores})
+    expected = SSRVLAD(config).sweep(torch.from_numpy(labels), columns).numpy()
+    assert swept.shape == (2, 4, 480)
+    np.testing.assert_allclose(swept, expected, atol=1e-6)
     with pytest.raises(ValueError, match="a sweep needs the aggregation harmonics"):
-        head_model(of_preset("paper", labels_as="camvid-11"), columns=columns)
+        export.head_model(of_preset("paper", labels_as="camvid-11"), columns=columns)
 
 
 def test_a_grid_too_wide_to_count_gives_no_number():
-    """The widest one still gives those of the module; the next is NaN, which programs refuse."""
+    """The widest grid gives the module's numbers; a wider one gives NaN, which programs refuse."""
     config = of_preset("default", labels_as="cityscapes-trainids")
     (street,) = city(1, 0, (120, 160))
-    assert_parity(np.tile(street, (1, 1, WIDEST // 160)).reshape(1, 120, WIDEST), config)
-    wider = np.zeros((1, config.working_size, WIDEST + 1), np.uint8)
+    assert_parity(np.tile(street, (1, 1, MAX_WIDTH // 160)).reshape(1, 120, MAX_WIDTH), config)
+    wider = np.zeros((1, config.working_size, MAX_WIDTH + 1), np.uint8)
     descriptor, *_ = run_of(config)(wider)
     assert np.isnan(descriptor).all()
 
@@ -268,7 +265,7 @@ def test_the_answer_is_that_of_the_unoptimised_graph(preset):
 def test_the_interface(preset, given):
     model = model_of(of_preset(preset), given)
     onnx.checker.check_model(model, full_check=True)
-    assert [(one.domain, one.version) for one in model.opset_import] == [("", OPSET)]
+    assert [(each.domain, each.version) for each in model.opset_import] == [("", OPSET)]
     assert not model.functions
     forms = {
         value.name: (
@@ -289,7 +286,7 @@ def test_the_interface(preset, given):
 
 
 def all_nodes(graph: onnx.GraphProto) -> Iterator[tuple[onnx.NodeProto, dict[str, int]]]:
-    """Every node, also of loops, with the dtypes that are known where it stands."""
+    """Every node, also of loops, with the dtypes that are known in its graph."""
     known = {
         value.name: value.type.tensor_type.elem_type
         for value in (*graph.input, *graph.output, *graph.value_info)
@@ -304,7 +301,7 @@ def all_nodes(graph: onnx.GraphProto) -> Iterator[tuple[onnx.NodeProto, dict[str
 
 @presets
 def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
-    """ONNX Runtime 1.17, for one, cannot add uint64 nor compare uint8."""
+    """ONNX Runtime 1.17, for example, cannot add uint64 or compare uint8."""
     kinds = onnx.TensorProto
     anywhere = {kinds.INT32, kinds.INT64, kinds.FLOAT, kinds.DOUBLE}
     operators = {"Add", "Sub", "Mul", "Div", "Mod", "Min", "Max", "Abs", "Equal", "Less", "Greater"}
@@ -324,7 +321,7 @@ NUMBERS = {"NonZero", "ArgMax"}
 
 @presets
 def test_nothing_is_computed_in_64_bits(preset):
-    """Some runtimes cut int64 to 32 bits, and float64 to float32, and say nothing."""
+    """Some runtimes cut int64 to 32 bits and float64 to float32 silently."""
     kinds = onnx.TensorProto
     wide = {kinds.INT64, kinds.UINT64, kinds.DOUBLE}
     outputs = {"keypoints", "unknown"}
@@ -346,7 +343,7 @@ def test_nothing_is_computed_in_64_bits(preset):
 def test_every_input_of_a_loop_has_its_rank(preset):
     loops = [node for node, _ in all_nodes(model_of(of_preset(preset)).graph) if node.attribute]
     inputs = [
-        value for node in loops for one in node.attribute if one.g.node for value in one.g.input
+        value for node in loops for each in node.attribute if each.g.node for value in each.g.input
     ]
     assert preset == "default" or len(inputs) > 20
     assert all(value.type.tensor_type.HasField("shape") for value in inputs)
@@ -372,7 +369,7 @@ def test_the_metadata_and_the_golden_pair(preset, given, dtype):
 
 
 def write_space(path: Path, *ids: int) -> Path:
-    rows = "\n".join(f"  - {{id: {one}, name: c{one}, category: ground}}" for one in ids)
+    rows = "\n".join(f"  - {{id: {n}, name: c{n}, category: ground}}" for n in ids)
     path.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
     return path
 

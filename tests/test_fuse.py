@@ -21,9 +21,10 @@ from torch import Tensor, nn
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head
-from ssrvlad_torch.deployment.fuse import NETWORK, fuse, run_by_name
+from ssrvlad_torch.deployment.fuse import NETWORK, fuse
 from ssrvlad_torch.deployment.golden import outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.deployment.runtimes import OnnxRuntime
 from ssrvlad_torch.deployment.verify import compare, verify
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
@@ -38,30 +39,27 @@ def pictures(height: int = 133, width: int = 171, count: int = 2) -> Images:
     return np.stack([photo(blobs(seed, height, width, 12)) for seed in range(count)])
 
 
-opened = cache(session)
-"""A session of a file, one for all its pictures."""
+run_of = cache(OnnxRuntime().open)
+"""A file as a function of its inputs by name, opened once."""
 
 
-def assert_fused(segmenter: Segmenter, file: Path, images: Images, others: float = 0) -> None:
-    """The labels and descriptors of a file are those of the segmenter and of the head; at most a
-    fraction of the pixels may be others."""
-    whole = opened(file)
-    assert [value.name for value in whole.get_inputs()] == ["image"]
-    found = run_by_name(whole, {"image": images})
-    labels = found.pop("labels")
-    assert (labels != np.stack(segmenter(list(images)))).mean() <= others
-    config = SSRVLADConfig.from_dict(json.loads(whole.get_modelmeta().custom_metadata_map[
-        "ssrvlad.config"]))  # fmt: skip
+def assert_fused(
+    segmenter: Segmenter, file: Path, images: Images, config: SSRVLADConfig = CONFIG
+) -> None:
+    """The labels and descriptors of a file are those of the segmenter and of the head."""
+    outputs = run_of(file)({"image": images})
+    labels = outputs.pop("labels")
+    np.testing.assert_array_equal(labels, segmenter(list(images)))
     expected = outputs_of(SSRVLAD(config), labels)
-    assert found.keys() == expected.keys()
-    assert not compare("fused", found, expected).problem
-    assert found["descriptor"].any()
-    assert not found["unknown"].any()
+    assert outputs.keys() == expected.keys()
+    assert not compare("fused", outputs, expected).problem
+    assert outputs["descriptor"].any()
+    assert not outputs["unknown"].any()
 
 
 def assert_labelled(segmenter: Segmenter, file: Path, images: Images, others: float = 0) -> None:
-    """The labels of the network's part of a file, as `assert_fused`."""
-    (labels,) = opened(file).run(None, {"image": images})
+    """All labels of a network's file but a fraction are those of the segmenter."""
+    labels = run_of(file)({"image": images})["labels"]
     assert (labels != np.stack(segmenter(list(images)))).mean() <= others
 
 
@@ -76,7 +74,7 @@ GRAPHS = {
     "channels last, fixed": {"channels_last": True, "shape": (1, 90, 120, 3)},
 }
 RARE = ("half", "double", "weights beside", "fixed", "channels last")
-"""What takes a graph of its own to trace, and no other code than the rest."""
+"""Each is traced anew, and runs no code that the others do not."""
 
 
 @pytest.mark.parametrize(
@@ -121,10 +119,10 @@ def test_a_module_and_the_paper(tmp_path):
     config = SegmenterConfig(**{**vars(PLAIN), "classes": (0, CLASSES), "output": "out"})
     segmenter = Segmenter(Scores(), SPACE, config)
     paper = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
-    made = fuse(segmenter, paper, tmp_path / "place.onnx")
-    assert (made.name, made.settings["classes"]) == ("Scores", (0, CLASSES))
+    fused = fuse(segmenter, paper, tmp_path / "place.onnx")
+    assert (fused.name, fused.settings["classes"]) == ("Scores", (0, CLASSES))
     for size in ((133, 171), (90, 64)):
-        assert_fused(segmenter, tmp_path / "place.onnx", pictures(*size))
+        assert_fused(segmenter, tmp_path / "place.onnx", pictures(*size), paper)
     assert verify(tmp_path / "place.onnx").passed
 
 
@@ -138,8 +136,8 @@ def test_a_model_of_the_hub(tmp_path):
     transformers.SegformerForSemanticSegmentation(config).save_pretrained(tmp_path / "tiny")
     size = {"height": 64, "width": 96}
     transformers.SegformerImageProcessorPil(size=size).save_pretrained(tmp_path / "tiny")
-    made = fuse(tmp_path / "tiny", CONFIG, tmp_path / "net.onnx", tmp_path / "head.onnx")
-    assert made.name == "tiny"
+    fused = fuse(tmp_path / "tiny", CONFIG, tmp_path / "net.onnx", tmp_path / "head.onnx")
+    assert fused.name == "tiny"
     segmenter = Segmenter.load(tmp_path / "tiny", SPACE)
     assert_labelled(segmenter, tmp_path / "net.onnx", pictures(), 1e-3)
 
@@ -168,7 +166,7 @@ def test_any_opset_and_any_names(opset, tmp_path):
     fuse(segmenter, CONFIG, tmp_path / "place.onnx")
     fused = onnx.load(tmp_path / "place.onnx")
     onnx.checker.check_model(fused)
-    assert [one.version for one in fused.opset_import] == [max(18, opset)]
+    assert [each.version for each in fused.opset_import] == [max(18, opset)]
     assert_fused(segmenter, tmp_path / "place.onnx", pictures())
 
 
@@ -181,9 +179,8 @@ def test_the_metadata(tmp_path):
     assert metadata.fingerprint == CONFIG.fingerprint
     assert metadata.interface["inputs"]["image"] == {"dtype": "uint8", "shape": ["B", "H", "W", 3]}
     assert set(metadata.golden) == {"image", "labels", "descriptor", "unknown"}
-    said = json.loads(properties[NETWORK])
-    assert said["name"] == "seg.onnx"
-    assert said["key"] == segmenter.key()
+    network = json.loads(properties[NETWORK])
+    assert (network["name"], network["key"]) == ("seg.onnx", segmenter.key())
 
 
 def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
@@ -230,10 +227,10 @@ def test_the_two_files_of_a_split_are_the_one(tmp_path, ssrvlad):
     assert ssrvlad(*command)[0] == 0
     fuse(network, CONFIG, tmp_path / "place.onnx")
     image = photo(street(3, 60, 90))[None]
-    expected = run_by_name(session(tmp_path / "place.onnx"), {"image": image})
-    labels = run_by_name(session(both[0]), {"image": image})
+    expected = run_of(tmp_path / "place.onnx")({"image": image})
+    labels = run_of(both[0])({"image": image})
     assert labels.keys() == {"labels"}
-    got = run_by_name(session(both[1]), labels)
+    got = run_of(both[1])(labels)
     for name, array in {**labels, **got}.items():
         np.testing.assert_array_equal(array, expected[name])
     for file in both:

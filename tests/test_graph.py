@@ -56,7 +56,7 @@ def lists(graph: Graph, values: Symbol, index: Symbol, times: Symbol) -> list[Sy
         values[0],
         graph.sums(index, values, 9),
         graph.counts(index, graph.length(index)),
-        graph.before(values),
+        graph.exclusive_sums(values),
         number,
         how_many_before,
         graph.any(values > 100),

@@ -30,7 +30,7 @@ def test_a_settings_file_names_a_network_beside_it(tmp_path, monkeypatch):
     ("text", "message"),
     [
         (None, r"cannot read the settings .*net\.yaml: No such file"),
-        ("network: [", r"^\S*net\.yaml is no plain YAML: while parsing"),
+        ("network: [", r"^\S*net\.yaml is not plain YAML: while parsing"),
         ("size: [4, 4]", r"net\.yaml names no network; expected network: NAME"),
         ("network: net.onnx\nmeans: 3", r"unknown setting 'means'; expected network, labels_as"),
         ("network: net.onnx\nmean: 3", r"net\.yaml: mean must be three numbers, got 3"),

@@ -122,7 +122,7 @@ def test_a_database_of_another_fingerprint_is_refused(head, maps, town, run):
     marker.unlink()
     code, _, (warning,) = run(head, maps, "--database", town)
     assert code == 0
-    assert "carries no fingerprint" in warning
+    assert "has no fingerprint" in warning
 
 
 def test_a_frame_of_more_than_the_file_can_count_is_skipped(tmp_path, run):
@@ -148,8 +148,8 @@ def test_unknown_ids_are_counted_and_skipped(head, maps, tmp_path, run):
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
-        (np.full((5, 6), -1), "30 of 30 pixels have an id that is no uint8"),
-        (np.full((5, 6), 256), "30 of 30 pixels have an id that is no uint8"),
+        (np.full((5, 6), -1), "30 of 30 pixels have an id outside uint8"),
+        (np.full((5, 6), 256), "30 of 30 pixels have an id outside uint8"),
         (np.zeros((5, 6), np.float32), "expected an (H, W) label map, got (5, 6) float32"),
         (np.zeros((2, 5, 6), int), "expected an (H, W) label map, got (2, 5, 6) int64"),
         (np.zeros((0, 6), int), "expected an (H, W) label map, got (0, 6) int64"),
@@ -193,9 +193,9 @@ def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_p
     out = tmp_path / "town.npy"
     code, _, errors = run(head, folder, "--save-descriptors", out)
     assert (code, len(errors), out.exists()) == (2, 1, False)
-    assert "a database holds an id a line; frame 'day/a\\nb' has several" in errors[0]
+    assert "a database has one id a line; frame 'day/a\\nb' has several" in errors[0]
     assert run(head, folder)[0] == 0
-    with pytest.raises(ValueError, match="has several"):
+    with pytest.raises(ValueError, match="has several lines"):
         script.save(out, [np.ones(3)], ["a\x85b"], "")
     assert not list(tmp_path.glob("town*"))
 

@@ -133,7 +133,7 @@ def test_a_custom_space(tmp_path):
         ("[1, 2, 3]", "7", "id 5 has colour 7"),
         ("name: dog, ", "", "must have id, name and category"),
         ("source: my own robot", "", "is not a label space: expected a mapping with name, source"),
-        ("classes:", "classes: [", "is no plain YAML"),
+        ("classes:", "classes: [", "is not plain YAML"),
         (CUSTOM, "- 3", "is not a label space"),
         (CUSTOM, "{name: x, source: y, classes: []}", "at least one class"),
         (

@@ -1,4 +1,4 @@
-"""What `verify` finds in files that are as they should be, and in those that are not."""
+"""What `verify` reports about correct files and about wrong ones."""
 
 import json
 from collections.abc import Callable
@@ -31,11 +31,11 @@ COMPARED = ["golden pair", "module", "corpus"]
 def files(tmp_path_factory) -> dict[str, Path]:
     """A head for labels, one for class scores, and a fused file; not to be changed."""
     folder = tmp_path_factory.mktemp("files")
-    made = {name: folder / f"{name}.onnx" for name in ("labels", "logits", "fused")}
-    export_head(CONFIG, made["labels"])
-    export_head(CONFIG, made["logits"], "logits")
-    fuse(write_graph(folder / "seg.onnx"), CONFIG, made["fused"])
-    return made
+    paths = {name: folder / f"{name}.onnx" for name in ("labels", "logits", "fused")}
+    export_head(CONFIG, paths["labels"])
+    export_head(CONFIG, paths["logits"], "logits")
+    fuse(write_graph(folder / "seg.onnx"), CONFIG, paths["fused"])
+    return paths
 
 
 @pytest.fixture
@@ -172,7 +172,7 @@ def more_settings(text: str) -> str:
 
 
 NOT_OURS: dict[str, tuple[Callable[[Any], None], str]] = {
-    "no metadata": (without_metadata, "this is no file of `ssrvlad export`"),
+    "no metadata": (without_metadata, "not a file of `ssrvlad export`"),
     "later settings": (with_property("config", more_settings), "unknown setting 'colour'"),
     "no JSON": (with_property("config", lambda _: "{"), "ssrvlad.config is not JSON"),
     "golden": (with_property("golden", lambda text: text.replace('"data": "e', '"data": "f')), ""),
@@ -217,7 +217,7 @@ def test_label_maps_that_cannot_be_compared_are_skipped(files, ssrvlad, streets)
     assert [check["name"] for check in report["checks"]] == [*COMPARED, "maps/0", "maps/1"]
     reasons = {one["frame"]: one["reason"] for one in report["skipped"]}
     assert "label id 200" in reasons["maps/unknown"]
-    assert "label id 300 is no uint8, which the file takes" in reasons["maps/wide"]
+    assert "label id 300; the file takes uint8" in reasons["maps/wide"]
     assert len(err) == 2
 
 

@@ -14,7 +14,7 @@
 namespace npy {
 
 struct Array {
-  std::string dtype;                // as NumPy spells it: "|u1", "<i8", "<f4"
+  std::string dtype;                // NumPy's name: "|u1", "<i8", "<f4"
   std::vector<std::int64_t> shape;
   std::vector<char> bytes;
 
@@ -29,27 +29,27 @@ struct Array {
 };
 
 inline std::string field(const std::string& header, const std::string& pattern) {
-  std::smatch found;
-  if (!std::regex_search(header, found, std::regex(pattern)))
+  std::smatch match;
+  if (!std::regex_search(header, match, std::regex(pattern)))
     throw std::runtime_error("the header of the .npy file is damaged");
-  return found[1];
+  return match[1];
 }
 
 inline std::vector<std::int64_t> numbers(const std::string& text) {
   const std::regex digits("\\d+");
-  std::vector<std::int64_t> found;
+  std::vector<std::int64_t> values;
   for (std::sregex_iterator it(text.begin(), text.end(), digits), end; it != end; ++it)
-    found.push_back(std::stoll(it->str()));
-  return found;
+    values.push_back(std::stoll(it->str()));
+  return values;
 }
 
-// Throws std::runtime_error where the file is no such array or ends too early.
+// Throws std::runtime_error if the file is not such an array or is too short.
 inline Array load(const std::string& path) {
   std::ifstream file(path, std::ios::binary);
   if (!file) throw std::runtime_error(path + ": cannot be read");
   const std::string content((std::istreambuf_iterator<char>(file)), {});
   if (content.size() < 12 || content.compare(0, 6, "\x93NUMPY") != 0)
-    throw std::runtime_error(path + ": no .npy file");
+    throw std::runtime_error(path + ": not a .npy file");
   const auto byte = [&](std::size_t at) { return static_cast<unsigned char>(content[at]); };
   std::size_t begin = 10, length = byte(8) + (byte(9) << 8);
   if (byte(6) > 1) {

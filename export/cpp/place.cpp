@@ -1,14 +1,14 @@
-// Describes a label map or a photograph, and finds it in an exported database; an example of
+// Describes a label map or a photograph and finds it in an exported database: an example for
 // place.hpp.
 //
 //     place head.onnx map.npy [town.npy [TOP]]
 //     place place.onnx photo.ppm [town.npy [TOP]]
 //     place --network net.onnx head.onnx photo.ppm [town.npy [TOP]]
 //
-// A map is an (H, W) .npy array of uint8, int32 or int64, or a binary PGM of 8 bits; a photograph
-// an (H, W, 3) .npy array of uint8 in RGB, or a binary PPM of 8 bits. The database is what `ssrvlad db
-// export --format npy` writes. --unchecked does not run the golden pair first. Exit code 0 for
-// success, 2 for wrong use or bad input, which one line on stderr names.
+// A map is an (H, W) .npy array of uint8, int32 or int64, or a binary 8-bit PGM; a photograph is an
+// (H, W, 3) .npy array of uint8 in RGB, or a binary 8-bit PPM. The database is written by
+// `ssrvlad db export --format npy`. --unchecked does not run the golden pair first. Exit code 0 for
+// success, 2 for wrong use or bad input, with one line on stderr.
 
 #include "place.hpp"
 
@@ -70,40 +70,41 @@ ssrvlad::Described describe(const ssrvlad::Place& place, const std::string& path
   }
 }
 
-void run(const std::string& network, const std::vector<std::string>& given, bool check) {
-  const Ort::SessionOptions options;  // where a provider for the network would be appended
-  const auto place = network.empty() ? ssrvlad::Place(given[0], options, check)
-                                     : ssrvlad::Place(network, given[0], options, check);
-  const auto described = describe(place, given[1]);
+void run(const std::string& network, const std::vector<std::string>& arguments, bool check) {
+  const Ort::SessionOptions options;  // append a provider for the network here
+  const auto place = network.empty() ? ssrvlad::Place(arguments[0], options, check)
+                                     : ssrvlad::Place(network, arguments[0], options, check);
+  const auto described = describe(place, arguments[1]);
   std::printf("descriptor: %zu numbers, norm %.6f\n", described.descriptor.size(),
               static_cast<double>(ssrvlad::detail::length_of(described.descriptor.data(),
                                                              described.length)));
-  if (given.size() < 3) return;
-  const ssrvlad::Database database(given[2], place.fingerprint());
-  for (const auto& match : database.match(described, given.size() > 3 ? number(given[3]) : 5))
+  if (arguments.size() < 3) return;
+  const ssrvlad::Database database(arguments[2], place.fingerprint());
+  const auto top = arguments.size() > 3 ? number(arguments[3]) : 5;
+  for (const auto& match : database.match(described, top))
     std::printf("%s %.6f\n", match.frame.c_str(), static_cast<double>(match.score));
 }
 
 }  // namespace
 
 int main(int count, char** values) {
-  std::vector<std::string> given(values + 1, values + count);
+  std::vector<std::string> arguments(values + 1, values + count);
   std::string network;
   bool check = true;
-  while (!given.empty() && given[0].compare(0, 2, "--") == 0) {
-    const bool named = given[0] == "--network" && given.size() > 1;
-    if (!named && given[0] != "--unchecked") break;
-    if (named) network = given[1];
+  while (!arguments.empty() && arguments[0].compare(0, 2, "--") == 0) {
+    const bool named = arguments[0] == "--network" && arguments.size() > 1;
+    if (!named && arguments[0] != "--unchecked") break;
+    if (named) network = arguments[1];
     check = check && named;
-    given.erase(given.begin(), given.begin() + (named ? 2 : 1));
+    arguments.erase(arguments.begin(), arguments.begin() + (named ? 2 : 1));
   }
-  if (given.size() < 2 || given.size() > 4) {
+  if (arguments.size() < 2 || arguments.size() > 4) {
     std::cerr << "usage: place [--unchecked] [--network net.onnx] head.onnx map.npy|photo.ppm "
                  "[town.npy [TOP]]\n";
     return 2;
   }
   try {
-    run(network, given, check);
+    run(network, arguments, check);
   } catch (const std::exception& error) {
     std::cerr << "place: " << error.what() << "\n";
     return 2;

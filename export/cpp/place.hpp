@@ -1,13 +1,12 @@
-// Places from label maps and photographs: files of `ssrvlad export` and `ssrvlad fuse`.
+// Descriptors of label maps and photographs with files of `ssrvlad export` and `ssrvlad fuse`.
 //
 //     ssrvlad::Place place("place.onnx");
 //     ssrvlad::Database town("town.npy", place.fingerprint());
-//     auto seen = place.describe(pixels, height, width);
-//     for (const auto& match : town.match(seen, 5)) std::cout << match.frame << match.score;
+//     auto query = place.describe(pixels, height, width);
+//     for (const auto& match : town.match(query, 5)) std::cout << match.frame << match.score;
 //
-// Header-only, C++ 17, over the C++ API of ONNX Runtime, and zlib. Every error is a
-// std::runtime_error, an Ort::Exception where the runtime raises it. A Place may be used by several
-// threads at a time.
+// Header-only, C++17; needs the C++ API of ONNX Runtime, and zlib. Errors are std::runtime_error,
+// or Ort::Exception from the runtime. Several threads may use one Place at a time.
 
 #pragma once
 
@@ -35,13 +34,13 @@ namespace ssrvlad {
 
 constexpr const char* kFormat = "2";
 constexpr float kTolerance = 1e-6F;
-// Fraction of a golden image's pixels that may get another label on another runtime, and the least
+// Fraction of a golden image's pixels whose label may differ on another runtime, and the smallest
 // cosine of the descriptors of two label maps that differ so little.
-constexpr double kMostOtherPixels = 0.01;
-constexpr float kLeastCosine = 0.8F;
+constexpr double kMaxOtherPixels = 0.01;
+constexpr float kMinCosine = 0.8F;
 
-// What is known about a frame. Of a file of `export --sweep` there are several descriptors, one
-// after another, one for each anchor. All zeros: the frame is empty, and matches nothing.
+// The descriptor of a frame; with `export --sweep` the descriptors of all anchors in sequence. All
+// zeros: the frame is empty and matches nothing.
 struct Described {
   std::vector<float> descriptor;
   std::size_t length = 0;  // of one descriptor
@@ -52,21 +51,21 @@ struct Match {
   float score;
 };
 
-// How the golden pair came out: see `Place::golden`.
+// The result of a golden pair: see `Place::golden`.
 struct Golden {
-  float difference = 0;     // largest of a descriptor, infinite if a count differs
-  double other_pixels = 0;  // fraction with another label than was recorded
-  float cosine = 1;         // to the descriptor that is expected
+  float difference = 0;     // largest difference of the descriptor, infinite if a count differs
+  double other_pixels = 0;  // fraction of pixels with another label than recorded
+  float cosine = 1;         // cosine to the expected descriptor
 
   bool holds() const {
-    const bool roughly = other_pixels > 0 && cosine >= kLeastCosine;
-    return other_pixels <= kMostOtherPixels && (difference <= kTolerance || roughly);
+    const bool is_similar = other_pixels > 0 && cosine >= kMinCosine;
+    return other_pixels <= kMaxOtherPixels && (difference <= kTolerance || is_similar);
   }
 };
 
 namespace detail {
 
-constexpr std::uint64_t kMostGolden = std::uint64_t{64} << 20;
+constexpr std::uint64_t kMaxGoldenBytes = std::uint64_t{64} << 20;
 
 struct Tensor {
   ONNXTensorElementDataType type = ONNX_TENSOR_ELEMENT_DATA_TYPE_UNDEFINED;
@@ -82,7 +81,7 @@ struct Tensor {
 
 using Tensors = std::map<std::string, Tensor>;
 
-// Reads the JSON of the golden pair: objects of arrays of numbers and of texts without escapes.
+// Reads the JSON of the golden pair: objects, arrays of numbers, and strings without escapes.
 class Reader {
  public:
   explicit Reader(const std::string& text) : text_(text) {}
@@ -102,21 +101,21 @@ class Reader {
     expect('"');
     const auto end = text_.find('"', at_);
     if (end == std::string::npos) fail();
-    const auto found = text_.substr(at_, end - at_);
+    const auto content = text_.substr(at_, end - at_);
     at_ = end + 1;
-    return found;
+    return content;
   }
 
   std::int64_t number() {
-    std::size_t read = 0;
-    std::int64_t found = 0;
+    std::size_t length = 0;
+    std::int64_t value = 0;
     try {
-      found = std::stoll(text_.substr(at_, 24), &read);
+      value = std::stoll(text_.substr(at_, 24), &length);
     } catch (const std::exception&) {
       fail();
     }
-    at_ += read;
-    return found;
+    at_ += length;
+    return value;
   }
 
   template <typename Entry>
@@ -139,17 +138,17 @@ inline std::string from_base64(const std::string& text) {
   static const std::string digits =
       "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
   std::string bytes;
-  std::uint32_t held = 0;
+  std::uint32_t buffer = 0;
   int bits = 0;
   for (char letter : text) {
     if (letter == '=') break;
     const auto digit = digits.find(letter);
     if (digit == std::string::npos) Reader::fail();
-    held = held << 6 | static_cast<std::uint32_t>(digit);
+    buffer = buffer << 6 | static_cast<std::uint32_t>(digit);
     bits += 6;
     if (bits < 8) continue;
     bits -= 8;
-    bytes.push_back(static_cast<char>(held >> bits & 255));
+    bytes.push_back(static_cast<char>(buffer >> bits & 255));
   }
   return bytes;
 }
@@ -181,7 +180,7 @@ inline Tensor golden_tensor(Reader& reader) {
   const auto [type, width] = type_of(dtype);
   std::uint64_t size = width;
   for (const auto axis : tensor.shape) {
-    if (axis < 0 || (axis > 0 && size > kMostGolden / static_cast<std::uint64_t>(axis)))
+    if (axis < 0 || (axis > 0 && size > kMaxGoldenBytes / static_cast<std::uint64_t>(axis)))
       throw std::runtime_error("the golden pair is larger than 64 MiB");
     size *= static_cast<std::uint64_t>(axis);
   }
@@ -197,21 +196,21 @@ inline Tensor golden_tensor(Reader& reader) {
 }
 
 inline Tensors golden_tensors(const std::string& json) {
-  Tensors found;
+  Tensors tensors;
   Reader reader(json);
   reader.entries('{', '}', [&] {
     const auto name = reader.text();
     reader.expect(':');
-    found.emplace(name, golden_tensor(reader));
+    tensors.emplace(name, golden_tensor(reader));
   });
-  return found;
+  return tensors;
 }
 
 inline float length_of(const float* vector, std::size_t size) {
   return std::sqrt(std::inner_product(vector, vector + size, vector, 0.0F));
 }
 
-// A session with what its file says about itself.
+// A session and the metadata of its file.
 class Session {
  public:
   Session(const std::string& path, const Ort::SessionOptions& options)
@@ -220,19 +219,19 @@ class Session {
                  options) {
     if (property("ssrvlad.fingerprint").empty())
       throw std::runtime_error(path + ": no metadata ssrvlad.fingerprint");
-    const auto written = property("ssrvlad.format");
-    if (written != kFormat)
-      throw std::runtime_error(path + ": a file of format " + (written.empty() ? "1" : written) +
+    const auto format = property("ssrvlad.format");
+    if (format != kFormat)
+      throw std::runtime_error(path + ": a file of format " + (format.empty() ? "1" : format) +
                                "; expected " + kFormat + ": export it again");
     if (session_.GetInputCount() != 1)
       throw std::runtime_error(path + ": expected one input, got " +
                                std::to_string(session_.GetInputCount()));
     Ort::AllocatorWithDefaultOptions allocator;
     input_ = session_.GetInputNameAllocated(0, allocator).get();
-    const auto given = session_.GetInputTypeInfo(0);
-    const auto form = given.GetTensorTypeAndShapeInfo();  // belongs to given
-    type_ = form.GetElementType();
-    shape_ = form.GetShape();
+    const auto info = session_.GetInputTypeInfo(0);
+    const auto tensor = info.GetTensorTypeAndShapeInfo();  // belongs to info
+    type_ = tensor.GetElementType();
+    shape_ = tensor.GetShape();
     if (input_ != "labels" && input_ != "image")
       throw std::runtime_error(path + ": takes " + input_ +
                                "; expected a file of `ssrvlad export --input labels` or `fuse`");
@@ -242,8 +241,8 @@ class Session {
   const std::string& input() const { return input_; }
   ONNXTensorElementDataType type() const { return type_; }
 
-  // A file of fixed size takes no other.
-  void refuse_unless_fits(const std::vector<std::int64_t>& shape) const {
+  // Refuses another size than that of a file of fixed size.
+  void require_shape(const std::vector<std::int64_t>& shape) const {
     const char* axes[] = {"images", "rows", "columns"};
     for (std::size_t axis = 0; axis < 3; ++axis)
       if (shape_[axis] > 0 && shape_[axis] != shape[axis])
@@ -257,29 +256,29 @@ class Session {
     return text ? text.get() : "";
   }
 
-  // The tensors lie in the memory of the CPU, wherever they were made.
-  std::vector<Ort::Value> run(const Ort::Value& given, const std::vector<const char*>& names) const {
+  // The outputs are in CPU memory, for any provider.
+  std::vector<Ort::Value> run(const Ort::Value& value, const std::vector<const char*>& names) const {
     const char* input = input_.c_str();
-    return session_.Run(Ort::RunOptions{}, &input, &given, 1, names.data(), names.size());
+    return session_.Run(Ort::RunOptions{}, &input, &value, 1, names.data(), names.size());
   }
 
-  // Runs the golden pair that is in the file.
+  // Runs the golden pair of the file.
   Golden golden() const {
     auto tensors = golden_tensors(property("ssrvlad.golden"));
     if (!tensors.count(input_))
       throw std::runtime_error(path_ + ": no golden pair for input " + input_);
-    auto& given = tensors[input_];
-    const auto value = value_of(given.bytes.data(), given.bytes.size(), given.shape, given.type);
+    auto& input = tensors[input_];
+    const auto value = value_of(input.bytes.data(), input.bytes.size(), input.shape, input.type);
     std::vector<const char*> names;
     for (const auto& [name, tensor] : tensors)
       if (name != input_) names.push_back(name.c_str());
-    const auto found = run(value, names);
+    const auto outputs = run(value, names);
     Golden golden;
     for (std::size_t at = 0; at < names.size(); ++at) {
       const auto& expected = tensors[names[at]];
-      if (found[at].GetTensorTypeAndShapeInfo().GetShape() != expected.shape)
+      if (outputs[at].GetTensorTypeAndShapeInfo().GetShape() != expected.shape)
         return {std::numeric_limits<float>::infinity(), 1, 0};
-      compare(names[at], found[at], expected, golden);
+      compare(names[at], outputs[at], expected, golden);
     }
     return golden;
   }
@@ -298,24 +297,24 @@ class Session {
     return shared;
   }
 
-  static void compare(const std::string& name, const Ort::Value& found, const Tensor& expected,
+  static void compare(const std::string& name, const Ort::Value& output, const Tensor& expected,
                       Golden& golden) {
     if (name == "descriptor") {
-      const float* got = found.GetTensorData<float>();
-      const float* wanted = expected.as<float>();
+      const float* got = output.GetTensorData<float>();
+      const float* recorded = expected.as<float>();
       for (std::size_t at = 0; at < expected.count<float>(); ++at) {
-        const float step = std::abs(got[at] - wanted[at]);
+        const float step = std::abs(got[at] - recorded[at]);
         if (!(step <= golden.difference))
           golden.difference = std::isnan(step) ? std::numeric_limits<float>::infinity() : step;
       }
       const auto length = static_cast<std::size_t>(expected.shape.back());
       for (std::size_t at = 0; at < expected.count<float>(); at += length) {
-        const float cosine = std::inner_product(got + at, got + at + length, wanted + at, 0.0F);
+        const float cosine = std::inner_product(got + at, got + at + length, recorded + at, 0.0F);
         if (!(cosine >= golden.cosine)) golden.cosine = std::isnan(cosine) ? 0 : cosine;
       }
       return;
     }
-    const char* got = static_cast<const char*>(found.GetTensorRawData());
+    const char* got = static_cast<const char*>(output.GetTensorRawData());
     const auto width = type_of(name_of(expected.type)).second;
     std::size_t others = 0;
     for (std::size_t at = 0; at < expected.bytes.size(); at += width)
@@ -327,29 +326,29 @@ class Session {
   }
 
   std::string path_;
-  mutable Ort::Session session_;  // running it changes nothing that can be seen
+  mutable Ort::Session session_;  // Run is thread-safe, but not const
   std::string input_;
   ONNXTensorElementDataType type_ = ONNX_TENSOR_ELEMENT_DATA_TYPE_UNDEFINED;
-  std::vector<std::int64_t> shape_;  // -1 where it takes any
+  std::vector<std::int64_t> shape_;  // -1 for a dynamic axis
 };
 
 }  // namespace detail
 
 // Describes label maps or photographs.
 //
-// As it is loaded it runs the golden pair that is in every file, and refuses a runtime that gives
-// something else, unless `check` is false.
+// The constructor runs the golden pair of every file and refuses a runtime that gives other
+// outputs, unless `check` is false.
 class Place {
  public:
-  // One file: the head alone, or with a network before it.
+  // One file: the head alone, or a network and the head.
   explicit Place(const std::string& model, const Ort::SessionOptions& options = Ort::SessionOptions{},
                  bool check = true)
       : head_(model, options) {
-    if (check) refuse_unless_right();
+    if (check) require_golden();
   }
 
-  // The two files of `ssrvlad fuse --split`: the network where its options say, the head on the
-  // CPU. The label map goes from one to the other as it lies in memory.
+  // The two files of `ssrvlad fuse --split`: the network with its options, the head on the CPU. The
+  // label map is not copied between them.
   Place(const std::string& network, const std::string& head,
         const Ort::SessionOptions& network_options, bool check = true)
       : head_(head, Ort::SessionOptions{}),
@@ -360,22 +359,22 @@ class Place {
                                  ": expected the two files");
     if (network_->input() != "image" || head_.input() != "labels")
       throw std::runtime_error(network + " and " + head + ": expected a network and a head");
-    if (check) refuse_unless_right();
+    if (check) require_golden();
   }
 
-  // Descriptors of another fingerprint do not compare.
+  // Fingerprint of the settings; descriptors of another one do not compare.
   std::string fingerprint() const { return head_.property("ssrvlad.fingerprint"); }
 
-  // Whether photographs are described, not label maps.
+  // Whether it takes photographs, not label maps.
   bool takes_photographs() const { return first().input() == "image"; }
 
-  // A label map of (height, width) ids, or a photograph of (height, width, 3) in RGB, row after
-  // row. Refuses ids outside the label space.
+  // A label map of (height, width) ids, or a photograph of (height, width, 3) bytes in RGB, row by
+  // row. Throws for ids outside the label space.
   Described describe(const std::uint8_t* pixels, std::int64_t height, std::int64_t width) const {
     return describe_bytes(pixels, height, width, "uint8");
   }
 
-  // A label map of wide ids.
+  // A label map of 32-bit or 64-bit ids.
   Described describe(const std::int32_t* labels, std::int64_t height, std::int64_t width) const {
     return describe_bytes(labels, height, width, "int32");
   }
@@ -383,9 +382,9 @@ class Place {
     return describe_bytes(labels, height, width, "int64");
   }
 
-  // Runs the golden pair of the file, or of both. Where the network labels some pixels of a golden
-  // image otherwise, the descriptor of one file is another too, and only a gross fault of the head
-  // shows; of two files the head is always compared exactly.
+  // Runs the golden pair of the file, or of both. Where some labels of a golden image differ, the
+  // descriptor of a single file differs too, so only a large error of the head is found; of two
+  // files the head is always compared exactly.
   Golden golden() const {
     auto golden = head_.golden();
     if (network_ && golden.holds()) golden.other_pixels = network_->golden().other_pixels;
@@ -395,13 +394,13 @@ class Place {
  private:
   const detail::Session& first() const { return network_ ? *network_ : head_; }
 
-  void refuse_unless_right() const {
-    const auto found = golden();
-    if (found.holds()) return;
+  void require_golden() const {
+    const auto result = golden();
+    if (result.holds()) return;
     throw std::runtime_error(
         first().path() + " is computed wrong here: the golden pair differs by " +
-        std::to_string(found.difference) + ", " + std::to_string(100 * found.other_pixels) +
-        " % of its labels are others");
+        std::to_string(result.difference) + ", and " + std::to_string(100 * result.other_pixels) +
+        " % of its labels differ");
   }
 
   Described describe_bytes(const void* data, std::int64_t height, std::int64_t width,
@@ -412,26 +411,27 @@ class Place {
                                ", got " + dtype);
     if (height < 1 || width < 1) throw std::runtime_error("expected at least one pixel");
     std::vector<std::int64_t> shape{1, height, width};
-    first().refuse_unless_fits(shape);
+    first().require_shape(shape);
     if (takes_photographs()) shape.push_back(3);
     const auto size = static_cast<std::size_t>(height * width) * bytes * (takes_photographs() ? 3 : 1);
-    const auto given = detail::Session::value_of(data, size, shape, type);
+    const auto input = detail::Session::value_of(data, size, shape, type);
     const std::vector<const char*> names{"descriptor", "unknown"};
     std::vector<Ort::Value> labels;
-    if (network_) labels = network_->run(given, {"labels"});
-    const auto found = head_.run(network_ ? labels[0] : given, names);
-    const auto unknown = found[1].GetTensorData<std::int64_t>()[0];
+    if (network_) labels = network_->run(input, {"labels"});
+    const auto outputs = head_.run(network_ ? labels[0] : input, names);
+    const auto unknown = outputs[1].GetTensorData<std::int64_t>()[0];
     if (unknown > 0)
       throw std::runtime_error(std::to_string(unknown) +
                                " pixels have an id outside the label space");
     Described described;
-    const auto form = found[0].GetTensorTypeAndShapeInfo();
-    const float* numbers = found[0].GetTensorData<float>();
-    described.descriptor.assign(numbers, numbers + form.GetElementCount());
+    const auto info = outputs[0].GetTensorTypeAndShapeInfo();
+    const float* numbers = outputs[0].GetTensorData<float>();
+    described.descriptor.assign(numbers, numbers + info.GetElementCount());
     for (const float number : described.descriptor)
       if (!std::isfinite(number))
-        throw std::runtime_error("the frame is too wide, or has too many keypoints, for such a file");
-    described.length = static_cast<std::size_t>(form.GetShape().back());
+        throw std::runtime_error(
+            "the frame is too wide, or has too many keypoints, for an exported file");
+    described.length = static_cast<std::size_t>(info.GetShape().back());
     return described;
   }
 
@@ -439,7 +439,7 @@ class Place {
   std::unique_ptr<detail::Session> network_;
 };
 
-// Descriptors of reference frames as `ssrvlad db export --format npy` writes them: FILE.npy,
+// Descriptors of reference frames from `ssrvlad db export --format npy`: FILE.npy,
 // FILE.npy.frames.txt and FILE.npy.fingerprint.txt.
 class Database {
  public:
@@ -448,7 +448,7 @@ class Database {
       throw std::runtime_error(path + ": expected an (R, D) array of float32");
     std::string own;
     if (!(std::ifstream(path + ".fingerprint.txt") >> own))
-      std::cerr << path << " carries no fingerprint: whether it fits the model cannot be checked\n";
+      std::cerr << path << " has no fingerprint: it may not fit the model\n";
     else if (own != fingerprint)
       throw std::runtime_error(path + " has fingerprint " + own + ", the model " + fingerprint +
                                ": they do not compare");
@@ -461,32 +461,32 @@ class Database {
 
   std::size_t size() const { return frames_.size(); }
 
-  // The frames with the highest cosines (Eq. 4), best first, the earlier of equals. Of several
-  // anchors the best counts.
+  // The frames with the highest cosines (Eq. 4), best first; of equal ones the earlier first. Of
+  // several anchors the best one counts.
   std::vector<Match> match(const Described& query, std::size_t top) const {
     const auto length = static_cast<std::size_t>(array_.shape[1]);
     if (query.length != length)
       throw std::runtime_error("expected a database of " + std::to_string(query.length) +
                                " numbers a frame, got " + std::to_string(length));
-    std::vector<std::pair<float, std::size_t>> found;
+    std::vector<std::pair<float, std::size_t>> scores;
     for (std::size_t row = 0; row < size(); ++row) {
       const float* reference = array_.as<float>() + row * length;
-      const float own = detail::length_of(reference, length);
+      const float norm = detail::length_of(reference, length);
       float best = -2;
-      for (const float* one = query.descriptor.data();
-           one < query.descriptor.data() + query.descriptor.size(); one += length) {
-        const float other = detail::length_of(one, length);
-        if (own > 0 && other > 0)
-          best = std::max(best, std::inner_product(one, one + length, reference, 0.0F) / own / other);
+      for (const float* anchor = query.descriptor.data();
+           anchor < query.descriptor.data() + query.descriptor.size(); anchor += length) {
+        const float norms = norm * detail::length_of(anchor, length);
+        const float product = std::inner_product(anchor, anchor + length, reference, 0.0F);
+        if (norms > 0) best = std::max(best, product / norms);
       }
-      if (best > -2) found.emplace_back(best, row);
+      if (best > -2) scores.emplace_back(best, row);
     }
-    const auto last = found.begin() + static_cast<std::ptrdiff_t>(std::min(top, found.size()));
-    std::partial_sort(found.begin(), last, found.end(), [](const auto& a, const auto& b) {
+    const auto last = scores.begin() + static_cast<std::ptrdiff_t>(std::min(top, scores.size()));
+    std::partial_sort(scores.begin(), last, scores.end(), [](const auto& a, const auto& b) {
       return a.first != b.first ? a.first > b.first : a.second < b.second;
     });
     std::vector<Match> matches;
-    for (auto each = found.begin(); each != last; ++each)
+    for (auto each = scores.begin(); each != last; ++each)
       matches.push_back({frames_[each->second], each->first});
     return matches;
   }

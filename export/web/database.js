@@ -1,9 +1,9 @@
-// Descriptors of reference frames as `ssrvlad db export --format npy` writes them.
+// Descriptors of reference frames from `ssrvlad db export --format npy`.
 
 const decoder = new TextDecoder();
 
 export class Database {
-  /** The bytes of the array and the texts beside it; `fingerprint` may be undefined. */
+  /** From the bytes of the array and the text files beside it; `fingerprint` may be undefined. */
   constructor(array, frames, fingerprint) {
     const { shape, values } = readArray(array);
     this.length = shape[1];
@@ -16,25 +16,25 @@ export class Database {
       throw new Error(`the array has ${shape[0]} rows, the text file ${this.frames.length} ids`);
   }
 
-  /** ``[{frame, score}]``, the highest cosines (Eq. 4) first. A zero vector matches nothing. */
+  /** ``[{frame, score}]``, highest cosines (Eq. 4) first. A zero vector matches nothing. */
   search(query, top) {
     if (query.length !== this.length)
       throw new Error(`expected a database of ${query.length} numbers a frame, got ${this.length}`);
-    const own = Math.sqrt(product(query, query));
+    const norm = Math.sqrt(product(query, query));
     return this.rows
       .map((row, at) => ({
         frame: this.frames[at],
-        score: product(query, row) / own / Math.sqrt(product(row, row)),
+        score: product(query, row) / norm / Math.sqrt(product(row, row)),
       }))
       .filter(({ score }) => !Number.isNaN(score))
-      .sort((one, other) => other.score - one.score)
+      .sort((a, b) => b.score - a.score)
       .slice(0, top);
   }
 }
 
-function product(one, other) {
+function product(a, b) {
   let sum = 0;
-  for (let at = 0; at < one.length; at++) sum += one[at] * other[at];
+  for (let at = 0; at < a.length; at++) sum += a[at] * b[at];
   return sum;
 }
 

@@ -1,5 +1,5 @@
-// Label ids of a PNG. A canvas would give colours: a palette's instead of its indices, and gray
-// values that colour profiles, or a browser that guards against fingerprinting, have changed.
+// Label ids of a PNG. A canvas would give colours: those of a palette instead of its indices, and gray
+// values that colour profiles or protection against browser fingerprinting change.
 
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 const [GRAY, PALETTE] = [0, 3];
@@ -23,7 +23,7 @@ export async function readLabels(file) {
   return { ...header, labels: unpacked(rows, header) };
 }
 
-/** The content of zlib's format; if a size is told, of exactly so many bytes. */
+/** Decompresses zlib data; with `size`, the content must have that many bytes. */
 export async function inflated(parts, size = null) {
   const stream = new Blob(parts).stream().pipeThrough(new DecompressionStream("deflate"));
   if (size === null) return new Uint8Array(await new Response(stream).arrayBuffer());
@@ -48,7 +48,7 @@ function headerOf(view, at) {
   return { width, height, bits };
 }
 
-/** The bytes of all rows, each predicted from its left, upper and upper left neighbours. */
+/** The bytes of all rows. Each byte was stored as its difference from a prediction. */
 function unfiltered(content, { width, height, bits }) {
   const length = Math.ceil((width * bits) / 8);
   const step = Math.max(1, bits / 8);

@@ -1,5 +1,5 @@
-// What an ONNX file says about itself, read from its bytes: onnxruntime-web gives no metadata.
-// The fields are those of onnx.proto; only the outermost message, nodes and properties are read.
+// Metadata and nodes of an ONNX file, read from its bytes: onnxruntime-web gives no metadata.
+// Field numbers are those of onnx.proto.
 
 const MODEL = { graph: 7, metadata: 14 };
 const GRAPH = { node: 1, output: 12 };
@@ -9,17 +9,17 @@ const LENGTH_DELIMITED = 2;
 const decoder = new TextDecoder();
 const encoder = new TextEncoder();
 
-/** The properties ``ssrvlad.*`` by name without the prefix; empty for a file of another kind. */
+/** The properties ``ssrvlad.*``, by name without the prefix; empty for other files. */
 export function metadataOf(file) {
-  const found = {};
+  const properties = {};
   for (const entry of messages(file, MODEL.metadata)) {
     const [key, value] = [1, 2].map((field) => text(entry, field));
-    if (key.startsWith("ssrvlad.")) found[key.slice(8)] = value;
+    if (key.startsWith("ssrvlad.")) properties[key.slice(8)] = value;
   }
-  return found;
+  return properties;
 }
 
-/** Name of the tensor that holds the skeleton with its margins, or null. */
+/** Name of the tensor that holds the skeleton with margins, or null. */
 export function skeletonTensor(file) {
   for (const graph of messages(file, MODEL.graph)) {
     for (const node of messages(graph, GRAPH.node)) {
@@ -30,7 +30,7 @@ export function skeletonTensor(file) {
   return null;
 }
 
-/** The file with one more output. Messages that stand twice are merged, so it is only appended. */
+/** The file with one more output. Repeated messages are merged, so it is appended. */
 export function withOutput(file, name) {
   const output = message(GRAPH.output, message(1, encoder.encode(name)));
   return join(file, message(MODEL.graph, output));
@@ -41,8 +41,8 @@ function text(bytes, field) {
   return first ? decoder.decode(first) : "";
 }
 
-/** The contents of every field of this number that has a length. */
-function* messages(bytes, wanted) {
+/** The contents of every length-delimited field with this number. */
+function* messages(bytes, number) {
   let at = 0;
   const varint = () => {
     let value = 0;
@@ -51,7 +51,7 @@ function* messages(bytes, wanted) {
       value += (byte & 127) * scale;
       if (byte < 128) return value;
     }
-    throw new Error("no ONNX file, or one cut short");
+    throw new Error("not an ONNX file, or one cut short");
   };
   while (at < bytes.length) {
     const tag = varint();
@@ -61,10 +61,10 @@ function* messages(bytes, wanted) {
     else if (kind === 5) at += 4;
     else if (kind === LENGTH_DELIMITED) {
       const length = varint();
-      if (at + length > bytes.length) throw new Error("no ONNX file, or one cut short");
-      if (field === wanted) yield bytes.subarray(at, at + length);
+      if (at + length > bytes.length) throw new Error("not an ONNX file, or one cut short");
+      if (field === number) yield bytes.subarray(at, at + length);
       at += length;
-    } else throw new Error("no ONNX file");
+    } else throw new Error("not an ONNX file");
   }
 }
 

@@ -1,4 +1,4 @@
-// The page: files in, pictures and a table out. `?model=&database=&labels=` opens files by address,
+// The page: reads files, shows pictures and a table. `?model=&database=&labels=` opens files by URL,
 // `?unchecked` does not run the golden pair.
 
 import { Database } from "./database.js";
@@ -26,7 +26,7 @@ const open = { model: null, refusal: null, database: null, frame: null };
 const element = (id) => document.getElementById(id);
 const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
 
-/** Opens files, ``{name: bytes}``, by what their names end in, and describes what is there. */
+/** Opens files, ``{name: bytes}``, by the ends of their names, and describes the frame. */
 async function openFiles(files) {
   const named = (ending) => Object.keys(files).find((name) => name.endsWith(ending));
   const [model, array] = [".onnx", ".npy"].map(named);
@@ -72,16 +72,16 @@ async function describe() {
     throw new Error(`the database has fingerprint ${own}, the model ${model.fingerprint}`);
   if (!frame && model.takesPhotos) return say("Choose a photograph.");
   if (!frame) return say(`Labels of ${model.space.name}: choose a label map.`);
-  const given = model.takesPhotos ? await readPhoto(frame.bytes) : await readLabels(frame.bytes);
+  const picture = model.takesPhotos ? await readPhoto(frame.bytes) : await readLabels(frame.bytes);
   const start = performance.now();
-  const described = model.takesPhotos ? await model.describePhoto(given) : await model.describe(given);
-  const taken = Math.round(performance.now() - start);
+  const described = model.takesPhotos ? await model.describePhoto(picture) : await model.describe(picture);
+  const milliseconds = Math.round(performance.now() - start);
   element("result").hidden = false;
-  drawMap(model, { ...given, labels: described.labels ?? given.labels }, described);
+  drawMap(model, { ...picture, labels: described.labels ?? picture.labels }, described);
   drawTargets(model, described);
   listMatches(database?.search(described.descriptor, TOP) ?? []);
-  const unchecked = database && !own ? " The database carries no fingerprint." : "";
-  say(`${frame.name}: ${given.height} x ${given.width}, ${taken} ms.${unchecked}`);
+  const unchecked = database && !own ? " The database has no fingerprint." : "";
+  say(`${frame.name}: ${picture.height} x ${picture.width}, ${milliseconds} ms.${unchecked}`);
 }
 
 function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
@@ -108,11 +108,11 @@ function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns
 function drawTargets({ config }, { descriptor }) {
   element("legend").textContent =
     config.aggregation === "residuals"
-      ? "Rings by distance, sectors by direction: red where the keypoints of a category see more " +
-        "skeleton than its centre does, blue where they see less."
-      : "Rings by distance from the point where the view opens, sectors by direction: what the " +
-        "numbers of a category say about where it stands. Red is much, white nothing, " +
-        "pale blue what the smooth basis leaves over.";
+      ? "Rings by distance, sectors by direction: red where there is more skeleton around the keypoints " +
+        "of a category than around its centre, blue where there is less."
+      : "Rings by distance from the vanishing column, sectors by direction: how much of a category " +
+        "lies there, reconstructed from its numbers. Red is much, white nothing; pale blue is an " +
+        "error of the smooth basis.";
   const targets = Object.entries(CATEGORIES).map(([name, colour], k) => {
     const target = document.createElement("div");
     target.className = "target";
@@ -132,8 +132,8 @@ function listMatches(candidates) {
   const body = element("matches").tBodies[0];
   body.replaceChildren();
   if (!candidates.length) {
-    const nothing = open.database ? "nothing is like it" : "choose a database";
-    candidates = [{ frame: nothing, score: null }];
+    const message = open.database ? "no candidates" : "choose a database";
+    candidates = [{ frame: message, score: null }];
   }
   for (const { frame, score } of candidates) {
     const row = body.insertRow();
@@ -147,7 +147,7 @@ function say(text, error = false) {
   element("status").classList.toggle("error", error);
 }
 
-/** Does a job; what goes wrong stands in the status line. Jobs wait for each other. */
+/** Runs a job after the ones before it; shows its error in the status line. */
 let last = Promise.resolve();
 function attempt(job) {
   last = last.then(job).catch((error) => {
@@ -162,7 +162,7 @@ async function bytesOf(list) {
   return Object.fromEntries(await Promise.all(entries));
 }
 
-/** The files of an address and, of an array, the texts beside it. */
+/** The file of a URL and, for an array, the text files beside it. */
 async function fetched(address) {
   const files = {};
   const texts = address.endsWith(".npy") ? [".frames.txt", ".fingerprint.txt"] : [];

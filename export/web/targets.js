@@ -1,21 +1,20 @@
-// What the numbers of a layer say, as the target that they are: rings by distance, sectors by
-// direction.
+// The numbers of a layer as a target: rings by distance, sectors by direction.
 
-/** The layers as harmonics count them: guard rail as building, parking as ground. */
-const COUNTED_AS = [0, 1, 2, 3, 4, 5, 2, 0];
+/** The merged layer of each layer: guard rail is building, parking is ground. */
+const MERGED = [0, 1, 2, 3, 4, 5, 2, 0];
 
-/** ``{rings, sectors, values, turned}`` of layer k; ring after ring. A soft sector lies around its
- * angle, so the target is turned back by half a sector. */
+/** ``{rings, sectors, values, turned}`` of layer k; values ring by ring. The centre of a soft sector
+ * is its angle, so the target is turned back by half a sector. */
 export function targetOf(config, descriptor, k) {
   const { rings, sectors, aggregation, harmonics } = config;
   const numbersOf = (block, length) => descriptor.subarray(block * length, (block + 1) * length);
   if (aggregation === "residuals")
     return { rings, sectors, values: numbersOf(k, rings * sectors), turned: 0 };
-  const values = histogramOf(config, numbersOf(COUNTED_AS[k], harmonics));
+  const values = histogramOf(config, numbersOf(MERGED[k], harmonics));
   return { rings, sectors, values, turned: 0.5 };
 }
 
-/** The smooth part of the histogram, of any scale; the numbers are its coefficients. */
+/** The smooth part of the histogram, up to a factor; the numbers are its coefficients. */
 function histogramOf({ rings, sectors, power, spectral_weight }, numbers) {
   const values = new Float64Array(rings * sectors);
   wavesOf(rings, sectors)
@@ -49,7 +48,7 @@ function wavesOf(rings, sectors) {
 export function drawTarget(canvas, { rings, sectors, values, turned }) {
   const context = canvas.getContext("2d");
   const middle = canvas.width / 2;
-  const most = values.reduce((high, value) => Math.max(high, Math.abs(value)), 0);
+  const largest = values.reduce((high, value) => Math.max(high, Math.abs(value)), 0);
   context.clearRect(0, 0, canvas.width, canvas.height);
   for (let ring = rings - 1; ring >= 0; ring--) {
     for (let sector = 0; sector < sectors; sector++) {
@@ -59,7 +58,7 @@ export function drawTarget(canvas, { rings, sectors, values, turned }) {
       context.moveTo(middle, middle);
       context.arc(middle, middle, ((middle - 1) * (ring + 1)) / rings, ...angles);
       context.closePath();
-      context.fillStyle = colourOf(most ? value / most : 0);
+      context.fillStyle = colourOf(largest ? value / largest : 0);
       context.fill();
       context.strokeStyle = "#8886";
       context.lineWidth = 0.5;
@@ -68,8 +67,8 @@ export function drawTarget(canvas, { rings, sectors, values, turned }) {
   }
 }
 
-function colourOf(share) {
-  const end = share > 0 ? [178, 24, 43] : [33, 102, 172];
-  const parts = end.map((part) => Math.round(255 + (part - 255) * Math.abs(share)));
+function colourOf(fraction) {
+  const end = fraction > 0 ? [178, 24, 43] : [33, 102, 172];
+  const parts = end.map((part) => Math.round(255 + (part - 255) * Math.abs(fraction)));
   return `rgb(${parts.join(" ")})`;
 }

@@ -1,4 +1,4 @@
-"""Diagnosis: where a runtime goes wrong in the graph of a head, stage by stage."""
+"""Diagnosis: the stage of the head's graph in which a runtime computes wrong numbers or fails."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     import onnx
 
 STAGE_TOLERANCE = 1e-6
-"""Largest difference of floats inside the graph, relative to the largest of the tensor."""
+"""Largest difference of floats inside the graph, relative to the largest number of the tensor."""
 
 
 class Fault(NamedTuple):
-    """Where a runtime goes wrong.
+    """An error of a runtime.
 
     Attributes:
         kind: ``"wrong"`` or ``"cannot run"``.
-        place: the stage after which numbers differ first, or the node that cannot be run.
-        reason: what differs there, or what the runtime says.
+        place: the first stage whose outputs differ, or the node that cannot run.
+        reason: what differs, or the error of the runtime.
     """
 
     kind: str
@@ -33,36 +33,36 @@ class Fault(NamedTuple):
     reason: str
 
 
-def diagnose(model: onnx.ModelProto, given: Arrays, runtime: Runtime) -> Fault:
-    """Why a runtime fails on an input, or gives other numbers than ONNX Runtime on the CPU.
+def diagnose(model: onnx.ModelProto, inputs: Arrays, runtime: Runtime) -> Fault:
+    """Finds where a runtime fails, or gives other numbers than ONNX Runtime on the CPU.
 
-    Where the numbers of all stages are the same, the place is ``"outputs"``: the graph itself is
-    another than the module, or the runtime is only wrong where it sees the whole.
+    If the outputs of all stages are the same, the place is ``"outputs"``: the graph differs from
+    the module, or the runtime is only wrong when it optimises the whole graph.
     """
     try:
-        runtime.open(model.SerializeToString())(given)
-    except Exception as error:  # what runtimes raise has no common base
-        return _failing_node(model, given, runtime, one_line(error))
-    return _first_difference(model, given, runtime)
+        runtime.open(model.SerializeToString())(inputs)
+    except Exception as error:  # runtimes have no common error type
+        return _failing_node(model, inputs, runtime, one_line(error))
+    return _first_difference(model, inputs, runtime)
 
 
-def _first_difference(model: onnx.ModelProto, given: Arrays, runtime: Runtime) -> Fault:
-    passed_on = list(_passed_on(model.graph))
-    watched = _with_outputs(model, [name for _, name in passed_on])
-    expected = OnnxRuntime().open(watched)(given)
+def _first_difference(model: onnx.ModelProto, inputs: Arrays, runtime: Runtime) -> Fault:
+    outputs = list(_stage_outputs(model.graph))
+    staged = _with_outputs(model, [name for _, name in outputs])
+    expected = OnnxRuntime().open(staged)(inputs)
     try:
-        got = runtime.open(watched)(given)
+        got = runtime.open(staged)(inputs)
     except Exception as error:
-        return Fault("wrong", "outputs", f"not told by its stages: {one_line(error)}")
-    for stage, name in passed_on:
+        return Fault("wrong", "outputs", f"its stages cannot be compared: {one_line(error)}")
+    for stage, name in outputs:
         reason = _difference(got[name], expected[name])
         if reason:
             return Fault("wrong", stage, f"{name}: {reason}")
     return Fault("wrong", "outputs", "every stage gives what ONNX Runtime gives on the CPU")
 
 
-def _failing_node(model: onnx.ModelProto, given: Arrays, runtime: Runtime, reason: str) -> Fault:
-    """The node that a runtime names, or else the first without which the graph runs."""
+def _failing_node(model: onnx.ModelProto, inputs: Arrays, runtime: Runtime, reason: str) -> Fault:
+    """The node that the runtime names; otherwise the last of the shortest part that fails."""
     named = [node for node in _all_nodes(model.graph) if node.name and node.name in reason]
     if named:
         return Fault("cannot run", _title(max(named, key=lambda node: len(node.name))), reason)
@@ -71,7 +71,7 @@ def _failing_node(model: onnx.ModelProto, given: Arrays, runtime: Runtime, reaso
     while fails - runs > 1:
         middle = (runs + fails) // 2
         try:
-            runtime.open(_first_nodes(model, middle))(given)
+            runtime.open(_first_nodes(model, middle))(inputs)
         except Exception as error:
             fails, reason = middle, one_line(error)
         else:
@@ -84,22 +84,22 @@ def _title(node: onnx.NodeProto) -> str:
 
 
 def _difference(got: npt.NDArray[Any], expected: npt.NDArray[Any]) -> str:
-    """What is other in a tensor, or ``""``."""
+    """What differs in a tensor, or ``""``."""
     if got.shape != expected.shape:
         return f"shape {got.shape}, not {expected.shape}"
     if expected.dtype.kind == "f":
         bound = STAGE_TOLERANCE * max(1.0, float(np.abs(expected).max(initial=0)))
-        other = ~(np.abs(got.astype(np.float64) - expected) <= bound)
+        differs = ~(np.abs(got.astype(np.float64) - expected) <= bound)
     else:
-        other = got != expected
-    count = int(np.count_nonzero(other))
+        differs = got != expected
+    count = int(np.count_nonzero(differs))
     return f"{count} of {expected.size} numbers differ" if count else ""
 
 
-def _passed_on(graph: onnx.GraphProto) -> Iterator[tuple[str, str]]:
-    """Stages and names of what is passed from one to another or out of the graph, in order.
+def _stage_outputs(graph: onnx.GraphProto) -> Iterator[tuple[str, str]]:
+    """Stage and name of every value that another stage uses or that is an output, in order.
 
-    The network of a fused file is one stage: numbers inside it are not the same everywhere.
+    The network of a fused file is one stage: its inner numbers differ between runtimes.
     """
     prefix = HEAD if any(node.name.startswith(HEAD) for node in graph.node) else ""
 
@@ -108,22 +108,22 @@ def _passed_on(graph: onnx.GraphProto) -> Iterator[tuple[str, str]]:
             return "network"
         return node.name.removeprefix(prefix).split("/")[0]
 
-    made = {name: stage_of(node) for node in graph.node for name in node.output if name}
-    wanted = {output.name for output in graph.output}
+    stages = {name: stage_of(node) for node in graph.node for name in node.output if name}
+    shared = {output.name for output in graph.output}
     for node in graph.node:
         stage = stage_of(node)
-        wanted |= {name for name in _taken(node) if made.get(name, stage) != stage}
-    for name, stage in made.items():
-        if name in wanted:
+        shared |= {name for name in _inputs(node) if stages.get(name, stage) != stage}
+    for name, stage in stages.items():
+        if name in shared:
             yield stage, name
 
 
-def _taken(node: onnx.NodeProto) -> Iterator[str]:
-    """What a node takes, also inside its loops."""
+def _inputs(node: onnx.NodeProto) -> Iterator[str]:
+    """Names of the inputs of a node and of the nodes in its loop bodies."""
     yield from node.input
     for attribute in node.attribute:
         for inner in attribute.g.node:
-            yield from _taken(inner)
+            yield from _inputs(inner)
 
 
 def _all_nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
@@ -134,9 +134,9 @@ def _all_nodes(graph: onnx.GraphProto) -> Iterator[onnx.NodeProto]:
 
 
 def _first_nodes(model: onnx.ModelProto, count: int) -> bytes:
-    """A graph of so many nodes, that gives whatever they make and do not use themselves."""
+    """The first `count` nodes of a graph; what none of them uses is an output."""
     nodes = model.graph.node[:count]
-    used = {name for node in nodes for name in _taken(node)}
+    used = {name for node in nodes for name in _inputs(node)}
     ends = [name for node in nodes for name in node.output if name and name not in used]
     return _with_outputs(model, ends, nodes)
 
@@ -146,7 +146,7 @@ def _with_outputs(
     names: Sequence[str],
     nodes: Sequence[onnx.NodeProto] | None = None,
 ) -> bytes:
-    """The graph, or its first nodes, with these values for outputs."""
+    """The graph, or its first nodes, with these values as outputs."""
     import onnx
 
     copy = onnx.ModelProto()

@@ -1,10 +1,9 @@
-"""Fuse: a segmentation network and the head in one ONNX file, from pictures to places."""
+"""Fuse: a segmentation network and the head in one ONNX file, from pictures to descriptors."""
 
 from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,32 +14,31 @@ import numpy.typing as npt
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing
-from ..onnx_files import graph_digest, load_model, open_session, save_model
+from ..onnx_files import graph_digest, load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
 from .golden import outputs_of
-from .label_graph import join, label_graph, opset, raised
+from .label_graph import join, label_graph, opset, with_opset
 from .metadata import PREFIX, SEAL, Metadata, seal
+from .runtimes import Arrays, OnnxRuntime, Run
 
 if TYPE_CHECKING:
     import onnx
-
-Arrays = Mapping[str, npt.NDArray[Any]]
 
 NETWORK = f"{PREFIX}network"
 HEAD_GOLDEN = f"{PREFIX}head_golden"
 
 IMAGE, LABELS = "image", "labels"
 HEAD = "ssrvlad/"
-"""Before the names of the head's nodes and tables."""
+"""Prefix of the names of the head's nodes and tables."""
 
-MOST_OTHER_PIXELS = 0.01
-"""Fraction of a golden image's pixels that may get another label where the network is computed in
-another order: by another library, or on another processor."""
+MAX_OTHER_PIXELS = 0.01
+"""Fraction of a golden image's pixels whose label may differ where another library or processor
+computes the network in another order."""
 
 _SIZES = ((96, 128), (224, 448), (512, 512), (512, 1024), (1024, 2048))
-"""Sizes of a golden image: small, and those that networks are often made for."""
+"""Sizes of a golden image: a small one, and sizes that are common for networks."""
 
 _PATCHES = 40
 _COLOUR_STEPS = 8
@@ -48,12 +46,12 @@ _COLOUR_STEPS = 8
 
 @dataclass(frozen=True)
 class FusedNetwork:
-    """What a fused file says about the network in it.
+    """The network in a fused file.
 
     Attributes:
-        name: as it was given, of a file without its folder.
-        key: of what it computes and of its settings; see `Segmenter.key`.
-        settings: how pictures are prepared, as `SegmenterConfig`.
+        name: name of the network; of a file, its name without the folder.
+        key: digest of what it computes and of its settings; see `Segmenter.key`.
+        settings: the settings of the preparation, as `SegmenterConfig`.
     """
 
     name: str
@@ -67,29 +65,28 @@ def fuse(
     path: str | Path,
     head_path: str | Path | None = None,
 ) -> FusedNetwork:
-    """Joins a segmentation network and the head in one ONNX file that runs on the CPU in ONNX
-    Runtime with nothing else; or writes the two parts, so that the network can run on an
-    accelerator and the head on the CPU.
+    """Joins a segmentation network and the head in one ONNX file that needs ONNX Runtime only; or
+    writes them as two files, so that the network can run on an accelerator and the head on the
+    CPU.
 
-    Everything is in it: what is done to pictures, the network, the decision which class wins, and
-    the head. It labels pictures as `Segmenter` does, and describes label maps as `SSRVLAD`; it is
-    run on a golden image before it takes its place, and must agree with both.
+    The file holds the preparation of pictures, the network, the decision which class wins, and the
+    head. It labels pictures as `Segmenter` does and describes label maps as `SSRVLAD` does. It is
+    run on a golden image before it is saved, and must agree with both.
 
     Shape:
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
-        - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids;
-          of the network's part ``labels`` alone, which is the input of the head's.
+        - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
+          Of two files, the first gives ``labels`` alone, and the second takes them.
 
     Args:
         network: a segmenter, or the name of a network; see `open_network`.
         config: the settings of the head; ``labels_as`` is the label space of the network.
-        path: the file; what was there is replaced, whole or not at all. Beyond 2 GB the weights
-            go to a file beside it.
-        head_path: the file of the head, if it is to be one of its own: `path` then takes pictures
-            to label maps.
+        path: the file; an existing one is replaced, whole or not at all. Above 2 GB the weights
+            go to a second file beside it.
+        head_path: file of the head, for two files: `path` then takes pictures to label maps.
 
     Raises:
-        ValueError: the network cannot be traced, run or raised to opset 18, does not fit the
+        ValueError: the network cannot be traced, run or converted to opset 18, does not fit the
             label space, or has a head already.
         ImportError: a missing extra.
         OSError: the file cannot be written.
@@ -98,16 +95,15 @@ def fuse(
     if not isinstance(segmenter, Segmenter):
         segmenter = Segmenter.load(segmenter, config.labels_as)
     name = _name(segmenter, network)
-    apart = Path(head_path) if head_path else None
     try:
-        return _fuse(segmenter, name, config, Path(path), apart)
+        return _fuse(segmenter, name, config, Path(path), Path(head_path) if head_path else None)
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 
 
-def _name(segmenter: Segmenter, given: Segmenter | str | Path) -> str:
-    if not isinstance(given, Segmenter):
-        return Path(given).name if Path(given).exists() else str(given)
+def _name(segmenter: Segmenter, source: Segmenter | str | Path) -> str:
+    if not isinstance(source, Segmenter):
+        return Path(source).name if Path(source).exists() else str(source)
     network = segmenter.network
     return network.path.name if isinstance(network, OnnxNetwork) else type(network).__name__
 
@@ -128,17 +124,17 @@ def _fuse(
     model = label_graph(segmenter.labels)
     (output,) = model.graph.output
     dtype = "uint8" if output.type.tensor_type.elem_type == _UINT8 else "int64"
-    head_alone = head_model(config, LABELS, dtype)
+    head_part = head_model(config, LABELS, dtype)
     fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config))
     extra = {NETWORK: json.dumps(asdict(fused))}
     if head_path is None:
-        model = _joined(model, head_alone)
-        alone = Metadata.from_properties({e.key: e.value for e in head_alone.metadata_props})
-        extra[HEAD_GOLDEN] = json.dumps(alone.golden)
+        model = _joined(model, head_part)
+        properties = {entry.key: entry.value for entry in head_part.metadata_props}
+        extra[HEAD_GOLDEN] = json.dumps(Metadata.from_properties(properties).golden)
     graph, interface = graph_digest(model), _interface(model)
 
     def describe(file: Path) -> dict[str, str]:
-        golden = _golden(open_session(file, file.name), images, labels, head)
+        golden = _golden(OnnxRuntime().open(file), images, labels, head)
         metadata = Metadata.of(head.config, head.label_space, interface, golden)
         properties = metadata.to_properties() | extra
         return {**properties, SEAL: seal(graph, properties)}
@@ -148,7 +144,7 @@ def _fuse(
     save_model(model, path, describe)
     if head_path:
         with replacing(head_path) as temporary:
-            temporary.write_bytes(head_alone.SerializeToString())
+            temporary.write_bytes(head_part.SerializeToString())
     return fused
 
 
@@ -157,16 +153,15 @@ _UINT8 = 2
 
 def _joined(labels: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:
     """Pictures to label maps and descriptors."""
-    kept = labels.graph.output[0]
-    head = raised(head, opset(labels))
-    given = head.graph.input[0].name
-    model = join([labels, head], ["", HEAD], [[(LABELS, f"{HEAD}{given}")]])
-    model.graph.output.append(kept)
+    output = labels.graph.output[0]
+    parts = [labels, with_opset(head, opset(labels))]
+    model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
+    model.graph.output.append(output)
     return model
 
 
 def _golden_image(segmenter: Segmenter) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any]]:
-    """Pictures of the smallest usual size that the network takes, and their label maps."""
+    """Pictures of the first of `_SIZES` that the network takes, and their label maps."""
     network, error = segmenter.network, ValueError("takes no picture")
     count = (network.batch if isinstance(network, OnnxNetwork) else None) or 1
     for height, width in _SIZES:
@@ -179,32 +174,26 @@ def _golden_image(segmenter: Segmenter) -> tuple[npt.NDArray[np.uint8], npt.NDAr
 
 
 def _golden(
-    session: Any, images: npt.NDArray[np.uint8], labels: npt.NDArray[Any], head: SSRVLAD
+    run: Run, images: npt.NDArray[np.uint8], labels: npt.NDArray[Any], head: SSRVLAD
 ) -> Arrays:
-    """The golden image, the labels that the graph gives it, and what the module makes of those if
-    the head is in the graph.
+    """The golden image, the labels that the graph gives it, and the module's outputs for those
+    labels if the head is in the graph.
 
     Raises:
-        ValueError: the graph does not label it as the segmenter does, or the head disagrees.
+        ValueError: the graph and the segmenter, or the graph and the module, disagree.
     """
-    outputs = run_by_name(session, {IMAGE: images})
+    outputs = run({IMAGE: images})
     fraction = float((outputs[LABELS] != labels).mean())
-    if fraction > MOST_OTHER_PIXELS:
-        raise ValueError(f"labels {fraction:.1%} of a golden image otherwise once it is fused")
+    if fraction > MAX_OTHER_PIXELS:
+        raise ValueError(f"the fused network gives {fraction:.1%} of a golden image another label")
     golden = {IMAGE: images, LABELS: outputs[LABELS]}
     if len(outputs) == 1:
         return golden
-    result = outputs_of(head, outputs[LABELS])
-    for name, array in result.items():
+    expected = outputs_of(head, outputs[LABELS])
+    for name, array in expected.items():
         if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
-    return golden | result
-
-
-def run_by_name(session: Any, inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
-    """All outputs of a session by name."""
-    names = [output.name for output in session.get_outputs()]
-    return dict(zip(names, session.run(None, dict(inputs)), strict=True))
+    return golden | expected
 
 
 def _interface(model: onnx.ModelProto) -> dict[str, Any]:
@@ -227,8 +216,8 @@ def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:
 
 
 def _patches(shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
-    """``(B, H, W, 3)``: every pixel has the colour of the nearest of some random points. Few
-    colours, so that it compresses well."""
+    """``(B, H, W, 3)``: each pixel has the colour of the nearest of some random points. The colours
+    are few, so that the image compresses well."""
     _, height, width = shape
     rng = np.random.default_rng(0)
     images = np.empty((*shape, 3), np.uint8)
@@ -236,11 +225,11 @@ def _patches(shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
     for image in images:
         y, x = rng.uniform(0, height, _PATCHES), rng.uniform(0, width, _PATCHES)
         nearest = np.zeros((height, width), np.int64)
-        least = np.full((height, width), np.inf)
+        smallest = np.full((height, width), np.inf)
         for point in range(_PATCHES):
             distance = np.hypot(rows - y[point], columns - x[point])
-            nearest[distance < least] = point
-            least = np.minimum(least, distance)
+            nearest[distance < smallest] = point
+            smallest = np.minimum(smallest, distance)
         colours = rng.integers(0, _COLOUR_STEPS + 1, (_PATCHES, 3)) * 255 // _COLOUR_STEPS
         image[:] = colours[nearest]
     return images

@@ -1,8 +1,8 @@
 """Sizes in pixels inside a graph, by the integer rules of `SSRVLADConfig`.
 
 A length, an area or a squared distance times a fraction is a product of whole numbers of up to
-sixty bits, more than int32 has, and some runtimes divide int32 in float32. So the products are
-those of digits to the base 64, of which every intermediate result is exact in float32.
+sixty bits. int32 cannot hold it, and some runtimes divide int32 in float32. So the products are
+computed from digits to the base 64, and every intermediate result is exact in float32.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _WHOLE = 5
 """Digits of an area."""
 _PARTS = 11
 """Digits after the point. Fractions are rounded up by less than 64 ** -11; times an area of 2 ** 29
-that is less than a billionth, of which all exact results are multiples."""
+that is less than a billionth, and all exact results are multiples of a billionth."""
 
 
 class Lengths(NamedTuple):
@@ -44,8 +44,8 @@ def working_grid(
 ) -> tuple[Symbol, Symbol]:
     """`SSRVLADConfig.grid` of ``()`` int32 symbols."""
     shorter = graph.Min(height, width)
-    kept = graph.Min(shorter, working_size)
-    rows, columns = ((side * kept * 2 + shorter) // (shorter * 2) for side in (height, width))
+    size = graph.Min(shorter, working_size)
+    rows, columns = ((side * size * 2 + shorter) // (shorter * 2) for side in (height, width))
     return rows, columns
 
 
@@ -63,23 +63,23 @@ def lengths(graph: Graph, config: SSRVLADConfig, grid: Grid) -> Lengths:
     rules = [(0, Fraction(parts, _MILLION), Fraction(1, 2)) for parts in radii]
     rules += [(1, Fraction(parts, _MILLION), 1 - Fraction(1, _MILLION)) for parts in areas]
     rules += [(2, Fraction(limit, 10**18), Fraction(0)) for limit in limits]
-    found = _floors(graph, graph.Concat(side, area, square, axis=0), rules)
-    opening, closing = (found[number] if parts else 0 for number, parts in enumerate(radii))
-    return Lengths(opening, closing, found[2], found[3], found[4:])
+    floors = _floors(graph, graph.Concat(side, area, square, axis=0), rules)
+    opening, closing = (floors[number] if parts else 0 for number, parts in enumerate(radii))
+    return Lengths(opening, closing, floors[2], floors[3], floors[4:])
 
 
 def _digits(graph: Graph, side: Symbol) -> Symbol:
-    """``(3, 1)`` float32, lowest first."""
+    """``(3, 1)`` float32, the digits of a side, lowest first."""
     powers = graph.constant(np.array([[1], [_BASE], [_BASE**2]], np.int32))
     return (side // powers % _BASE).to("float32")
 
 
-def _antidiagonals(graph: Graph, one: Symbol, other: Symbol) -> Symbol:
-    """``(5,)`` float32, the digits of a product, not carried."""
+def _antidiagonals(graph: Graph, a: Symbol, b: Symbol) -> Symbol:
+    """``(5,)`` float32, the digits of a product, without carries."""
     sums = np.zeros((9, _WHOLE), np.float32)
     for i, j in np.ndindex(3, 3):
         sums[3 * i + j, i + j] = 1
-    products = one * graph.Transpose(other, perm=[1, 0])
+    products = a * graph.Transpose(b, perm=[1, 0])
     return graph.MatMul(products.reshape(1, -1), graph.constant(sums)).reshape(-1)
 
 
@@ -87,9 +87,9 @@ def _floors(graph: Graph, amounts: Symbol, rules: list[tuple[int, Fraction, Frac
     """``(n,)`` int32, an amount times a fraction plus an offset, rounded down.
 
     Args:
-        graph: where the nodes go.
+        graph: the graph to add nodes to.
         amounts: ``(3 * 5,)`` float32, the digits of three amounts.
-        rules: which amount, the fraction, at most 1, and the offset, of each result.
+        rules: of each result the index of its amount, the fraction (at most 1) and the offset.
     """
     places = _PARTS + _WHOLE
     table = np.zeros((3, _WHOLE, len(rules), places), np.float32)
@@ -110,6 +110,6 @@ def _floors(graph: Graph, amounts: Symbol, rules: list[tuple[int, Fraction, Frac
 
 
 def _in_digits(fraction: Fraction) -> npt.NDArray[np.int64]:
-    """The digits of a fraction, rounded up, from the last after the point to the one before it."""
+    """The digits of a fraction, rounded up: lowest first, the digit before the point last."""
     whole = -(-fraction * _BASE**_PARTS // 1)
     return np.array([int(whole) // _BASE**place % _BASE for place in range(_PARTS + 1)])

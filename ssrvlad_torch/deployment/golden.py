@@ -1,5 +1,5 @@
-"""The golden pair, an input that every exported file carries with what the module makes of it, and
-the corpus, on which `verify` compares."""
+"""The golden pair, an input and the module's outputs for it that every exported file carries, and
+the corpus, the inputs on which `verify` compares."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from ..taxonomy import CATEGORIES, VOID, LabelClass
 Array = npt.NDArray[Any]
 
 SIZE = (133, 171)
-"""Rows and columns: more than the working size of a preset, and nothing divides them."""
+"""Rows and columns: above the working size of every preset, and not multiples of it."""
 
 CORPUS_SIZES = ((1, 1), (1, 23), (19, 1), (17, 23), (60, 81), (121, 160), (240, 320), (303, 211))
-"""Of maps in the corpus whose size is free."""
+"""Rows and columns of the corpus for files of any size."""
 
 _IMAGES = 2
 _PATCHES = 40
@@ -33,30 +33,30 @@ _OPEN = [CATEGORIES[k] for k in range(len(CATEGORIES)) if OPEN_LAYERS >> k & 1]
 def golden_pair(
     head: SSRVLAD, input: str, dtype: str, shape: tuple[int, int, int] | None = None
 ) -> dict[str, Array]:
-    """Label maps of patches and specks of all ids, as ids or as class scores, and what is made of
-    them. Some specks of label ids have an id outside the label space.
+    """Label maps of patches and specks of all ids, or class scores of them, and the outputs of the
+    module. Some specks of label ids have an id outside the label space.
 
     Args:
-        head: the method.
+        head: the module.
         input: ``"labels"`` or ``"logits"``.
-        dtype: of the labels.
-        shape: B, H and W, of a file that takes no others.
+        dtype: dtype of the labels.
+        shape: B, H and W of a file of fixed size.
 
     Returns:
         the input and the outputs of `export_head` by name.
 
     Raises:
-        ValueError: the dtype holds no id of the label space.
+        ValueError: the dtype can hold no id of the label space.
     """
     ids = _ids(head, input, dtype)
     images, height, width = shape or (_IMAGES, *SIZE)
     labels = np.stack([_drawn(head, ids, (height, width), number) for number in range(images)])
     if input == "labels":
-        for foreign in _foreign(ids, dtype):
+        for unknown in _unknown_ids(ids, dtype):
             rows, columns = np.random.default_rng(1).integers(0, min(height, width), (2, _SPECKS))
-            labels[-1, rows, columns] = foreign
-    given = as_input(labels, len(ids), input, dtype)
-    return {input: given, **outputs_of(head, given)}
+            labels[-1, rows, columns] = unknown
+    array = as_input(labels, len(ids), input, dtype)
+    return {input: array, **outputs_of(head, array)}
 
 
 def corpus(
@@ -65,61 +65,59 @@ def corpus(
     """Names and inputs ``(1, H, W)`` or ``(1, C, H, W)``, of patches, noise and single classes.
 
     Args:
-        head: the method.
+        head: the module.
         input, dtype: as for `golden_pair`.
-        sizes: rows and columns; the kinds of maps are spread over them.
+        sizes: rows and columns; each has patches and one other kind of map.
     """
     ids = np.sort(_ids(head, input, dtype))
     for number, (height, width) in enumerate(sizes):
         rng = np.random.default_rng(number)
-        few = rng.permutation(ids)[: 2 + number % 3]
+        chosen = rng.permutation(ids)[: 2 + number % 3]
         others = {
-            "noise": rng.choice(few, (height, width)),
-            "one class": np.full((height, width), few[0]),
-            "checkerboard": few[np.indices((height, width)).sum(0) % 2 % len(few)],
+            "noise": rng.choice(chosen, (height, width)),
+            "one class": np.full((height, width), chosen[0]),
+            "checkerboard": chosen[np.indices((height, width)).sum(0) % 2 % len(chosen)],
         }
-        other = list(others)[number % len(others)]
-        for kind, labels in {
-            "patches": _drawn(head, ids, (height, width), number + _IMAGES),
-            other: others[other],
-        }.items():
+        patches = _drawn(head, ids, (height, width), number + _IMAGES)
+        for kind, labels in (("patches", patches), list(others.items())[number % len(others)]):
             yield f"{kind} {height}x{width}", as_input(labels[None], len(ids), input, dtype)
 
 
-def outputs_of(head: SSRVLAD, given: Array) -> dict[str, Array]:
-    """What the module makes of labels or class scores, by the names of a file's outputs. A file
-    cannot refuse ids outside the label space: they are counted, and belong to no layer."""
+def outputs_of(head: SSRVLAD, array: Array) -> dict[str, Array]:
+    """The module's outputs for labels or class scores, by the names of a file's outputs. As in a
+    file, pixels with an id outside the label space are counted and belong to no layer."""
     space = head.label_space
-    known = [label.id for label in space.classes]
-    foreign = np.zeros(given.shape, np.bool_)
-    if given.dtype.kind in "iu":
-        foreign = ~np.isin(given, known)
-    if foreign.any():
-        free = next(number for number in count() if number not in known)
-        given = np.where(foreign, np.array(free, given.dtype), given)
-        space = replace(space, classes=(*space.classes, LabelClass(free, "foreign", VOID)))
+    ids = [label.id for label in space.classes]
+    unknown = np.zeros(array.shape, np.bool_)
+    if array.dtype.kind in "iu":
+        unknown = ~np.isin(array, ids)
+    if unknown.any():
+        free = next(number for number in count() if number not in ids)
+        array = np.where(unknown, np.array(free, array.dtype), array)
+        space = replace(space, classes=(*space.classes, LabelClass(free, "unknown", VOID)))
         config = replace(head.config, labels_as=space)
         head = SweepHead(config, head.columns) if isinstance(head, SweepHead) else SSRVLAD(config)
-    labels = torch.from_numpy(given)
-    found = {
+    labels = torch.from_numpy(array)
+    outputs = {
         "descriptor": head(labels).numpy(),
-        "unknown": foreign.reshape(len(given), -1).sum(1).astype(np.int64),
+        "unknown": unknown.reshape(len(array), -1).sum(1).astype(np.int64),
     }
     if head.config.aggregation == "residuals":
-        found["keypoints"] = head.explain(labels).keypoints.sum((2, 3)).numpy()
-    return found
+        outputs["keypoints"] = head.explain(labels).keypoints.sum((2, 3)).numpy()
+    return outputs
 
 
 def as_input(labels: Array, channels: int, input: str, dtype: str) -> Array:
-    """``(B, H, W)`` ids in a dtype, or as ``(B, C, H, W)`` scores, 1 for a pixel's class."""
+    """``(B, H, W)`` ids in a dtype, or ``(B, C, H, W)`` float32 scores: 1 for a pixel's class, else
+    0."""
     if input == "labels":
         return labels.astype(dtype)
     return np.equal(labels[:, None], np.arange(channels)[:, None, None]).astype(np.float32)
 
 
 def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.NDArray[np.int64]:
-    """``(H, W)``: every pixel has the id of the nearest of some random points, or is a speck. In
-    every second map a strip stands open from top to bottom, to which the vanishing column goes."""
+    """``(H, W)``: each pixel has the id of the nearest of some random points, or is a speck. Every
+    second map has a strip of open layers from top to bottom, which moves the vanishing column."""
     height, width = size
     rng = np.random.default_rng(seed)
     ids = np.random.default_rng(0).permutation(ids)
@@ -127,9 +125,9 @@ def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.N
     rows, columns = np.mgrid[:height, :width]
     nearest = np.hypot(rows[..., None] - y, columns[..., None] - x).argmin(-1)
     labels: npt.NDArray[np.int64] = ids[(nearest + seed * _PATCHES) % len(ids)].astype(np.int64)
-    is_open = {each.id for each in head.label_space.classes if each.category in _OPEN}
-    open_ids = [one for one in ids.tolist() if one in is_open]
-    if seed % 2 and open_ids:
+    open_classes = [each.id for each in head.label_space.classes if each.category in _OPEN]
+    open_ids = ids[np.isin(ids, open_classes)]
+    if seed % 2 and open_ids.size:
         left = int(rng.integers(0, width))
         labels[:, left : left + 1 + width // 6] = open_ids[0]
     specks = rng.integers(0, labels.size, min(_SPECKS, labels.size // 8))
@@ -138,10 +136,10 @@ def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.N
 
 
 def _ids(head: SSRVLAD, input: str, dtype: str) -> Array:
-    """The ids that an input can hold.
+    """The ids of the label space that an input can hold.
 
     Raises:
-        ValueError: there are none.
+        ValueError: it can hold none.
     """
     space = head.label_space
     if input == "logits":
@@ -154,8 +152,8 @@ def _ids(head: SSRVLAD, input: str, dtype: str) -> Array:
     return ids
 
 
-def _foreign(ids: Array, dtype: str) -> list[int]:
-    """Ids outside the label space; of wide ids one that 32 bits would take for one inside."""
+def _unknown_ids(ids: Array, dtype: str) -> list[int]:
+    """Ids outside the label space; for int64 one whose low 32 bits are an id inside."""
     if dtype == "int64":
         return [int(ids[0]) + (1 << 40)]
     free = np.setdiff1d(np.arange(256), ids)

@@ -1,9 +1,9 @@
-"""A graph of ONNX operators under construction: expressions on symbols become its nodes.
+"""An ONNX graph under construction: expressions on symbols become its nodes.
 
 A `Symbol` stands for a tensor, a `Graph` for the operators: ``graph.CumSum(x, 0)`` adds a node and
-gives the symbol of its output, and so do the operators of Python, ``x & ~y``. What is written with
-Python's operators only, as the thinning rules are, therefore runs on tensors and in a graph alike.
-The extra ``onnx`` is needed only once a graph is made.
+returns the symbol of its output, and so do the operators of Python, ``x & ~y``. So code that uses
+Python's operators only, such as the thinning rules, runs on tensors and in a graph. A `Graph` needs
+the extra ``onnx``; importing this module does not.
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ if TYPE_CHECKING:
     import onnx_ir as ir
 
 Form = tuple[str, Sequence[int | str]]
-"""Dtype and shape of an input or output; an axis that has a name is dynamic."""
+"""Dtype and shape of an input or output; an axis with a name is dynamic."""
 
 OPSET = 18
 """The first opset with bitwise operators."""
 
 
 class Symbol:
-    """A tensor of a `Graph`. Numbers beside it take its dtype; ``//`` and ``%`` are those of C and
-    ``>>`` is a division, so their numerators must not be negative. ``depth`` is the number of loops
-    that it is inside of."""
+    """A tensor of a `Graph`.
+
+    Numbers in an expression take the dtype of the symbol. ``//`` and ``%`` round towards zero and
+    ``>>`` is a division, so their numerators must not be negative. ``depth`` is the number of
+    loops around the node that computes the symbol.
+    """
 
     __slots__ = ("depth", "graph", "value")
 
@@ -41,7 +44,7 @@ class Symbol:
 
     @property
     def dtype(self) -> str:
-        """Name of the dtype as NumPy spells it: ``"uint64"``."""
+        """NumPy's name of the dtype, such as ``"uint64"``."""
         assert self.value.dtype is not None, f"{self.value.name} has no dtype"
         return str(self.value.dtype.numpy().name)
 
@@ -54,7 +57,7 @@ class Symbol:
         return self.graph.Reshape(self, self.graph.vector(*sizes))
 
     def take(self, index: Symbol) -> Symbol:
-        """The entries of a ``(T,)`` table at the places of an ``(n,)`` index."""
+        """``(n,)``, the entries of a ``(T,)`` table at an ``(n,)`` index."""
         return self.graph.GatherElements(self, index, axis=0)
 
     def __getitem__(self, part: Symbol | int | slice) -> Symbol:
@@ -129,7 +132,7 @@ class Symbol:
         return self.graph.GreaterOrEqual(self, other)
 
     def equals(self, other: Symbol | int) -> Symbol:
-        """Where both are equal, bool."""
+        """bool, whether the numbers are equal."""
         return self.graph.Equal(self, other)
 
     def _bitwise(self, operator: str, *others: Symbol | int) -> Symbol:
@@ -138,10 +141,10 @@ class Symbol:
 
 
 class Graph:
-    """ONNX operators as methods: ``graph.Slice(x, [0], [9])`` is the symbol of a new node's output.
+    """A graph whose methods are the ONNX operators: ``graph.Slice(x, [0], [9])`` adds a node.
 
     Args:
-        inputs: the inputs by name.
+        inputs: forms of the inputs by name.
 
     Raises:
         ImportError: the extra ``onnx`` is not installed.
@@ -169,9 +172,9 @@ class Graph:
         return partial(self.node, operator)
 
     def node(self, operator: str, *arguments: Any, **attributes: Any) -> Symbol:
-        """Adds a node and gives its only output.
+        """Adds a node and returns its only output.
 
-        What is the same in every step of a loop is computed before the loop.
+        A node that does not depend on a loop's state is placed before the loop.
         """
         return self._nodes(_depth(arguments), operator, 1, *arguments, **attributes)[0]
 
@@ -182,14 +185,14 @@ class Graph:
     def _nodes(
         self, depth: int, operator: str, outputs: int, *arguments: Any, **attributes: Any
     ) -> list[Symbol]:
-        plain = [given.value if isinstance(given, Symbol) else given for given in arguments]
-        made: Any = self._builders[depth].call_op(
-            operator, plain, attributes, version=OPSET, outputs=outputs
+        inputs = [each.value if isinstance(each, Symbol) else each for each in arguments]
+        values: Any = self._builders[depth].call_op(
+            operator, inputs, attributes, version=OPSET, outputs=outputs
         )
-        return [Symbol(self, value, depth) for value in (made if outputs > 1 else [made])]
+        return [Symbol(self, value, depth) for value in (values if outputs > 1 else [values])]
 
     def constant(self, array: npt.NDArray[Any]) -> Symbol:
-        """A table that is part of the graph; equal tables are stored once."""
+        """A constant table; equal tables are stored once."""
         import onnx_ir as ir
 
         key = (array.dtype.str, array.shape, array.tobytes())
@@ -200,15 +203,15 @@ class Graph:
         return self._tables[key]
 
     def sparse_constant(self, table: npt.NDArray[Any]) -> Symbol:
-        """A table of mostly zeros, of which the graph stores the others only."""
-        places = np.flatnonzero(table)
+        """A constant table, of which the graph stores only the entries that are not zero."""
+        index = np.flatnonzero(table)
         zeros = self.full([table.size], 0, table.dtype.name)
-        entries = self.constant(places), self.constant(table.ravel()[places])
+        entries = self.constant(index), self.constant(table.ravel()[index])
         return self.ScatterElements(zeros, *entries, axis=0).reshape(*table.shape)
 
     def vector(self, *numbers: Symbol | int) -> Symbol:
-        """``(n,)`` int64, which shapes are: numbers and ``()`` or ``(m,)`` symbols, one after
-        another."""
+        """``(n,)`` int64, the dtype of shapes: numbers and ``()`` or ``(m,)`` symbols,
+        concatenated."""
         if all(isinstance(number, int) for number in numbers):
             return self.constant(np.array(numbers, np.int64))
         parts = [
@@ -220,59 +223,59 @@ class Graph:
         return parts[0] if len(parts) == 1 else self.Concat(*parts, axis=0)
 
     def sizes(self, symbol: Symbol, rank: int) -> list[Symbol]:
-        """``()`` int32 each, the lengths of the axes."""
+        """The lengths of the axes, each ``()`` int32."""
         shape = self.Shape(symbol).to("int32")
         return [shape[axis] for axis in range(rank)]
 
     def length(self, entries: Symbol) -> Symbol:
-        """``()`` int32, how many entries there are."""
+        """``()`` int32, the number of entries."""
         return self.Size(entries).to("int32")
 
-    def places(self, flags: Symbol) -> Symbol:
-        """``(n,)`` int32, the places of an ``(m,)`` tensor that are not zero."""
+    def indices(self, flags: Symbol) -> Symbol:
+        """``(n,)`` int32, the indices at which an ``(m,)`` tensor is not zero."""
         return self.NonZero(flags).reshape(-1).to("int32")
 
     def arange(self, stop: Symbol) -> Symbol:
-        """``(stop,)`` int32, 0, 1, ..."""
+        """``(stop,)`` int32: 0, 1, ..."""
         return self.Range(0, stop, 1)
 
     def full(self, sizes: Sequence[Symbol | int], number: int, dtype: str) -> Symbol:
-        """A tensor of one number."""
+        """A tensor filled with a number."""
         import onnx_ir as ir
 
         fill = ir.tensor(np.array([number], dtype))
         return self.ConstantOfShape(self.vector(*sizes), value=fill)
 
     def like(self, other: Symbol, number: int, dtype: str) -> Symbol:
-        """A tensor of one number, of the shape of another."""
+        """A tensor filled with a number, of the shape of another tensor."""
         return self.full([self.Shape(other)], number, dtype)
 
     def any(self, flags: Symbol) -> Symbol:
-        """``()`` bool, whether any of the ``(n,)`` flags is set, of which there may be none."""
+        """``()`` bool, whether any of the ``(n,)`` flags is set; n can be 0."""
         return self.ReduceMax(self.Pad(flags.to("int32"), [0, 1]), keepdims=0) > 0
 
     def normalised(self, vectors: Symbol) -> Symbol:
-        """Vectors along the last axis divided by their L2 norm; zeros stay zeros."""
+        """Vectors along the last axis, divided by their L2 norms; zeros stay zeros."""
         norms = self.Sqrt(self.ReduceSum(vectors * vectors, [-1]))
         return vectors / self.Max(norms, 1e-12)
 
     def sums(self, index: Symbol, amounts: Symbol, count: Symbol | int) -> Symbol:
-        """``(count,)``, the sum of the amounts that share an index."""
+        """``(count,)``, the sums of the amounts with the same index."""
         zeros = self.full([count], 0, amounts.dtype)
         return self.ScatterElements(zeros, index, amounts, axis=0, reduction="add")
 
     def counts(self, index: Symbol, count: Symbol | int) -> Symbol:
-        """``(count,)`` int32, how often each number is in the index."""
+        """``(count,)`` int32, the number of occurrences of each number in the index."""
         return self.sums(index, self.like(index, 1, "int32"), count)
 
-    def before(self, amounts: Symbol) -> Symbol:
-        """``(n,)``, the sum of all amounts before each."""
+    def exclusive_sums(self, amounts: Symbol) -> Symbol:
+        """``(n,)``, for each entry the sum of all amounts before it."""
         return self.CumSum(amounts, 0, exclusive=1)
 
     def repeated(self, times: Symbol) -> tuple[Symbol, Symbol]:
-        """``(m,)`` int32 each: the numbers from 0, each as often as ``times`` says, and for each
-        entry how many entries of its number are before it."""
-        begin = self.before(self.Pad(times, [0, 1]))
+        """Repeats the number n ``times[n]`` times: ``(m,)`` int32, the numbers, and ``(m,)`` int32,
+        for each entry the count of equal entries before it."""
+        begin = self.exclusive_sums(self.Pad(times, [0, 1]))
         begin, total = begin[:-1], begin[-1]
         later = begin[1:]
         starts = self.sums(later, self.like(later, 1, "int32"), total + 1)
@@ -281,7 +284,7 @@ class Graph:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Puts a name before the names of all nodes that are added inside."""
+        """Prefixes the names of the nodes that the body adds."""
         for builder in self._builders:
             builder.push_module(name)
         yield
@@ -295,19 +298,19 @@ class Graph:
         *carried: Symbol,
         rank: int = 1,
     ) -> list[Symbol]:
-        """``carried = body(step, *carried)`` so many times, all of one rank."""
+        """``carried = body(step, *carried)``, ``trips`` times; all have the given rank."""
         return self._loop(trips, body, carried, False, rank)
 
     def repeat_while(self, body: Callable[..., Sequence[Symbol]], *carried: Symbol) -> list[Symbol]:
-        """``going, *carried = body(step, *carried)`` once, and as long as ``going`` is true; all
-        are lists."""
+        """``going, *carried = body(step, *carried)``, once and while ``going`` is true; all have
+        rank 1."""
         return self._loop(None, body, carried, True)
 
     def model(self, outputs: Mapping[str, tuple[Symbol, Form]]) -> onnx.ModelProto:
         """The finished graph.
 
         Args:
-            outputs: symbol and form of each output by its name.
+            outputs: symbol and form of each output by name.
         """
         import onnx_ir as ir
         from onnx_ir.passes import common
@@ -322,8 +325,8 @@ class Graph:
             common.RemoveUnusedNodesPass(),
             common.ClearMetadataAndDocStringPass(),
         )
-        for tidy in passes:
-            tidy(model)
+        for each in passes:
+            each(model)
         return ir.to_proto(model)
 
     def _loop(
@@ -339,36 +342,36 @@ class Graph:
 
         self._loops += 1
         name, depth = f"loop_{self._loops}", len(self._builders)
-        kept = (_data_type(symbol.dtype) for symbol in carried)
+        dtypes = (_data_type(symbol.dtype) for symbol in carried)
         declared = [
             ir.val(f"{name}.step", ir.DataType.INT64, []),
             ir.val(f"{name}.going", ir.DataType.BOOL, []),
             *(
                 ir.val(f"{name}.carried_{number}", dtype, ir.Shape([None] * rank))
-                for number, dtype in enumerate(kept)
+                for number, dtype in enumerate(dtypes)
             ),
         ]
-        inside = ir.Graph(declared, [], nodes=[], opset_imports={"": OPSET}, name=name)
-        self._builders.append(onnxscript.GraphBuilder(inside, parent=self._builders[-1]))
+        subgraph = ir.Graph(declared, [], nodes=[], opset_imports={"": OPSET}, name=name)
+        self._builders.append(onnxscript.GraphBuilder(subgraph, parent=self._builders[-1]))
         self._builders[-1].push_module(name)
-        step, on, *state = (Symbol(self, value, depth) for value in declared)
+        step, always, *state = (Symbol(self, value, depth) for value in declared)
         results = list(body(step.to("int32"), *state))
         if not going:
-            results.insert(0, on)
+            results.insert(0, always)
         for result in results:
-            made_here = result.depth == depth and result.value.producer() is not None
-            output = result if made_here else self._nodes(depth, "Identity", 1, result)[0]
-            inside.outputs.append(output.value)
+            is_local = result.depth == depth and result.value.producer() is not None
+            output = result if is_local else self._nodes(depth, "Identity", 1, result)[0]
+            subgraph.outputs.append(output.value)
         self._builders.pop()
         times = trips.to("int64") if isinstance(trips, Symbol) else trips
-        symbols = self._nodes(depth - 1, "Loop", len(carried), times, True, *carried, body=inside)
+        symbols = self._nodes(depth - 1, "Loop", len(carried), times, True, *carried, body=subgraph)
         for symbol, result in zip(symbols, results[1:], strict=True):
             symbol.value.dtype = _data_type(result.dtype)
         return symbols
 
 
 def _depth(arguments: Sequence[Any]) -> int:
-    return max((given.depth for given in arguments if isinstance(given, Symbol)), default=0)
+    return max((each.depth for each in arguments if isinstance(each, Symbol)), default=0)
 
 
 def _data_type(dtype: str) -> ir.DataType:

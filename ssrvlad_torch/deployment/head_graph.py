@@ -1,4 +1,4 @@
-"""The method as a graph: what `SSRVLAD.forward` does, stage by stage, in ONNX operators."""
+"""The method as a graph: the stages of `SSRVLAD.forward` in ONNX operators."""
 
 from __future__ import annotations
 
@@ -12,17 +12,13 @@ from ..stages.skeleton import RULES
 from ..taxonomy import label_space
 from .arithmetic.head import harmonics_of_layers
 from .arithmetic.layers import layers_of_categories
-from .arithmetic.vanishing_column import WIDEST
+from .arithmetic.vanishing_column import MAX_WIDTH
 from .geometry import Lengths, lengths, working_grid
 from .graph import Graph, Symbol
 from .stages.centroid import centroids_in_graph
 from .stages.components import drop_regions_in_graph, fill_holes_in_graph
 from .stages.keypoints import end_points_in_graph, intersections_in_graph
-from .stages.layers import (
-    categorise_in_graph,
-    entries_in_graph,
-    split_in_graph,
-)
+from .stages.layers import categorise_in_graph, entries_in_graph, split_in_graph
 from .stages.morphology import open_and_close_in_graph
 from .stages.reduction import reduce_by_majority_in_graph
 from .stages.residuals import aggregate_in_graph
@@ -41,14 +37,14 @@ def describe_in_graph(
     """`SSRVLAD.forward` in a graph, or `SSRVLAD.sweep`.
 
     Args:
-        graph: where the nodes go.
-        labels: ``(B, H, W)`` uint8 or int64 label ids, any of the sizes dynamic.
+        graph: the graph to add nodes to.
+        labels: ``(B, H, W)`` uint8 or int64 label ids; any axis can be dynamic.
         config: the settings.
-        columns: S anchors of a sweep, for descriptors ``(B, S, 480)``; none for single ones.
+        columns: S anchors of a sweep, for descriptors ``(B, S, 480)``; empty for single ones.
 
     Returns:
-        ``descriptor (B, 480)`` float32, ``unknown (B,)`` int32, and of residuals ``keypoints
-        (B, 8)`` int32.
+        ``descriptor (B, 480)`` float32, ``unknown (B,)`` int32, and for the aggregation residuals
+        ``keypoints (B, 8)`` int32.
     """
     with graph.stage("layers"):
         categories, unknown = _categories(graph, labels, config)
@@ -58,12 +54,12 @@ def describe_in_graph(
     with graph.stage("layers"):
         layers = layers_of_categories(graph, categories)  # Table II
     descriptor = harmonics_of_layers(graph, layers, config, columns)
-    is_wide = graph.sizes(categories, 3)[2] > WIDEST
+    is_wide = graph.sizes(categories, 3)[2] > MAX_WIDTH
     return {"descriptor": graph.Where(is_wide, np.nan, descriptor), "unknown": unknown}
 
 
 def _residuals(graph: Graph, config: SSRVLADConfig, categories: Symbol) -> tuple[Symbol, Symbol]:
-    """The paper's descriptor, and how many keypoints each layer has."""
+    """The paper's descriptor, and the number of keypoints of each layer."""
     grid = grid_of(*graph.sizes(categories, 3))
     with graph.stage("layers"):
         layers = split_in_graph(graph, categories, grid)  # Table II
@@ -91,7 +87,7 @@ def _residuals(graph: Graph, config: SSRVLADConfig, categories: Symbol) -> tuple
 
 
 def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths) -> Words:
-    """The layers after morphology, without small holes and regions."""
+    """The layers after morphology, with small holes filled and small regions dropped."""
     with graph.stage("morphology"):
         clean = open_and_close_in_graph(graph, layers, sizes.opening, sizes.closing)
     with graph.stage("holes"):
@@ -104,7 +100,7 @@ def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths)
 
 
 def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:
-    """``(B, h, w)`` uint8 categories on the working grid and ``(B,)`` int32 unknown ids."""
+    """``(B, h, w)`` uint8 categories on the working grid; ``(B,)`` int32 counts of unknown ids."""
     entries, table = entries_in_graph(graph, labels, *category_table(label_space(config.labels_as)))
     if config.working_size is None:
         return categorise_in_graph(graph, entries, table)

@@ -1,11 +1,11 @@
-"""Pictures -> label maps as an ONNX graph: preparation, network and decision, traced and joined."""
+"""Pictures to label maps as an ONNX graph: preparation, network and decision, traced and joined."""
 
 from __future__ import annotations
 
 import logging
 import warnings
 from collections.abc import Sequence
-from functools import cache, partial
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -24,37 +24,36 @@ if TYPE_CHECKING:
 
 _BYTES = 256
 _EXAMPLE = (66, 98)
-"""Height and width of the pictures that a module is traced with; any others will do as well."""
+"""Height and width of the pictures that a module is traced with; the values are arbitrary."""
 
 
 def label_graph(labels: LabelNetwork) -> onnx.ModelProto:
     """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64.
 
-    A PyTorch network is traced with what is around it. Around an ONNX graph the preparation and
-    the decision are traced and joined to it; it is raised to the head's opset if it is below.
+    A PyTorch network is traced together with preparation and decision. For an ONNX graph these two
+    are traced and joined to it; a graph below the head's opset is converted to it.
 
     Raises:
-        ValueError: the network cannot be traced, or the graph cannot be raised.
+        ValueError: the network cannot be traced, or the graph cannot be converted.
         ImportError: the extra ``onnx`` is not installed.
     """
     if not isinstance(labels.network, OnnxNetwork):
         return _traced_network(labels)
     network = labels.network
-    model = raised(load_model(network.path), OPSET)
-    config = labels.config
+    model = with_opset(load_model(network.path), OPSET)
+    config, version = labels.config, opset(model)
     prepare = _traced_preparation(config, network.form.dtype, network.form.channels_last)
     decide = _traced_decision(*_decision(labels))
-    version = opset(model)
-    parts = [raised(_parsed(part), version) for part in (prepare, decide)]
+    parts = [with_opset(prepare, version), model, with_opset(decide, version)]
     joints = [
         [("prepare/numbers", f"network/{network.input}")],
         [(f"network/{config.output}", "decide/output"), ("prepare/picture", "decide/picture")],
     ]
-    whole = join([parts[0], model, parts[1]], ["prepare/", "network/", "decide/"], joints)
-    kept = [value for value in whole.graph.output if value.name == "labels"]
-    del whole.graph.output[:]
-    whole.graph.output.extend(kept)
-    return whole
+    joined = join(parts, ["prepare/", "network/", "decide/"], joints)
+    outputs = [value for value in joined.graph.output if value.name == "labels"]
+    del joined.graph.output[:]
+    joined.graph.output.extend(outputs)
+    return joined
 
 
 def join(
@@ -62,13 +61,13 @@ def join(
     prefixes: Sequence[str],
     joints: Sequence[list[tuple[str, str]]],
 ) -> onnx.ModelProto:
-    """Models one after another as one.
+    """One model that runs several models in sequence.
 
     Args:
-        models: of one opset; their names are changed.
-        prefixes: of all names of each model but the inputs of the first, and the outputs of the
-            last, which keep theirs.
-        joints: between two models, pairs of an output and the input that takes it.
+        models: models of one opset; they are renamed in place.
+        prefixes: prefix of the names of each model. The inputs of the first model and the outputs
+            of the last keep their names.
+        joints: between two models, pairs of an output and the input that it feeds.
     """
     from onnx import compose, helper
 
@@ -76,28 +75,28 @@ def join(
     for number, (graph, prefix) in enumerate(zip(graphs, prefixes, strict=True)):
         ends = [] if 0 < number < last else graph.output if number else graph.input
         rename(graph, partial(_prefixed, prefix, {value.name for value in ends}))
-    whole = graphs[0]
+    joined = graphs[0]
     for graph, pairs in zip(graphs[1:], joints, strict=True):
-        whole = compose.merge_graphs(whole, graph, pairs)
-    del whole.value_info[:]
-    imports = {one.domain or "": one for model in models for one in model.opset_import}
+        joined = compose.merge_graphs(joined, graph, pairs)
+    del joined.value_info[:]
+    imports = {entry.domain or "": entry for model in models for entry in model.opset_import}
     return helper.make_model(
-        whole,
+        joined,
         opset_imports=list(imports.values()),
         functions=[function for model in models for function in model.functions],
         ir_version=max(model.ir_version for model in models),
     )
 
 
-def _prefixed(prefix: str, kept: set[str], name: str) -> str:
-    return name if name in kept or not name else prefix + name
+def _prefixed(prefix: str, unchanged: set[str], name: str) -> str:
+    return name if name in unchanged or not name else prefix + name
 
 
-def raised(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
-    """A model of at least this opset.
+def with_opset(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
+    """The model, converted to an opset if its own is lower.
 
     Raises:
-        ValueError: it is older and cannot be raised.
+        ValueError: it cannot be converted.
     """
     from onnx import version_converter
 
@@ -107,19 +106,19 @@ def raised(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
         return version_converter.convert_version(model, version)
     except Exception as error:  # the converter's own types, and protobuf's beyond 2 GB
         raise ValueError(
-            f"cannot be raised from opset {opset(model)} to {version}: {one_line(error)}; "
+            f"cannot be converted from opset {opset(model)} to {version}: {one_line(error)}; "
             f"export it with opset {version} or newer"
         ) from error
 
 
 def opset(model: onnx.ModelProto) -> int:
     """Version of the standard operators that a model uses."""
-    versions = [one.version for one in model.opset_import if one.domain in ("", "ai.onnx")]
+    versions = [each.version for each in model.opset_import if each.domain in ("", "ai.onnx")]
     return int(max(versions, default=1))
 
 
 class _Preparation(nn.Module):
-    """The preparation, which hands on the picture for its size."""
+    """The preparation, which also returns the picture for its size."""
 
     def __init__(self, preparation: Preparation) -> None:
         super().__init__()
@@ -130,7 +129,7 @@ class _Preparation(nn.Module):
 
 
 class _Decision(nn.Module):
-    """The end of `LabelNetwork.forward`, for an output of known layout."""
+    """The last steps of `LabelNetwork.forward`, for an output of known layout."""
 
     def __init__(self, axis: int | None, classes: tuple[int, int], dtype: torch.dtype) -> None:
         super().__init__()
@@ -145,71 +144,69 @@ class _Decision(nn.Module):
         return enlarged(labels, *picture.shape[1:3])
 
 
-class _Whole(nn.Module):
-    """A `LabelNetwork` with labels of one dtype."""
+class _WithDtype(nn.Module):
+    """A `LabelNetwork` whose labels have a fixed dtype."""
 
     def __init__(self, labels: LabelNetwork, dtype: torch.dtype) -> None:
         super().__init__()
         self.labels, self.dtype = labels, dtype
 
     def forward(self, image: Tensor) -> Tensor:
-        found: Tensor = self.labels(image)
-        return found.to(self.dtype)
+        labels: Tensor = self.labels(image)
+        return labels.to(self.dtype)
 
 
 def _traced_network(labels: LabelNetwork) -> onnx.ModelProto:
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     with torch.inference_mode():
         narrow = labels.outputs(example).is_floating_point()
-    whole = _Whole(labels, torch.uint8 if narrow else torch.int64)
+    module = _WithDtype(labels, torch.uint8 if narrow else torch.int64)
     dims = {0: "B", 1: "H", 2: "W"}
-    return _traced(whole, {"image": (example, dims)}, {"labels": ["B", "H", "W"]})
+    return _traced(module, {"image": (example, dims)}, {"labels": ["B", "H", "W"]})
 
 
-@cache
-def _traced_preparation(config: SegmenterConfig, dtype: torch.dtype, channels_last: bool) -> bytes:
+def _traced_preparation(
+    config: SegmenterConfig, dtype: torch.dtype, channels_last: bool
+) -> onnx.ModelProto:
     module = _Preparation(Preparation(config, Form(dtype, channels_last)))
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     dims = {0: "B", 1: "H", 2: "W"}
     forms: dict[str, list[Any]] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
-    content: bytes = _traced(module, {"image": (example, dims)}, forms).SerializeToString()
-    return content
+    return _traced(module, {"image": (example, dims)}, forms)
 
 
-@cache
 def _traced_decision(
-    source: torch.dtype, shape: tuple[int | None, ...], axis: int | None, classes: tuple[int, int]
-) -> bytes:
-    scores = source.is_floating_point
-    narrow = classes[1] - classes[0] <= _BYTES if scores else source == torch.uint8
+    dtype: torch.dtype, shape: tuple[int | None, ...], axis: int | None, classes: tuple[int, int]
+) -> onnx.ModelProto:
+    scores = dtype.is_floating_point
+    narrow = classes[1] - classes[0] <= _BYTES if scores else dtype == torch.uint8
     module = _Decision(axis, classes, torch.uint8 if narrow else torch.int64)
     sizes = [2, *_EXAMPLE] if axis is None else [2, 33, 49, 25]
-    example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=source)
-    free = {place: f"n{place}" for place, n in enumerate(shape) if n is None}
+    example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=dtype)
+    dynamic = {number: f"n{number}" for number, n in enumerate(shape) if n is None}
     picture = torch.zeros(2, *_EXAMPLE, dtype=torch.uint8)
-    inputs = {"output": (example, free), "picture": (picture, {0: "B", 1: "H", 2: "W"})}
-    content: bytes = _traced(module, inputs, {"labels": ["B", "H", "W"]}).SerializeToString()
-    return content
+    inputs = {"output": (example, dynamic), "picture": (picture, {0: "B", 1: "H", 2: "W"})}
+    return _traced(module, inputs, {"labels": ["B", "H", "W"]})
 
 
 def _decision(
     labels: LabelNetwork,
 ) -> tuple[torch.dtype, tuple[int | None, ...], int | None, tuple[int, int]]:
-    """Dtype, shape, axis of the classes, and the channels that are taken, of a graph's output."""
+    """Dtype, shape, axis of the classes and range of the classes of a graph's output."""
     network, config = labels.network, labels.config
     assert isinstance(network, OnnxNetwork)
     size = config.size if isinstance(config.size, tuple) else (64, 96)
     with torch.inference_mode():
         example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
-        found = network(labels.preparation(example), names=[config.output])[str(config.output)]
-    shape: list[int | None] = [None] * found.ndim
-    if found.ndim == 3:
-        return found.dtype, tuple(shape), None, (0, 0)
-    scores = found.is_floating_point()
+        output = network(labels.preparation(example), names=[config.output])[str(config.output)]
+    shape: list[int | None] = [None] * output.ndim
+    if output.ndim == 3:
+        return output.dtype, tuple(shape), None, (0, 0)
+    scores = output.is_floating_point()
     counts = channel_counts(labels.space, config.classes) if scores else range(1, 2)
-    axis = class_axis(tuple(found.shape), counts, network.form.channels_last)
-    shape[axis] = found.shape[axis]
-    return found.dtype, tuple(shape), axis, config.classes or (0, found.shape[axis])
+    axis = class_axis(tuple(output.shape), counts, network.form.channels_last)
+    shape[axis] = output.shape[axis]
+    return output.dtype, tuple(shape), axis, config.classes or (0, output.shape[axis])
 
 
 def _traced(
@@ -217,13 +214,13 @@ def _traced(
     inputs: dict[str, tuple[Tensor, dict[int, str]]],
     outputs: dict[str, list[Any]],
 ) -> onnx.ModelProto:
-    """A module as a graph of named inputs and outputs, of any size along the named axes.
+    """A module as a graph with named inputs and outputs; named axes are dynamic.
 
     Raises:
         ValueError: it cannot be traced.
     """
     try:
-        import onnxscript  # noqa: F401 - what the exporter works with
+        import onnxscript  # noqa: F401 - the exporter imports it
     except ImportError as error:
         raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
     log = logging.getLogger("torch.onnx")
@@ -242,7 +239,7 @@ def _traced(
                 dynamo=True,
                 verbose=False,
             )
-    except Exception as error:  # what the exporter raises has no bounds
+    except Exception as error:  # the exporter can raise anything
         raise ValueError(f"cannot be traced: {one_line(error)}") from error
     finally:
         log.setLevel(level)
@@ -259,9 +256,3 @@ def _name_axes(value: onnx.ValueInfoProto, names: Sequence[str | None]) -> None:
     for axis, name in zip(value.type.tensor_type.shape.dim, names, strict=False):
         if name is not None:
             axis.dim_param = name
-
-
-def _parsed(content: bytes) -> onnx.ModelProto:
-    import onnx
-
-    return onnx.load_from_string(content)

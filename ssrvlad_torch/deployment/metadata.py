@@ -1,4 +1,4 @@
-"""What an exported file says about itself, as the ONNX metadata properties ``ssrvlad.*``."""
+"""Metadata of an exported file: the ONNX metadata properties ``ssrvlad.*``."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ import numpy.typing as npt
 from .. import __version__
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace
-from ..untrusted import InputError, naming, parse_json
+from ..untrusted import InputError, input_errors, parse_json
 
 PREFIX = "ssrvlad."
 
 SEAL = f"{PREFIX}sha256"
-"""The property that `seal` gives."""
+"""Name of the property that holds `seal`."""
 
 FORMAT = "2"
-"""Of the outputs and properties of a file. Programs refuse a file of another."""
+"""Version of the outputs and properties of a file. Programs refuse other versions."""
 
 _DTYPES = ("uint8", "int32", "int64", "float32", "float64")
-_MOST_GOLDEN = 64 << 20
+_MAX_GOLDEN_BYTES = 64 << 20
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True)
 class Metadata:
-    """What an exported file says about itself.
+    """The metadata of an exported file.
 
     Attributes:
-        version: of this package.
-        config: every setting by name, as `SSRVLADConfig.to_dict`.
-        fingerprint: of the config.
-        label_space: as `LabelSpace.to_dict`.
-        interface: ``opset``; ``form``, as for `export_head`; ``inputs`` and ``outputs``, which give
-            ``dtype`` and ``shape`` by name; an axis with a name is dynamic.
+        version: version of this package.
+        config: the settings, as `SSRVLADConfig.to_dict`.
+        fingerprint: fingerprint of the settings.
+        label_space: the label space, as `LabelSpace.to_dict`.
+        interface: ``opset``; ``form``, as for `export_head`; ``inputs`` and ``outputs``: ``dtype``
+            and ``shape`` by name; an axis with a name is dynamic.
         golden: an input and the module's outputs for it; each array by name as ``dtype``, ``shape``
-            and ``data``, its little-endian bytes compressed by zlib, in base64.
+            and ``data``: its little-endian bytes, compressed by zlib, in base64.
         format: `FORMAT`.
     """
 
@@ -80,28 +80,27 @@ class Metadata:
         """The metadata in a file's properties.
 
         Raises:
-            ValueError: a property is missing or is not what `to_properties` writes, or the file is
-                of another format.
+            ValueError: a property is missing or damaged, or the file has another format.
         """
-        written = properties.get(f"{PREFIX}format", "1")
-        if f"{PREFIX}fingerprint" in properties and written != FORMAT:
-            raise ValueError(f"a file of format {written}; expected {FORMAT}: export it again")
-        found: dict[str, Any] = {}
+        file_format = properties.get(f"{PREFIX}format", "1")
+        if f"{PREFIX}fingerprint" in properties and file_format != FORMAT:
+            raise ValueError(f"a file of format {file_format}; expected {FORMAT}: export it again")
+        values: dict[str, Any] = {}
         for field in fields(cls):
             name = PREFIX + field.name
             if name not in properties:
-                raise ValueError(f"no metadata {name}: this is no file of `ssrvlad export`")
+                raise ValueError(f"no metadata {name}: not a file of `ssrvlad export`")
             text = properties[name]
             if field.type == "str":
-                found[field.name] = text
+                values[field.name] = text
                 continue
-            found[field.name] = parse_json(text, f"metadata {name}")
-            if not isinstance(found[field.name], dict):
+            values[field.name] = parse_json(text, f"metadata {name}")
+            if not isinstance(values[field.name], dict):
                 raise InputError(f"metadata {name} is {text[:40]}; expected a JSON object")
-        return cls(**found)
+        return cls(**values)
 
     def to_properties(self) -> dict[str, str]:
-        """One property for each attribute, as text or as JSON."""
+        """One property for each attribute, as text or JSON."""
         return {
             PREFIX + name: value if isinstance(value, str) else json.dumps(value, sort_keys=True)
             for name, value in asdict(self).items()
@@ -113,15 +112,15 @@ class Metadata:
 
 
 def seal(graph: str, properties: Mapping[str, str]) -> str:
-    """SHA-256 of a graph's digest and of every property ``ssrvlad.*``, in hex: what it is changes
-    where either is edited."""
-    ours = {name: text for name, text in properties.items() if name.startswith(PREFIX)}
-    ours.pop(SEAL, None)
-    return hashlib.sha256(json.dumps([graph, ours], sort_keys=True).encode()).hexdigest()
+    """SHA-256 in hex of a graph's digest and of every other property ``ssrvlad.*``: it shows an
+    edit of either."""
+    sealed = {name: text for name, text in properties.items() if name.startswith(PREFIX)}
+    sealed.pop(SEAL, None)
+    return hashlib.sha256(json.dumps([graph, sealed], sort_keys=True).encode()).hexdigest()
 
 
 def _to_text(name: str, array: npt.NDArray[Any]) -> dict[str, Any]:
-    if array.nbytes > _MOST_GOLDEN:
+    if array.nbytes > _MAX_GOLDEN_BYTES:
         raise ValueError(f"golden {name} is {array.nbytes >> 20} MiB; expected at most 64")
     little = array.astype(array.dtype.newbyteorder("<"))
     data = base64.b64encode(zlib.compress(little.tobytes(), 9)).decode()
@@ -129,15 +128,15 @@ def _to_text(name: str, array: npt.NDArray[Any]) -> dict[str, Any]:
 
 
 def _from_text(name: str, entry: Any) -> npt.NDArray[Any]:
-    """A golden array from what `Metadata` holds of it.
+    """The golden array in an entry of `Metadata.golden`.
 
     Raises:
         InputError: it is damaged, or larger than 64 MiB.
     """
-    with naming(f"golden {name}", "damaged"):
+    with input_errors(f"golden {name}", "damaged"):
         dtype, shape = np.dtype(entry["dtype"]), [abs(int(length)) for length in entry["shape"]]
         expected = dtype.itemsize * math.prod(shape)
-        if dtype.name not in _DTYPES or expected > _MOST_GOLDEN:
+        if dtype.name not in _DTYPES or expected > _MAX_GOLDEN_BYTES:
             raise InputError(f"golden {name} is {dtype.name} {shape}; expected at most 64 MiB")
         compressed = base64.b64decode(entry["data"], validate=True)
         content = zlib.decompressobj().decompress(compressed, expected + 1)

@@ -1,4 +1,4 @@
-"""Runtimes: what runs an ONNX file, as a function of its inputs by name."""
+"""Runtimes that run an ONNX file as a function of its inputs by name."""
 
 from __future__ import annotations
 
@@ -13,38 +13,39 @@ from ..onnx_files import CPU, open_session
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
-"""The outputs of a graph by name, of its inputs by name."""
+"""Runs a graph: its inputs by name to its outputs by name."""
 
 OPENVINO = "openvino"
-"""The name of OpenVINO's own runtime; other names are execution providers of ONNX Runtime."""
+"""Name of OpenVINO's own runtime; other names are execution providers of ONNX Runtime."""
 
 _RECORD = {"session.record_ep_graph_assignment_info": "1"}
 
 
 class Runtime(Protocol):
-    """What runs ONNX files.
+    """A runtime for ONNX files.
 
     Attributes:
-        name: with its version, and the device or the execution provider.
-        is_reference: whether it is the one that others are compared with.
+        name: name, version, and device or execution provider.
+        is_reference: whether other runtimes are compared with it.
     """
 
     name: str
     is_reference: bool
 
     def open(self, source: Path | bytes) -> Run:
-        """A function of a file or of its content. Whatever this or the function raises, the
-        runtime cannot run the file."""
+        """A function that runs a file, given by path or content. If this or the function raises
+        any error, the runtime cannot run the file."""
 
-    def elsewhere(self, source: Path | bytes) -> str:
-        """Which part of a file it leaves to the CPU, or ``""``."""
+    def cpu_fallback(self, source: Path | bytes) -> str:
+        """The part of a file that runs on the CPU instead, or ``""``."""
 
 
 def runtime_of(provider: str) -> Runtime:
-    """The runtime of a name: an execution provider of ONNX Runtime, or ``"openvino"``.
+    """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``.
 
     Raises:
-        ImportError: it is not installed.
+        ValueError: ONNX Runtime lacks the provider.
+        ImportError: the runtime is not installed.
     """
     return OpenVino() if provider == OPENVINO else OnnxRuntime(provider)
 
@@ -57,26 +58,26 @@ class OnnxRuntime:
             import onnxruntime
         except ImportError as error:
             raise ImportError("ONNX files need: pip install ssrvlad-torch[onnx]") from error
-        at_hand = onnxruntime.get_available_providers()
-        if provider not in at_hand:
-            expected = ", ".join((*at_hand, OPENVINO))
+        available = onnxruntime.get_available_providers()
+        if provider not in available:
+            expected = ", ".join((*available, OPENVINO))
             raise ValueError(f"no execution provider {provider!r}; expected one of {expected}")
         self.name = f"ONNX Runtime {onnxruntime.__version__}, {provider}"
         self.provider, self.is_reference = provider, provider == CPU
 
     def open(self, source: Path | bytes) -> Run:
-        """A session as a function."""
+        """A function that runs a session."""
         session = open_session(source, "the graph", self.provider)
         names = [output.name for output in session.get_outputs()]
-        return lambda given: dict(zip(names, session.run(names, dict(given)), strict=True))
+        return lambda inputs: dict(zip(names, session.run(names, dict(inputs)), strict=True))
 
-    def elsewhere(self, source: Path | bytes) -> str:
-        """ONNX Runtime gives the CPU the nodes that a provider lacks; it tells from 1.24 on."""
+    def cpu_fallback(self, source: Path | bytes) -> str:
+        """The number of nodes that the provider lacks; known from ONNX Runtime 1.24 on."""
         if self.provider == CPU:
             return ""
         session = open_session(source, "the graph", self.provider, settings=_RECORD)
         if not hasattr(session, "get_provider_graph_assignment_info"):
-            return "this version of ONNX Runtime does not tell which nodes run on the CPU"
+            return "this version of ONNX Runtime does not report which nodes run on the CPU"
         parts = session.get_provider_graph_assignment_info()
         counts = [(part.ep_name, len(part.get_nodes())) for part in parts]
         others = sum(count for name, count in counts if name != self.provider)
@@ -97,17 +98,17 @@ class OpenVino:
         self._core = openvino.Core()
 
     def open(self, source: Path | bytes) -> Run:
-        """A compiled model as a function."""
+        """A function that runs a compiled model."""
         model = self._core.read_model(source)
         names = [output.get_any_name() for output in model.outputs]
         compiled = self._core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
 
-        def run(given: Arrays) -> dict[str, npt.NDArray[Any]]:
-            found = compiled(dict(given))
-            return {name: np.array(found[place]) for place, name in enumerate(names)}
+        def run(inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
+            outputs = compiled(dict(inputs))
+            return {name: np.array(outputs[number]) for number, name in enumerate(names)}
 
         return run
 
-    def elsewhere(self, source: Path | bytes) -> str:
-        """Nothing: it refuses what it lacks."""
+    def cpu_fallback(self, source: Path | bytes) -> str:
+        """``""``: OpenVINO refuses a file with operators that it lacks."""
         return ""

@@ -1,16 +1,16 @@
 """Bit-planes in a graph: the layers of a batch as one line of words.
 
-ONNX Runtime takes as long for a bitwise operation on a byte as on a word, so a word holds three
+In ONNX Runtime a bitwise operation takes as long on a byte as on a word, so a word holds three
 pixels of a row times eight layers: bit ``8 * p + k`` is layer ``k`` of pixel ``p``. Each row ends
-with at least one background pixel and each image with a background row, so the neighbours of a
-word are the words a pitch before and after it on the line, and nothing touches around an edge.
-`bitplanes` is the same for tensors, a byte a pixel.
+with at least one background pixel and each image with a background row. So the neighbours of a word
+are the words one pitch before and after it on the line, and no region continues across an edge.
+`bitplanes` does the same for tensors, with a byte for each pixel.
 
-Words, lists and sizes are int32: some runtimes cut int64 to that and say nothing. The 24 bits of a
-word are never negative, are moved by products and quotients only, and are exact in float32, in
-which some runtimes divide and compare int32.
+Words, lists and sizes are int32, because some runtimes cut int64 to 32 bits silently. A word has 24
+bits and is never negative; bits are shifted by products and quotients. These are exact in float32,
+in which some runtimes divide and compare int32.
 
-A pixel's place is its number on the line, margins counted: ``3 * word + p``.
+A pixel's place is its index on the line, with margins: ``3 * word + p``.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ ALL = 0xFF * EACH_PIXEL
 _LAST = 8 * (PIXELS - 1)
 
 Ring = tuple[Symbol, ...]
-"""N, NE, E, SE, S, SW, W, NW of every pixel, as words."""
+"""The neighbours N, NE, E, SE, S, SW, W, NW of every pixel, as words."""
 
 
 class Grid(NamedTuple):
-    """Size of a batch, ``()`` int32 symbols: images, rows, columns, words a row on the line."""
+    """Size of a batch, ``()`` int32 symbols: images, rows, columns, words of a row on the line."""
 
     images: Symbol
     height: Symbol
@@ -47,11 +47,11 @@ class Grid(NamedTuple):
 
     @property
     def words(self) -> Symbol:
-        """Length of the line."""
+        """Length of the line in words."""
         return self.images * (self.height + 1) * self.pitch
 
     def image(self, place: Symbol) -> Symbol:
-        """The image that a pixel is in."""
+        """The image of a pixel."""
         return place // ((self.height + 1) * self.pitch * PIXELS)
 
     def row(self, place: Symbol) -> Symbol:
@@ -59,7 +59,7 @@ class Grid(NamedTuple):
         return place // (self.pitch * PIXELS) % (self.height + 1)
 
     def column(self, place: Symbol) -> Symbol:
-        """Column of a pixel."""
+        """Column of a pixel in its image."""
         return place % (self.pitch * PIXELS)
 
 
@@ -70,7 +70,7 @@ class Words(NamedTuple):
     grid: Grid
 
     def with_line(self, line: Symbol) -> Words:
-        """Other layers of the same size."""
+        """Layers with another line and the same size."""
         return self._replace(line=line)
 
 
@@ -92,7 +92,7 @@ class GraphPoints(NamedTuple):
 class Runs(NamedTuple):
     """Maximal horizontal runs of the layers, sorted by layer, then by place; ``(n,)`` int32 each.
 
-    ``first`` and ``last`` are the places of the first and the last pixel.
+    ``first`` and ``last`` are the places of the first and the last pixel of a run.
     """
 
     layer: Symbol
@@ -101,22 +101,22 @@ class Runs(NamedTuple):
 
     @property
     def length(self) -> Symbol:
-        """Pixels of each run."""
+        """Number of pixels of each run."""
         return self.last - self.first + 1
 
     def where(self, chosen: Symbol) -> Runs:
-        """The runs at which ``(n,)`` bool is true."""
-        number = chosen.graph.places(chosen)
-        return Runs(*(column.take(number) for column in self))
+        """The runs for which ``(n,)`` bool is true."""
+        index = chosen.graph.indices(chosen)
+        return Runs(*(column.take(index) for column in self))
 
 
 def grid_of(images: Symbol, height: Symbol, width: Symbol) -> Grid:
-    """The grid of so many images of so many rows and columns."""
+    """The grid of ``images`` images of ``height`` rows and ``width`` columns."""
     return Grid(images, height, width, width // PIXELS + 1)
 
 
 def inside(graph: Graph, grid: Grid) -> Symbol:
-    """``(grid.words,)`` int32, all bits of all pixels that are not margin."""
+    """``(grid.words,)`` int32, all bits set in all pixels outside the margins."""
     masks = np.array([(1 << 8 * p) - 1 for p in range(PIXELS + 1)], np.int32)
     left = grid.width - graph.arange(grid.pitch) * PIXELS
     row = graph.constant(masks).take(graph.Min(left, PIXELS)).reshape(1, -1)
@@ -125,7 +125,7 @@ def inside(graph: Graph, grid: Grid) -> Symbol:
 
 
 def neighbourhood(graph: Graph, words: Words) -> tuple[Symbol, Ring]:
-    """All words of a line and the eight neighbours of their pixels."""
+    """The words of a line and the eight neighbours of their pixels."""
     length, pitch = words.grid.words, words.grid.pitch
     padded = graph.Pad(words.line, graph.vector(pitch + 1, pitch + 1))
     return line_neighbours(padded, pitch, length, shifted)
@@ -142,20 +142,20 @@ def east_of(graph: Graph, line: Symbol) -> Symbol:
 
 
 def shifted(before: Symbol, here: Symbol, after: Symbol) -> tuple[Symbol, Symbol]:
-    """Words whose pixels are the west, and the east, neighbours of the pixels of the words."""
+    """The west and the east neighbours of the pixels of words, from the words before and after."""
     return up(here, 8) + (before >> _LAST), (here >> 8) + up(after, _LAST)
 
 
 def up(line: Symbol, bits: Symbol | int) -> Symbol:
-    """Words with all bits moved to higher places; those that leave their word are lost."""
+    """Words with their bits shifted up; bits that leave the word are lost."""
     return line << bits & ALL
 
 
 def pixels_of(graph: Graph, line: Symbol) -> Pixels:
-    """The pixels of every layer. Words without any are passed over, then pixels without any."""
-    word = graph.places(line)
+    """The pixels of every layer. Empty words are skipped first, then empty pixels."""
+    word = graph.indices(line)
     pixels = _bytes(graph, line.take(word)).reshape(-1)
-    entry = graph.places(pixels)
+    entry = graph.indices(pixels)
     place = word.take(entry // PIXELS) * PIXELS + entry % PIXELS
     bits = graph.constant((1 << np.arange(LAYERS)).astype(np.uint8)[:, None])
     layer, entry = graph.split(graph.NonZero(pixels.take(entry) & bits).to("int32"), 2, axis=0)
@@ -163,20 +163,20 @@ def pixels_of(graph: Graph, line: Symbol) -> Pixels:
 
 
 def runs_of(graph: Graph, line: Symbol) -> Runs:
-    """The runs of every layer. Runs of a layer do not nest: the n-th that begins is the n-th that
-    ends."""
+    """The runs of every layer. Runs of a layer do not overlap: the n-th first pixel belongs to the
+    n-th last one."""
     first = pixels_of(graph, first_of_runs(graph, line))
     last = pixels_of(graph, line & ~east_of(graph, line))
     return Runs(first.layer, first.place, last.place)
 
 
 def first_of_runs(graph: Graph, line: Symbol) -> Symbol:
-    """Pixels whose west neighbour is off."""
+    """Pixels whose west neighbour is background."""
     return line & ~west_of(graph, line)
 
 
 def paint_in_graph(graph: Graph, runs: Runs, grid: Grid) -> Symbol:
-    """The line that holds exactly the given runs; each writes the words that it reaches into."""
+    """The line of the given runs; each run sets its bits in every word that it reaches."""
     spans = np.zeros((PIXELS, PIXELS), np.int32)
     for first, last in np.ndindex(spans.shape):
         spans[first, last] = sum(1 << 8 * p for p in range(first, last + 1))
@@ -191,15 +191,15 @@ def paint_in_graph(graph: Graph, runs: Runs, grid: Grid) -> Symbol:
 
 
 def points_of(graph: Graph, words: Words) -> GraphPoints:
-    """The pixels of every layer as `bitplanes.points` lists them."""
+    """The pixels of every layer, in the order of `bitplanes.points`."""
     pixels, grid = pixels_of(graph, words.line), words.grid
     group = pixels.layer * grid.images + grid.image(pixels.place)
     return GraphPoints(group, grid.row(pixels.place), grid.column(pixels.place))
 
 
-def count_points_in_graph(graph: Graph, listed: GraphPoints, images: Symbol) -> Symbol:
-    """``(B, 8)`` int32, how many of the points each layer of each image has."""
-    counts = graph.counts(listed.group, images * LAYERS).reshape(-1, 1)
+def count_points_in_graph(graph: Graph, points: GraphPoints, images: Symbol) -> Symbol:
+    """``(B, 8)`` int32, the number of points of each layer of each image."""
+    counts = graph.counts(points.group, images * LAYERS).reshape(-1, 1)
     return by_image_in_graph(graph, counts, images).reshape(images, LAYERS)
 
 

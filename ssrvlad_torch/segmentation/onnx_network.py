@@ -54,7 +54,7 @@ class OnnxNetwork(nn.Module):
         self.path = Path(path)
         if not self.path.is_file():
             raise ValueError(f"{path} does not exist or is not a file; expected an ONNX graph")
-        self._session = open_session(self.path, path, "CUDAExecutionProvider", otherwise=CPU)
+        self._session = open_session(self.path, path, "CUDAExecutionProvider", fallback=CPU)
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
             names = ", ".join(each.name for each in inputs)

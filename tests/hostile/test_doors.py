@@ -130,15 +130,15 @@ def test_pictures(here, make, message):
 YAML: list[tuple[str, str]] = [
     (bad.ALIASES, "an alias in line 2"),
     (bad.NESTED, "more than 20 levels in line 1"),
-    ("a: !!bool abc", "no plain YAML"),
-    ("a: !!int x", "no plain YAML"),
-    ("a: !!python/object/apply:os.system [ls]", "no plain YAML"),
-    ("? [a]\n: b", "no plain YAML"),
-    ("a: !!timestamp x", "no plain YAML"),
-    ("\0", "no plain YAML"),
+    ("a: !!bool abc", "not plain YAML"),
+    ("a: !!int x", "not plain YAML"),
+    ("a: !!python/object/apply:os.system [ls]", "not plain YAML"),
+    ("? [a]\n: b", "not plain YAML"),
+    ("a: !!timestamp x", "not plain YAML"),
+    ("\0", "not plain YAML"),
     ("[1, 2]", "own.yaml"),
     ("3", "own.yaml"),
-    (f"{SPACE}\n", "no plain YAML"),
+    (f"{SPACE}\n", "not plain YAML"),
     (f"{SPACE}, colour: [1, 2]}}\n", "colour"),
     ("x" * (2 << 20), "has 2097152 bytes; expected at most 1048576"),
 ]
@@ -186,7 +186,7 @@ TRUTHS: list[tuple[Make, str]] = [
     (lambda p: bad.array(p / "bad.npy", (1 << 20, 1 << 20)), "has 0 bytes for an array"),
     (lambda p: bad.pipe(p / "bad.json"), "is a pipe"),
     (lambda p: bad.endless(p / "bad.csv"), "is a device"),
-    (lambda p: bad.text(p / "bad.npz", "no archive"), "no .npz archive"),
+    (lambda p: bad.text(p / "bad.npz", "no archive"), "not a .npz archive"),
     (lambda p: bad.text(p / "bad.csv", "query,reference\n\0,b\n"), "bad.csv"),
 ]
 

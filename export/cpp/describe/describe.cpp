@@ -1,17 +1,17 @@
-// Describes a label map without any other library: prints its numbers, one a line.
+// Describes a label map without any other library; prints the descriptor, one number a line.
 //
 //     describe PRESET categories.npy map.npy
 //
-// PRESET is `default` or `paper`. The categories are a (256,) .npy array of uint8 that says what the
-// ids of the map mean: 0 to 7 (Table II), 8 for no layer, 255 for an id that must not occur.
-// In Python, for a label space of this package:
+// PRESET is `default` or `paper`. The categories are a (256,) .npy array of uint8, the category of
+// each id: 0 to 7 (Table II), 8 for no layer, 255 for an id that must not occur. In Python, for a
+// label space of this package:
 //
 //     categories = np.full(256, 255, np.uint8)
 //     for label in label_space("camvid-11").classes:
 //         categories[label.id] = label.category_index
 //
 // The map is an (H, W) .npy array of uint8 or int64. Exit code 0 for success, 2 for wrong use or bad
-// input, which one line on stderr names.
+// input, with one line on stderr.
 
 #include <cstdio>
 #include <memory>
@@ -48,10 +48,10 @@ std::vector<float> describe(const std::string& preset, const npy::Array& categor
   const ssrvlad_labels labels{map.bytes.data(), map.dtype == "|u1" ? 1 : 8, 1, map.shape[0],
                               map.shape[1]};
   std::vector<float> numbers(static_cast<std::size_t>(ssrvlad_length(head.get())));
-  const auto found = ssrvlad_describe(head.get(), &labels, &table, 1, numbers.data());
-  if (found > 0)
-    throw std::runtime_error(std::to_string(found) + " pixels have an id without a category");
-  if (found != SSRVLAD_OK) throw std::runtime_error("the map is too large");
+  const auto status = ssrvlad_describe(head.get(), &labels, &table, 1, numbers.data());
+  if (status > 0)
+    throw std::runtime_error(std::to_string(status) + " pixels have an id without a category");
+  if (status != SSRVLAD_OK) throw std::runtime_error("the map is too large");
   return numbers;
 }
 

@@ -1,25 +1,25 @@
-"""A graph of fixed size: whatever depends on sizes only is computed when the file is written."""
+"""Graphs of fixed size: everything that depends on sizes only is computed at export."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from ...config import SSRVLADConfig
-from .reduction import WIDEST_CELL
-from .vanishing_column import WIDEST
+from .reduction import MAX_CELL_WIDTH
+from .vanishing_column import MAX_WIDTH
 
 if TYPE_CHECKING:
     import onnx
 
-_MOST_PIXELS = 1 << 24
+_MAX_PIXELS = 1 << 24
 _NO_LIMIT = 1 << 30
 
 
-def folded(model: onnx.ModelProto) -> onnx.ModelProto:
-    """A model whose inputs have fixed sizes, without the nodes that give the same for any input.
+def fold_sizes(model: onnx.ModelProto) -> onnx.ModelProto:
+    """A model with inputs of fixed sizes, without the nodes that do not depend on pixel values.
 
-    What is left computes in float32 and int32; int64 are shapes and axes, which are constants, and
-    what the outputs hold.
+    The other nodes compute in float32 and int32; only shapes and axes, which are constants, and
+    outputs are int64.
     """
     import onnx_ir as ir
     from onnx_ir.passes import common
@@ -39,25 +39,25 @@ def folded(model: onnx.ModelProto) -> onnx.ModelProto:
         common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
         common.DeduplicateInitializersPass(),
     )
-    for tidy in passes:
-        tidy(graph)
+    for each in passes:
+        each(graph)
     return ir.to_proto(graph)
 
 
 def check_shape(config: SSRVLADConfig, shape: tuple[int, int, int]) -> None:
-    """Whether every sum over images of this shape is exact in float32.
+    """Checks that every sum over images of this shape is exact in float32.
 
     Raises:
-        ValueError: it is not, or the shape holds no pixel.
+        ValueError: it is not, or the shape has no pixels.
     """
     images, height, width = shape
-    if min(shape) < 1 or height * width > _MOST_PIXELS:
+    if min(shape) < 1 or height * width > _MAX_PIXELS:
         raise ValueError(
-            f"images of {height} x {width}, {images} together; expected 1 to 2 ** 24 pixels"
+            f"{images} images of {height} x {width}; expected 1 to 2 ** 24 pixels in each"
         )
     columns = config.grid(height, width)[1]
-    if columns > WIDEST or -(-width // columns) > WIDEST_CELL:
+    if columns > MAX_WIDTH or -(-width // columns) > MAX_CELL_WIDTH:
         raise ValueError(
-            f"{width} columns make a grid of {columns}; expected at most {WIDEST}, of at most "
-            f"{WIDEST_CELL} pixels each"
+            f"{width} columns make a grid of {columns}; expected at most {MAX_WIDTH}, of at most "
+            f"{MAX_CELL_WIDTH} pixels each"
         )

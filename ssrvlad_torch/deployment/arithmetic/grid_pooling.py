@@ -9,11 +9,11 @@ from ..graph import Graph, Symbol
 
 
 def pool_in_graph(graph: Graph, layers: Symbol, shift: Symbol) -> Symbol:
-    """`pool` in a graph, times ``h * w``: whole numbers.
+    """`pool` in a graph, times ``h * w``, which makes whole numbers.
 
     Args:
-        graph: where the nodes go.
-        layers: ``(B, n, h, w)`` float32, 0 or 1, of at most 2 ** 24 pixels.
+        graph: the graph to add nodes to.
+        layers: ``(B, n, h, w)`` float32, 0 or 1; at most 2 ** 24 pixels.
         shift: ``(B,)`` float32, columns.
 
     Returns:
@@ -27,8 +27,8 @@ def pool_in_graph(graph: Graph, layers: Symbol, shift: Symbol) -> Symbol:
 
 
 def _overlaps(graph: Graph, pixels: Symbol, cells: int, shift: Symbol | int = 0) -> Symbol:
-    """``(..., pixels, cells)`` float32, how much of each pixel is in each cell."""
+    """``(..., pixels, cells)`` float32, the overlap of each pixel with each cell."""
     pixel = (graph.arange(pixels).to("float32").reshape(-1, 1) - shift) * cells
     cell = graph.constant(np.arange(cells, dtype=np.float32)) * pixels.to("float32")
-    within = graph.Min(pixel + cells, cell + pixels.to("float32")) - graph.Max(pixel, cell)
-    return graph.Relu(within)
+    overlap = graph.Min(pixel + cells, cell + pixels.to("float32")) - graph.Max(pixel, cell)
+    return graph.Relu(overlap)

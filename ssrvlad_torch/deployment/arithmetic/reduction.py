@@ -1,7 +1,7 @@
-"""Reduction as arithmetic: a pixel's vote is a number with a digit for each kind.
+"""Reduction as arithmetic: a pixel's vote is a number with a decimal digit for each kind.
 
-The votes of up to nine pixels above each other are added, so that no digit carries. Then the digits
-are taken apart and added over the columns and the groups of rows of a cell.
+The votes of up to nine pixels of a column are added, so that no digit carries. Then the digits are
+separated and added over the columns and the groups of rows of a cell.
 """
 
 from __future__ import annotations
@@ -18,104 +18,103 @@ from ..graph import Graph, Symbol
 
 RADIX = 10
 _LOW = 4
-"""Digits of the lower part of a number."""
+"""Digits of the lower part of a vote."""
 _PART = 1 << 14
-"""Where the upper part begins, above 9999. Nine votes are at most ``9 * 10 ** 2 * _PART``, which is
-below 2 ** 24."""
+"""Unit of the upper part, above 9999. Nine votes are at most ``9 * 10 ** 2 * _PART`` < 2 ** 24."""
 _DIGITS = 7
 
-WIDEST_CELL = 800
-"""Columns of a cell: sums of ``2 * 10 ** 4`` over them stay below 2 ** 24."""
+MAX_CELL_WIDTH = 800
+"""Columns of a cell: sums of ``2 * 10 ** 4`` over them are below 2 ** 24."""
 
 KINDS = NO_LAYER + 2
-"""Eight layers, none or an unknown id, and an unknown id."""
+"""Votes of a cell: for eight layers, for no layer (with unknown ids), and for unknown ids."""
 
 Table = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float32]
 
 
 class Side(NamedTuple):
-    """A side of the image in cells, whose pixels are in groups of one length.
+    """A side of the image in cells, with the pixels of a cell in groups of one length.
 
     Attributes:
-        cells, groups, length: ``()`` int32, how many cells, groups in each, and pixels in those.
-        place: ``(groups * cells * length,)`` int32, the first group of every cell, then the second,
-            ...; a place without a pixel holds the number of pixels.
-        pixels: ``(groups * cells,)`` float32, how many pixels each group has.
+        cells, groups, length: ``()`` int32, numbers of cells, of groups in a cell and of entries in
+            a group.
+        members: ``(groups * cells * length,)`` int32, the pixels of the first group of every cell,
+            then of the second, ...; an entry without a pixel is the number of pixels.
+        pixels: ``(groups * cells,)`` float32, the number of pixels of each group.
     """
 
     cells: Symbol
     groups: Symbol
     length: Symbol
-    place: Symbol
+    members: Symbol
     pixels: Symbol
 
 
 def side_of(graph: Graph, pixels: Symbol, cells: Symbol, most: int = 0) -> Side:
-    """A side in groups of at most so many pixels; pixel x is in cell ``x * cells // pixels``."""
+    """A side in groups of at most ``most`` pixels; pixel x is in cell ``x * cells // pixels``."""
     first, end = ((graph.arange(cells) + step) * pixels + cells - 1 for step in (0, 1))
     first, end = ((number // cells).reshape(-1, 1) for number in (first, end))
     longest = (pixels + cells - 1) // cells
     groups = (longest + most - 1) // most if most else graph.constant(np.array(1, np.int32))
     length = (longest + groups - 1) // groups
-    place = first + graph.arange(groups * length).reshape(groups, 1, length)
-    within = place < end
-    count = graph.ReduceSum(within.to("float32"), [2], keepdims=0)
-    place = graph.Where(within, place, pixels)
-    return Side(cells, groups, length, place.reshape(-1), count.reshape(-1))
+    index = first + graph.arange(groups * length).reshape(groups, 1, length)
+    is_pixel = index < end
+    count = graph.ReduceSum(is_pixel.to("float32"), [2], keepdims=0)
+    index = graph.Where(is_pixel, index, pixels)
+    return Side(cells, groups, length, index.reshape(-1), count.reshape(-1))
 
 
 def votes_in_graph(
     graph: Graph, entries: Symbol, table: Table, rows: Side, columns: Side
 ) -> Symbol:
-    """How many pixels of each cell are of each kind.
+    """The number of pixels of each kind in each cell.
 
     Args:
-        graph: where the nodes go.
-        entries: ``(B, H, W)`` uint8 or int32, for each pixel its entry in the table.
-        table: ``(T,)`` uint8, 0 to 7, `NO_LAYER` or `UNKNOWN`.
-        rows: h cells, in groups of at most nine pixels.
-        columns: w cells, in one group.
+        graph: the graph to add nodes to.
+        entries: ``(B, H, W)`` uint8 or int32, the index of each pixel in the table.
+        table: ``(T,)`` uint8: 0 to 7, `NO_LAYER` or `UNKNOWN`.
+        rows: the h cells, in groups of at most nine pixels.
+        columns: the w cells, in one group.
 
     Returns:
         ``(B, 10, h * w)`` float32.
     """
     entries, table = _with_margin(graph, entries, table)
     width = graph.sizes(entries, 3)[2]
-    entry = graph.Gather(entries, rows.place, axis=1).to("int32").reshape(-1)
+    entry = graph.Gather(entries, rows.members, axis=1).to("int32").reshape(-1)
     kinds = sorted({*table.tolist(), UNKNOWN} - {NO_LAYER})
     sums: list[Symbol] = []
-    to_kinds: list[Floats] = []
+    to_votes: list[Floats] = []
     words = -(-len(kinds) // _DIGITS)
     for chosen in (kinds[number::words] for number in range(words)):
         word = graph.constant(_word_table(table, chosen)).take(entry)
         by_column = graph.ReduceSum(word.reshape(-1, rows.length, width), [1], keepdims=0)
         by_column = by_column.reshape(-1, rows.groups * rows.cells, width)
         by_column = graph.Transpose(by_column, perm=[0, 2, 1])
-        sums += [
-            _over(graph, part, columns) for part in _taken_apart(graph, by_column, len(chosen))
-        ]
-        to_kinds += _to_kinds(chosen)
+        digits = _digits(graph, by_column, len(chosen))
+        sums += [_summed(graph, part, columns) for part in digits]
+        to_votes += _to_votes(chosen)
     summed = graph.Concat(*sums, axis=1)
-    summed = summed.reshape(-1, columns.cells, len(to_kinds), rows.groups * rows.cells)
-    summed = graph.Transpose(summed, perm=[0, 2, 3, 1]).reshape(0, len(to_kinds), -1)
+    summed = summed.reshape(-1, columns.cells, len(to_votes), rows.groups * rows.cells)
+    summed = graph.Transpose(summed, perm=[0, 2, 3, 1]).reshape(0, len(to_votes), -1)
     areas = (rows.pixels.reshape(-1, 1) * columns.pixels).reshape(1, 1, -1)
     areas = graph.Expand(areas, graph.vector(graph.sizes(entries, 3)[0], 1, 1))
-    to_kinds.append(np.eye(KINDS, dtype=np.float32)[NO_LAYER])
-    table_of_kinds = graph.constant(np.stack(to_kinds, axis=1))
-    votes = graph.MatMul(table_of_kinds, graph.Concat(summed, areas, axis=1))
+    to_votes.append(np.eye(KINDS, dtype=np.float32)[NO_LAYER])
+    vote_table = graph.constant(np.stack(to_votes, axis=1))
+    votes = graph.MatMul(vote_table, graph.Concat(summed, areas, axis=1))
     votes = votes.reshape(-1, KINDS, rows.groups, rows.cells * columns.cells)
     return graph.ReduceSum(votes, [2], keepdims=0)
 
 
 def _with_margin(graph: Graph, entries: Symbol, table: Table) -> tuple[Symbol, Table]:
-    """One more row and column of pixels without a vote."""
-    empty = np.flatnonzero(table == NO_LAYER)
-    if empty.size == 0:
-        entries, empty = entries.to("int32"), np.array([len(table)])
+    """The entries with one more row and column of pixels without a vote, and their table."""
+    no_layer = np.flatnonzero(table == NO_LAYER)
+    if no_layer.size == 0:
+        entries, no_layer = entries.to("int32"), np.array([len(table)])
         table = np.append(table, np.uint8(NO_LAYER))
-    nothing = graph.constant(empty[0].astype(entries.dtype))
-    return graph.Pad(entries, [0, 0, 0, 0, 1, 1], nothing), table
+    fill = graph.constant(no_layer[0].astype(entries.dtype))
+    return graph.Pad(entries, [0, 0, 0, 0, 1, 1], fill), table
 
 
 def _word_table(table: Table, kinds: Sequence[int]) -> Floats:
@@ -126,9 +125,9 @@ def _word_table(table: Table, kinds: Sequence[int]) -> Floats:
     return words
 
 
-def _taken_apart(graph: Graph, word: Symbol, digits: int) -> Iterator[Symbol]:
-    """``(B, W, n)`` -> the lower part without none, one, ... of its last digits, then the upper
-    part, in ``(B, W, some, n)``. The digits together are as many as are asked for."""
+def _digits(graph: Graph, word: Symbol, digits: int) -> Iterator[Symbol]:
+    """``(B, W, n)`` votes -> ``(B, W, m, n)``: the lower part without its last 0, 1, ... digits,
+    then the same of the upper part; together ``digits`` numbers."""
     parts = [(word, digits)]
     if digits > _LOW:
         upper = graph.Floor(word * (1 / _PART))
@@ -141,16 +140,16 @@ def _taken_apart(graph: Graph, word: Symbol, digits: int) -> Iterator[Symbol]:
             yield graph.Floor((whole + 0.5) * graph.constant(scales))
 
 
-def _over(graph: Graph, numbers: Symbol, columns: Side) -> Symbol:
-    """``(B, W, some, n)`` -> ``(B * w, some, n)``, the sums over the columns of each cell."""
-    _, _, some, n = graph.sizes(numbers, 4)
-    of_cells = graph.Gather(numbers, columns.place, axis=1).reshape(-1, columns.length, some, n)
-    return graph.ReduceSum(of_cells, [1], keepdims=0)
+def _summed(graph: Graph, numbers: Symbol, columns: Side) -> Symbol:
+    """``(B, W, m, n)`` -> ``(B * w, m, n)``, the sums over the columns of each cell."""
+    _, _, m, n = graph.sizes(numbers, 4)
+    by_cell = graph.Gather(numbers, columns.members, axis=1).reshape(-1, columns.length, m, n)
+    return graph.ReduceSum(by_cell, [1], keepdims=0)
 
 
-def _to_kinds(kinds: Sequence[int]) -> Iterator[Floats]:
-    """For each number of `_taken_apart` what it adds to the votes of all kinds. A digit is the
-    number that ends with it, less ten times the one without it; a vote is one less for none."""
+def _to_votes(kinds: Sequence[int]) -> Iterator[Floats]:
+    """For each number of `_digits` its factors in the votes of all kinds. A digit is the number
+    that ends with it minus ten times the next; each vote for a kind is one less for no layer."""
     for digit, kind in enumerate(kinds):
         row = np.zeros(KINDS, np.float32)
         row[_row(kind)] = 1

@@ -1,7 +1,7 @@
 """Vanishing column as arithmetic.
 
-Sums of weights have up to forty bits. They are kept as digits, and nothing is divided: the sums are
-compared with what they would be for every column that could be the answer.
+Sums of weights have up to forty bits and are represented by digits. Instead of a division, they are
+compared with their value at every column that could be the result.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ from ..graph import Graph, Symbol
 
 RADIX = 8
 DIGITS = 7
-"""Of a weight, which is at most ``ONE``."""
+"""Digits of a weight, which is at most ``ONE``."""
 
-WIDEST = 960
-"""Columns of the widest grid. A digit of the sums is below ``14 * WIDEST ** 2``: the digits of all
-weights and of the middle, at most 7 each, times twice the distance of two columns."""
+MAX_WIDTH = 960
+"""Columns of the widest grid. A digit of the sums is below ``14 * MAX_WIDTH ** 2``: digits of at
+most 7 of all weights and of the middle, times twice the distance of two columns."""
 
 
 def vanishing_columns_in_graph(graph: Graph, is_open: Symbol) -> Symbol:
     """`vanishing_columns` in a graph.
 
     Args:
-        graph: where the nodes go.
-        is_open: ``(B, 1, h, w)`` float32 of `Layers`; w at most `WIDEST`.
+        graph: the graph to add nodes to.
+        is_open: ``(B, 1, h, w)`` float32 of `Layers`; w is at most `MAX_WIDTH`.
 
     Returns:
         ``(B,)`` float32.
@@ -41,8 +41,8 @@ def vanishing_columns_in_graph(graph: Graph, is_open: Symbol) -> Symbol:
 
     reach = width // 2 + 1
     column = (graph.arange(reach * 2 + 1) - reach).to("float32").reshape(-1, 1)
-    left = moment + total - column * total * 2  # not negative up to the answer
-    carried, *higher = graph.split(left, DIGITS, axis=2)
+    rest = moment + total - column * total * 2  # not negative up to the result
+    carried, *higher = graph.split(rest, DIGITS, axis=2)
     for digit in higher:
         carried = digit + graph.Floor(carried * (1 / RADIX))
     count = graph.ReduceSum((carried >= 0).to("float32"), [1, 2], keepdims=0)
@@ -50,13 +50,13 @@ def vanishing_columns_in_graph(graph: Graph, is_open: Symbol) -> Symbol:
 
 
 def _weights() -> npt.NDArray[np.float32]:
-    """``(65, 7)`` float32, the digits of the weight of each level, the lowest first."""
+    """``(65, 7)`` float32, the digits of the weight of each level, lowest first."""
     weights = np.arange(LEVELS + 1) ** POWER >> SHIFT
     return _digits(weights[:, None])
 
 
 def _pull(graph: Graph, width: Symbol) -> Symbol:
-    """``width * ONE // PULL`` as digits, which may exceed the radix."""
+    """``width * ONE // PULL`` in digits that may exceed the radix."""
     whole, rest = divmod(ONE, PULL)
     more = (width * rest // PULL).to("float32") * graph.constant(_digits(np.array([1])))
     return graph.constant(_digits(np.array([whole]))) * width.to("float32") + more

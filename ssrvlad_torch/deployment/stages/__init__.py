@@ -1,1 +1,1 @@
-"""The stages of the method as ONNX operators: each does what the stage of its name does."""
+"""The stages of `ssrvlad_torch.stages` as ONNX operators, in modules of the same names."""

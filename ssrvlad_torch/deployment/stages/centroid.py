@@ -15,33 +15,34 @@ def centroids_in_graph(graph: Graph, words: Words) -> GraphPoints:
     first, length = grid.column(segments.first), segments.length
     groups = grid.images * LAYERS
     area = graph.sums(group, length, groups)
-    present = graph.places(area)
+    present = graph.indices(area)
     area = area.take(present)
 
     def mean(twice: Symbol) -> Symbol:
         """Sums of ``length * twice / 2`` over the area, rounded to the nearest, halves up."""
         weighted = length * twice
-        sums, about = (
+        sums, estimates = (
             graph.sums(group, amounts, groups).take(present)
             for amounts in (weighted, weighted.to("float32"))
         )
-        return rounded_mean(graph, sums, about, area)
+        return rounded_mean(graph, sums, estimates, area)
 
     return GraphPoints(present, mean(grid.row(segments.first) * 2), mean(first * 2 + length - 1))
 
 
-def rounded_mean(graph: Graph, twice: Symbol, about: Symbol, area: Symbol) -> Symbol:
-    """Half of a sum over an area, rounded to the nearest, halves up.
+def rounded_mean(graph: Graph, twice: Symbol, estimate: Symbol, area: Symbol) -> Symbol:
+    """A sum divided by an area, rounded to the nearest, halves up.
 
-    The sum may have wrapped around: what it leaves of the area times a mean that is nearly right
-    is small and tells whether the mean is one too small or too large.
+    The int32 sum may have overflowed. The mean is guessed from the float32 sum. The remainder of
+    the division is small, so it is exact in spite of the overflow, and corrects a guess that is off
+    by one.
 
     Args:
-        graph: where the nodes go.
-        twice: ``(n,)`` int32, twice the sum.
-        about: ``(n,)`` float32, the same, not exact and not wrapped around.
+        graph: the graph to add nodes to.
+        twice: ``(n,)`` int32, twice the sum, modulo 2 ** 32.
+        estimate: ``(n,)`` float32, twice the sum, rounded.
         area: ``(n,)`` int32, above 0.
     """
-    guess = graph.Floor((about / area.to("float32") + 1) / 2).to("int32")
-    left = twice + area - guess * area * 2
-    return guess + (left - area * 2 >= 0).to("int32") - (left < 0).to("int32")
+    guess = graph.Floor((estimate / area.to("float32") + 1) / 2).to("int32")
+    remainder = twice + area - guess * area * 2
+    return guess + (remainder - area * 2 >= 0).to("int32") - (remainder < 0).to("int32")

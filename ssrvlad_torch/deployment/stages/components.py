@@ -49,10 +49,10 @@ def drop_regions_in_graph(graph: Graph, words: Words, area: Symbol) -> Words:
 def _over_regions(
     graph: Graph, words: Words, amounts: Sequence[Symbol], diagonal: bool
 ) -> list[Symbol]:
-    """Sums of amounts of the runs over the region of each run; the regions as by `_regions`."""
+    """For each run, the sums of amounts over all runs of its region."""
     upper, lower = _touching_in_graph(graph, words, diagonal)
 
-    def pass_on(_: Symbol, region: Symbol) -> tuple[Symbol, Symbol]:
+    def propagate(_: Symbol, region: Symbol) -> tuple[Symbol, Symbol]:
         above, below = region.take(upper), region.take(lower)
         lowest = graph.Min(above, below)
         ends, lowest = graph.Concat(above, below, axis=0), graph.Concat(lowest, lowest, axis=0)
@@ -61,36 +61,36 @@ def _over_regions(
         return graph.any(~jumped.equals(region)), jumped
 
     count = graph.length(amounts[0])
-    (region,) = graph.repeat_while(pass_on, graph.arange(count))
+    (region,) = graph.repeat_while(propagate, graph.arange(count))
     return [graph.sums(region, each, count).take(region) for each in amounts]
 
 
 def _touching_in_graph(graph: Graph, words: Words, diagonal: bool) -> tuple[Symbol, Symbol]:
-    """Pairs of runs that touch, as run numbers, each found at one pixel of the run below: at the
-    first that they share, or where they touch at a corner only."""
+    """Pairs of run numbers, upper and lower, of runs that touch. Each pair is found at one pixel of
+    the lower run: at the first column that both share, or where they touch at a corner only."""
     grid = words.grid
     line, (north, north_east, east, *_, west, north_west) = neighbourhood(graph, words)
     links = [first_of_runs(graph, line & north)]
     if diagonal:
         links.append(line & north_west & ~(north | west))
         links.append(line & north_east & ~(north | east))
-    found = pixels_of(graph, graph.Concat(*links, axis=0))
+    pixels = pixels_of(graph, graph.Concat(*links, axis=0))
     line_length = grid.words * PIXELS
-    step = graph.constant(np.array([0, -1, 1], np.int32)).take(found.place // line_length)
-    lower = found.place % line_length
+    step = graph.constant(np.array([0, -1, 1], np.int32)).take(pixels.place // line_length)
+    lower = pixels.place % line_length
     upper = lower - grid.pitch * PIXELS + step
-    return _run_at(graph, line, found.layer, upper), _run_at(graph, line, found.layer, lower)
+    return _run_at(graph, line, pixels.layer, upper), _run_at(graph, line, pixels.layer, lower)
 
 
 def _run_at(graph: Graph, line: Symbol, layer: Symbol, place: Symbol) -> Symbol:
-    """Number of the run that has each of the pixels: how many runs begin up to there, less one.
+    """Number of the run of each pixel: the count of runs that begin up to it, minus one.
 
-    A product with `EACH_PIXEL` sums the pixels of a word into its last.
+    A product with `EACH_PIXEL` sums the pixels of a word in its last pixel.
     """
     highest = LAYERS * (PIXELS - 1)
     shifts = np.arange(LAYERS)[:, None]
     firsts = (first_of_runs(graph, line).reshape(1, -1) >> shifts & EACH_PIXEL).reshape(-1)
-    before = graph.before((firsts * EACH_PIXEL & ALL) >> highest)
+    before = graph.exclusive_sums((firsts * EACH_PIXEL & ALL) >> highest)
     word = layer * graph.length(line) + place // PIXELS
     up_to = up(firsts.take(word), highest - place % PIXELS * LAYERS)
     return before.take(word) + ((up_to * EACH_PIXEL & ALL) >> highest) - 1

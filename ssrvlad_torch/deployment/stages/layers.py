@@ -15,15 +15,15 @@ from ..words import PIXELS, Grid, Words
 def entries_in_graph(
     graph: Graph, labels: Symbol, table: Tensor, origin: int
 ) -> tuple[Symbol, npt.NDArray[np.uint8]]:
-    """`categorise` in a graph, up to the look-up itself.
+    """The first half of `categorise` in a graph: the index of each pixel in the table.
 
     Args:
-        graph: where the nodes go.
+        graph: the graph to add nodes to.
         labels: label ids of any shape, uint8 or int64.
         table, origin: from `category_table`.
 
     Returns:
-        uint8 or int32 of the same shape, for each pixel its entry in the table, and the table for
+        uint8 or int32 of the same shape, the index of each pixel in the table, and the table for
         this dtype, ``(T,)`` uint8.
     """
     if labels.dtype == "uint8":
@@ -35,29 +35,31 @@ def entries_in_graph(
 def categorise_in_graph(
     graph: Graph, entries: Symbol, table: npt.NDArray[np.uint8]
 ) -> tuple[Symbol, Symbol]:
-    """The look-up of `categorise` in a graph.
+    """The second half of `categorise` in a graph: the look-up.
 
     Args:
-        graph: where the nodes go.
+        graph: the graph to add nodes to.
         entries, table: from `entries_in_graph`, ``(B, H, W)``.
 
     Returns:
         ``(B, H, W)`` uint8, and ``(B,)`` int32, the number of unknown ids.
     """
-    found = graph.constant(table).take(entries.to("int32").reshape(-1))
-    categories = graph.Reshape(found, graph.Shape(entries))
+    flat = graph.constant(table).take(entries.to("int32").reshape(-1))
+    categories = graph.Reshape(flat, graph.Shape(entries))
     is_unknown = categories.to("int32").equals(UNKNOWN).to("float32")
-    by_row = graph.ReduceSum(is_unknown, [2], keepdims=0)  # exact: a row has no 2 ** 24 pixels
+    by_row = graph.ReduceSum(
+        is_unknown, [2], keepdims=0
+    )  # exact: a row has less than 2 ** 24 pixels
     return categories, graph.ReduceSum(by_row.to("int32"), [1], keepdims=0)
 
 
 def split_in_graph(graph: Graph, categories: Symbol, grid: Grid) -> Words:
-    """`split` in a graph: the bits of each three pixels of a row make a word.
+    """`split` in a graph: the bits of three pixels of a row form a word.
 
     Args:
-        graph: where the nodes go.
-        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER` or `UNKNOWN`.
-        grid: of that size.
+        graph: the graph to add nodes to.
+        categories: ``(B, H, W)`` uint8: 0 to 7, `NO_LAYER` or `UNKNOWN`.
+        grid: the grid of B, H and W.
     """
     kinds = NO_LAYER + 1
     right = grid.pitch * PIXELS - grid.width

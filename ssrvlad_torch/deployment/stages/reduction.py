@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -11,18 +12,18 @@ from ...taxonomy import NO_LAYER
 from ..graph import Graph, Symbol
 
 _EXACT_BITS = 24
-"""Whole numbers of so many bits are exact in float32."""
+"""Whole numbers of this many bits are exact in float32."""
 
 
 class _Side(NamedTuple):
     """A side of the image in cells.
 
     Attributes:
-        pixels, cells: ``()`` int32, how many.
-        longest: ``()`` int32, pixels of the longest cell; no cell has two less.
-        first, length: ``(cells,)`` int32, the first pixel of each cell and how many it has.
-        step: ``(2, longest)`` int32, how far the pixels of a shorter and of a longest cell are from
-            its first; the last stands twice in the shorter.
+        pixels, cells: ``()`` int32, the numbers of pixels and cells.
+        longest: ``()`` int32, pixels of a longest cell; the others have one pixel less.
+        first, length: ``(cells,)`` int32, the first pixel and the number of pixels of each cell.
+        step: ``(2, longest)`` int32, offsets of the pixels of a shorter and of a longest cell from
+            its first; in the shorter the last offset is repeated.
     """
 
     pixels: Symbol
@@ -43,8 +44,8 @@ class _Side(NamedTuple):
         return self.first.reshape(-1, 1) + self.step[self.is_longest]
 
     @property
-    def stands_twice(self) -> Symbol:
-        """``(2, longest)`` bool, of `step`."""
+    def is_repeated(self) -> Symbol:
+        """``(2, longest)`` bool, whether an entry of `step` repeats the one before it."""
         graph = self.step.graph
         lengths = self.longest - graph.constant(np.array([[1], [0]], np.int32))
         return graph.arange(self.longest) >= lengths
@@ -57,18 +58,18 @@ def reduce_by_majority_in_graph(
     size: tuple[Symbol, Symbol],
     grid: tuple[Symbol, Symbol],
 ) -> tuple[Symbol, Symbol]:
-    """`reduce_by_majority` in a graph, of images whose ids are not looked up yet.
+    """`reduce_by_majority` in a graph, together with the look-up of categories.
 
-    Most cells hold one id: the least and the largest of their ids are the same. Votes are counted
-    in the others only.
+    Most cells hold one id: their smallest and largest ids are equal. Votes are counted in the other
+    cells only.
 
     Args:
-        graph: where the nodes go.
-        entries: ``(B, H, W)`` uint8 or int32, for each pixel its entry in the table.
-        table: ``(T,)`` uint8, 0 to 7, `NO_LAYER`, or above it for an unknown id, which votes as if
-            it had no layer.
+        graph: the graph to add nodes to.
+        entries: ``(B, H, W)`` uint8 or int32, the index of each pixel in the table.
+        table: ``(T,)`` uint8: 0 to 7, `NO_LAYER`, or larger for an unknown id, which votes for no
+            layer.
         size: H and W, ``()`` int32.
-        grid: h and w, likewise.
+        grid: h and w, ``()`` int32.
 
     Returns:
         ``(B, h, w)`` uint8, and ``(B,)`` int32, the number of unknown ids.
@@ -79,19 +80,19 @@ def reduce_by_majority_in_graph(
     is_pure = lowest.equals(highest).reshape(-1)
     area = tall.length * wide.length.reshape(-1, 1)
 
-    mixed = graph.places(~is_pure)
+    mixed = graph.indices(~is_pure)
     row, column = mixed % tall.cells, mixed // tall.cells % wide.cells
     image = mixed // (tall.cells * wide.cells)
-    seen = _pixels(graph, entries, len(table), tall, wide, (image, row, column))
-    votes = _votes(graph, seen, table, tall.longest * wide.longest)
-    rest = area.reshape(-1).take(mixed % (tall.cells * wide.cells)).reshape(1, -1)
-    rest = rest - graph.ReduceSum(votes[:NO_LAYER], [0])
-    ballot = graph.Concat(votes[:NO_LAYER], rest, axis=0)
-    winner = graph.ArgMax(ballot, axis=0, keepdims=0).to("int32")
+    pixels = _pixels(graph, entries, len(table), tall, wide, (image, row, column))
+    votes = _votes(graph, pixels, table, tall.longest * wide.longest)
+    no_layer = area.reshape(-1).take(mixed % (tall.cells * wide.cells)).reshape(1, -1)
+    no_layer = no_layer - graph.ReduceSum(votes[:NO_LAYER], [0])
+    all_votes = graph.Concat(votes[:NO_LAYER], no_layer, axis=0)
+    winner = graph.ArgMax(all_votes, axis=0, keepdims=0).to("int32")
     categories = graph.ScatterElements(graph.Min(kind, NO_LAYER), mixed, winner, axis=0)
 
-    alone = ((kind > NO_LAYER) & is_pure).to("int32").reshape(-1, wide.cells, tall.cells)
-    unknown = graph.ReduceSum(area * alone, [1, 2], keepdims=0)
+    all_unknown = ((kind > NO_LAYER) & is_pure).to("int32").reshape(-1, wide.cells, tall.cells)
+    unknown = graph.ReduceSum(area * all_unknown, [1, 2], keepdims=0)
     unknown = graph.ScatterElements(
         unknown, image, votes[NO_LAYER].reshape(-1), axis=0, reduction="add"
     )
@@ -109,42 +110,42 @@ def _side(graph: Graph, pixels: Symbol, cells: Symbol) -> _Side:
 
 
 def _extremes(graph: Graph, entries: Symbol, tall: _Side, wide: _Side) -> tuple[Symbol, Symbol]:
-    """``(B, w, h)`` float32, the least and the largest entry of each cell."""
+    """``(B, w, h)`` float32, the smallest and the largest entry of each cell."""
     rows = graph.Gather(entries, tall.pixel, axis=1).to("float32")
-    found = []
-    for extreme in (graph.ReduceMin, graph.ReduceMax):
-        of_rows = graph.Transpose(extreme(rows, [2], keepdims=0), perm=[0, 2, 1])
-        found.append(extreme(graph.Gather(of_rows, wide.pixel, axis=1), [2], keepdims=0))
-    return found[0], found[1]
+
+    def over_cells(extreme: Callable[..., Symbol]) -> Symbol:
+        by_row = graph.Transpose(extreme(rows, [2], keepdims=0), perm=[0, 2, 1])
+        return extreme(graph.Gather(by_row, wide.pixel, axis=1), [2], keepdims=0)
+
+    return over_cells(graph.ReduceMin), over_cells(graph.ReduceMax)
 
 
 def _pixels(
     graph: Graph,
     entries: Symbol,
-    nothing: int,
+    filler: int,
     tall: _Side,
     wide: _Side,
     cells: tuple[Symbol, Symbol, Symbol],
 ) -> Symbol:
-    """``(n, most)`` int32, the entries of the pixels of some cells, and ``nothing``, which is above
-    all of them, for what stands twice. The cells are image, row and column, ``(n,)`` int32 each."""
+    """``(n, most)`` int32, the entries of the pixels of n cells. Repeated pixels have the entry
+    ``filler``, which is above all others. ``cells``: image, row and column, ``(n,)`` int32 each."""
     image, row, column = cells
     kind = tall.is_longest.take(row) * 2 + wide.is_longest.take(column)
     step = tall.step.reshape(2, 1, -1, 1) * wide.pixels + wide.step.reshape(1, 2, 1, -1)
-    twice = tall.stands_twice.reshape(2, 1, -1, 1) | wide.stands_twice.reshape(1, 2, 1, -1)
+    repeated = tall.is_repeated.reshape(2, 1, -1, 1) | wide.is_repeated.reshape(1, 2, 1, -1)
     first = (image * tall.pixels + tall.first.take(row)) * wide.pixels + wide.first.take(column)
-    place = first.reshape(-1, 1) + step.reshape(4, -1)[kind]
-    seen = graph.Reshape(
-        entries.reshape(-1).take(place.reshape(-1)).to("int32"), graph.Shape(place)
-    )
-    return graph.Max(seen, (twice.to("int32") * nothing).reshape(4, -1)[kind])
+    index = first.reshape(-1, 1) + step.reshape(4, -1)[kind]
+    flat = entries.reshape(-1).take(index.reshape(-1)).to("int32")
+    pixels = graph.Reshape(flat, graph.Shape(index))
+    return graph.Max(pixels, (repeated.to("int32") * filler).reshape(4, -1)[kind])
 
 
-def _votes(graph: Graph, seen: Symbol, table: npt.NDArray[np.uint8], most: Symbol) -> Symbol:
-    """``(9, n)`` int32, how many pixels of each cell have each layer, and an unknown id, from their
-    entries in the table, ``(n, most)``; an entry after its end has no vote.
+def _votes(graph: Graph, pixels: Symbol, table: npt.NDArray[np.uint8], most: Symbol) -> Symbol:
+    """``(9, n)`` int32, the number of pixels of each cell in each layer, and of unknown ids. Pixels
+    are ``(n, most)`` entries; an entry after the end of the table has no vote.
 
-    The counts of several kinds share a number, in as many bits each as the largest cell needs.
+    The counts of several kinds share a number; each has as many bits as the largest cell needs.
     """
     kinds = NO_LAYER + 1
     powers = graph.constant(1 << np.arange(_EXACT_BITS + 1, dtype=np.int32))
@@ -154,10 +155,10 @@ def _votes(graph: Graph, seen: Symbol, table: npt.NDArray[np.uint8], most: Symbo
     word, unit = kind // fields, powers.take(kind % fields * bits)
     passes = (fields + NO_LAYER) // fields
     words = graph.arange(passes).reshape(-1, 1)
-    of_kinds = graph.Pad(graph.Where(word.equals(words), unit, 0), [0, 0, 0, 1])
+    by_kind = graph.Pad(graph.Where(word.equals(words), unit, 0), [0, 0, 0, 1])
     column = np.append(np.where(table == NO_LAYER, kinds, np.minimum(table, NO_LAYER)), kinds)
-    of_entries = graph.Gather(of_kinds, graph.constant(column.astype(np.int32)), axis=1)
-    place = seen.reshape(1, -1) + words * len(column)
-    numbers = of_entries.to("float32").reshape(-1).take(place.reshape(-1))
+    by_entry = graph.Gather(by_kind, graph.constant(column.astype(np.int32)), axis=1)
+    index = pixels.reshape(1, -1) + words * len(column)
+    numbers = by_entry.to("float32").reshape(-1).take(index.reshape(-1))
     total = graph.ReduceSum(numbers.reshape(passes, -1, most), [2], keepdims=0)
     return total.to("int32")[word] // unit.reshape(-1, 1) % powers.take(bits.reshape(1))

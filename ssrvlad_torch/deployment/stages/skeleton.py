@@ -12,18 +12,18 @@ from ..words import ALL, Words, neighbourhood, shifted
 
 
 def thin_in_graph(graph: Graph, words: Words, rule: Rule, large: bool) -> Words:
-    """The skeleton of every layer, in a graph; by frontier, as `thin`.
+    """`thin` in a graph: the skeleton of every layer, by its frontier.
 
-    The frontier begins around the words with a border pixel, one with an off pixel N, E, S or W
-    of it: no rule deletes another. Later a word to the left or right of one that changed is in it
-    only if the pixel beside it changed.
+    The first frontier are the words with a border pixel, which has background N, E, S or W of it,
+    and their neighbours: no rule deletes another pixel. Later a word to the left or right of a
+    changed word belongs to the frontier only if the adjacent pixel changed.
 
     Args:
-        graph: where the nodes go.
+        graph: the graph to add nodes to.
         words: the layers.
         rule: `zhang_suen` or `guo_hall`.
-        large: whether to look for the frontier by blocks of words: of a large image it is a small
-            part, and a runtime takes long to list what is not zero.
+        large: whether to search the frontier by blocks of words: it is a small part of a large
+            image, and runtimes are slow in `NonZero`.
     """
     grid, margin, block = words.grid, words.grid.pitch + 1, 16 if large else 1
     length = (grid.words + block - 1) // block * block
@@ -34,18 +34,18 @@ def thin_in_graph(graph: Graph, words: Words, rule: Rule, large: bool) -> Words:
     around = around + graph.constant(np.arange(3, dtype=np.int32)[:, None, None])
 
     def near(flags: Symbol, line: Symbol) -> Symbol:
-        """Numbers of the words that are not empty, flagged themselves or above or below one."""
+        """Numbers of the words with pixels that have a flag at, above or below them."""
         above, here, below = (
             flags[grid.pitch * row + 1 : grid.pitch * row + length + 1] for row in range(3)
         )
-        seen, pixels = above | here | below, line[margin : length + margin]
+        flagged, pixels = above | here | below, line[margin : length + margin]
         if not large:
-            return graph.places(seen & pixels.to("bool"))
-        seen, pixels = (part.reshape(-1, block) for part in (seen, pixels))
-        chosen = graph.places(graph.ReduceMax(seen.to("uint8"), [1], keepdims=0))
-        some = graph.Gather(seen, chosen, axis=0) & graph.Gather(pixels, chosen, axis=0).to("bool")
-        row, word = graph.split(graph.NonZero(some).to("int32"), 2)
-        return chosen.take(row.reshape(-1)) * block + word.reshape(-1)
+            return graph.indices(flagged & pixels.to("bool"))
+        flagged, pixels = (part.reshape(-1, block) for part in (flagged, pixels))
+        blocks = graph.indices(graph.ReduceMax(flagged.to("uint8"), [1], keepdims=0))
+        flagged, pixels = (graph.Gather(part, blocks, axis=0) for part in (flagged, pixels))
+        row, word = graph.split(graph.NonZero(flagged & pixels.to("bool")).to("int32"), 2)
+        return blocks.take(row.reshape(-1)) * block + word.reshape(-1)
 
     def sub_iteration(line: Symbol, *recent: Symbol, first: bool) -> tuple[Symbol, Symbol, Symbol]:
         frontier = near(recent[0] | recent[1], line)
@@ -55,15 +55,16 @@ def thin_in_graph(graph: Graph, words: Words, rule: Rule, large: bool) -> Words:
         (n, centre, s), (nw, w, sw), (ne, e, se) = (
             graph.split(part, 3, axis=1) for part in (here, west, east)
         )
-        left = rule(centre, (n, ne, e, se, s, sw, w, nw), first)
-        place, gone = frontier + margin, (centre - left).reshape(-1)
-        line = graph.ScatterElements(line, place, left.reshape(-1), axis=0)
-        return line, _flags(graph, place, gone, graph.length(line)), gone
+        thinned = rule(centre, (n, ne, e, se, s, sw, w, nw), first)
+        index, deleted = frontier + margin, (centre - thinned).reshape(-1)
+        line = graph.ScatterElements(line, index, thinned.reshape(-1), axis=0)
+        return line, _flags(graph, index, deleted, graph.length(line)), deleted
 
     def iteration(_: Symbol, line: Symbol, *recent: Symbol) -> Sequence[Symbol]:
-        line, one, gone = sub_iteration(line, *recent, first=True)
-        line, other, also_gone = sub_iteration(line, recent[1], one, first=False)
-        return graph.any(graph.Concat(gone, also_gone, axis=0)), line, one, other
+        line, flags, deleted = sub_iteration(line, *recent, first=True)
+        line, last_flags, last_deleted = sub_iteration(line, recent[1], flags, first=False)
+        going = graph.any(graph.Concat(deleted, last_deleted, axis=0))
+        return going, line, flags, last_flags
 
     padding = graph.vector(margin, margin + length - grid.words)
     line, start = (graph.Pad(part, padding) for part in (centre, border))
@@ -72,9 +73,9 @@ def thin_in_graph(graph: Graph, words: Words, rule: Rule, large: bool) -> Words:
     return words.with_line(line[margin : grid.words + margin])
 
 
-def _flags(graph: Graph, place: Symbol, gone: Symbol, length: Symbol) -> Symbol:
-    """``(length,)`` bool, at the places of words of which pixels are gone, and at those to the
-    right and left whose neighbours are gone."""
-    places = graph.Concat(place, place + 1, place - 1, axis=0)
-    changed = graph.Concat(gone > 0, gone > ALL >> 8, (gone & 255) > 0, axis=0)
-    return graph.sums(places, changed.to("uint8"), length).to("bool")
+def _flags(graph: Graph, index: Symbol, deleted: Symbol, length: Symbol) -> Symbol:
+    """``(length,)`` bool, set for words with deleted pixels, and for words to the right and left of
+    them whose adjacent pixel was deleted."""
+    indices = graph.Concat(index, index + 1, index - 1, axis=0)
+    changed = graph.Concat(deleted > 0, deleted > ALL >> 8, (deleted & 255) > 0, axis=0)
+    return graph.sums(indices, changed.to("uint8"), length).to("bool")
