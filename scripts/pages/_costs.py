@@ -1,4 +1,4 @@
-"""What methods cost: encoding and matching frame by frame, all methods in turn, one thread."""
+"""Costs of methods: encoding and matching frame by frame, all methods in turn, one thread."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ssrvlad_torch.stages import residuals
 from ssrvlad_torch.stages.harmonics import Harmonics
 
 ENCODED = 10
-"""References that are really encoded: as many as LoST-X ranks again."""
+"""Number of references that are encoded: as many as LoST-X ranks again."""
 
 AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
     "ssr-vlad": (
@@ -27,7 +27,7 @@ AGGREGATING: dict[str, tuple[tuple[Any, str], ...]] = {
     ),
     "region-vlad": ((region_vlad, "vlad"),),
 }
-"""By the beginning of a method's name: what turns its features into the descriptor."""
+"""Functions that turn features into the descriptor, by the beginning of a method's name."""
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,11 @@ class Cost:
     """Milliseconds of every repetition.
 
     Attributes:
-        method: its name, which says so if its weights are random.
+        method: its name, with a note if its weights are random.
         extract: from the frame to the features; for most methods to the descriptor.
-        aggregate: from the features to the descriptor; ``None`` where the two are one.
+        aggregate: from the features to the descriptor; ``None`` if they are not separate.
         match: of one query against all references.
-        references: how many these are.
+        references: their number.
         bytes_a_reference: size of an encoded reference.
     """
 
@@ -66,14 +66,14 @@ def measure(
 ) -> dict[str, Cost]:
     """Encodes and matches one frame by every method, then the next frame by every method.
 
-    A round before the first is not counted. `ENCODED` references are encoded; where an encoding is
-    one tensor they are repeated up to ``references``.
+    The first round is not counted. `ENCODED` references are encoded; if an encoding is one tensor,
+    it is repeated up to ``references``.
 
     Args:
-        methods: what makes them, by their names in the table.
+        methods: functions that make them, by their names in the table.
         frames: for each of them, at least one.
         references: to match with.
-        rounds: how many frames each of them works on, again from the first when they run out.
+        rounds: number of frames for each; after the last frame, the first is used again.
     """
     with threads(1):
         runs = {name: _Run(make(), frames[name], references) for name, make in methods.items()}
@@ -87,7 +87,7 @@ def measure(
 
 
 class _Run:
-    """A method at work; it keeps the times."""
+    """A method with the times of its rounds."""
 
     def __init__(self, method: baselines.Method, frames: Sequence[Frame], references: int) -> None:
         self._method, self._frames = method, frames
@@ -101,7 +101,7 @@ class _Run:
         self._times: list[tuple[float, float, float]] = []
 
     def work(self, number: int) -> None:
-        """One frame; the one before the first is not counted."""
+        """Times one frame; frame -1 is not counted."""
         frame = self._frames[number % len(self._frames)]
         with watched(self._watched or ()) as aggregating:
             begin = time.perf_counter()

@@ -63,11 +63,11 @@ CITY_CONDITIONS = {
         for degrees in (5.0, -5.0)
     ),
 }
-"""Another traffic and 0.7 m to the left of the reference in all of them."""
+"""All have other traffic than the reference and are 0.7 m to its left."""
 
 
 class Drive(Protocol):
-    """Frames in order, which can be gone through again and again."""
+    """Frames in order, which can be iterated several times."""
 
     @property
     def stamp(self) -> str:
@@ -96,9 +96,9 @@ class DriveOnDisk:
 
     @property
     def stamp(self) -> str:
-        told = [(file.frame, *stamp_of(file.path)) for file in self.files]
+        files = [(file.frame, *stamp_of(file.path)) for file in self.files]
         network = self.segmenter and (self.segmenter.network.digest(), self.segmenter.config)
-        return repr((told, self.labels_as, network))
+        return repr((files, self.labels_as, network))
 
     @property
     def places(self) -> tuple[tuple[str, ...], np.ndarray]:
@@ -127,7 +127,7 @@ class DriveOnDisk:
 
 @dataclass(frozen=True)
 class CityDrive:
-    """A drive through the synthetic city, painted when its frames are first wanted."""
+    """A drive through the synthetic city, drawn when its frames are first used."""
 
     seed: int
     conditions: Conditions
@@ -158,17 +158,17 @@ def _painted(drive: CityDrive) -> tuple[tuple[str, ...], np.ndarray, list[np.nda
 
 @dataclass(frozen=True)
 class Search:
-    """Queries, the references among which they are searched, and who says what is right."""
+    """Queries, the references among which they are searched, and the ground truth."""
 
     queries: Drive
     references: Drive
-    said: GroundTruth
+    ground_truth: GroundTruth
 
     @property
     def stamp(self) -> str:
         """Text that changes with the frames and the ground truth."""
-        file = self.said.file and stamp_of(self.said.file)
-        return f"{self.queries.stamp} {self.references.stamp} {self.said} {file}"
+        file = self.ground_truth.file and stamp_of(self.ground_truth.file)
+        return f"{self.queries.stamp} {self.references.stamp} {self.ground_truth} {file}"
 
     @property
     def truth(self) -> list[Rows]:
@@ -178,11 +178,11 @@ class Search:
             ValueError: the ground truth does not fit the frames.
         """
         (queries, here), (references, there) = self.queries.places, self.references.places
-        if self.said.metres is not None:
-            return from_poses(here, there, self.said.metres)
-        if self.said.frames is not None:
-            return from_frame_numbers(queries, references, self.said.frames)
-        known = from_file(self.said.file, queries, references)
+        if self.ground_truth.metres is not None:
+            return from_poses(here, there, self.ground_truth.metres)
+        if self.ground_truth.frames is not None:
+            return from_frame_numbers(queries, references, self.ground_truth.frames)
+        known = from_file(self.ground_truth.file, queries, references)
         return [np.zeros(0, np.int64) if rows is None else rows for rows in known]
 
 
@@ -193,7 +193,7 @@ class Problem:
     Attributes:
         dataset, condition: its name in the pages.
         gives: `LABELS` or `IMAGES`, what its frames have.
-        searches: each in references of its own.
+        searches: each has its own references.
     """
 
     dataset: str
@@ -208,8 +208,8 @@ class Problem:
     @property
     def stamp(self) -> str:
         """A digest that changes with the frames and the ground truth."""
-        told = "\n".join(search.stamp for search in self.searches)
-        return hashlib.blake2b(told.encode(), digest_size=16).hexdigest()
+        text = "\n".join(search.stamp for search in self.searches)
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def camvid_problems(folder: Path) -> list[Problem]:
@@ -240,7 +240,7 @@ def _odd_and_even(dataset: Dataset, kind: str) -> tuple[DriveOnDisk, DriveOnDisk
 
 
 def city_problems(names: Iterable[str]) -> list[Problem]:
-    """Some of `CITY_CONDITIONS`."""
+    """Problems of the named `CITY_CONDITIONS`."""
     return [
         Problem(
             CITY,
@@ -261,15 +261,17 @@ def city_problems(names: Iterable[str]) -> list[Problem]:
 
 
 def image_problem(name: str, queries: Dataset, references: Dataset) -> Problem:
-    """The images of two parts of a data set."""
+    """A problem of the images of two parts of a data set."""
     here, there = (DriveOnDisk(tuple(part.image_files())) for part in (queries, references))
-    return Problem(name, "images -> images", IMAGES, (Search(here, there, said_by(queries)),))
+    return Problem(
+        name, "images -> images", IMAGES, (Search(here, there, ground_truth_of(queries)),)
+    )
 
 
 def label_problem(
     name: str, queries: Dataset, references: Dataset, segmenter: Segmenter | None
 ) -> Problem:
-    """The label maps of two parts of a data set, or what a segmenter makes of their images."""
+    """A problem of label maps of two parts of a data set: their own, or those of a segmenter."""
     parts = (queries, references)
     if segmenter:
         space, condition = segmenter.label_space.name, "segmented -> segmented"
@@ -278,14 +280,14 @@ def label_problem(
         space, condition = str(queries.labels_as), "labels -> labels"
         files = [part.label_files() for part in parts]
     here, there = (DriveOnDisk(tuple(part), space, segmenter) for part in files)
-    return Problem(name, condition, LABELS, (Search(here, there, said_by(queries)),))
+    return Problem(name, condition, LABELS, (Search(here, there, ground_truth_of(queries)),))
 
 
-def said_by(dataset: Dataset) -> GroundTruth:
-    """What the data set counts as right.
+def ground_truth_of(dataset: Dataset) -> GroundTruth:
+    """The ground truth of a data set.
 
     Raises:
-        ValueError: it does not say.
+        ValueError: it has none.
     """
     if dataset.truth is None:
         raise ValueError("; ".join(dataset.notes) or f"{dataset.root} has no ground truth")

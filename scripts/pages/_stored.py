@@ -9,13 +9,13 @@ import numpy as np
 from _trials import TOP, Trial
 
 TECHNIQUES = {"CoHOG": "CoHOG", "Region-VLAD": "RegionVLAD", "NetVLAD": "NetVLAD"}
-"""Names of its techniques in file names, by ours."""
+"""VPR-Bench's names of techniques in file names, by our names."""
 
 
 def stored_trials(corridor: Path) -> dict[str, Trial]:
-    """What lies beside a data set as ``<data set>_<technique>.npz``, by our names.
+    """Trials in the files ``<data set>_<technique>.npz`` beside a data set, by our names.
 
-    Such a file holds ``sim (Q, R)``, and the true matches of query ``i`` as
+    A file holds ``sim (Q, R)``, and the true matches of query ``i`` as
     ``gt_flat[gt_off[i] : gt_off[i + 1]]``.
     """
     trials = {}

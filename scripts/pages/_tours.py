@@ -1,4 +1,4 @@
-"""Tours through synthetic cities as a loop detector sees them, and what is true of their frames."""
+"""Descriptors and ground truth of tours through synthetic cities, for a loop detector."""
 
 from __future__ import annotations
 
@@ -40,15 +40,15 @@ class Tour:
     poses: np.ndarray
 
     def comes_back(self, exclude: int, metres: float, opposite: bool = False) -> np.ndarray:
-        """``(N,)`` bool, whether an earlier frame, not one of the last ``exclude``, stood near and
-        looked the same way, or on demand the opposite way."""
+        """``(N,)`` bool, whether an earlier frame, except the last ``exclude``, is within `metres`
+        and looks in the same direction, or in the opposite direction."""
         x, y, turn = (self.poses[:, None] - self.poses).transpose(2, 0, 1)
         ahead = -np.cos(turn) if opposite else np.cos(turn)
         same = (np.hypot(x, y) <= metres) & (ahead > np.cos(FACING))
         return np.tril(same, -exclude - 1).any(axis=1)
 
     def in_estate(self) -> np.ndarray:
-        """``(N,)`` bool, frames on the street that looks alike all along."""
+        """``(N,)`` bool, frames in the housing estate."""
         _, y, heading = self.poses.T
         streets = [street(self.city, 1, number) for number in TOUR_ESTATES]
         on_one = np.any([np.abs(y - each.position) < each.width / 2 for each in streets], axis=0)

@@ -1,4 +1,4 @@
-"""Trials: a method on a problem, remembered so that an interrupted run goes on where it was."""
+"""Trials: a method on a problem, cached so that an interrupted run can be resumed."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ UNPROCESSED = {"opening": 0.0, "closing": 0.0, "hole_area": 0.0, "region_area": 
 
 @dataclass(frozen=True)
 class Rival:
-    """A method with its settings, as a line of a table.
+    """A method with its settings, a row of a table.
 
     Attributes:
         name: in the tables.
@@ -61,8 +61,8 @@ class Rival:
         """The method.
 
         Args:
-            weights: folder in which a trained network's weights are looked for.
-            random_weights: if they are not there, random ones will do.
+            weights: folder of the weights of trained networks.
+            random_weights: use random weights if there are no others.
 
         Raises:
             FileNotFoundError: there are no weights.
@@ -81,26 +81,26 @@ class Rival:
             return baselines.make(self.method, random_weights=True, **self.settings)
 
     def stamp(self, weights: Path | None) -> str:
-        """Text that changes with the settings, what a preset stands for, and the weights."""
-        told: list[Any] = [self.method, sorted(self.settings.items())]
+        """Text that changes with the settings, the fingerprint of a preset, and the weights."""
+        parts: list[Any] = [self.method, sorted(self.settings.items())]
         if self.method == "ssr-vlad":
             settings = {key: value for key, value in self.settings.items() if key != "temporal"}
-            told.append(SSRVLADConfig.from_preset(**settings).fingerprint)
+            parts.append(SSRVLADConfig.from_preset(**settings).fingerprint)
         if self.method in TRAINED:
             folder = weights or weights_folder()
             files = sorted(path for path in folder.rglob("*") if path.is_file())
-            told += [(path.name, *stamp_of(path)) for path in files]
-        return repr(told)
+            parts += [(path.name, *stamp_of(path)) for path in files]
+        return repr(parts)
 
 
 @dataclass(frozen=True)
 class Trial:
-    """What a method found.
+    """Candidates of a method.
 
     Attributes:
         scores, indices: ``(Q, top)`` over all queries; references count through all searches.
         truth: true matches of each query.
-        references: how many there are in all searches.
+        references: their number in all searches.
         bytes_a_reference: size of an encoded reference.
     """
 
@@ -112,7 +112,7 @@ class Trial:
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Trial:
-        """From what `to_record` wrote."""
+        """Reads a record of `to_record`."""
         return cls(
             np.array(record["scores"], np.float32),
             np.array(record["indices"], np.int64),
@@ -122,7 +122,7 @@ class Trial:
         )
 
     def to_record(self) -> dict[str, Any]:
-        """Ready for JSON."""
+        """A record for JSON."""
         return {
             "scores": self.scores.tolist(),
             "indices": self.indices.tolist(),
@@ -149,16 +149,16 @@ class Trial:
 
 
 Outcome = Trial | str
-"""What a method found, or why it could not run."""
+"""Candidates of a method, or the reason why it could not run."""
 
 Outcomes = dict[tuple[str, str], Outcome]
-"""By the names of problem and rival."""
+"""Outcomes by the names of problem and rival."""
 
 
 class Cache:
-    """Results as JSON files in a folder, by what they came from.
+    """Results as JSON files in a folder, by a digest of their origin.
 
-    What a result came from includes the source of the package: another version does not take it.
+    The origin includes the source of the package: another version makes new results.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -166,15 +166,15 @@ class Cache:
         folder.mkdir(parents=True, exist_ok=True)
 
     def get(self, origin: Iterable[Any], make: Callable[[], Any]) -> Any:
-        """The result, made if it is not there."""
+        """The cached result, or a new one."""
         text = repr([_source(), *origin])
         digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-        kept = self.folder / f"{digest}.json"
-        if not kept.exists():
+        file = self.folder / f"{digest}.json"
+        if not file.exists():
             made = json.dumps(make())
-            with replacing(kept) as temporary:
+            with replacing(file) as temporary:
                 temporary.write_text(made, encoding="utf-8")
-        return json.loads(kept.read_text(encoding="utf-8"))
+        return json.loads(file.read_text(encoding="utf-8"))
 
 
 @cache
@@ -188,17 +188,17 @@ def _source() -> str:
 
 
 def try_all(
-    problems: Iterable[Problem], rivals: Iterable[Rival], kept: Cache, weights: Path | None
+    problems: Iterable[Problem], rivals: Iterable[Rival], results: Cache, weights: Path | None
 ) -> Outcomes:
-    """Every rival on every problem whose frames it can see, with a line for each on stdout."""
+    """Runs every rival on every problem whose frames it can use; prints a line for each."""
     pairs = [(p, r) for p in problems for r in rivals if r.sees == p.gives]
     outcomes: Outcomes = {}
     for number, (problem, rival) in enumerate(pairs, 1):
         begin = time.perf_counter()
-        outcome = outcomes[problem.name, rival.name] = _try(problem, rival, kept, weights)
-        told = outcome if isinstance(outcome, str) else _in_short(outcome)
+        outcome = outcomes[problem.name, rival.name] = _try(problem, rival, results, weights)
+        summary = outcome if isinstance(outcome, str) else _in_short(outcome)
         where = f"{number} of {len(pairs)}, {time.perf_counter() - begin:.0f} s"
-        print(f"[{where}] {problem.name}: {rival.name}: {told}", flush=True)
+        print(f"[{where}] {problem.name}: {rival.name}: {summary}", flush=True)
     return outcomes
 
 
@@ -207,11 +207,11 @@ def _in_short(trial: Trial) -> str:
     return f"RecallRate@1 {rate:.3f}"
 
 
-def _try(problem: Problem, rival: Rival, kept: Cache, weights: Path | None) -> Outcome:
+def _try(problem: Problem, rival: Rival, results: Cache, weights: Path | None) -> Outcome:
     try:
         method = rival.make(weights)
         origin = ("trial", problem.stamp, rival.stamp(weights))
-        return Trial.of(kept.get(origin, lambda: _run(method, problem).to_record()))
+        return Trial.of(results.get(origin, lambda: _run(method, problem).to_record()))
     except (FileNotFoundError, ImportError, ValueError) as error:
         return str(error).replace(str(Path.home()), "~")
 

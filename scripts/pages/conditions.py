@@ -1,12 +1,12 @@
-"""The conditions that the pages measure recognition under.
+"""The conditions under which the pages measure recognition.
 
 camvid-odd-even: the even frames of all sequences are the references, the odd frames the queries,
-and a query's true matches are its neighbours in the drive. CamVid is not part of this project:
-its folder holds one folder a sequence with `labels`, `predicted_espnetv2` and
+and the true matches of a query are its neighbours in the drive. CamVid is not part of this project:
+its folder has one folder per sequence with `labels`, `predicted_espnetv2` and
 `predicted_dicenet`. Without it only the city is measured.
 
-The synthetic city is driven once as reference and again under every condition; each city is
-searched by itself, and a true match is within 5 m.
+The synthetic city is driven once as reference and once under every condition. Each city is
+searched alone, and a true match is within 5 m.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ CITY_CONDITIONS: dict[str, list[Conditions]] = {
         for heading in (5, -5)
     ],
 }
-"""Another traffic and 0.7 m to the left of the reference in all of them."""
+"""All have other traffic than the reference and are 0.7 m to its left."""
 
 
 @dataclass(frozen=True)
