@@ -37,7 +37,7 @@ _REPETITIONS = 5
 
 
 def run_in_chromium(file: Path, maps: dict[str, npt.NDArray[np.uint8]]) -> dict[str, npt.NDArray]:
-    """What the file gives for each map, in the form of `_one_runtime.py`."""
+    """Outputs of the file for each label map, in the form of `_one_runtime.py`."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name) / "site"
         folder.mkdir()

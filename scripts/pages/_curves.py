@@ -21,7 +21,7 @@ COLOURS = (
 )
 Curves = Mapping[str, PrecisionRecall]
 Panel = tuple[str, dict[str, Trial]]
-"""Title, and what the methods found."""
+"""A title, and the outcomes of the methods."""
 
 
 def draw(
@@ -31,7 +31,7 @@ def draw(
     convention: Convention,
     path: Path,
 ) -> None:
-    """Curves above, areas below; methods that see images stand beside those that see labels.
+    """Curves above, areas below; methods on images beside methods on labels.
 
     Args:
         problems: a column for each that has label maps, and for images that have no such other.

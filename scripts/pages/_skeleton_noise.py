@@ -26,7 +26,7 @@ from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 
 @dataclass(frozen=True)
 class SkeletonPoints:
-    """The skeletons of some images as points that can be shifted, and what else is described.
+    """The skeletons of some images as points that can be shifted, and the rest of the description.
 
     The centre of each layer (Eq. 1) stays. Points may leave the image or fall onto one another: the
     shape context counts each wherever it is.
@@ -84,7 +84,7 @@ class SkeletonPoints:
     def shifted(
         self, pixels: int, generator: torch.Generator, nodes_only: bool = False
     ) -> SkeletonPoints:
-        """The same with every point shifted by -pixels to +pixels, whole, in both coordinates.
+        """A copy with every point shifted by a random integer of -pixels to +pixels in both axes.
 
         All shifts are equally likely. They are in pixels of the label map, and on a smaller
         working grid become as many of its pixels as fit, rounded.
@@ -113,7 +113,7 @@ class SkeletonPoints:
         )
 
     def descriptors(self) -> Tensor:
-        """``(B, 480)`` float32; of points that were not shifted, those of the head."""
+        """``(B, 480)`` float32 descriptors; without shifts, those of the head."""
         config, (height, width) = self.config, self.grid
         limits, reach = config.ring_limits(height, width), 2 * self.margin
         device = self.skeleton.group.device

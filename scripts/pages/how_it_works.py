@@ -26,7 +26,7 @@ from ssrvlad_torch.taxonomy import colourise
 
 SPACE = "cityscapes-trainids"
 FRAMES = 100
-"""Of each drive of the demo, as `ssrvlad demo` has."""
+"""Frames of each drive of the demo, as in `ssrvlad demo`."""
 
 LAYER = 2
 """Buildings."""
@@ -49,7 +49,7 @@ def main() -> None:
 
 
 def draw(labels: np.ndarray) -> Figure:
-    """Above the way of ``paper``, below that of ``default``."""
+    """Draws the stages of ``paper`` above those of ``default``."""
     figure = Figure(figsize=(12.8, 6.2), layout="constrained")
     rows = figure.subplots(2, 4)
     given = torch.from_numpy(labels.astype(np.int64))[None]
@@ -112,7 +112,7 @@ def _on_white(mask: np.ndarray, colour: tuple[float, float, float]) -> np.ndarra
 
 
 def _bars(axes: Any, rows: torch.Tensor, title: str, colour: tuple[float, float, float]) -> None:
-    """Each row of numbers as a curve of its own, the first on top."""
+    """Draws each row of numbers as a curve, the first on top."""
     step = 2.2 * float(rows.abs().max())
     for number, row in enumerate(rows.tolist()):
         axes.plot(np.array(row) - number * step, color=colour, linewidth=0.8)

@@ -1,6 +1,6 @@
 #!/usr/bin/env python3
-"""Records the golden label maps of the ROS 2 node, `export/ros2/ssrvlad_ros/golden.npz`: what the
-reference makes of them, for both presets."""
+"""Writes `export/ros2/ssrvlad_ros/golden.npz`: label maps for the ROS 2 node, with their
+descriptors by the reference, for both presets."""
 
 from __future__ import annotations
 

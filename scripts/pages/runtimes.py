@@ -6,7 +6,7 @@ python scripts/pages/runtimes.py CPUExecutionProvider openvino chromium \\
 
 Each runtime runs the exported heads of both presets, `default` in both forms, on the label maps of
 the slow tests, and on one of 512 x 1024 for its time. A runtime is an execution provider of ONNX
-Runtime, `openvino`, or `chromium` (onnxruntime-web); of another Python, `PYTHON:RUNTIME`.
+Runtime, `openvino`, or `chromium` (onnxruntime-web). `PYTHON:RUNTIME` takes another Python.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ def measured(
     maps: list[Maps],
     expected: list[dict[str, Arrays]],
 ) -> list[str]:
-    """What one runtime makes of a head, a file for each label space."""
+    """The row of a head on a runtime, with one file per label space."""
     checks = []
     for config, given, wanted in zip(configs, maps, expected, strict=True):
         try:
@@ -104,7 +104,7 @@ def measured(
 
 
 def run(runtime: str, config: SSRVLADConfig, form: str, maps: Maps) -> Arrays:
-    """What a runtime gives for each map, by number and name of the output.
+    """Outputs of a runtime for each label map, by number and name of the output.
 
     Raises:
         RuntimeError: it cannot run the file.
