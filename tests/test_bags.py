@@ -87,20 +87,20 @@ def test_ros_2(tmp_path, storage, suffix):
 
 def test_a_topic_is_named_where_there_are_several(tmp_path):
     bag = str(write_bag(tmp_path / "drive.bag", {"/left": "rgb8", "/right": "mono8"}))
-    with pytest.raises(ValueError, match="2 topics of pictures, /left, /right; name one"):
+    with pytest.raises(ValueError, match="2 topics of images, /left, /right; name one"):
         find_image_files([bag])
-    with pytest.raises(ValueError, match="no topic /up of pictures; it has /left, /right"):
+    with pytest.raises(ValueError, match="no topic /up of images; it has /left, /right"):
         find_image_files([bag], topic="/up")
     np.testing.assert_array_equal(read_image(find_image_files([bag], topic="/left")[0]), PHOTOS[0])
 
 
 def test_what_cannot_be_read_is_an_error_in_one_line(tmp_path):
     bag = write_bag(tmp_path / "drive.bag", {"/depth": "16UC1"})
-    with pytest.raises(ValueError, match="pictures in '16UC1' are not read; expected rgb8, bgr8"):
+    with pytest.raises(ValueError, match="got '16UC1', expected one of rgb8, bgr8"):
         read_image(find_image_files([str(bag)])[0])
     whole = bag.read_bytes()
     bag.write_bytes(whole[:50])
-    with pytest.raises(ValueError, match=r"drive\.bag is no bag that can be read") as error:
+    with pytest.raises(ValueError, match=r"drive\.bag is not a readable bag") as error:
         find_image_files([str(bag)])
     assert "\n" not in str(error.value)
 

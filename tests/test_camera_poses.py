@@ -30,7 +30,7 @@ def test_the_axis_is_the_third_row_of_the_rotation(quaternion):
 
 @pytest.mark.parametrize("quaternion", [(0, 0, 0, 0), (math.nan, 0, 0, 1), (math.inf, 0, 0, 1)])
 def test_what_is_no_rotation_is_refused(quaternion):
-    with pytest.raises(ValueError, match="is no rotation"):
+    with pytest.raises(ValueError, match="is not a rotation"):
         optical_axis(quaternion)
 
 

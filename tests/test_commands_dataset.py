@@ -63,7 +63,7 @@ def test_a_query_of_a_data_set(ssrvlad, city, reference):
         (("--layout", "synthia"), "city is not in the layout synthia: expected"),
         (("--layout", "kitti"), "unknown layout 'kitti'; expected one of extended-cmu"),
         (("--layout", "auto", "--role", "loop"), "'loop' is not one of 'reference', 'query'"),
-        (("--layout", "auto", "--labels", "nowhere"), "of a label space that was not given"),
+        (("--layout", "auto", "--labels", "nowhere"), "label maps in nowhere need a label space"),
     ],
 )
 def test_wrong_use_of_a_data_set(ssrvlad, city, reference, options, message):

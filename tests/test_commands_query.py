@@ -162,7 +162,7 @@ def test_a_map_that_was_moved_is_asked_for_its_name(ssrvlad, database, maps):
     (maps.parent / "elsewhere").mkdir()
     moved = maps.rename(maps.parent / "elsewhere" / "monday")
     code, _, err = ssrvlad("query", database, moved, "--exclude", 5)
-    assert code == 2 and "which is gone: if" in err[0] and "say --sequence monday" in err[0]
+    assert code == 2 and "which is gone: if" in err[0] and "give --sequence monday" in err[0]
     out = ssrvlad("query", database, moved, "--exclude", 5, "--sequence", "monday")[1]
     assert [line.split(": ")[1][:12] for line in out.splitlines()] == ["no candidate"] * 6
 

@@ -89,5 +89,5 @@ def test_what_is_no_folder_is_refused(tmp_path, name):
 
 
 def test_other_label_maps_want_a_label_space(tmp_path):
-    with pytest.raises(ValueError, match="label maps in out are of a label space that was not giv"):
+    with pytest.raises(ValueError, match="the label maps in out need a label space"):
         open_dataset(plant(tmp_path, "a/1.jpg"), labels="out")

@@ -63,10 +63,10 @@ def test_no_other_folder_ends_in_a_name():
             [("/none/labels", "labels")],
             "'labels' of the database was encoded from /none/labels, wh",
         ),
-        ([("", "labels")], "'labels' of the database tells no folder: .* say --sequence labels"),
+        ([("", "labels")], "'labels' of the database has no known folder: .* --sequence labels"),
         (
             [("/other/labels", "even"), ("/other/labels", "odd")],
-            "/other/labels is sequence 'even' of the database and 'odd', too: .* --sequence",
+            "/other/labels is sequence 'even' and sequence 'odd' of the database: .* --sequence",
         ),
     ],
 )

@@ -149,14 +149,14 @@ def test_the_header_may_hold_a_calibration_and_the_points_are_not_read(tmp_path)
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        (["ply"], "is no NVM_V3 model"),
-        ([], "is no NVM_V3 model"),
+        (["ply"], "is not an NVM_V3 model"),
+        ([], "is not an NVM_V3 model"),
         (["NVM_V3"], "holds no number of cameras"),
         (["NVM_V3", "", "many"], "line 3: .*'many'"),
-        (["NVM_V3", "", "2", camera("a", 1, 2)], "line 4: the file ends 1 cameras too soon"),
+        (["NVM_V3", "", "2", camera("a", 1, 2)], "line 4: the file ends 1 cameras too early"),
         (["NVM_V3", "", "1", "a 400 1 0 0 0 1 2"], "line 4: expected 10 numbers, got 7"),
         (["NVM_V3", "", "1", camera("a", "x", 2)], "line 4: .*'x'"),
-        (["NVM_V3", "", "1", camera("a", 1, 2, "0 0 0 0")], "line 4: .* is no rotation"),
+        (["NVM_V3", "", "1", camera("a", 1, 2, "0 0 0 0")], "line 4: .* is not a rotation"),
     ],
 )
 def test_damaged_models_are_refused_by_file_and_line(tmp_path, lines, message):

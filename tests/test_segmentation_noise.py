@@ -1,10 +1,10 @@
-"""Mistakes of a segmentation network."""
+"""Errors of a simulated segmentation network."""
 
 import numpy as np
 import pytest
 
 from ssrvlad_torch.datasets.segmentation_noise import (
-    MISTAKES,
+    ERRORS,
     SegmentationNoise,
     confuse,
     lose_poles,
@@ -27,11 +27,11 @@ def noisy(noise, labels, seed=0):
     return noise.apply(labels, np.random.default_rng(seed))
 
 
-def mistaken(mistake, strength, labels, seed=0):
-    return mistake(labels, strength, np.random.default_rng(seed))
+def apply(add_error, strength, labels, seed=0):
+    return add_error(labels, strength, np.random.default_rng(seed))
 
 
-def test_equal_generators_make_equal_mistakes(street):
+def test_equal_generators_make_equal_errors(street):
     assert np.array_equal(noisy(SegmentationNoise(), street), noisy(SegmentationNoise(), street))
     assert (noisy(SegmentationNoise(), street) != noisy(SegmentationNoise(), street, 1)).any()
 
@@ -46,29 +46,29 @@ def test_strength_zero_changes_nothing(street):
     assert np.array_equal(noisy(SegmentationNoise(0.0), street), street)
 
 
-@pytest.mark.parametrize("mistake", MISTAKES)
-def test_each_mistake_does_more_harm_when_stronger(street, mistake):
-    harm = [
-        np.mean([(mistaken(mistake, strength, street, n) != street).mean() for n in range(8)])
+@pytest.mark.parametrize("add_error", ERRORS)
+def test_a_stronger_error_changes_more_pixels(street, add_error):
+    changed = [
+        np.mean([(apply(add_error, strength, street, n) != street).mean() for n in range(8)])
         for strength in (0.5, 1.0, 2.0, 4.0)
     ]
-    assert 0 < harm[0] < harm[1] < harm[2] < harm[3]
+    assert 0 < changed[0] < changed[1] < changed[2] < changed[3]
 
 
 def test_lost_poles_are_filled_from_the_left(street):
-    lost = mistaken(lose_poles, 5.0, street)
+    lost = apply(lose_poles, 5.0, street)
     behind = street[:, :1]
     assert np.array_equal(lost, np.broadcast_to(behind, street.shape))
 
 
 def test_confusion_renames_to_similar_classes_only(street):
-    confused = mistaken(confuse, 5.0, street)
+    confused = apply(confuse, 5.0, street)
     assert set(confused[street == BUILDING]) == {BUILDING, WALL}
     assert set(confused[street == SKY]) == {SKY}
 
 
 def test_wobble_invents_no_class(street):
-    assert set(np.unique(mistaken(wobble, 3.0, street))) <= set(np.unique(street))
+    assert set(np.unique(apply(wobble, 3.0, street))) <= set(np.unique(street))
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (16, 200), (33, 17)])

@@ -1,1 +1,1 @@
-"""Data sets: frames on disk, poses, the layouts in which data sets are published, and the city."""
+"""Data sets: frames on disk, poses, layouts of published data sets, and the synthetic city."""

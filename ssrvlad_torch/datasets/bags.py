@@ -1,4 +1,4 @@
-"""Pictures in ROS 1 and ROS 2 bags. Needs the extra ``rosbag``."""
+"""Images in ROS 1 and ROS 2 bags. Needs the extra ``rosbag``."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .frame_file import FrameFile
 from .names import absolute
 
 _SUFFIXES = (".bag", ".mcap", ".db3")
-_KINDS = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+_MESSAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CHANNELS = {
     "rgb8": (0, 1, 2),
     "bgr8": (2, 1, 0),
@@ -28,14 +28,14 @@ _CHANNELS = {
     "mono8": (0,),
     "mono16": (0,),
 }
-"""Where red, green and blue stand in a pixel of each encoding; one place is that of a gray."""
+"""Colours of the channels by encoding: 0 red, 1 green, 2 blue, ``None`` alpha; one 0 is gray."""
 
-_RECENT = 16
+_BUFFERED = 16
 
 
 @dataclass(frozen=True)
 class BagFile(FrameFile):
-    """One picture of a bag; its ``row`` is the number of the message on the topic.
+    """One image of a bag; its ``row`` is the number of the message on the topic.
 
     Attributes:
         topic: name of the topic.
@@ -45,43 +45,45 @@ class BagFile(FrameFile):
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Bag, topic and name, for messages."""
         return f"{self.path} {self.topic} at {self.name}"
 
     def _content(self) -> bytes:
         assert self.row is not None
-        return _picture(_opened(self.path, self.topic, self.state).message(self.row))
+        return _image_file(_open(self.path, self.topic, self.state).message(self.row))
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a ROS 1 bag, a file of a ROS 2 bag, or the folder of one."""
+    """Whether a path is a ROS 1 bag, a file of a ROS 2 bag, or the folder of a ROS 2 bag."""
     return path.suffix.lower() in _SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
-    """The pictures of one topic of a bag, in order of time, of a sequence without a name. A frame
-    is named by the time at which its message was recorded, in nanoseconds.
+    """The images of one topic of a bag in order of time; their sequence has no name yet. A frame is
+    named by the time at which its message was recorded, in nanoseconds.
 
     Args:
         path: a ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2 bag.
-        topic: may be left out if only one has pictures.
+        topic: name of the topic; ``None`` if only one topic has images.
 
     Raises:
-        ValueError: it is no bag, or damaged; there is no such topic, or there are several.
+        ValueError: the bag cannot be read, the topic does not exist or has no images, or several
+            topics have images and ``topic`` is ``None``.
         ImportError: the extra ``rosbag`` is not installed.
     """
-    drive = _Topic(path, topic)
-    folder = absolute(path if path.is_dir() else path.with_suffix(""))
+    opened = _Topic(path, topic)
+    name, folder = (
+        opened.connection.topic,
+        absolute(path if path.is_dir() else path.with_suffix("")),
+    )
     return [
-        BagFile(
-            "", str(time), path, row, folder=folder, stamp=time * 1e-9, topic=drive.connection.topic
-        )
-        for row, (time, _) in enumerate(drive.messages())
+        BagFile("", str(time), path, row, folder=folder, stamp=time * 1e-9, topic=name)
+        for row, (time, _) in enumerate(opened.messages())
     ]
 
 
 class _Topic:
-    """The messages of one topic; read in order it keeps its place, so that none is read twice."""
+    """The messages of one topic. Reading them in order reads the bag once."""
 
     def __init__(self, path: Path, topic: str | None) -> None:
         try:
@@ -90,54 +92,55 @@ class _Topic:
         except ImportError as error:
             raise ImportError(f"{path} needs: pip install ssrvlad-torch[rosbag]") from error
         try:
-            # bags before ROS 2 Iron do not say what their messages are
+            # bags written before ROS 2 Iron do not hold the types of their messages
             self.bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
             self.bag.open()
-        except Exception as error:  # what damaged bytes raise has no bounds
-            raise ValueError(f"{path} is no bag that can be read: {one_line(error)}") from error
-        self.connection = self._chosen(path, topic)
+        except Exception as error:  # damaged files raise any exception
+            raise ValueError(f"{path} is not a readable bag: {one_line(error)}") from error
+        self.connection = self._connection(path, topic)
         self._lock = Lock()
         self._start()
 
     def messages(self) -> Iterator[tuple[int, Any]]:
-        """Time in nanoseconds and bytes of every message."""
+        """Time in nanoseconds and raw bytes of every message."""
         for _, time, content in self.bag.messages(connections=[self.connection]):
             yield time, content
 
     def message(self, row: int) -> Any:
-        """A message by its number; the last few messages are kept in memory."""
+        """A message by its number; the last `_BUFFERED` messages stay in memory."""
         with self._lock:
-            if row < self._next and row not in self._recent:
+            if row < self._next and row not in self._buffer:
                 self._start()
             while row >= self._next:
-                self._recent[self._next] = next(self._ahead)[1]
-                self._recent.pop(self._next - _RECENT, None)
+                self._buffer[self._next] = next(self._remaining)[1]
+                self._buffer.pop(self._next - _BUFFERED, None)
                 self._next += 1
-            return self.bag.deserialize(self._recent[row], self.connection.msgtype)
+            return self.bag.deserialize(self._buffer[row], self.connection.msgtype)
 
     def _start(self) -> None:
-        self._next, self._ahead, self._recent = 0, self.messages(), dict[int, Any]()
+        self._next, self._remaining, self._buffer = 0, self.messages(), dict[int, Any]()
 
-    def _chosen(self, path: Path, topic: str | None) -> Any:
-        pictures = {c.topic: c for c in self.bag.connections if c.msgtype in _KINDS}
-        names = ", ".join(sorted(pictures)) or "none"
-        if topic is None and len(pictures) != 1:
-            raise ValueError(f"{path} has {len(pictures)} topics of pictures, {names}; name one "
-                             "with --topic")  # fmt: skip
-        if topic is not None and topic not in pictures:
-            raise ValueError(f"{path} has no topic {topic} of pictures; it has {names}")
-        return pictures[topic or names]
+    def _connection(self, path: Path, topic: str | None) -> Any:
+        by_topic = {c.topic: c for c in self.bag.connections if c.msgtype in _MESSAGE_TYPES}
+        names = ", ".join(sorted(by_topic)) or "none"
+        if topic is None and len(by_topic) != 1:
+            raise ValueError(
+                f"{path} has {len(by_topic)} topics of images, {names}; name one with --topic"
+            )
+        if topic is not None and topic not in by_topic:
+            raise ValueError(f"{path} has no topic {topic} of images; it has {names}")
+        return by_topic[topic or names]
 
 
 @lru_cache(maxsize=4)
-def _opened(path: Path, topic: str, state: str) -> _Topic:
-    """A topic that stays open, until the file changes."""
+def _open(path: Path, topic: str, state: str) -> _Topic:
+    """A topic, opened again when the state of the file changes."""
     del state
     return _Topic(path, topic)
 
 
-def _picture(message: Any) -> bytes:
-    """The picture of a message as an image file: compressed ones unchanged, raw ones as
+def _image_file(message: Any) -> bytes:
+    """The image of a message as an image file: a compressed image unchanged, a raw one as
     ``.npy``."""
     if hasattr(message, "format"):
         content: bytes = message.data.tobytes()
@@ -148,17 +151,18 @@ def _picture(message: Any) -> bytes:
 
 
 def _pixels(message: Any) -> npt.NDArray[np.uint8]:
-    """``(H, W, 3)`` uint8 of a raw image; another encoding or too few bytes are a ValueError."""
+    """Pixels ``(H, W, 3)`` uint8 of a raw image; an unknown encoding and too few bytes raise a
+    ValueError."""
     if message.encoding not in _CHANNELS:
         expected = ", ".join(_CHANNELS)
-        raise ValueError(f"pictures in {message.encoding!r} are not read; expected {expected}")
+        raise ValueError(f"image encoding: got {message.encoding!r}, expected one of {expected}")
     check_pixels(message.height, message.width)
     order = _CHANNELS[message.encoding]
-    wide = 2 if message.encoding == "mono16" else 1
-    shape = message.height, message.width, len(order) * wide
+    bytes_per_channel = 2 if message.encoding == "mono16" else 1
+    shape = message.height, message.width, len(order) * bytes_per_channel
     lines = message.data.reshape(message.height, message.step)[:, : shape[1] * shape[2]]
     pixels = lines.reshape(shape)
-    if wide == 2:
+    if bytes_per_channel == 2:
         pixels = pixels[..., :1] if message.is_bigendian else pixels[..., 1:]
     colours = [channel for channel in order if channel is not None]
     return np.ascontiguousarray(np.broadcast_to(pixels[..., colours], (*shape[:2], 3)))

@@ -1,4 +1,4 @@
-"""Cameras in space, as data sets store them, set down on the ground plane."""
+"""Camera poses in space, as data sets store them, projected on the ground plane."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ class Ground(NamedTuple):
     """The axes of a world that span its ground plane.
 
     Attributes:
-        x: number (0 to 2) of the world's axis that becomes a `Pose`'s x.
-        y: the axis that becomes its y, to the left of x seen from above.
+        x: number (0 to 2) of the world axis that becomes x of a `Pose`.
+        y: number of the axis that becomes y, to the left of x seen from above.
     """
 
     x: int
     y: int
 
     def pose(self, centre: Sequence[float], axis: Sequence[float]) -> Pose:
-        """The pose of a camera at ``centre`` ``(3,)``, in metres, that looks along ``axis``
+        """The pose of a camera at ``centre`` ``(3,)`` in metres with the optical axis ``axis``
         ``(3,)``."""
         return Pose(centre[self.x], centre[self.y], math.atan2(axis[self.y], axis[self.x]))
 
@@ -35,24 +35,25 @@ Y_UP_LEFT_HANDED = Ground(0, 2)
 
 
 def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
-    """Direction of view of a camera that looks down its own +z, a vector of length 1 in the world.
+    """Optical axis, a unit vector in the world, of a camera that looks along its own +z.
 
-    That is the third row of the rotation from world to camera (COLMAP and VisualSFM: x to the
-    right, y down, z ahead), given as a quaternion ``(w, x, y, z)`` of any length.
+    It is the third row of the rotation from world to camera (COLMAP and VisualSFM: x to the right,
+    y down, z ahead), which is given as a quaternion ``(w, x, y, z)`` of any length.
 
     Raises:
         ValueError: the quaternion is zero or not finite.
     """
     length = math.hypot(*quaternion)
     if not 0 < length < math.inf:
-        raise ValueError(f"{tuple(quaternion)} is no rotation")
+        raise ValueError(f"quaternion {tuple(quaternion)} is not a rotation")
     w, x, y, z = (part / length for part in quaternion)
     return 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
 
 
 def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> dict[str, Pose]:
-    """Poses by name, from lines of a name and ``count`` numbers; lines with ``#`` are comments. A
-    line of another form is a ValueError that names file and line."""
+    """Poses by name, from lines of a name and ``count`` numbers that ``pose`` converts; lines that
+    begin with ``#`` are comments. A line of another form is a ValueError that names file and
+    line."""
     poses = {}
     text = read_bytes(path).decode("utf-8", "replace")
     for number, line in enumerate(text.splitlines(), 1):
@@ -66,7 +67,7 @@ def read_poses(path: Path, count: int, pose: Callable[[list[float]], Pose]) -> d
 
 
 def parse_numbers(words: Sequence[str], count: int) -> list[float]:
-    """Exactly ``count`` numbers; anything else is a ValueError."""
+    """Exactly ``count`` numbers; other words or another count are a ValueError."""
     if len(words) != count:
         raise ValueError(f"expected {count} numbers, got {len(words)}")
     return [float(word) for word in words]

@@ -1,13 +1,13 @@
-"""CamVid: drives through Cambridge, in the layouts in which they are passed around.
+"""CamVid: drives through Cambridge, in its four common layouts.
 
 Brostow et al., Pattern Recognition Letters 2009. A traverse is a drive, ``0001TP``, ``0006R0``,
-``0016E5`` or ``Seq05VD``. The splits ``train``, ``val`` and ``test`` cut drives into pieces; these
-are put together again.
+``0016E5`` or ``Seq05VD``. The splits ``train``, ``val`` and ``test`` hold parts of drives, which
+are joined again.
 
-- the original: ``701_StillsRaw_full`` and ``LabeledApproved_full`` (colours, ``*_L.png``);
-- the same in splits: ``train`` and ``train_labels`` (colours, ``*_L.png``) and so on;
-- the SegNet tutorial: ``train`` and ``trainannot`` and so on (11 classes and void);
-- a folder a drive: ``0016E5/images`` and ``0016E5/labels`` (11 classes and void).
+- original: ``701_StillsRaw_full`` and ``LabeledApproved_full`` (colours, ``*_L.png``);
+- original in splits: ``train`` and ``train_labels`` (colours, ``*_L.png``) and so on;
+- SegNet tutorial: ``train`` and ``trainannot`` and so on (11 classes and void);
+- one folder per drive: ``0016E5/images`` and ``0016E5/labels`` (11 classes and void).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _DRIVE = re.compile(r"(0001TP|0006R0|0016E5|Seq05VD|05VD)(?:_.*)?")
 
 
 class _Pair(NamedTuple):
-    """A folder of images and one of label maps, whose names end in ``ending``."""
+    """A folder of images and one of label maps, whose names without suffix end in ``ending``."""
 
     images: Path
     labels: Path
@@ -36,7 +36,7 @@ class _Pair(NamedTuple):
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``. Two layouts in one folder are a ValueError."""
+    """The data set in ``root``. Label maps of two label spaces are a ValueError."""
     pairs = list(_pairs(root))
     spaces = {pair.labels_as for pair in pairs}
     if len(spaces) > 1:
@@ -76,8 +76,8 @@ def _pairs(root: Path) -> Iterator[_Pair]:
 
 
 def _drive(name: str, pair: _Pair) -> str:
-    found = _DRIVE.fullmatch(name)
-    return pair.drive or (found[1] if found else pair.images.name)
+    match = _DRIVE.fullmatch(name)
+    return pair.drive or (match[1] if match else pair.images.name)
 
 
 LAYOUT = Layout(

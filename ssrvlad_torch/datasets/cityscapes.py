@@ -1,8 +1,8 @@
 """Cityscapes: ``gtFine/train/aachen/aachen_000000_000019_gtFine_labelIds.png``.
 
-Cordts et al., CVPR 2016. A traverse is a city: ``train-aachen``. Label maps are of the ids, which
-the data set comes with and which know parking and guard rails, or of the train ids, which its
-scripts make; ``vehicle/`` has the GPS fixes of the frames.
+Cordts et al., CVPR 2016. A traverse is a city: ``train-aachen``. Label maps hold ids, as published
+and with parking and guard rails, or train ids, as the scripts of the data set write them.
+``vehicle/`` has the GPS fixes of the frames.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _MERIDIAN = 9.0
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``. A label space of Cityscapes chooses between its two encodings; fine
-    annotations are preferred to coarse ones."""
+    """The data set in ``root``. ``labels_as`` chooses between ids and train ids; fine annotations
+    are preferred to coarse ones."""
     cities = _cities(root)
     space = labels_as or _published_encoding(root, cities)
     ending = _ENCODINGS.get(space, "labelIds")
@@ -52,10 +52,11 @@ def read(root: Path, labels_as: str | None) -> Dataset:
 
 
 def read_fix(path: Path) -> Pose:
-    """The pose of one frame, in metres of a transverse Mercator map about 9 degrees east.
+    """The pose of one frame in metres of a transverse Mercator projection at 9 degrees east.
 
-    The Earth is taken as a sphere, which is within 0.5 % for distances in the data set, and
-    ``gpsHeading`` as degrees clockwise from north. A file without these numbers is a ValueError.
+    The Earth is a sphere here; distances in the data set have an error of at most 0.5 %.
+    ``gpsHeading`` is in degrees clockwise from north. A file without a latitude or longitude is a
+    ValueError.
     """
     try:
         fix = read_json(path)
@@ -75,7 +76,7 @@ def _on_map(latitude: float, longitude: float) -> tuple[float, float]:
 
 
 def _cities(root: Path) -> list[str]:
-    """``train/aachen`` and so on, as they are on disk."""
+    """The folders of cities on disk, ``train/aachen`` and so on."""
     cities = {
         f"{split.name}/{city.name}"
         for kind in (_IMAGES, *_ANNOTATIONS)
@@ -86,7 +87,7 @@ def _cities(root: Path) -> list[str]:
 
 
 def _published_encoding(root: Path, cities: list[str]) -> str:
-    """The label space of the label maps on disk; the ids if both are there."""
+    """The label space of the label maps on disk; that of the ids if both exist or none."""
     for space, ending in _ENCODINGS.items():
         for kind in _ANNOTATIONS:
             if any(any((root / kind / city).glob(f"*_{ending}.png")) for city in cities):

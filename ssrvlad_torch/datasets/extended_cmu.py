@@ -26,7 +26,7 @@ _ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The slices in ``root``, or the one that it is."""
+    """The slices in ``root``, or the slice that ``root`` is."""
     traverses: list[Traverse] = []
     notes: list[str] = []
     for folder in _slices(root):
@@ -36,11 +36,11 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             poses = {name: pose for file in files for name, pose in read_list(file).items()}
             if images and not poses:
                 notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
-            strange = [path.name for name, path in images.items() if not _NAME.fullmatch(name)]
-            if strange:
+            unknown = [path.name for name, path in images.items() if not _NAME.fullmatch(name)]
+            if unknown:
                 notes.append(
-                    f"{len(strange)} images in {folder / part} are left out, {strange[0]!r} among "
-                    "them: not named img_<number>_c<camera>_<microseconds>us"
+                    f"{len(unknown)} images in {folder / part} are left out, for example "
+                    f"{unknown[0]!r}: expected names img_<number>_c<camera>_<microseconds>us"
                 )
             traverses += _traverses(absolute_folder(folder).name, images, poses, role)
     truth = GroundTruth("within 5 m, Nie et al., arXiv 2202.03677", metres=5.0)
@@ -69,7 +69,7 @@ def _pose_files(folder: Path, part: str) -> list[Path]:
 
 
 def _plain(name: str) -> str:
-    """An image's name as in the lists of poses: undistorted copies of images end in ``_rect``."""
+    """The name of an image in the lists of poses: without the ``_rect`` of an undistorted copy."""
     return name.removesuffix("_rect")
 
 
@@ -78,13 +78,12 @@ def _traverses(
 ) -> list[Traverse]:
     drives: dict[str, dict[str, Path]] = {}
     for name, path in images.items():
-        parts = _NAME.fullmatch(name)
-        if parts:
+        if parts := _NAME.fullmatch(name):
             day = datetime.fromtimestamp(int(parts[2]) / 1e6, UTC).date()
             drives.setdefault(f"{slice_name}-{parts[1]}-{day}", {})[name] = path
-    own = {name: poses[_plain(name)] for name in images if _plain(name) in poses}
+    image_poses = {name: poses[_plain(name)] for name in images if _plain(name) in poses}
     return [
-        Traverse.of(drive, files, labels={}, poses=own, role=role)
+        Traverse.of(drive, files, labels={}, poses=image_poses, role=role)
         for drive, files in sorted(drives.items())
     ]
 

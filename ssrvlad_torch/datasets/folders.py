@@ -1,9 +1,9 @@
-"""Plain folders: one folder a sequence, as ``ssrvlad city`` writes them.
+"""Plain folders: one folder per sequence, as ``ssrvlad city`` writes them.
 
-A sequence is a folder of label maps or images, or one with ``images/`` and ``labels/`` in it. Where
-a folder does not say which it is, a JPEG is an image, and a PNG counts as both: the reader of the
-data set decides. Poses come from ``poses.csv``; a file with ``ground_truth`` in its name is no
-frame.
+A sequence is a folder of label maps or images, or a folder with ``images/`` and ``labels/`` in it.
+Without ``images/`` and ``labels/``, a JPEG is an image, and a PNG is both an image and a label map:
+the command that reads it decides. Poses come from ``poses.csv``; a file with ``ground_truth`` in
+its name is not a frame.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The sequences in ``root``, or the one that it is."""
+    """The sequences in ``root``, or the sequence that ``root`` is."""
     file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
     truth = GroundTruth(file.name, file=file) if file else None
     traverses = tuple(_traverse(folder) for folder in _sequences(root))
@@ -55,12 +55,12 @@ def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
 def _traverse(folder: Path) -> Traverse:
     name = absolute_folder(folder).name
     images, labels = _frames(folder)
-    known = find_poses(folder)
+    by_key = find_poses(folder)
     poses = {
-        frame: known[key]
+        frame: by_key[key]
         for frame in {*images, *labels}
         for key in (frame, f"{name}/{frame}")
-        if key in known
+        if key in by_key
     }
     return Traverse.of(name, images, labels, poses, _ROLES.get(name.lower()))
 
@@ -68,7 +68,7 @@ def _traverse(folder: Path) -> Traverse:
 LAYOUT = Layout(
     "folders",
     "",
-    "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one a sequence",
+    "folders of label maps (.png, .npy, .tif, .bmp) or images (.jpg), one per sequence",
     _sequences,
     read,
 )

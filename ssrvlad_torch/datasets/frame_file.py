@@ -1,4 +1,4 @@
-"""One frame on disk or elsewhere: a label map or an image, its bytes, and what tells it apart."""
+"""One frame, a label map or an image, on this machine or in remote storage."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ class FrameFile:
     Attributes:
         sequence, name: the frame's id is ``<sequence>/<name>``.
         path: the file.
-        row: which frame of a ``.npy`` stack, ``None`` for a file that holds one.
-        pose: where it was taken, NaN where unknown.
+        row: number of the frame in a ``.npy`` stack or a bag, ``None`` for a file of one frame.
+        pose: pose of the camera, NaN where unknown.
         named: whether the user chose the name of the sequence.
         folder: absolute path of the sequence's folder, or of a stack without its suffix.
-        stamp: when it was taken, in seconds, NaN where unknown.
+        stamp: time in seconds, NaN if unknown.
     """
 
     sequence: str
@@ -44,11 +44,11 @@ class FrameFile:
 
     def __post_init__(self) -> None:
         if not self.folder:
-            place = self.path.parent if self.row is None else self.path.with_suffix("")
-            object.__setattr__(self, "folder", absolute(place))
+            folder = self.path.parent if self.row is None else self.path.with_suffix("")
+            object.__setattr__(self, "folder", absolute(folder))
 
     readers: ClassVar[int] = 1
-    """How many of them are best read at once by one process."""
+    """Number of frames that one process best reads at once."""
 
     @property
     def frame(self) -> str:
@@ -57,18 +57,17 @@ class FrameFile:
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Path or address for messages."""
         return str(self.path)
 
     @property
     def local_folder(self) -> Path | None:
-        """The folder of this machine that the file is in, if it is in one."""
+        """The folder of the file on this machine, ``None`` for a remote file."""
         return self.path.parent
 
     @property
     def state(self) -> str:
-        """Size and times of the last changes of the file, as text; empty if there is no such
-        file."""
+        """Size and modification times of the file as text; empty if the file does not exist."""
         try:
             status = self.path.stat()
         except (OSError, ValueError):
@@ -80,15 +79,15 @@ class FrameFile:
         return f"{self.folder}|{self.state}"
 
     def read(self) -> bytes:
-        """The bytes of the file; of a row of a stack, the ``.npy`` file that it would be alone.
+        """The bytes of the file; for a row of a stack, the bytes of a ``.npy`` file of this row.
 
         Raises:
-            ValueError: the file is missing or cannot be read, or has a name that is no text.
+            ValueError: the file is missing or cannot be read, or its name is not valid text.
         """
         try:
             self.frame.encode()
             return self._content()
-        except Exception as error:  # what damaged bytes raise has no bounds
+        except Exception as error:  # damaged files raise any exception
             raise ValueError(one_line(error)) from error
 
     def _content(self) -> bytes:
@@ -101,12 +100,12 @@ class FrameFile:
 
 @dataclass(frozen=True)
 class RemoteFile(FrameFile):
-    """One frame that is no file of this machine.
+    """One frame in a remote file system.
 
     Attributes:
-        path: its path in the file system.
-        folder: URI of its folder.
-        listed: its size and time in the listing of its folder.
+        path: path in the remote file system.
+        folder: URI of the folder.
+        listed: size and modification time when the folder was listed.
     """
 
     listed: str = ""
@@ -115,7 +114,7 @@ class RemoteFile(FrameFile):
 
     @property
     def place(self) -> str:
-        """Where it is, for messages."""
+        """Address for messages."""
         return f"{self.folder}/{self.path.name}"
 
     @property
@@ -125,7 +124,7 @@ class RemoteFile(FrameFile):
 
     @property
     def state(self) -> str:
-        """As it was when its folder was listed."""
+        """Size and modification time when the folder was listed."""
         return self.listed
 
     def _content(self) -> bytes:
@@ -137,7 +136,7 @@ class RemoteFile(FrameFile):
 
 @cache
 def _file_system(folder: str) -> FileSystem:
-    """One connection of this process for all files of a folder."""
+    """The connection to a folder's file system, one per process."""
     from pyarrow.fs import FileSystem
 
     return FileSystem.from_uri(folder)[0]

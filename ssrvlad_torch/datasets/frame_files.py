@@ -1,4 +1,4 @@
-"""Frames on disk: found in folders, globs and stacks, with their poses, and read ahead."""
+"""Finding frames in folders, globs, stacks and bags, with their poses, and reading them ahead."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ class FileKind:
     """Which files are frames.
 
     Attributes:
-        name: what messages call them.
-        suffixes: what their names end in, in lower case; all others are passed over.
-        stack_rank: rank of a ``.npy`` array that holds a frame a row.
+        name: name of the kind for messages.
+        suffixes: suffixes of frame files, in lower case; other files are ignored.
+        stack_rank: rank of a ``.npy`` array whose rows are frames.
     """
 
     name: str
@@ -52,26 +52,26 @@ def find_frames(
     poses: str | None = None,
     topic: str | None = None,
 ) -> list[FrameFile]:
-    """The frames of some sources. Sequences keep the order of the sources; the sequences of a glob
-    and the frames of a sequence are in natural order.
+    """The frames of the sources. Sequences have the order of the sources; the sequences of a glob
+    and the frames of a sequence have natural order.
 
     Args:
         kind: which files are frames.
         sources: folders, files, globs, or URIs of folders that pyarrow can reach, as
             ``s3://bucket/monday``. The files of a folder are one sequence, named by
             `sequence_names`; hidden files are left out. A glob that matches no frame stands for
-            the folders that it matches. A ``.npy`` stack given by itself is a
-            sequence named by the file; in the folder of a URI there are none.
-        sequence: the name of the sequence in place of the folder's.
+            the folders that it matches. A ``.npy`` stack that is a source is a sequence named by
+            the file; stacks in the folder of a URI are not supported.
+        sequence: name of the sequence, instead of the folder's.
         every, start: of each sequence keep frame ``start`` and every ``every``-th after it.
         known: folders that have a name already, see `sequence_names`.
-        poses: where poses are, see `put_poses`; without, those in ``poses.csv`` in a folder or
-            beside it, and in `utm_names`.
-        topic: of a bag with several topics of images, see `bag_files`.
+        poses: source of the poses, see `_with_given_poses`; if ``None``, the ``poses.csv`` in or
+            beside a folder, or file names as in `utm_names`.
+        topic: topic of a bag with several topics of images, see `bag_files`.
 
     Raises:
-        ValueError: a source holds no frames, two folders give the same frame, ``every`` or
-            ``start`` is out of range, or pyarrow does not know the URI's kind.
+        ValueError: a source holds no frames, two files are the same frame, ``every`` or ``start``
+            is out of range, or pyarrow does not support the URI's scheme.
         OSError: the folder of a URI cannot be read.
     """
     files = [file for source in sources for file in _expand(source, kind, topic)]
@@ -89,14 +89,14 @@ def find_frames(
     for file in found.values():
         by_sequence.setdefault(file.sequence, []).append(file)
     drives = [
-        sorted(members, key=lambda file: natural_key(file.name)) for members in by_sequence.values()
+        sorted(drive, key=lambda file: natural_key(file.name)) for drive in by_sequence.values()
     ]
-    drives = put_poses(drives, poses) if poses else drives
-    kept = [file for drive in drives for file in every_nth(drive, every, start)]
-    if not kept:
-        longest = max(map(len, by_sequence.values()))
+    drives = _with_given_poses(drives, poses) if poses else drives
+    selected = [file for drive in drives for file in every_nth(drive, every, start)]
+    if not selected:
+        longest = max(map(len, drives))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
-    return kept if poses else list(with_poses(kept))
+    return selected if poses else list(with_poses(selected))
 
 
 def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
@@ -110,27 +110,27 @@ def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]
     return drive[start::every]
 
 
-def put_poses(drives: Sequence[list[FrameFile]], source: str) -> list[list[FrameFile]]:
-    """Frames with poses.
+def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[list[FrameFile]]:
+    """The frames with their poses.
 
     Args:
         drives: all frames of each sequence, in order.
         source: a CSV file, see `read_poses`; a file of KITTI or TUM, see `read_trajectory`; or
-            ``exif`` for the tags of the pictures.
+            ``exif`` for the EXIF tags of the images.
 
     Raises:
-        ValueError: the file is damaged or does not fit, or no frame is in it.
+        ValueError: the file is damaged, does not fit the frames, or has no pose of them.
     """
     if source == "exif":
         return [_posed(drive, _poses_of_exif(drive)) for drive in drives]
     path = Path(source)
     if not path.is_file():
-        raise ValueError(f"no file {source}; expected poses in a file, or exif")
+        raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     if path.suffix.lower() == ".csv":
         table = read_poses(path)
         found = [[table.get(f.frame, table.get(f.name, UNKNOWN)) for f in d] for d in drives]
         if all(pose is UNKNOWN for poses in found for pose in poses):
-            raise ValueError(f"{source} has none of the frames, as {drives[0][0].frame}")
+            raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
         return list(map(_posed, drives, found))
     if len(drives) > 1:
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
@@ -148,7 +148,7 @@ def _posed(drive: Sequence[FrameFile], poses: Sequence[Pose]) -> list[FrameFile]
 def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
     fixes = [read_exif(file.path) for file in drive]
     if not any(fixes):
-        raise ValueError(f"no picture of {drive[0].sequence} says in EXIF where it was taken")
+        raise ValueError(f"no image of {drive[0].sequence} has a position in its EXIF tags")
     poses = iter(poses_of_fixes([fix for fix in fixes if fix]))
     return [next(poses) if fix else UNKNOWN for fix in fixes]
 
@@ -156,8 +156,8 @@ def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
 def read_ahead(
     read: Callable[[FrameFile], Content], files: Iterable[FrameFile], workers: int, ahead: int
 ) -> Iterator[tuple[FrameFile, Content | ValueError]]:
-    """Reads files in order by ``workers`` threads, at most ``ahead`` of them in memory; a
-    ValueError of ``read`` stands in place of the content."""
+    """Reads files in ``workers`` threads, at most ``ahead`` of them in memory, and yields them in
+    order with their contents, or with the ValueError that ``read`` raised."""
 
     def attempt(file: FrameFile) -> Content | ValueError:
         try:
@@ -169,8 +169,8 @@ def read_ahead(
     pending: list[tuple[FrameFile, Future[Content | ValueError]]] = []
     with ThreadPoolExecutor(max(1, workers)) as pool:
         while True:
-            wanted = islice(remaining, ahead - len(pending))
-            pending += [(file, pool.submit(attempt, file)) for file in wanted]
+            following = islice(remaining, ahead - len(pending))
+            pending += [(file, pool.submit(attempt, file)) for file in following]
             if not pending:
                 return
             file, future = pending.pop(0)
@@ -178,7 +178,7 @@ def read_ahead(
 
 
 def is_npy(path: Path) -> bool:
-    """Whether a file's name is that of a NumPy array."""
+    """Whether a file has the suffix of a NumPy array."""
     return path.suffix.lower() == ".npy"
 
 
@@ -190,33 +190,33 @@ def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
     if not matches:
         raise ValueError(f"{source} does not exist and matches no file")
     for folders in (False, True):
-        places = [match for match in matches if match.is_dir() == folders]
-        places.sort(key=lambda place: natural_key(str(place)))
-        files = [file for place in places for file in _frames_at(place, kind, topic)]
+        paths = [match for match in matches if match.is_dir() == folders]
+        paths.sort(key=lambda path: natural_key(str(path)))
+        files = [file for path in paths for file in _frames_at(path, kind, topic)]
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
 
 
-def _is_same(one: FrameFile, other: FrameFile) -> bool:
-    return (one.path.resolve(), one.row) == (other.path.resolve(), other.row)
+def _is_same(file: FrameFile, other: FrameFile) -> bool:
+    return (file.path.resolve(), file.row) == (other.path.resolve(), other.row)
 
 
-def _frames_at(place: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:
-    """The frames of a folder, a file or a bag. A link to nothing is a frame, skipped when read."""
-    if kind.name == "images" and is_bag(place):
-        yield from bag_files(place, topic)
-    elif place.is_dir():
-        folder = absolute(place)
-        for entry in place.iterdir():
+def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:
+    """The frames of a folder, a file or a bag. A broken link is a frame, skipped when read."""
+    if kind.name == "images" and is_bag(path):
+        yield from bag_files(path, topic)
+    elif path.is_dir():
+        folder = absolute(path)
+        for entry in path.iterdir():
             if not entry.name.startswith(".") and (entry.is_file() or not entry.exists()):
                 yield from _frames(entry, kind, folder, alone=False)
     else:
-        yield from _frames(place, kind, absolute(place.parent), alone=True)
+        yield from _frames(path, kind, absolute(path.parent), alone=True)
 
 
 def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[FrameFile]:
-    """The frames of a file; one stack by itself is a sequence."""
+    """The frames of a file; a stack outside a folder of frames is a sequence."""
     if path.suffix.lower() not in kind.suffixes:
         return
     length = _stack_length(path, kind) if is_npy(path) else None
@@ -229,13 +229,13 @@ def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[Fr
 
 
 def _stack_length(path: Path, kind: FileKind) -> int | None:
-    """Frames in a ``.npy`` stack; ``None`` for a single frame, or for a damaged file, which is
-    skipped when it is read."""
+    """Number of frames in a ``.npy`` stack; ``None`` for a file of one frame, and for a damaged
+    file, which is skipped when it is read."""
     try:
         check_regular(path)
         with path.open("rb") as file:
             shape = npy_header(file)[0]
-    except Exception:  # what damaged bytes raise has no bounds
+    except Exception:  # damaged files raise any exception
         return None
     if len(shape) != kind.stack_rank:
         return None
@@ -245,12 +245,12 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
 def with_poses(
     files: Sequence[FrameFile], find: Callable[[Path], dict[str, Pose]] = find_poses
 ) -> Iterator[FrameFile]:
-    """The files with the poses of their ids, of ``<folder>/<name>``, of their bare names, or in
-    their names.
+    """Files with their poses, looked up by id, by ``<folder>/<name>`` and by name, or parsed from
+    the file name, see `utm_names`.
 
     Args:
-        files: of any folders.
-        find: gives the poses of a folder.
+        files: files of any folders.
+        find: function from a folder to its poses.
 
     Raises:
         ValueError: a file of poses is damaged.
@@ -262,8 +262,7 @@ def with_poses(
         if (folder := file.local_folder) is None:
             yield file
             continue
-        known = poses[folder]
-        ids = (file.frame, f"{names[folder]}/{file.name}", file.name)
-        told, stamp = read_name(file.name)
-        pose = next((known[frame] for frame in ids if frame in known), told)
+        keys = (file.frame, f"{names[folder]}/{file.name}", file.name)
+        pose, stamp = read_name(file.name)
+        pose = next((poses[folder][key] for key in keys if key in poses[folder]), pose)
         yield replace(file, pose=pose, stamp=stamp if math.isnan(file.stamp) else file.stamp)

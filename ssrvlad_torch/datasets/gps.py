@@ -1,4 +1,4 @@
-"""Positions on the globe (WGS 84) as metres of UTM. Needs the extra ``gps``."""
+"""GPS positions (WGS 84) as metres of UTM. Needs the extra ``gps``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 
 
 class Fix(NamedTuple):
-    """Degrees of latitude and longitude, and of the course from north to the east or NaN."""
+    """Latitude, longitude and course in degrees; the course is clockwise from north, or NaN."""
 
     latitude: float
     longitude: float
@@ -19,7 +19,7 @@ class Fix(NamedTuple):
 
 
 def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
-    """Metres to the east and to the north of one drive.
+    """UTM coordinates ``(east, north)`` in metres of the fixes of one drive.
 
     Raises:
         ValueError: a position is outside UTM, or the drive crosses the border of a zone.
@@ -36,29 +36,28 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
 
 
 def heading_of_course(course: float) -> float:
-    """Radians from +x (east) to +y (north) of a course; the up to 3 degrees between the norths of
-    the map and of the globe are not taken off."""
+    """The heading in radians, counter-clockwise from +x (east), of a course in degrees clockwise
+    from north. The difference between grid north and true north, up to 3 degrees, is ignored."""
     return math.remainder(math.radians(90 - course), math.tau)
 
 
-def read_exif(picture: Path) -> Fix | None:
-    """The position and direction in the EXIF tags of a picture; ``None`` without a position. A
-    direction from magnetic north is left out."""
+def read_exif(path: Path) -> Fix | None:
+    """The position and direction in the EXIF tags of an image; ``None`` without a position. A
+    direction from magnetic north is ignored."""
     tag = ExifTags.GPS
     try:
-        with Image.open(picture) as opened:
-            tags = opened.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+        with Image.open(path) as image:
+            tags = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
         latitude = _degrees(tags[tag.GPSLatitude], tags[tag.GPSLatitudeRef])
         longitude = _degrees(tags[tag.GPSLongitude], tags[tag.GPSLongitudeRef])
-        true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
-        return Fix(
-            latitude, longitude, float(tags.get(tag.GPSImgDirection, "nan") if true else "nan")
-        )
+        is_true = tags.get(tag.GPSImgDirectionRef, "T") == "T"
+        course = float(tags.get(tag.GPSImgDirection, "nan")) if is_true else math.nan
+        return Fix(latitude, longitude, course)
     except (OSError, KeyError, TypeError, ValueError, ZeroDivisionError):
         return None
 
 
 def _degrees(parts: Sequence[float], hemisphere: str) -> float:
     degrees, minutes, seconds = map(float, parts)
-    whole = degrees + minutes / 60 + seconds / 3600
-    return -whole if hemisphere in ("S", "W") else whole
+    angle = degrees + minutes / 60 + seconds / 3600
+    return -angle if hemisphere in ("S", "W") else angle

@@ -1,4 +1,4 @@
-"""Images on disk: finding them as label maps are found, and decoding them to 8-bit RGB."""
+"""Images on disk: finding them, and decoding them to 8-bit RGB."""
 
 from __future__ import annotations
 
@@ -21,51 +21,50 @@ from .utm_names import write_name
 SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
 _FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
 _SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
-_HIGHEST_ID, _EVEN = 40, 0.8
+_HIGHEST_ID, _UNIFORM = 40, 0.8
 _EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 
 Pixels = npt.NDArray[np.uint8]
 
 find_image_files = partial(find_frames, FileKind("images", SUFFIXES, stack_rank=4))
-"""The images of some sources; see `find_frames`. A ``.npy`` stack has rank 4; a ROS bag is a
-source too."""
+"""The images of sources, also ROS bags; see `find_frames`. A ``.npy`` stack has rank 4."""
 
 
 def decode_image(content: bytes) -> Pixels:
-    """An image as it is seen: turned upright by its EXIF orientation, in 8-bit RGB.
+    """An image in 8-bit RGB, turned upright by its EXIF orientation.
 
     Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour profile,
-    and of 16 bits the high 8 are kept. Of an animation it is the first picture.
+    the high 8 of 16 bits are kept, and the first frame of an animation is read.
 
     Args:
-        content: a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy`` file, whatever its name.
+        content: the bytes of a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy`` file.
 
     Returns:
         ``(H, W, 3)`` uint8.
 
     Raises:
-        ValueError: another or a damaged file, pixels of 32 bits or floats, or an array that is not
-            ``(H, W, 3)`` uint8; the message says which.
+        ValueError: the file is damaged or of another format, its pixels have 32 bits or are
+            floats, it looks like a label map, or the array is not ``(H, W, 3)`` uint8.
     """
     try:
         return _decode_npy(content) if content.startswith(MAGIC_PREFIX) else _decode(content)
     except UnidentifiedImageError as error:
         raise ValueError(f"is no image file; expected {', '.join(_FORMATS)} or .npy") from error
-    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+    except Exception as error:  # decoders raise any exception on damaged bytes
         raise ValueError(one_line(error)) from error
 
 
 def read_image(file: FrameFile) -> Pixels:
-    """An image on disk, ``(H, W, 3)`` uint8; see `decode_image`."""
+    """Pixels ``(H, W, 3)`` uint8 of an image on disk; errors as for `decode_image`."""
     return decode_image(file.read())
 
 
 def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
-    """Pictures under names with their positions: links to files where the disk can, PNGs of rows of
-    a stack or a bag.
+    """Writes images under names that hold their positions, see `utm_names`: hard links or copies of
+    files, and PNGs of rows of a stack or a bag.
 
     Raises:
-        ValueError: the folder is not empty, or a picture has no pose or cannot be read.
+        ValueError: the folder is not empty, or an image has no pose or cannot be read.
         OSError: the folder cannot be written.
     """
     empty_folder(folder)
@@ -92,11 +91,11 @@ def _decode_npy(content: bytes) -> Pixels:
 def _decode(content: bytes) -> Pixels:
     with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
         check_pixels(stored.height, stored.width)
-        stored.verify()  # the checksums of PNG, which decoding passes over
+        stored.verify()  # decoding a PNG does not check its checksums
     with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
         image: Image.Image = ImageOps.exif_transpose(stored)
     if image.mode in ("L", "P"):
-        _see_photograph(np.asarray(image))
+        _require_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:
         image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
     elif image.mode not in _EIGHT_BIT:
@@ -108,12 +107,12 @@ def _decode(content: bytes) -> Pixels:
     return np.asarray(image.convert("RGB"))
 
 
-def _see_photograph(values: npt.NDArray[np.uint8]) -> None:
-    """Refuses what looks like a label map: small ids, and 255 for none, in even areas. A dark
-    photograph has noise."""
+def _require_photograph(values: npt.NDArray[np.uint8]) -> None:
+    """Raises a ValueError for a label map: small values, besides 255 for void, in uniform areas. A
+    dark photograph has noise instead."""
     ids = np.flatnonzero(np.bincount(values.ravel(), minlength=256)[:255])
-    is_even = np.mean(values[:, 1:] == values[:, :-1]) > _EVEN
-    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID and is_even:
+    is_uniform = np.mean(values[:, 1:] == values[:, :-1]) > _UNIFORM
+    if len(ids) > 1 and ids[-1] <= _HIGHEST_ID and is_uniform:
         raise ValueError(
             f"expected a photograph, got a label map: {len(ids)} values, {ids[0]} to {ids[-1]}"
         )

@@ -26,22 +26,23 @@ LabelMap = npt.NDArray[np.integer[Any]]
 
 
 find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_rank=3))
-"""The label maps of some sources; see `find_frames`. A ``.npy`` stack of them has rank 3."""
+"""The label maps of the sources; see `find_frames`. A ``.npy`` stack has rank 3."""
 
 
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """The ids of a label map.
 
-    Reads 8- and 16-bit single-channel images, palette images (the index is the id), two-channel
-    images (SYNTHIA: the first channel is the class), colour images in the colours of the label
-    space, and ``.npy``.
+    Reads 8- and 16-bit single-channel images, palette images (the index is the id), images with
+    several 16-bit channels (SYNTHIA: the first channel is the class), images in the colours of the
+    label space, and ``.npy``.
 
     Returns:
-        ``(H, W)``, an integer dtype of torch in the machine's byte order: uint8, uint16, signed.
+        ``(H, W)`` of an integer dtype that torch has, in the machine's byte order: uint8, uint16 or
+        signed.
 
     Raises:
-        ValueError: the file is missing, damaged, of another kind, has a name that is no text, or
-            holds a colour that the label space lacks; the message says which.
+        ValueError: the file is missing, damaged or of another format, its name is not valid text,
+            or it holds a colour that the label space lacks.
     """
     content = file.read()
     try:
@@ -49,7 +50,7 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
         labels = parse_npy(content) if is_array else _decode_image(content, space)
     except UnidentifiedImageError as error:
         raise ValueError(f"cannot identify the image; expected {', '.join(_FORMATS)}") from error
-    except Exception as error:  # what decoders raise on damaged bytes has no bounds
+    except Exception as error:  # decoders raise any exception on damaged bytes
         raise ValueError(one_line(error)) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
         raise ValueError(f"expected an (H, W) integer label map, got {labels.shape} {labels.dtype}")
@@ -57,7 +58,7 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
 
 
 def digest(labels: LabelMap) -> str:
-    """128 bits of SHA-256 of a label map's ids and shape, whatever its file format."""
+    """128 bits of SHA-256 of a label map's ids and shape; it does not depend on the file format."""
     if labels.dtype != np.uint8:
         labels = labels.astype(np.int64 if labels.min() < 0 or labels.max() > 255 else np.uint8)
     content = hashlib.sha256(str(labels.shape).encode())
@@ -66,8 +67,8 @@ def digest(labels: LabelMap) -> str:
 
 
 def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
-    """In the machine's byte order. Wide unsigned ids become signed: torch would narrow them, and an
-    unknown id could become a known one."""
+    """The labels in the machine's byte order. Unsigned ids of 32 or 64 bits become signed: torch
+    would truncate them, and an unknown id could become a known one."""
     if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
         return labels.astype(np.uint64).clip(max=np.iinfo(np.int64).max).astype(np.int64)
     return labels.astype(labels.dtype.newbyteorder("="), copy=False)
@@ -76,7 +77,7 @@ def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
 def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
     with _opened(content) as image:
         check_pixels(image.height, image.width)
-        image.verify()  # the checksums of PNG, which decoding passes over
+        image.verify()  # decoding a PNG does not check its checksums
     with _opened(content) as image:
         raw_mode = _raw_mode(image)
         if image.format == "PNG" and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
@@ -101,14 +102,17 @@ def _opened(content: bytes) -> ImageFile:
 
 
 def _raw_mode(image: ImageFile) -> str:
-    """How the file stores a pixel, in Pillow's words: the decoder's argument, or its first."""
+    """Pillow's name for the storage of a pixel: the first argument of the decoder."""
     arguments = image.tile[0].args if image.tile else ""
     return str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
 
 
 def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray[Any]:
-    """Pillow reads 16-bit channels as their high bytes; read again as if the bytes were swapped
-    it gives the low ones. Of gray with alpha, read as four bytes, the second is the low one."""
+    """The first channel of an image of 16-bit channels.
+
+    Pillow reads only the high bytes. Read again with swapped bytes, it gives the low bytes; gray
+    with alpha is read as four bytes, and the second is the low one.
+    """
     with _opened(content) as image:
         high = np.asarray(image)[..., 0].astype(np.uint16)
     with _opened(content) as image:
@@ -118,7 +122,7 @@ def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray
 
 
 def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
-    """Ids of a colour-coded label image. Classes of one category may share a colour."""
+    """Ids of a label image in colours. Classes of one category may share a colour."""
     packed = pixels.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
     ids = np.full(packed.shape, np.iinfo(np.int32).min, np.int32)
     for label in reversed(space.classes):

@@ -19,7 +19,7 @@ LAYOUTS: tuple[Layout, ...] = (
     vpr_bench.LAYOUT,
     folders.LAYOUT,
 )
-"""In the order in which they are tried: plain folders, which take nearly anything, come last."""
+"""The layouts in the order in which they are tried; plain folders, which accept most data, last."""
 
 
 def open_dataset(
@@ -32,14 +32,14 @@ def open_dataset(
 
     Args:
         path: the folder.
-        layout: name of a layout in `LAYOUTS`; if not given, the first that recognises the folder.
-        labels: a folder of label maps to take instead of the data set's own, or the name of such a
+        layout: name of a layout in `LAYOUTS`; if ``None``, the first that recognises the folder.
+        labels: a folder of label maps that replace those of the data set, or the name of such a
             folder beside each folder of images; see `Dataset.with_labels`.
-        labels_as: label space of the label maps. The layouts that come with label maps know theirs.
+        labels_as: label space of the label maps; ``None`` for that of the layout.
 
     Raises:
-        ValueError: there is no such folder or layout, no layout recognises the folder, it lacks
-            what the layout needs, a file in it is damaged, or ``labels`` come without
+        ValueError: the folder or the layout does not exist, no layout recognises the folder, it
+            lacks files that the layout requires, a file is damaged, or ``labels`` is given without
             ``labels_as``. The message is one line.
 
     Example:
@@ -52,7 +52,7 @@ def open_dataset(
     if not root.is_dir():
         raise ValueError(f"{root} is no folder; expected the folder of a data set")
     if labels is not None and labels_as is None:
-        raise ValueError(f"the label maps in {labels} are of a label space that was not given")
+        raise ValueError(f"the label maps in {labels} need a label space")
     chosen = _choose(root, layout)
     dataset = chosen.read(root, labels_as)
     if not dataset.traverses:
@@ -72,22 +72,22 @@ def _choose(root: Path, name: str | None) -> Layout:
         raise ValueError(f"unknown layout {name!r}; expected one of {names}")
     found = next((layout for layout in layouts if layout.recognises(root)), None)
     if found is None and name is None:
-        known = "; ".join(f"{layout.name}: {layout.expected}" for layout in layouts)
+        expected = "; ".join(f"{layout.name}: {layout.expected}" for layout in layouts)
         raise ValueError(
-            f"{root} is in no known layout; found {_found(root)}; expected one of {known}"
+            f"{root} is in no known layout; found {_content(root)}; expected one of {expected}"
         )
     if found is None:
         [layout] = layouts
         origin = f"; the data set is at {layout.origin}" if layout.origin else ""
         raise ValueError(
-            f"{root} is not in the layout {name}: expected {layout.expected}; found {_found(root)}"
-            f"{origin}"
+            f"{root} is not in the layout {name}: expected {layout.expected}; found "
+            f"{_content(root)}{origin}"
         )
     return found
 
 
-def _found(root: Path, most: int = 1000) -> str:
-    """The content of a folder and of its folders, in words."""
+def _content(root: Path, most: int = 1000) -> str:
+    """Names of the files and folders in a folder and in its folders, shortened."""
     inside = [
         f"{folder.name}/{entry.name}"
         for folder in folders_in(root)

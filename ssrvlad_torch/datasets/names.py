@@ -1,4 +1,4 @@
-"""Names of sequences: the shortest paths that tell folders apart."""
+"""Names of sequences: the shortest ends of paths that distinguish their folders."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from pathlib import Path, PurePath
 from urllib.parse import unquote
 
 KnownFolders = Collection[tuple[str, str]]
-"""Folders that have a name: ``(folder, sequence)``; the folder is empty where it is not known."""
+"""Named folders, ``(folder, sequence)``; the folder is empty if it is unknown."""
 
 
 def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
     """A name for each folder.
 
-    A known folder has the name of its sequence, also by a link. Another one has the last part of
-    its path, and as many before it as it takes until no other folder's path ends so.
+    A known folder, or a link to one, keeps its name. Any other folder has the shortest end of its
+    path that no other folder's path ends in.
 
     Args:
         folders: absolute paths, or URIs.
-        known: the folders that have a name.
+        known: folders that have a name.
 
     Raises:
-        ValueError: a folder has several names, or can have none; or its name is that of a sequence
-            whose folder is gone or not known, so that it may be the same.
+        ValueError: a folder has several names, or no name is free; or its name belongs to a
+            sequence whose folder is missing or unknown, so that it may be the same one.
 
     Example:
         >>> sequence_names(["/data/00/labels", "/data/01/labels", "/data/park"])
@@ -33,49 +33,54 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
         >>> sequence_names(["/data/01/labels"], [("/data/00/labels", "labels")])
         {'/data/01/labels': '01/labels'}
     """
-    given = _grouped((_real(folder), name) for folder, name in known if folder)
+    known_names = _grouped((_real(folder), name) for folder, name in known if folder)
     owners = _grouped((name, folder) for folder, name in known)
     ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in _ends(path))
 
     def name(folder: str) -> str:
-        if names := given.get(_real(folder)):
-            return _only(folder, sorted(names))
+        if names := sorted(known_names.get(_real(folder), ())):
+            if len(names) > 1:
+                raise ValueError(
+                    f"{folder} is sequence {names[0]!r} and sequence {names[1]!r} of the database: "
+                    "choose one with --sequence"
+                )
+            return names[0]
         for end in _ends(folder):
             if end in owners:
-                _see_that_one_is_there(owners[end], folder, end)
+                _require_existing(owners[end], folder, end)
             elif ends[end] == 1:
                 return end
-        raise ValueError(f"{folder} needs a name that no sequence has: give it a --sequence")
+        raise ValueError(f"{folder} needs a name that no sequence has: give one with --sequence")
 
     return {folder: name(folder) for folder in folders}
 
 
-def check_sequences(these: KnownFolders, known: KnownFolders) -> None:
-    """Refuses a folder whose sequence has the name of a known one of other folders.
+def check_sequences(folders: KnownFolders, known: KnownFolders) -> None:
+    """Requires that no sequence has the name of a known sequence of another folder.
 
     Args:
-        these: folders, with their sequences.
-        known: the folders that have a name.
+        folders: folders with their sequences.
+        known: folders that have a name.
 
     Raises:
-        ValueError: there is one.
+        ValueError: a sequence has the name of another folder's sequence.
     """
     owners = _grouped((name, _real(folder)) for folder, name in known if folder)
-    for folder, name in these:
+    for folder, name in folders:
         if folder and _real(folder) not in owners.get(name, {_real(folder)}):
             raise ValueError(
-                f"sequence {name!r} of the database is {min(owners[name])}, not {folder}: give the "
-                f"name of the sequence with --sequence, {name!r} if it is the same, moved"
+                f"sequence {name!r} of the database is {min(owners[name])}, not {folder}: give "
+                f"--sequence {name} if the folder was moved, else another name"
             )
 
 
-def is_uri(place: str) -> bool:
-    """Whether a place is a URI, not a path or a glob."""
-    return "://" in place
+def is_uri(source: str) -> bool:
+    """Whether a source is a URI, not a path or a glob."""
+    return "://" in source
 
 
 def is_same_folder(folder: str, other: str) -> bool:
-    """Whether two folders are one, perhaps by a link."""
+    """Whether two paths lead to one folder, directly or by links."""
     return _real(folder) == _real(other)
 
 
@@ -84,7 +89,7 @@ def _real(folder: str) -> str:
 
 
 def _ends(folder: str) -> list[str]:
-    """What a path ends in, the shortest first."""
+    """The ends of a path, the shortest first."""
     if is_uri(folder):
         parts = [part for part in unquote(folder.partition("://")[2]).split("/") if part]
     else:
@@ -100,34 +105,26 @@ def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, set[str]]:
     return grouped
 
 
-def _only(folder: str, names: list[str]) -> str:
-    if len(names) > 1:
+def _require_existing(owners: Collection[str], folder: str, name: str) -> None:
+    """Raises a ValueError if none of the folders of a sequence exists."""
+    if not any(map(_exists, owners)):
+        owner = max(owners)
+        origin = f"was encoded from {owner}, which is gone" if owner else "has no known folder"
         raise ValueError(
-            f"{folder} is sequence {names[0]!r} of the database and {names[1]!r}, too: say which "
-            "with --sequence"
-        )
-    return names[0]
-
-
-def _see_that_one_is_there(owners: Collection[str], folder: str, name: str) -> None:
-    if not any(map(_is_there, owners)):
-        known = max(owners)
-        where = f"was encoded from {known}, which is gone" if known else "tells no folder"
-        raise ValueError(
-            f"sequence {name!r} of the database {where}: if {folder} is the same, say "
-            f"--sequence {name}; else give it a name with --sequence"
+            f"sequence {name!r} of the database {origin}: if {folder} is the same, give "
+            f"--sequence {name}, else another name"
         )
 
 
-def _is_there(folder: str) -> bool:
-    """Whether there is a folder, or a file that is a sequence without its suffix."""
+def _exists(folder: str) -> bool:
+    """Whether a folder exists, or a stack or bag of this path without its suffix."""
     return is_uri(folder) or bool(
         folder and (Path(folder).exists() or glob.glob(f"{glob.escape(folder)}.*"))
     )
 
 
 def absolute(path: Path) -> str:
-    """An absolute path without ``.`` and ``..``; bytes that are no text are escaped. A symbolic
-    link keeps its own name."""
-    whole = os.fspath(path.resolve()) if ".." in path.parts else os.path.abspath(path)  # noqa: PTH100
-    return whole.encode("utf-8", "backslashreplace").decode()
+    """An absolute path without ``.`` and ``..``, with escapes for bytes that are not UTF-8. Links
+    are kept, except in paths with ``..``."""
+    text = os.fspath(path.resolve()) if ".." in path.parts else os.path.abspath(path)  # noqa: PTH100
+    return text.encode("utf-8", "backslashreplace").decode()

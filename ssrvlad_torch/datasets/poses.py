@@ -15,11 +15,11 @@ from .gps import Fix, eastings_northings, heading_of_course
 
 FILE_NAME = "poses.csv"
 
-Place = TypeVar("Place")
+Position = TypeVar("Position")
 
 
 class Pose(NamedTuple):
-    """A camera on the ground plane: metres, and radians counter-clockwise from +x."""
+    """Pose of a camera on the ground plane: metres, and radians counter-clockwise from +x."""
 
     x: float
     y: float
@@ -30,32 +30,32 @@ UNKNOWN = Pose(float("nan"), float("nan"), float("nan"))
 
 
 def find_poses(folder: Path) -> dict[str, Pose]:
-    """Poses of a folder of frames, from the ``poses.csv`` in it or beside it, if there is one.
+    """Poses of a folder of frames from the ``poses.csv`` in it or beside it; empty without one.
 
     Raises:
         ValueError: the file is damaged; see `read_poses`.
     """
-    for place in (folder, absolute_folder(folder).parent):
-        if (place / FILE_NAME).is_file():
-            return read_poses(place / FILE_NAME)
+    for parent in (folder, absolute_folder(folder).parent):
+        if (parent / FILE_NAME).is_file():
+            return read_poses(parent / FILE_NAME)
     return {}
 
 
 def read_poses(path: Path) -> dict[str, Pose]:
-    """Poses by frame, which is a frame's id ``<sequence>/<name>`` or its name alone.
+    """Poses by frame; a frame is an id ``<sequence>/<name>`` or only a name.
 
     The columns are ``frame``, ``x``, ``y`` and optionally ``heading``; or ``frame``, ``latitude``
-    and ``longitude`` in degrees and optionally ``course``, in degrees from north to the east.
+    and ``longitude`` in degrees and optionally ``course``, in degrees clockwise from north.
 
     Raises:
-        ValueError: the file is no such table, or a value is no number; with the file and the line.
+        ValueError: a column is missing or a value is no number; the message names file and line.
     """
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
     try:
         columns = rows.fieldnames or ()
-        twice = next((column for column in columns if columns.count(column) > 1), None)
-        if twice is not None:
-            raise ValueError(f"two columns {twice!r}")
+        repeated = next((column for column in columns if columns.count(column) > 1), None)
+        if repeated is not None:
+            raise ValueError(f"two columns {repeated!r}")
         if {"frame", "latitude", "longitude"} <= set(columns):
             fixes = _by_frame(rows, Fix, "latitude", "longitude", "course")
             return dict(zip(fixes, poses_of_fixes([*fixes.values()]), strict=True))
@@ -68,7 +68,7 @@ def read_poses(path: Path) -> dict[str, Pose]:
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
-    """Writes ``frame,x,y,heading``, as `read_poses` reads it.
+    """Writes a table ``frame,x,y,heading`` that `read_poses` reads.
 
     Raises:
         OSError: the file cannot be written.
@@ -80,26 +80,26 @@ def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
 
 
 def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
-    """Poses of one drive in metres; for errors see `eastings_northings`."""
-    places = zip(eastings_northings(fixes), fixes, strict=True)
-    return [Pose(*place, heading_of_course(fix.course)) for place, fix in places]
+    """Poses of one drive; errors as for `eastings_northings`."""
+    positions = zip(eastings_northings(fixes), fixes, strict=True)
+    return [Pose(*position, heading_of_course(fix.course)) for position, fix in positions]
 
 
 def _by_frame(
-    rows: Iterable[dict[str, str]], kind: Callable[..., Place], *columns: str
-) -> dict[str, Place]:
-    """The place of each frame, which may be there twice if it is the same."""
-    places: dict[str, Place] = {}
+    rows: Iterable[dict[str, str]], kind: Callable[..., Position], *columns: str
+) -> dict[str, Position]:
+    """The position of each frame. A frame may have several rows if they are equal."""
+    positions: dict[str, Position] = {}
     for row in rows:
-        found = kind(*(_number(row, column) for column in columns))
-        earlier = places.setdefault(row["frame"], found)
-        if repr(earlier) != repr(found):  # in which NaN is as NaN
-            raise ValueError(f"frame {row['frame']!r} is at two places")
-    return places
+        position = kind(*(_number(row, column) for column in columns))
+        earlier = positions.setdefault(row["frame"], position)
+        if repr(earlier) != repr(position):  # as text, NaN equals NaN
+            raise ValueError(f"frame {row['frame']!r} has two positions")
+    return positions
 
 
 def _number(row: dict[str, str], column: str) -> float:
-    """The number in a column; only a direction may be missing."""
+    """The number in a column; only the heading or course may be missing."""
     text = row.get(column) or ""
     value = float(text or "nan") if column in ("heading", "course") else float(text)
     if math.isinf(value):

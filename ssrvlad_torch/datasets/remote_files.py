@@ -1,4 +1,4 @@
-"""Frames in file systems of pyarrow: ``s3://``, ``gs://``, ``hdfs://``, ``file://``."""
+"""Frames in the file systems of pyarrow: ``s3://``, ``gs://``, ``hdfs://``, ``file://``."""
 
 from __future__ import annotations
 
@@ -9,23 +9,23 @@ from .frame_file import FrameFile, RemoteFile
 
 
 def remote_files(folder: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile]:
-    """The frames of a folder, of a sequence without a name.
+    """The frames of a folder; their sequence has no name yet.
 
     Args:
         folder: a URI.
-        kind: what messages call the frames.
-        suffixes: of their names, in lower case.
+        kind: name of the kind of frames for messages.
+        suffixes: suffixes of frame files, in lower case.
 
     Raises:
-        ValueError: pyarrow does not know the URI's kind, or the folder holds no frames.
+        ValueError: pyarrow does not support the URI's scheme, or the folder holds no frames.
         OSError: the folder cannot be read.
     """
     from pyarrow.fs import FileSelector, FileSystem, FileType
 
     folder = folder.rstrip("/")
-    files, place = FileSystem.from_uri(folder)
+    system, root = FileSystem.from_uri(folder)
     found = list[FrameFile]()
-    for entry in files.get_file_info(FileSelector(place)):
+    for entry in system.get_file_info(FileSelector(root)):
         path = PurePosixPath(entry.path)
         if entry.type == FileType.Directory or path.name.startswith("."):
             continue

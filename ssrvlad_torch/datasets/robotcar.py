@@ -36,15 +36,17 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         notes.append(f"{root} has no {_V2_POSES}, so no query has a pose")
     traverses = []
     for camera in _cameras(root):
-        where = f"{camera.parent.name}/{camera.name}/"
-        own = {
-            name.removeprefix(where): pose for name, pose in poses.items() if name.startswith(where)
+        condition, images = camera.parent.name, files_in(camera, IMAGE_SUFFIXES)
+        prefix = f"{condition}/{camera.name}/"
+        of_camera = {
+            name.removeprefix(prefix): pose
+            for name, pose in poses.items()
+            if name.startswith(prefix)
         }
-        images = files_in(camera, IMAGE_SUFFIXES)
-        role: Role = "reference" if camera.parent.name == _REFERENCE else "query"
-        name = f"{camera.parent.name}-{camera.name}"
+        role: Role = "reference" if condition == _REFERENCE else "query"
+        name = f"{condition}-{camera.name}"
         if images:
-            traverses.append(Traverse.of(name, images, labels={}, poses=own, role=role))
+            traverses.append(Traverse.of(name, images, labels={}, poses=of_camera, role=role))
     truth = GroundTruth("within 5 m, the coarse limit of Sattler et al., CVPR 2018", metres=5.0)
     notes = [f"{note}; it is at {LAYOUT.origin}" for note in notes]
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
@@ -54,21 +56,21 @@ def read_nvm(path: Path) -> dict[str, Pose]:
     """Poses by ``<condition>/<camera>/<name>``; the points of the model are not read.
 
     Raises:
-        ValueError: the file is no NVM_V3, ends too soon, or a line is no camera; with file and
-            line.
+        ValueError: the file is not an NVM_V3 model, ends too early, or has a line that is not a
+            camera; the message names file and line.
     """
     poses = {}
     number = 1
     with path.open(encoding="utf-8", errors="replace") as file:
         if not file.readline().startswith("NVM_V3"):
-            raise ValueError(f"{path} is no NVM_V3 model")
-        lines = _filled_lines(file)
+            raise ValueError(f"{path} is not an NVM_V3 model")
+        lines = _words_of_lines(file)
         try:
             number, words = next(lines)
-            for left in range(int(words[0]), 0, -1):
+            for missing in range(int(words[0]), 0, -1):
                 number, words = next(lines, (number, []))
                 if not words:
-                    raise ValueError(f"the file ends {left} cameras too soon")
+                    raise ValueError(f"the file ends {missing} cameras too early")
                 numbers = parse_numbers(words[1:], 10)
                 pose = Z_DOWN.pose(numbers[5:8], optical_axis(numbers[1:5]))
                 poses[_plain(words[0])] = pose
@@ -90,15 +92,15 @@ def _cameras(root: Path) -> list[Path]:
     return [c for condition in conditions for c in folders_in(condition) if c.name in _CAMERAS]
 
 
-def _filled_lines(file: TextIO) -> Iterator[tuple[int, list[str]]]:
+def _words_of_lines(file: TextIO) -> Iterator[tuple[int, list[str]]]:
+    """Numbers and words of the lines after the first, without empty lines."""
     for number, line in enumerate(file, 2):
-        words = line.split()
-        if words:
+        if words := line.split():
             yield number, words
 
 
 def _plain(name: str) -> str:
-    """A name as the folders have it: the models were built from ``./<condition>/...png``."""
+    """A name without ``./`` and suffix: the models name PNGs, ``./<condition>/...png``."""
     return str(Path(name).with_suffix(""))
 
 

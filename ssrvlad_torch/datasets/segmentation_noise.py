@@ -1,10 +1,9 @@
-"""Mistakes like those of a segmentation network, put into a clean label map.
+"""Errors like those of a segmentation network, added to a clean label map.
 
-Real label maps are wrong in a few typical ways: thin poles are lost, similar classes are mixed up
-over a region, here and there stands a blob of something else, and boundaries wobble. Each of these
-is one small function of ``(H, W)`` uint8 Cityscapes ids, a strength and a random generator; all are
-driven by smooth random fields, so the mistakes have the extent of regions, not of pixels, and scale
-with the image.
+Networks make a few typical errors: they miss thin poles, confuse similar classes over a region, add
+blobs of other classes, and shift boundaries. Each error is one function of ``(H, W)`` uint8
+Cityscapes ids, a strength and a random generator. Smooth random fields choose the pixels, so errors
+cover regions instead of single pixels and scale with the image.
 """
 
 from __future__ import annotations
@@ -25,10 +24,10 @@ CONFUSED_WITH = {7: 8, 8: 7, 9: 8, 11: 12, 12: 13, 13: 11, 14: 13, 22: 8}
 
 @dataclass(frozen=True)
 class SegmentationNoise:
-    """All these mistakes.
+    """All errors together.
 
     Args:
-        strength: how bad they are; 0 changes nothing, 1 is a mild network, about 5 a bad one.
+        strength: amount of errors; 0 none, 1 as of a good network, about 5 as of a bad one.
     """
 
     strength: float = 1.0
@@ -38,15 +37,15 @@ class SegmentationNoise:
             raise ValueError(f"noise strength: got {self.strength}, expected a finite number >= 0")
 
     def apply(self, labels: LabelMap, rng: np.random.Generator) -> LabelMap:
-        """A noisy copy of a label map, ``(H, W)`` uint8 Cityscapes ids."""
+        """A noisy copy of a label map ``(H, W)`` of uint8 Cityscapes ids."""
         noisy = labels.copy()
-        for mistake, own in zip(MISTAKES, rng.spawn(len(MISTAKES)), strict=True):
-            noisy = mistake(noisy, self.strength, own)
+        for add_error, generator in zip(ERRORS, rng.spawn(len(ERRORS)), strict=True):
+            noisy = add_error(noisy, self.strength, generator)
         return noisy
 
 
 def lose_poles(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:
-    """Fill thin things, in a fifth of the image, with the nearest other label to their left."""
+    """Replace thin objects, in a fifth of the image, by the nearest other label on their left."""
     lost = np.isin(labels, THIN_IDS) & _regions(rng, labels.shape, 0.2 * strength, cells=8)
     lost[:, 0] = False
     columns = np.arange(labels.shape[1])
@@ -55,7 +54,7 @@ def lose_poles(labels: LabelMap, strength: float, rng: np.random.Generator) -> L
 
 
 def confuse(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:
-    """Rename classes to similar ones in a tenth of the image."""
+    """Replace classes by similar ones in a tenth of the image."""
     rename = np.arange(256, dtype=np.uint8)
     rename[list(CONFUSED_WITH)] = list(CONFUSED_WITH.values())
     return np.where(_regions(rng, labels.shape, 0.1 * strength, cells=5), rename[labels], labels)
@@ -71,7 +70,7 @@ def add_blobs(labels: LabelMap, strength: float, rng: np.random.Generator) -> La
 
 
 def wobble(labels: LabelMap, strength: float, rng: np.random.Generator) -> LabelMap:
-    """Displace every pixel smoothly, by about 0.4 % of the image diagonal."""
+    """Displace the pixels by a smooth field of about 0.4 % of the image diagonal."""
     height, width = labels.shape
     pixels = 0.004 * strength * math.hypot(height, width)
     offsets = [
@@ -86,7 +85,7 @@ def wobble(labels: LabelMap, strength: float, rng: np.random.Generator) -> Label
     return displaced
 
 
-MISTAKES = (lose_poles, confuse, add_blobs, wobble)
+ERRORS = (lose_poles, confuse, add_blobs, wobble)
 
 
 def _regions(

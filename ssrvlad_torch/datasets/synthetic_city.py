@@ -1,15 +1,15 @@
-"""A small deterministic city: label maps of a drive through it, once and once again.
+"""A deterministic synthetic city: label maps and poses of several drives along the same route.
 
-The city is an endless grid of streets at irregular distances. Between the streets lie blocks; each
-side of a block has its own style of building, kerb, trees, lamps and signs, drawn from a random
-generator of its own, so any part of the city can be made without making the rest. The route goes
-east, north or south and never back: it crosses itself nowhere, and a longer drive begins like a
-shorter one. Where it is given turn by turn it goes anywhere, and `TOUR` comes back to its streets.
+The city is an infinite grid of streets at irregular distances, with blocks between them. Each side
+of a block has its own random generator, which chooses its buildings, kerb, trees, lamps and signs,
+so any part of the city can be computed alone. The default route goes east, north and south, never
+west: it never crosses itself, and a longer drive begins like a shorter one. A route can also be
+given as turns; the route `TOUR` returns to its streets.
 
-Everything that stands is a convex body of eight corners, and its picture is the convex hull of the
-corners' pictures; ground patches are bodies without height. A frame is painted far to near.
+Every object is a convex body of eight corners, drawn as the convex hull of the projected corners.
+Ground patches are bodies of no height. A frame is painted from far to near.
 
-Map coordinates are metres: x east, y north, z up. Angles are counter-clockwise from east.
+Map coordinates are in metres: x east, y north, z up. Angles are counter-clockwise from east.
 Streets, kerbs and walls are described in (s, d): metres along an axis, and to its left.
 """
 
@@ -31,12 +31,12 @@ from PIL import Image
 
 from ..files import empty_folder, replacing
 from ..taxonomy import label_space, palette
-from .city.blocks import block_sides, standing
+from .city.blocks import block_sides, fixed_bodies
 from .city.bodies import Bodies, pack
 from .city.conditions import Conditions, generator, require
 from .city.picture import background, paint
-from .city.streets import camera_poses, nearby
-from .city.traffic import passers_by, vehicles
+from .city.streets import camera_poses, nearby_blocks
+from .city.traffic import changing_bodies, vehicles
 from .poses import Pose, write_poses
 from .segmentation_noise import SegmentationNoise
 
@@ -62,14 +62,14 @@ TOUR = (
     *(STRAIGHT, STRAIGHT, STRAIGHT, RIGHT, STRAIGHT, LEFT, LEFT, STRAIGHT, LEFT),
     *(STRAIGHT, STRAIGHT, STRAIGHT, STRAIGHT, LEFT, LEFT, STRAIGHT, STRAIGHT, STRAIGHT),
 )
-"""Turns of a drive of 3.3 km that closes loops: round ten blocks, then along some of these streets
-again, in the same direction and in the opposite one."""
+"""Turns of a drive of 3.3 km with loops: around ten blocks, then along some of these streets again
+in the same direction and in the opposite one."""
 TOUR_ESTATES = (2,)
-"""The estate of the tour: 400 m of street that look alike all along."""
+"""The estate of the tour: 400 m of street that look alike."""
 
 
 class Frame(NamedTuple):
-    """One picture of a traverse: (H, W) uint8 label ids, the camera's pose, and ``"000000"``..."""
+    """One frame of a traverse: label ids ``(H, W)`` uint8, camera pose, name ``000000``..."""
 
     labels: NDArray[np.uint8]
     pose: Pose
@@ -78,13 +78,12 @@ class Frame(NamedTuple):
 
 @dataclass(frozen=True)
 class SyntheticCity:
-    """A city and a route through it; equal seeds (>= 0) give equal frames.
+    """A city and a route through it; equal seeds give equal frames.
 
     Attributes:
-        seed: another one is another city.
-        estates: numbers of the east-west streets, the first that is driven being 0, along which
-            every block has the same houses, kerbs, lamps and trees, so that its stretches look
-            alike.
+        seed: seed of the city, >= 0.
+        estates: numbers of the east-west streets, 0 for the first street of the route, on which all
+            blocks have the same houses, kerbs, lamps and trees.
 
     Example:
         >>> frame = next(SyntheticCity(seed=0).traverse(frames=1))
@@ -106,18 +105,16 @@ class SyntheticCity:
         labels_as: str = "cityscapes-trainids",
         turns: Iterable[int] | None = None,
     ) -> Iterator[Frame]:
-        """Drive the route and label what the camera sees, lazily.
-
-        A frame depends on its number, not on how many are asked for.
+        """The frames of a drive along the route, computed lazily.
 
         Args:
-            frames: number of frames (>= 1); fewer if the route ends before.
-            conditions: how the streets are driven.
-            size: height and width in pixels, each >= 16. The view is 85 degrees wide.
-            labels_as: "cityscapes-trainids", where 255 is every class without a train id (guard
-                rail, parking, ground, pole group), or "cityscapes-ids".
-            turns: the route from its start eastwards, at each junction 1 for left, 0 for straight
-                on and -1 for right; without, an endless route that never comes back.
+            frames: number of frames (>= 1); fewer if the route ends earlier.
+            conditions: conditions of the drive.
+            size: height and width in pixels, each >= 16. The field of view is 85 degrees wide.
+            labels_as: "cityscapes-trainids", with 255 for classes without a train id (guard rail,
+                parking, ground, pole group), or "cityscapes-ids".
+            turns: the route, which starts eastwards: at each junction 1 for left, 0 for straight on
+                and -1 for right; ``None`` for the endless default route.
         """
         require(frames >= 1, "frames", frames, "at least 1")
         require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
@@ -130,9 +127,8 @@ class SyntheticCity:
     ) -> Iterator[Frame]:
         block = functools.lru_cache(maxsize=64)(functools.partial(self._block, conditions))
         for index, pose in enumerate(poses):
-            bodies = [block(*corner) for corner in nearby(pose)]
-            driving = vehicles(self.seed, conditions, pose, index * FRAME_SECONDS)
-            bodies.append(pack(driving))
+            bodies = [block(*corner) for corner in nearby_blocks(pose)]
+            bodies.append(pack(vehicles(self.seed, conditions, pose, index * FRAME_SECONDS)))
             labels = paint(background(self.seed, pose, size), bodies, pose)
             if conditions.noise:
                 rng = generator(conditions.seed, "noise", self.seed, index)
@@ -140,15 +136,14 @@ class SyntheticCity:
             yield Frame(_convert(labels, labels_as), pose, f"{index:06d}")
 
     def _block(self, conditions: Conditions, column: int, row: int) -> Bodies:
-        """Everything between streets `column` and `column + 1`, `row` and `row + 1`."""
+        """All bodies between streets `column` and `column + 1`, `row` and `row + 1`."""
         sides = block_sides(self.seed, column, row, self.estates)
-        passing = (passers_by(self.seed, side, conditions) for side in sides)
-        stands = standing(self.seed, sides, conditions.season)
-        return pack(itertools.chain(stands, *passing))
+        changing = (changing_bodies(self.seed, side, conditions) for side in sides)
+        return pack(itertools.chain(fixed_bodies(self.seed, sides, conditions.season), *changing))
 
 
 class CityFiles(NamedTuple):
-    """What `write_city` wrote: two folders of label PNGs, a CSV and a JSON file."""
+    """Paths that `write_city` wrote: two folders of label PNGs, a CSV and a JSON file."""
 
     reference: Path
     query: Path
@@ -166,25 +161,25 @@ def write_city(
     radius: float = 5.0,
     progress: Callable[[int], None] | None = None,
 ) -> CityFiles:
-    """Write two traverses of one city, their poses, and which frames show the same place.
+    """Write two traverses of one city, their poses and their true matches.
 
-    The label maps are 8-bit palette PNGs: pixel values are the ids, the palette holds the label
-    space's colours. ``poses.csv`` has a line ``frame,x,y,heading`` for each frame, named
+    The label maps are 8-bit palette PNGs: pixel values are ids, and the palette has the colours of
+    the label space. ``poses.csv`` has a line ``frame,x,y,heading`` for each frame, named
     ``<sequence>/<name>``. ``ground_truth.json`` maps every query frame to the reference frames
-    within `radius` metres whose headings differ by less than 45 degrees. Each file appears whole or
-    not at all. A query traverse whose `spacing` is at most the reference's stays on the mapped
-    stretch.
+    within `radius` metres whose headings differ by less than 45 degrees. Each file is written
+    whole or not at all. A query traverse with a `spacing` up to the reference's stays on the
+    mapped part of the route.
 
     Args:
         out: folder, new or empty.
-        frames: frames of each traverse.
+        frames: number of frames of each traverse.
         seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
-        query: conditions of the query traverse; those of the reference traverse are `REFERENCE`.
+        query: conditions of the query traverse; the reference traverse has `REFERENCE`.
         radius: metres (>= 0).
-        progress: called with 1 after every frame that is written.
+        progress: called with 1 after each written frame.
 
     Raises:
-        ValueError: a value is out of range, or there is something in the folder.
+        ValueError: a value is out of range, or the folder is not empty.
     """
     require(radius >= 0, "radius", radius, "metres >= 0")
     require(frames >= 1, "frames", frames, "at least 1")
@@ -197,10 +192,10 @@ def write_city(
     for folder, conditions in ((files.reference, REFERENCE), (files.query, query)):
         traverse = city.traverse(frames, conditions, size, labels_as)
         poses[folder.name] = _write_frames(folder, traverse, colours, progress)
-    places = _same_places(poses["query"], poses["reference"], radius)
+    matches = _true_matches(poses["query"], poses["reference"], radius)
     write_poses(files.poses, poses["reference"] | poses["query"])
     with replacing(files.ground_truth) as temporary:
-        temporary.write_text(json.dumps(places, indent=1), encoding="utf-8")
+        temporary.write_text(json.dumps(matches, indent=1), encoding="utf-8")
     return files
 
 
@@ -216,13 +211,13 @@ def write_tour(
     """Write one drive along `TOUR`, which closes loops: label PNGs and their ``poses.csv``.
 
     Args:
-        out: folder, new or empty, that gets ``poses.csv`` and the folder ``tour``.
-        frames: number of frames; without, the whole tour, about 1100.
+        out: folder, new or empty, for ``poses.csv`` and the folder ``tour``.
+        frames: number of frames; ``None`` for the whole tour, about 1100.
         seed, size, labels_as, progress: as in `write_city`.
-        conditions: of the drive.
+        conditions: conditions of the drive.
 
     Returns:
-        the folder of the label PNGs.
+        The folder of the label PNGs.
     """
     folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
@@ -239,7 +234,7 @@ def _write_frames(
     colours: NDArray[np.uint8],
     progress: Callable[[int], None] | None,
 ) -> dict[str, Pose]:
-    """Writes frames as label PNGs; gives their poses by id."""
+    """Writes frames as label PNGs and returns their poses by id."""
     folder.mkdir(parents=True, exist_ok=True)
     poses = {}
     for frame in frames:
@@ -254,23 +249,23 @@ def _write_frames(
 
 
 def _convert(labels: NDArray[np.uint8], labels_as: str) -> NDArray[np.uint8]:
-    """Cityscapes ids in another label space, by the names of the classes; 255 where it has none."""
-    names = {label.name: label.id for label in label_space(labels_as).classes}
+    """Cityscapes ids converted to another label space by class name; 255 for a missing class."""
+    ids = {label.name: label.id for label in label_space(labels_as).classes}
     table = np.full(256, 255, np.uint8)
     for label in label_space("cityscapes-ids").classes:
         if label.id >= 0:
-            table[label.id] = names.get(label.name, 255)
+            table[label.id] = ids.get(label.name, 255)
     return table[labels]
 
 
-def _same_places(
+def _true_matches(
     query: dict[str, Pose], reference: dict[str, Pose], radius: float
 ) -> dict[str, list[str]]:
-    """For each query frame the reference frames that show the same place."""
+    """The reference frames that show the same place, for each query frame."""
     names, poses = list(reference), np.array(list(reference.values()))
-    places = {}
+    matches = {}
     for name, pose in query.items():
         x, y, heading = (poses - pose).T
         same = (np.hypot(x, y) <= radius) & (np.cos(heading) > math.cos(math.pi / 4))
-        places[name] = [names[index] for index in np.flatnonzero(same)]
-    return places
+        matches[name] = [names[index] for index in np.flatnonzero(same)]
+    return matches

@@ -2,9 +2,9 @@
 
 Ros et al., CVPR 2016. A traverse is one camera in one season:
 ``SYNTHIA-SEQS-04-FALL-Stereo_Left-Omni_F``. Label maps are PNGs of 16-bit channels, the class in
-the first, the instance in the second. ``CameraParams`` has one file a frame, the 16 numbers of the
-matrix from camera to world, column by column. The world was made in Unity: it is left-handed with y
-up, and a camera looks down its own -z. The ground, on which VPR-Bench too measures, is x and z.
+the first, the instance in the second. ``CameraParams`` has one file per frame: the 16 numbers of
+the matrix from camera to world, column by column. The world comes from Unity: it is left-handed
+with y up, and a camera looks along its own -z. The ground plane is x and z, as in VPR-Bench.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _LABELS, _IMAGES, _POSES = "GT/LABELS", "RGB", "CameraParams"
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The sequences in ``root``, or the one that it is."""
+    """The sequences in ``root``, or the sequence that ``root`` is."""
     traverses: list[Traverse] = []
     notes: list[str] = []
     for folder in _sequences(root):
@@ -61,7 +61,7 @@ def _sequences(root: Path) -> list[Path]:
 
 
 def _cameras(folder: Path) -> list[Path]:
-    """``Stereo_Left/Omni_F`` and so on, as they are on disk."""
+    """The folders of cameras on disk, ``Stereo_Left/Omni_F`` and so on."""
     cameras = {
         camera.relative_to(folder / part)
         for part in (_LABELS, _IMAGES)

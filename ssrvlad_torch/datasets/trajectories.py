@@ -1,4 +1,4 @@
-"""Poses of one drive in the files of KITTI and TUM, put to its frames."""
+"""Poses of one drive in files of KITTI and TUM, and the poses of its frames."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .camera_poses import Y_DOWN, Z_UP, optical_axis
 from .poses import UNKNOWN, Pose
 
 _KITTI, _TUM = 12, 8
-_NEAR = 0.02
+_MOST_SECONDS = 0.02
 
 
 class Trajectory(NamedTuple):
@@ -20,19 +20,20 @@ class Trajectory(NamedTuple):
 
     Attributes:
         poses: in order.
-        stamps: seconds of each, rising; empty where the n-th pose is that of the n-th frame.
+        stamps: time of each pose in seconds, increasing; empty if the n-th pose belongs to the
+            n-th frame.
     """
 
     poses: list[Pose]
     stamps: list[float]
 
     def of_frames(self, names: Sequence[str]) -> list[Pose]:
-        """The pose of each frame of the drive: by its place, or by the time that is its name.
+        """The pose of each frame: the n-th pose, or with stamps the pose that is nearest in time.
 
-        A frame takes the pose that is nearest in time, at most 0.02 s away, as TUM's own tools do.
+        The nearest pose is used if it is at most 0.02 s away, as in TUM's own tools.
 
         Args:
-            names: of all frames of the drive, in order; with stamps, each a time in seconds.
+            names: names of all frames of the drive, in order; with stamps, times in seconds.
 
         Raises:
             ValueError: the numbers of frames and poses differ, or a name is no time.
@@ -40,25 +41,26 @@ class Trajectory(NamedTuple):
         if self.stamps:
             return [self._at(_seconds(name)) for name in names]
         if len(names) != len(self.poses):
-            raise ValueError(f"expected {len(self.poses)} frames, one a pose, got {len(names)}")
+            raise ValueError(f"expected {len(self.poses)} frames, one per pose, got {len(names)}")
         return self.poses
 
     def _at(self, time: float) -> Pose:
-        place = bisect_left(self.stamps, time)
-        around = range(max(0, place - 1), min(len(self.stamps), place + 1))
+        index = bisect_left(self.stamps, time)
+        around = range(max(0, index - 1), min(len(self.stamps), index + 1))
         nearest = min(around, key=lambda n: abs(self.stamps[n] - time))
-        return self.poses[nearest] if abs(self.stamps[nearest] - time) <= _NEAR else UNKNOWN
+        near = abs(self.stamps[nearest] - time) <= _MOST_SECONDS
+        return self.poses[nearest] if near else UNKNOWN
 
 
 def read_trajectory(path: Path) -> Trajectory:
-    """A file of KITTI or of TUM, told apart by the count of numbers in a line.
+    """The trajectory in a file of KITTI or TUM, recognised by the count of numbers in a line.
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
-    is up. The heading is the direction of the camera's own z.
+    is up. The heading is the direction of the camera's z axis.
 
     Raises:
-        ValueError: neither; the message names the line.
+        ValueError: the file has another form; the message names the line.
     """
     poses, stamps = list[Pose](), list[float]()
     for number, line in enumerate(read_text(path).splitlines(), 1):
@@ -71,7 +73,7 @@ def read_trajectory(path: Path) -> Trajectory:
                 poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
             elif len(numbers) == _TUM:
                 x, y, z, w = numbers[4:]
-                # camera to world; `optical_axis` takes the inverse
+                # the file holds camera to world, `optical_axis` expects the inverse
                 poses.append(Z_UP.pose(numbers[1:4], optical_axis((w, -x, -y, -z))))
                 stamps.append(numbers[0])
             else:
@@ -86,7 +88,7 @@ def read_trajectory(path: Path) -> Trajectory:
 
 
 def _seconds(name: str) -> float:
-    """The time that a name is: seconds, or 19 digits of nanoseconds as of a bag."""
+    """The time in a name: seconds, or nanoseconds of at least 16 digits, as in a bag."""
     try:
         return float(name) * (1e-9 if name.isdigit() and len(name) >= 16 else 1)
     except ValueError:

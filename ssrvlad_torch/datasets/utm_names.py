@@ -1,8 +1,8 @@
-"""File names that say where a picture was taken, as VPR-methods-evaluation has them.
+"""File names that hold the position of an image, in the form of VPR-methods-evaluation.
 
 ``@ UTM east @ UTM north @ zone number @ zone letter @ latitude @ longitude @ panorama @ tile
 @ heading @ pitch @ roll @ height @ time stamp @ note @.jpg``; all but the first two may be empty or
-left out. The heading is in degrees from north to the east.
+missing. The heading is in degrees clockwise from north.
 """
 
 from __future__ import annotations
@@ -15,33 +15,34 @@ from .poses import UNKNOWN, Pose
 
 _HEADING, _TIME, _NOTE = 9, 13, 14
 _FIELDS = 15
+_TIME_FORMAT = "%Y%m%d_%H%M%S"
 
 
 def read_name(name: str) -> tuple[Pose, float]:
-    """The pose and the time in seconds in a file's name, given without its suffix; NaN where
-    missing. A name that does not begin with ``@``, two numbers and ``@`` holds neither.
+    """The pose and the time in seconds from a file name without its suffix; NaN where missing.
+    Both are NaN if the name does not begin with ``@``, two numbers and ``@``.
 
     Example:
         >>> read_name("@0303189.3@5787193.0@31@U@@@@@90@@@@@@")[0]
         Pose(x=303189.3, y=5787193.0, heading=0.0)
     """
     fields = name.split("@") + [""] * _FIELDS
-    place = _number(fields[1]), _number(fields[2])
-    if fields[0] or math.isnan(sum(place)):
+    x, y = _number(fields[1]), _number(fields[2])
+    if fields[0] or math.isnan(x + y):
         return UNKNOWN, math.nan
-    return Pose(*place, heading_of_course(_number(fields[_HEADING]))), _seconds(fields[_TIME])
+    return Pose(x, y, heading_of_course(_number(fields[_HEADING]))), _seconds(fields[_TIME])
 
 
 def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
-    """A name with the pose, and the time if it is known; its note is the former name. An unknown
-    position is a ValueError.
+    """A file name that holds the pose, the time if it is known, and ``name`` as its note. An
+    unknown position is a ValueError.
 
     Example:
         >>> write_name("000007", Pose(303189.3, 5787193.0, 0.0))
         '@0303189.30@5787193.00@@@@@@@90.00@@@@@000007@'
     """
     if math.isnan(pose.x) or math.isnan(pose.y):
-        raise ValueError(f"where {name} was taken is not known")
+        raise ValueError(f"{name} has no known position")
     fields = [""] * _FIELDS
     fields[1], fields[2] = f"{pose.x:010.2f}", f"{pose.y:010.2f}"
     if not math.isnan(pose.heading):
@@ -50,9 +51,6 @@ def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
         fields[_TIME] = datetime.fromtimestamp(stamp, UTC).strftime(_TIME_FORMAT)
     fields[_NOTE] = name.replace("@", "_")
     return "@".join([*fields, ""])
-
-
-_TIME_FORMAT = "%Y%m%d_%H%M%S"
 
 
 def _number(text: str) -> float:
@@ -65,5 +63,5 @@ def _number(text: str) -> float:
 def _seconds(text: str) -> float:
     try:
         return datetime.strptime(text, _TIME_FORMAT).replace(tzinfo=UTC).timestamp()
-    except ValueError:  # some data sets have a year or a month there
+    except ValueError:  # some data sets have only a year or a month
         return math.nan

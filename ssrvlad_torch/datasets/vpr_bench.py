@@ -1,7 +1,7 @@
 """VPR-Bench (Zaffar et al., IJCV 2021): ``query/``, ``ref/`` and ``ground_truth_new.npy``.
 
-Among its data sets are sub-sequences of SYNTHIA (night to fall) and RobotCar (CrossSeason). The
-ground truth names images by their places in the order of the file names, from 0.
+Its data sets include parts of SYNTHIA (night to fall) and RobotCar (CrossSeason). The ground truth
+names images by their numbers, from 0, in the order of the file names.
 """
 
 from __future__ import annotations
@@ -17,20 +17,19 @@ _TRUTH = "ground_truth_new.npy"
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``; the ground truth may also lie beside it, as
+    """The data set in ``root``; its ground truth may also be beside ``root``, as
     ``<folder>.ground_truth_new.npy``."""
     traverses = []
-    for folder, role in _FOLDERS:
-        images = files_in(root / folder, IMAGE_SUFFIXES)
+    for name, role in _FOLDERS:
+        images = files_in(root / name, IMAGE_SUFFIXES)
         if not images:
             raise ValueError(
-                f"{root / folder} holds no images; the data sets of VPR-Bench are at "
-                f"{LAYOUT.origin}"
+                f"{root / name} holds no images; the data sets of VPR-Bench are at {LAYOUT.origin}"
             )
-        traverses.append(Traverse.of(folder, images, labels={}, poses={}, role=role))
-    home = absolute_folder(root)
-    places = (root / _TRUTH, home.parent / f"{home.name}.{_TRUTH}")
-    file = next((place for place in places if place.is_file()), None)
+        traverses.append(Traverse.of(name, images, labels={}, poses={}, role=role))
+    folder = absolute_folder(root)
+    candidates = (root / _TRUTH, folder.with_name(f"{folder.name}.{_TRUTH}"))
+    file = next((path for path in candidates if path.is_file()), None)
     truth = GroundTruth("VPR-Bench", file=file) if file else None
     notes = () if file else (f"{root} has no {_TRUTH}; it is at {LAYOUT.origin}",)
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, notes)

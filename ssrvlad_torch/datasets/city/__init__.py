@@ -1,1 +1,1 @@
-"""The parts of the synthetic city: conditions, streets, blocks, traffic, and the picture."""
+"""The parts of the synthetic city: conditions, streets, blocks, traffic, and the rendering."""

@@ -37,16 +37,16 @@ LOT_DEPTH = 18.0  # from the sidewalk to the back of the buildings
 
 
 class _Style(NamedTuple):
-    """How a side of a block is built up; spans are metres, the rest are chances or label ids."""
+    """Style of the buildings on a side of a block. Spans and the margin are in metres."""
 
     widths: Span
     heights: Span
     setbacks: Span
-    margin: float  # left free on either side of a building
-    open: float  # chance that a lot is not built up
-    pitched: float  # chance of a pitched roof
-    barrier: int  # between the sidewalk and what lies open
-    yard: int
+    margin: float  # free space on either side of a building
+    open: float  # probability of a lot without a building
+    pitched: float  # probability of a pitched roof
+    barrier: int  # label between the sidewalk and an open lot
+    yard: int  # label
 
 
 _STYLES = (
@@ -60,7 +60,7 @@ _ESTATE = 2
 
 
 class Side(NamedTuple):
-    """A side of a block: its axis runs along the kerb, the block to the left."""
+    """A side of a block; its axis runs along the kerb, with the block on the left."""
 
     axis: Axis
     length: float
@@ -70,8 +70,8 @@ class Side(NamedTuple):
     key: tuple[int, int, int]  # block and side number, for random generators
 
 
-def standing(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
-    """Everything that stands in a block on every drive."""
+def fixed_bodies(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
+    """The bodies of a block that are the same on every drive."""
     yield from _paving(sides)
     for side, following in zip(sides, sides[1:] + sides[:1], strict=True):
         yield from _kerb_strip(seed, side)
@@ -83,7 +83,7 @@ def standing(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
 def block_sides(seed: int, column: int, row: int, estates: Collection[int] = ()) -> list[Side]:
     """South, east, north and west side, counter-clockwise.
 
-    A side on an east-west street of the `estates` is what it is in every block along the street.
+    On an east-west street in `estates`, the sides of all blocks are equal.
     """
     west, east = (street(seed, 0, k) for k in (column, column + 1))
     south, north = (street(seed, 1, k) for k in (row, row + 1))
@@ -105,7 +105,7 @@ def block_sides(seed: int, column: int, row: int, estates: Collection[int] = ())
 
 
 def _paving(sides: list[Side]) -> Iterator[Body]:
-    """The block as one sidewalk with cut corners, and the ground inside its four sidewalks."""
+    """A sidewalk over the whole block, with cut corners, and the ground inside the sidewalks."""
     cut = [(*side.axis.point(s, 0), 0.0) for side in sides for s in (3.0, side.length - 3.0)]
     yield SIDEWALK, cut
     south, east, north, west = sides
@@ -115,7 +115,7 @@ def _paving(sides: list[Side]) -> Iterator[Body]:
 
 
 def _kerb_strip(seed: int, side: Side) -> Iterator[Body]:
-    """Parking bays or grass along the kerb; on some stretches a guard rail."""
+    """Parking bays or grass along the kerb, sometimes with a guard rail."""
     yield box(side.axis, side.kerb, (7, side.length - 7), (0, KERB_STRIP))
     chance, begin, end = generator(seed, "rail", *side.key).random(3)
     if chance < 0.4 and side.kerb != PARKING:
@@ -124,7 +124,7 @@ def _kerb_strip(seed: int, side: Side) -> Iterator[Body]:
 
 
 def _lots(seed: int, side: Side, corner: float, season: str) -> Iterator[Body]:
-    """Built-up and open lots, one after the other; the last `corner` metres are the next side's."""
+    """Built-up and open lots in a row; the last `corner` metres belong to the next side."""
     style = side.style
     s = side.walk
     for number in itertools.count():
@@ -143,7 +143,7 @@ def _lots(seed: int, side: Side, corner: float, season: str) -> Iterator[Body]:
 def _open_lot(
     lot: Axis, width: float, style: _Style, rng: np.random.Generator, season: str
 ) -> Iterator[Body]:
-    """A barrier, here and there a hedge, and trees behind it."""
+    """A barrier or a hedge, with trees behind it."""
     yield box(lot, style.yard, (0, width), (0, LOT_DEPTH))
     label = VEGETATION if rng.random() < 0.3 else style.barrier
     yield from fence(lot, label, (0, width), 0.1, (0, rng.uniform(0.9, 2.0)))
@@ -152,7 +152,7 @@ def _open_lot(
 
 
 def _built_lot(lot: Axis, width: float, style: _Style, rng: np.random.Generator) -> Iterator[Body]:
-    """A yard and a building: a box with a pitched roof, a smaller top floor, or neither."""
+    """A yard and a building with a pitched roof, a smaller top floor, or a flat roof."""
     setback, height = rng.uniform(*style.setbacks), rng.uniform(*style.heights)
     depth = min(12.0, LOT_DEPTH - setback)
     s, d = (style.margin, width - style.margin), (setback, setback + depth)
@@ -170,7 +170,7 @@ def _built_lot(lot: Axis, width: float, style: _Style, rng: np.random.Generator)
 
 
 def _furniture(seed: int, side: Side) -> Iterator[Body]:
-    """Lamps, signs, and the traffic light or pole group at the side's beginning."""
+    """Lamps, signs, and at the start of the side a traffic light or a pole group."""
     rng = generator(seed, "lamps", *side.key)
     step, height, start = rng.uniform((20, 5, 4), (34, 9, 16)).tolist()
     for s in np.arange(start, side.length - 3, step).tolist():
@@ -188,7 +188,7 @@ def _furniture(seed: int, side: Side) -> Iterator[Body]:
 
 
 def _street_trees(seed: int, side: Side, season: str) -> Iterator[Body]:
-    """An avenue on most kerb strips of grass, with trees missing here and there."""
+    """A row of trees, with gaps, on most kerb strips of grass."""
     rng = generator(seed, "trees", *side.key)
     step, avenue = rng.uniform(6, 12), rng.random() < 0.75
     if side.kerb == TERRAIN and avenue:

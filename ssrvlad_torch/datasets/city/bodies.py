@@ -1,4 +1,4 @@
-"""What stands in the city: convex bodies of eight corners, labelled with Cityscapes ids."""
+"""The bodies of the city: convex, of eight corners, labelled with Cityscapes ids."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PERSON, RIDER, CAR, TRUCK, BUS, BICYCLE = 24, 25, 26, 27, 28, 33
 
 
 class Axis(NamedTuple):
-    """A directed line on the map; (tx, ty) is its unit direction."""
+    """A directed line on the map from (x, y) in the unit direction (tx, ty)."""
 
     x: float
     y: float
@@ -28,11 +28,11 @@ class Axis(NamedTuple):
         return self.x + s * self.tx - d * self.ty, self.y + s * self.ty + d * self.tx
 
     def at(self, s: float, d: float) -> Axis:
-        """The parallel axis that begins at (s, d)."""
+        """The parallel axis that starts at (s, d)."""
         return Axis(*self.point(s, d), self.tx, self.ty)
 
     def left(self) -> Axis:
-        """The axis turned a quarter to the left about its beginning."""
+        """The axis rotated by 90 degrees to the left about its start."""
         return Axis(self.x, self.y, -self.ty, self.tx)
 
 
@@ -42,7 +42,7 @@ Body = tuple[int, Corners]  # label id and eight corners
 
 
 class Bodies(NamedTuple):
-    """Label ids (S,) and corners (S, 8, 3) of bodies; what lies flat is in order of painting."""
+    """Label ids (S,) and corners (S, 8, 3) of bodies; flat bodies are in the order of painting."""
 
     labels: NDArray[np.uint8]
     corners: NDArray[np.float64]
@@ -50,13 +50,13 @@ class Bodies(NamedTuple):
 
 def pack(bodies: Iterable[Body]) -> Bodies:
     """Bodies as arrays."""
-    listed = list(bodies)
-    corners = np.array([corners for _, corners in listed], float).reshape(-1, 8, 3)
-    return Bodies(np.array([label for label, _ in listed], np.uint8), corners)
+    pairs = list(bodies)
+    corners = np.array([corners for _, corners in pairs], float).reshape(-1, 8, 3)
+    return Bodies(np.array([label for label, _ in pairs], np.uint8), corners)
 
 
 def box(axis: Axis, label: int, s: Span, d: Span, z: Span = (0, 0), inset: Span = (0, 0)) -> Body:
-    """A box over the rectangle `s` x `d`, whose top is smaller by `inset` on each side."""
+    """A box over the rectangle `s` x `d`; its top is smaller by `inset` on each side."""
     corners = []
     for height, ds, dd in ((z[0], 0.0, 0.0), (z[1], *inset)):
         for a, b in ((0, 0), (1, 0), (1, 1), (0, 1)):
@@ -78,7 +78,7 @@ def lamp(axis: Axis, height: float) -> Iterator[Body]:
 
 
 def sign(axis: Axis, width: float) -> Iterator[Body]:
-    """A traffic sign, square to the street."""
+    """A traffic sign, perpendicular to the street."""
     yield pole(axis, 2.2, 0.1)
     yield box(axis, TRAFFIC_SIGN, (-0.05, 0.05), (-width / 2, width / 2), (2.0, 2.75))
 
@@ -90,13 +90,13 @@ def traffic_light(axis: Axis) -> Iterator[Body]:
 
 
 def person(axis: Axis, label: int = PERSON, feet: float = 0.0) -> Iterator[Body]:
-    """A person who stands, or sits with the feet at a height."""
+    """A person; `feet` is the height of the feet."""
     yield box(axis, label, (-0.2, 0.2), (-0.24, 0.24), (feet, feet + 1.45), (0.03, 0.03))
     yield box(axis, label, (-0.1, 0.1), (-0.1, 0.1), (feet + 1.45, feet + 1.75))
 
 
 def rider(axis: Axis) -> Iterator[Body]:
-    """A bicycle and who rides it."""
+    """A bicycle and its rider."""
     yield box(axis, BICYCLE, (-0.85, 0.85), (-0.1, 0.1), (0, 1.0), (0.3, 0.0))
     yield from person(axis, RIDER, feet=0.25)
 
@@ -109,22 +109,22 @@ def car(axis: Axis, length: float = 4.3) -> Iterator[Body]:
 
 
 def tree(axis: Axis, rng: np.random.Generator, season: str) -> Iterator[Body]:
-    """A tree, all vegetation as in Cityscapes: a trunk, and a crown or bare boughs."""
+    """A tree: a trunk, and a crown or bare branches; all vegetation, as in Cityscapes."""
     size, girth, evergreen = rng.random(3)
     height, radius = 5 + 6 * size, 1.4 + 1.6 * girth
     fork = 0.35 * height
     form = rng.uniform(-0.5, 0.5, (5, 5)).tolist()
     yield pole(axis, fork + 0.5, 0.35, VEGETATION)
     if season == "summer" or evergreen > 0.85:
-        yield from (_foliage(axis, radius, (fork, height), *ball) for ball in form)
+        yield from (_foliage(axis, radius, (fork, height), *part) for part in form)
     else:
-        yield from (_bough(axis, 2 * radius, (fork, height), *bough[:3]) for bough in form)
+        yield from (_branch(axis, 2 * radius, (fork, height), *part[:3]) for part in form)
 
 
 def _foliage(
     axis: Axis, radius: float, z: Span, s: float, d: float, up: float, wide: float, tall: float
 ) -> Body:
-    """One of the irregular balls that make a crown; the five last numbers are in -0.5..0.5."""
+    """One irregular ball of a crown; the last five numbers are in -0.5..0.5."""
     middle = axis.at(radius * s, radius * d)
     across, along = radius * (0.75 + 0.3 * wide), (z[1] - z[0]) * (0.4 + 0.15 * tall)
     height = sum(z) / 2 + radius * up
@@ -133,7 +133,7 @@ def _foliage(
     ]
 
 
-def _bough(axis: Axis, reach: float, z: Span, s: float, d: float, up: float) -> Body:
+def _branch(axis: Axis, reach: float, z: Span, s: float, d: float, up: float) -> Body:
     """A thin pyramid from the fork of a tree outwards."""
     tip = (*axis.point(reach * s, reach * d), z[1] * (0.9 + 0.2 * up))
     foot = [(*axis.point(a, b), z[0]) for a, b in ((-0.1, 0), (0.1, 0), (0, -0.1), (0, 0.1))]
@@ -145,7 +145,7 @@ _BALL = ((1, 0, 0.3), (0.3, 0.9, -0.5), (-0.9, 0.4, 0.4), (-0.6, -0.7, -0.6),
 
 
 def fence(axis: Axis, label: int, s: Span, d: float, z: Span) -> Iterator[Body]:
-    """A long thin thing along the axis, in pieces short enough to be sorted by distance."""
+    """A long thin body along the axis, in short pieces that can be sorted by distance."""
     stops = np.linspace(*s, max(2, math.ceil((s[1] - s[0]) / 5) + 1)).tolist()
     for piece in itertools.pairwise(stops):
         yield box(axis, label, piece, (d, d + 0.2), z)

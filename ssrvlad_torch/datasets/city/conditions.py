@@ -1,4 +1,4 @@
-"""How a drive through the synthetic city differs from another one, and where chance comes from."""
+"""Conditions of a drive through the synthetic city, and its random generators."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ SEASONS = ("summer", "winter")
 
 @dataclass(frozen=True)
 class Conditions:
-    """How and when the streets are driven.
+    """Conditions of a drive.
 
     Args:
-        spacing: metres driven between frames, along the street's centre line (> 0).
-        lateral_offset: metres to the left of the usual lane; the lane has room for about +-1.5.
-        heading_offset: degrees by which the camera is turned to the left.
-        heading_jitter: standard deviation in degrees of a smooth swaying of the camera.
+        spacing: metres between frames, along the centre line of the street (> 0).
+        lateral_offset: metres to the left of the usual lane; about +-1.5 stay in the lane.
+        heading_offset: rotation of the camera to the left in degrees.
+        heading_jitter: standard deviation in degrees of a smooth rotation of the camera.
         traffic: amount of vehicles and people; 0 none, 1 usual, 3 heavy.
-        season: "summer", or "winter" when most trees are bare.
-        noise: mistakes of a segmentation network, or None for perfect labels.
-        seed: of everything that differs from drive to drive (>= 0).
+        season: "summer", or "winter", when most trees are bare.
+        noise: errors of a segmentation network, or ``None`` for perfect labels.
+        seed: seed of all that differs between drives (>= 0).
     """
 
     spacing: float = 3.0
@@ -48,12 +48,12 @@ class Conditions:
 
 
 def require(holds: bool, name: str, got: object, expected: str) -> None:
-    """Raises a `ValueError` that names what was got and expected, unless the condition holds."""
+    """Raises a `ValueError` that names the value and what was expected, unless `holds`."""
     if not holds:
         raise ValueError(f"{name}: got {got!r}, expected {expected}")
 
 
-def generator(seed: int, thing: str, *key: int) -> np.random.Generator:
-    """Random generator of one thing, independent of all others; the key may be negative."""
-    name = zlib.crc32(thing.encode())
-    return np.random.default_rng([seed, name, *(number % 2**32 for number in key)])
+def generator(seed: int, name: str, *key: int) -> np.random.Generator:
+    """An independent random generator for each seed, name and key; the key may be negative."""
+    name_hash = zlib.crc32(name.encode())
+    return np.random.default_rng([seed, name_hash, *(number % 2**32 for number in key)])

@@ -1,4 +1,4 @@
-"""The picture of the city: bodies painted far to near, each as the hull of its corners."""
+"""Rendering of the city: bodies painted from far to near, each as the hull of its corners."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .conditions import generator
 CAMERA_HEIGHT = 1.5
 FIELD_OF_VIEW = math.radians(85)
 NEAR, FAR = 0.3, 120.0
-SMALLEST_PIXELS = 0.35  # thinner things are not painted
+SMALLEST_PIXELS = 0.35  # thinner bodies are not painted
 
 
 def background(seed: int, pose: Pose, size: tuple[int, int]) -> NDArray[np.uint8]:
-    """Sky, road, and between them the roofs and trees of the horizon, too far to have parallax."""
+    """Sky, road, and between them distant roofs and trees without parallax."""
     height, width = size
     across = (np.arange(width) + 0.5 - width / 2) / _focal(width)
     bearing = (pose.heading - np.arctan(across)) % math.tau
@@ -32,20 +32,20 @@ def background(seed: int, pose: Pose, size: tuple[int, int]) -> NDArray[np.uint8
     return np.where(rows < top, SKY, np.where(rows < height / 2, far, ROAD)).astype(np.uint8)
 
 
-def paint(canvas: NDArray[np.uint8], groups: list[Bodies], pose: Pose) -> NDArray[np.uint8]:
-    """Paint bodies over a background ``(H, W)`` of label ids: flat ones in their order, then
-    standing ones, far to near."""
-    seen = [_in_view(group, pose) for group in groups]
-    labels = np.concatenate([labels for labels, _ in seen])
-    corners = np.concatenate([corners for _, corners in seen])
-    middle = corners.mean(axis=1)
-    stands = np.ptp(corners[..., 2], axis=1) > 0
-    distance = np.where(stands, np.hypot(middle[:, 0], middle[:, 1]), np.inf)
+def paint(labels: NDArray[np.uint8], groups: list[Bodies], pose: Pose) -> NDArray[np.uint8]:
+    """A copy of the background ``labels`` ``(H, W)`` with bodies painted on it: flat bodies in
+    their order, then the others from far to near."""
+    visible = [_in_view(group, pose) for group in groups]
+    ids = np.concatenate([bodies.labels for bodies in visible])
+    corners = np.concatenate([bodies.corners for bodies in visible])
+    centre = corners.mean(axis=1)
+    has_height = np.ptp(corners[..., 2], axis=1) > 0
+    distance = np.where(has_height, np.hypot(centre[:, 0], centre[:, 1]), np.inf)
     order = np.argsort(-distance, kind="stable")
-    image = Image.fromarray(canvas)
+    image = Image.fromarray(labels)
     draw = ImageDraw.Draw(image)
-    for index, outline in _outlines(corners, order, canvas.shape):
-        draw.polygon(outline, fill=int(labels[index]))
+    for index, outline in _outlines(corners, order, labels.shape):
+        draw.polygon(outline, fill=int(ids[index]))
     return np.array(image)
 
 
@@ -64,7 +64,7 @@ def _in_view(bodies: Bodies, pose: Pose) -> Bodies:
 def _outlines(
     corners: NDArray[np.float64], order: NDArray[np.intp], shape: tuple[int, ...]
 ) -> Iterator[tuple[int, list[tuple[float, float]]]]:
-    """Index and outline in pixels of each body of the `order` that is large enough to see."""
+    """Index and outline in pixels of the bodies that are large enough to see, in `order`."""
     whole = corners[..., 0].min(axis=1) > NEAR
     pixels = _project(corners, shape)
     large = np.ptp(pixels, axis=1).min(axis=1) > SMALLEST_PIXELS
@@ -83,14 +83,14 @@ def _project(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
 def _cut_near(corners: NDArray[np.float64]) -> NDArray[np.float64]:
     """Corners of the part of a convex body that is at least `NEAR` metres ahead.
 
-    Every line from a corner behind to a corner ahead lies in the body, so adding the points where
-    these lines pass the near plane gives the cut body, without knowing its edges.
+    They are the corners ahead of the near plane, and the points where the lines between corners
+    behind and ahead cross it: all these lines are inside the body, so no edges are needed.
     """
     ahead = corners[corners[:, 0] >= NEAR]
     behind = corners[corners[:, 0] < NEAR]
     start, step = behind[:, None], ahead[None] - behind[:, None]
-    passing = start + step * (NEAR - start[..., :1]) / step[..., :1]
-    return np.concatenate((ahead, passing.reshape(-1, 3)))
+    crossings = start + step * (NEAR - start[..., :1]) / step[..., :1]
+    return np.concatenate((ahead, crossings.reshape(-1, 3)))
 
 
 def _hull(points: list[list[float]]) -> list[tuple[float, float]]:

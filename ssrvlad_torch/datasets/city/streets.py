@@ -1,4 +1,4 @@
-"""The endless grid of streets, the route through it, and the camera on the way."""
+"""The infinite grid of streets, the route through it, and the camera poses on the route."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from typing import NamedTuple
 from ..poses import Pose
 from .conditions import Conditions, generator
 
-PITCH = 80.0  # mean distance of neighbouring streets
+PITCH = 80.0  # mean distance of neighbouring streets, metres
 PITCH_JITTER = 16.0
 TURN_RADIUS = 8.0
 LANE = 2.0  # the camera drives this far right of the street's centre line
-_AHEAD = ((1, 0), (0, 1), (-1, 0), (0, -1))
+_DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 class Street(NamedTuple):
-    """An endless street: x (axis 0, runs north) or y (axis 1, runs east) of its centre, width."""
+    """Position of a street's centre line, x (axis 0, runs north) or y (axis 1, runs east), and
+    width."""
 
     position: float
     width: float
@@ -30,14 +31,15 @@ def street(seed: int, axis: int, index: int) -> Street:
     return Street(index * PITCH + PITCH_JITTER * (2 * shift - 1), 8.0 + 5.0 * width)
 
 
-def nearby(pose: Pose) -> Iterator[tuple[int, int]]:
-    """Blocks that come within `FAR` of the pose, and a few more."""
+def nearby_blocks(pose: Pose) -> Iterator[tuple[int, int]]:
+    """Columns and rows of all blocks within `FAR` of the pose, and of a few more."""
     column, row = math.floor(pose.x / PITCH), math.floor(pose.y / PITCH)
     return itertools.product(range(column - 2, column + 3), range(row - 2, row + 3))
 
 
 class _Piece(NamedTuple):
-    """A stretch of the route: where it begins, metres, and curvature in 1/m (left is positive)."""
+    """A piece of the route: start pose, length in metres, curvature in 1/m (positive to the
+    left)."""
 
     x: float
     y: float
@@ -46,17 +48,18 @@ class _Piece(NamedTuple):
     curvature: float
 
     def at(self, metres: float) -> Pose:
-        end = self.heading + self.curvature * metres
+        """The pose after some metres."""
+        heading = self.heading + self.curvature * metres
         if self.curvature == 0:
-            x, y = metres * math.cos(end), metres * math.sin(end)
+            x, y = metres * math.cos(heading), metres * math.sin(heading)
         else:
-            x = (math.sin(end) - math.sin(self.heading)) / self.curvature
-            y = (math.cos(self.heading) - math.cos(end)) / self.curvature
-        return Pose(self.x + x, self.y + y, end)
+            x = (math.sin(heading) - math.sin(self.heading)) / self.curvature
+            y = (math.cos(self.heading) - math.cos(heading)) / self.curvature
+        return Pose(self.x + x, self.y + y, heading)
 
 
-def _wander(seed: int) -> Iterator[int]:
-    """Turns at the junctions, without end: north, east and south, never back."""
+def _random_turns(seed: int) -> Iterator[int]:
+    """The turns of the endless default route: north, east and south, never west."""
     rng = generator(seed, "route")
     heading = 0  # quarter turns, -1 south, 0 east, 1 north
     while True:
@@ -66,11 +69,11 @@ def _wander(seed: int) -> Iterator[int]:
 
 
 def _route(seed: int, turns: Iterable[int]) -> Iterator[_Piece]:
-    """The centre line of the streets driven: from junction to junction, with rounded turns."""
+    """The centre line of the route, with rounded turns at the junctions."""
     node, heading = (0, 0), 0  # heading: quarter turns to the left of east
     x, y = street(seed, 0, 0).position + TURN_RADIUS, street(seed, 1, 0).position
     for turn in turns:
-        east, north = _AHEAD[heading % 4]
+        east, north = _DIRECTIONS[heading % 4]
         node = (node[0] + east, node[1] + north)
         junction = (street(seed, 0, node[0]).position, street(seed, 1, node[1]).position)
         straight = math.dist((x, y), junction) - TURN_RADIUS
@@ -85,11 +88,11 @@ def _route(seed: int, turns: Iterable[int]) -> Iterator[_Piece]:
 def camera_poses(
     seed: int, conditions: Conditions, turns: Iterable[int] | None = None
 ) -> Iterator[Pose]:
-    """Camera poses, `conditions.spacing` metres apart along the route, to its end if it has one."""
+    """Camera poses, `conditions.spacing` metres apart along the route, until it ends."""
     phases = generator(conditions.seed, "sway", seed).uniform(0, math.tau, 2).tolist()
     left = conditions.lateral_offset - LANE
     travelled, begin = 0.0, 0.0
-    for piece in _route(seed, _wander(seed) if turns is None else turns):
+    for piece in _route(seed, _random_turns(seed) if turns is None else turns):
         while travelled < begin + piece.length:
             x, y, course = piece.at(travelled - begin)
             sway = math.sin(travelled / 17 + phases[0]) + math.sin(travelled / 5 + phases[1])

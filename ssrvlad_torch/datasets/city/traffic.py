@@ -1,4 +1,4 @@
-"""What moves, or was parked: other vehicles and people on every drive."""
+"""Vehicles and people, which differ between drives."""
 
 from __future__ import annotations
 
@@ -16,40 +16,40 @@ from .picture import FAR
 from .streets import PITCH, street
 
 
-def passers_by(seed: int, side: Side, conditions: Conditions) -> Iterator[Body]:
-    """Parked cars, people on the sidewalk, riders at the kerb: other ones on every drive."""
+def changing_bodies(seed: int, side: Side, conditions: Conditions) -> Iterator[Body]:
+    """Parked cars, people on the sidewalk and riders at the kerb."""
 
-    def scatter(kind: str, step: float, chance: float) -> Iterator[tuple[Axis, float]]:
-        """Places on the kerb line, each taken with a chance, and a number in 0..1 for each."""
+    def scatter(kind: str, step: float, probability: float) -> Iterator[tuple[Axis, float]]:
+        """Random axes on the kerb line, each with a random number in 0..1."""
         rng = generator(conditions.seed, kind, seed, *side.key)
         for s in np.arange(8, side.length - 8, step).tolist():
-            taken, shift, number = rng.random(3)
-            if taken < min(0.95, chance * conditions.traffic):
+            chance, shift, number = rng.random(3)
+            if chance < min(0.95, probability * conditions.traffic):
                 yield side.axis.at(s + 0.7 * shift, 0), number
 
     if side.kerb == PARKING:
-        for place, number in scatter("bays", step=5.8, chance=0.55):
-            yield from car(place.at(0, 1.15), length=3.9 + number)
+        for axis, number in scatter("bays", step=5.8, probability=0.55):
+            yield from car(axis.at(0, 1.15), length=3.9 + number)
     if side.style.yard == PARKING:
-        for place, number in scatter("yards", step=3.0, chance=0.5):
-            yield from car(place.at(0, side.walk + 2.6).left(), length=3.9 + number)
-    for place, number in scatter("people", step=3.0, chance=0.15):
-        yield from person(place.at(0, KERB_STRIP + number * (side.walk - KERB_STRIP)))
-    for place, number in scatter("riders", step=8.0, chance=0.08):
-        yield from rider(place.at(0, -0.5 - 0.4 * number))
+        for axis, number in scatter("yards", step=3.0, probability=0.5):
+            yield from car(axis.at(0, side.walk + 2.6).left(), length=3.9 + number)
+    for axis, number in scatter("people", step=3.0, probability=0.15):
+        yield from person(axis.at(0, KERB_STRIP + number * (side.walk - KERB_STRIP)))
+    for axis, number in scatter("riders", step=8.0, probability=0.08):
+        yield from rider(axis.at(0, -0.5 - 0.4 * number))
 
 
 def vehicles(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> Iterator[Body]:
-    """Vehicles driving on the streets around, on the right, none of them over the camera."""
+    """Vehicles that drive on the right of the nearby streets, none of them at the camera."""
     nearest = round(pose.x / PITCH), round(pose.y / PITCH)
-    for axis, offset, forward in itertools.product((0, 1), (-1, 0, 1), (1, -1)):
-        index = nearest[axis] + offset
-        driven = street(seed, axis, index)
-        aside = forward * driven.width / 4
+    for axis, step, forward in itertools.product((0, 1), (-1, 0, 1), (1, -1)):
+        index = nearest[axis] + step
+        position, width = street(seed, axis, index)
+        offset = forward * width / 4
         if axis == 0:
-            lane = Axis(driven.position + aside, 0, 0, forward)
+            lane = Axis(position + offset, 0, 0, forward)
         else:
-            lane = Axis(0, driven.position - aside, forward, 0)
+            lane = Axis(0, position - offset, forward, 0)
         rng = generator(conditions.seed, "lane", seed, axis, index, forward)
         for vehicle, length in _lane(lane, conditions.traffic, pose, seconds, rng):
             if math.dist((vehicle.x, vehicle.y), (pose.x, pose.y)) > 4 + length / 2:
@@ -59,15 +59,15 @@ def vehicles(seed: int, conditions: Conditions, pose: Pose, seconds: float) -> I
 def _lane(
     lane: Axis, traffic: float, pose: Pose, seconds: float, rng: np.random.Generator
 ) -> Iterator[tuple[Axis, float]]:
-    """Places and lengths of the vehicles on a lane: a column of 16 slots that recurs for ever."""
+    """Axes and lengths of the vehicles on a lane: an endless repetition of 16 random slots."""
     slot, slots = 22.0, 16
     moved = rng.uniform(6, 12) * seconds
-    here = (pose.x - lane.x) * lane.tx + (pose.y - lane.y) * lane.ty
-    column = rng.random((slots, 3))
-    first = math.ceil((here - FAR - moved) / slot)
+    camera = (pose.x - lane.x) * lane.tx + (pose.y - lane.y) * lane.ty
+    pattern = rng.random((slots, 3))
+    first = math.ceil((camera - FAR - moved) / slot)
     for number in range(first, first + int(2 * FAR / slot)):
-        taken, shift, kind = column[number % slots].tolist()
-        if taken < 0.25 * traffic:
+        chance, shift, kind = pattern[number % slots].tolist()
+        if chance < 0.25 * traffic:
             length = 7.5 if kind < 0.1 else 11.0 if kind < 0.18 else 4 + 0.6 * kind
             yield lane.at((number + 0.4 * shift) * slot + moved, 0), length
 
