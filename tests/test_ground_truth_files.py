@@ -175,7 +175,7 @@ class Code:
 
 
 def test_a_pickle_that_asks_for_code_is_refused_by_name(read):
-    with pytest.raises(ValueError, match=r"a\.npy: it asks for (posix|nt)\.system; expected"):
+    with pytest.raises(ValueError, match=r"a\.npy: it refers to (posix|nt)\.system; expected"):
         read("a.npy", vpr_bench((0, Code()), (1, [])))
 
 

@@ -102,7 +102,7 @@ def test_evaluate_refuses_what_it_cannot_compute():
     scores, indices, truth = np.ones((2, 10)), np.zeros((2, 10), np.int64), rows([0], [1])
     with pytest.raises(ValueError, match=r"convention must be one of .*, got 'sklearn'"):
         evaluate(scores, indices, truth, convention="sklearn")
-    with pytest.raises(ValueError, match="convention vpr-tutorial wants the similarity"):
+    with pytest.raises(ValueError, match="convention vpr-tutorial requires the similarity"):
         evaluate(scores, indices, truth, convention="vpr-tutorial")
     with pytest.raises(ValueError, match=r"similarity matrix for 2 queries, got \(3, 4\)"):
         evaluate(scores, indices, truth, convention="vpr-tutorial", similarity=np.ones((3, 4)))

@@ -104,7 +104,7 @@ class Calls:
 def test_any_other_name_is_refused(element, name, protocol):
     content = pickle.dumps(array([0, element], 2), protocol)
     content = content.replace(b"c__builtin__", b"cbuiltins")
-    with pytest.raises(ValueError, match=f"it asks for .*{name.split('.')[-1]}; expected nothing"):
+    with pytest.raises(ValueError, match=f"refers to .*{name.split('.')[-1]}; expected only"):
         load(content)
 
 
@@ -118,7 +118,7 @@ def test_nothing_is_run(tmp_path):
 
 def test_names_cannot_be_reached_through_dots():
     content = b"\x80\x04\x8c\x05numpy\x8c\x11ndarray.__class__\x93."
-    with pytest.raises(ValueError, match=r"asks for numpy\.ndarray\.__class__"):
+    with pytest.raises(ValueError, match=r"refers to numpy\.ndarray\.__class__"):
         load(content)
 
 
@@ -128,7 +128,7 @@ def test_a_pickle_cannot_change_what_the_next_one_meets():
         b"cnumpy.core.multiarray\n_reconstruct\n(N}(S'__defaults__'\n(cnumpy\nndarray\ntS'x'\nI1\n"
         b"utb0cnumpy\nndarray\n(t(N}(S'__setstate__'\nI1\nutb."
     )
-    with pytest.raises(ValueError, match="no whole pickle"):
+    with pytest.raises(ValueError, match="no complete pickle"):
         load(poison)
     assert load(pickle.dumps(array([1, [2]], 2))).values == [1, [2]]
 
@@ -136,7 +136,7 @@ def test_a_pickle_cannot_change_what_the_next_one_meets():
 def test_an_array_that_does_not_hold_what_its_shape_says():
     whole = pickle.dumps(array([1, 2, 3], 3), 2)
     assert load(whole).values == [1, 2, 3]
-    with pytest.raises(ValueError, match=r"shape \(9,\) does not hold"):
+    with pytest.raises(ValueError, match=r"does not fit its shape \(9,\)"):
         load(whole.replace(b"K\x01K\x03\x85", b"K\x01K\x09\x85"))
 
 
@@ -168,5 +168,5 @@ def test_damage_is_one_line(protocol):
 
 @pytest.mark.parametrize("put", [b"p9000000000\n", b"r\xff\xff\xff\x7f"])
 def test_a_place_in_the_memo_that_takes_the_memory_is_refused(put):
-    with pytest.raises(ValueError, match=r"no whole pickle: place \d+ of the memo"):
+    with pytest.raises(ValueError, match=r"no complete pickle: memo index \d+ at"):
         load(b"I1\n" + put + b".")

@@ -57,5 +57,5 @@ def test_a_matrix_in_place_of_rows_is_refused(truth):
 
 
 def test_a_score_without_a_row_is_refused():
-    with pytest.raises(ValueError, match="a score and no row"):
+    with pytest.raises(ValueError, match="a score but no row"):
         judge(np.array([[0.9]]), np.array([[-1]]), rows([0]))

@@ -96,7 +96,7 @@ def test_the_map_shows_right_and_wrong_queries():
         *(best.numpy() for best in match(queries.descriptors, references.descriptors)), truth
     )
     svg = str(map_chart(queries.poses, references, outcomes))
-    assert "right: 4; wrong: 2; wrong, the place is not there: 0." in svg
+    assert "right: 4; wrong: 2; wrong, place not in the database: 0." in svg
     drawn = re.findall(r'd="([^"]+)"[^>]*stroke: var\(--other\)', svg)
     assert len(drawn) == 2
     assert "var(--right)" in svg and "var(--wrong)" in svg

@@ -11,7 +11,7 @@ from reports import Page, frame_set, report_of
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import Descriptors, stored_scores
-from ssrvlad_torch.evaluation.report.matches import Match, choose, parts
+from ssrvlad_torch.evaluation.report.matches import Match, choose, contributions
 from ssrvlad_torch.evaluation.report.page import render
 from ssrvlad_torch.stages.boundaries import DIRECTIONS
 from ssrvlad_torch.taxonomy import CATEGORIES
@@ -42,8 +42,8 @@ def test_the_strongest_cases_come_first(outcomes):
     assert [match.query for match in chosen.confident] == [3, 1, 2, 6]
     assert [match.query for match in chosen.worst] == [2, 6, 1]
     assert [match.query for match in chosen.best] == [4, 0]
-    assert chosen.worst[0] == Match(2, 0, 0.6, False, true_match=2, alone=0.6, true_alone=0.1)
-    assert (chosen.worst[2].true_match, chosen.worst[2].true_alone) == (1, 0.7)
+    assert chosen.worst[0] == Match(2, 0, 0.6, False, 2, frame_score=0.6, true_frame_score=0.1)
+    assert (chosen.worst[2].true_match, chosen.worst[2].true_frame_score) == (1, 0.7)
     assert chosen.confident[0].true_match == -1
     assert chosen.best[0].correct
     few = choose(stored_scores(SIMILARITY), outcomes, TRUTH, most=1)
@@ -55,7 +55,7 @@ def test_margins_are_of_single_frames(outcomes):
     followed = dataclasses.replace(outcomes, score=outcomes.score / 10)
     chosen = choose(stored_scores(SIMILARITY), followed, TRUTH, most=9)
     assert [match.query for match in chosen.worst] == [2, 6, 1]
-    assert (chosen.worst[0].score, chosen.worst[0].alone) == (pytest.approx(0.06), 0.6)
+    assert (chosen.worst[0].score, chosen.worst[0].frame_score) == (pytest.approx(0.06), 0.6)
 
 
 def test_nothing_to_choose_from():
@@ -63,10 +63,10 @@ def test_nothing_to_choose_from():
     assert choose(stored_scores(np.zeros((0, 3))), empty, [], 4) == ([], [], [])
 
 
-def test_parts_sum_to_the_cosine():
+def test_contributions_sum_to_the_cosine():
     query, references = 3 * descriptors(0, 1)[0], descriptors(1, 5)
     width = references.shape[1]
-    added = parts(query, references, [5, width - 9, 4])
+    added = contributions(query, references, [5, width - 9, 4])
     assert added.shape == (5, 3)
     unit = (query / query.norm()).double()
     np.testing.assert_allclose(added.sum(1), (references.double() @ unit).numpy(), atol=1e-6)
@@ -77,7 +77,7 @@ def test_a_part_is_where_it_stands():
     query[[0, 6]] = torch.tensor([3.0, 4.0])
     reference = torch.zeros(1, 16)
     reference[0, 6] = 1.0
-    np.testing.assert_allclose(parts(query, reference, [6, 2, 8]), [[0, 0.8, 0]])
+    np.testing.assert_allclose(contributions(query, reference, [6, 2, 8]), [[0, 0.8, 0]])
 
 
 @pytest.mark.parametrize(

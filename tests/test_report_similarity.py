@@ -11,10 +11,10 @@ from reports import Page, frame_set, noisy, report_of
 
 from ssrvlad_torch.evaluation.report import images, similarity
 from ssrvlad_torch.evaluation.report.images import (
-    label_address,
-    mask_address,
-    photo_address,
-    scores_address,
+    label_uri,
+    mask_uri,
+    photo_uri,
+    scores_uri,
 )
 from ssrvlad_torch.evaluation.report.page import render
 from ssrvlad_torch.evaluation.report.similarity import similarity_matrix
@@ -61,33 +61,33 @@ def test_cells_are_the_highest_of_their_pairs(monkeypatch, shape, blocks, most):
 
 def test_scores_become_gray_levels():
     scores = np.array([[-np.inf, 0.25], [0.5, 0.75]], np.float32)
-    picture = pixels(scores_address(scores))
+    picture = pixels(scores_uri(scores))
     assert tuple(picture[0, 1, :3]) == images.DARKEST
     assert tuple(picture[1, 1, :3]) == images.LIGHTEST
     middle = (np.array(images.DARKEST) + np.array(images.LIGHTEST)) / 2
     np.testing.assert_allclose(picture[1, 0, :3], middle, atol=1)
     assert len({tuple(colour) for colour in picture.reshape(-1, 4)}) == 4
     for flat in (np.full((2, 2), 0.3, np.float32), np.full((1, 1), -np.inf, np.float32)):
-        assert pixels(scores_address(flat)).shape == (*flat.shape, 4)
+        assert pixels(scores_uri(flat)).shape == (*flat.shape, 4)
 
 
 def test_masks_are_transparent_where_nothing_is_marked():
     wrong, right = np.array([[1, 1, 0]], bool), np.array([[0, 1, 0]], bool)
-    picture = pixels(mask_address([(wrong, (9, 8, 7)), (right, (1, 2, 3))]))
+    picture = pixels(mask_uri([(wrong, (9, 8, 7)), (right, (1, 2, 3))]))
     assert picture[0].tolist()[:2] == [[9, 8, 7, 255], [1, 2, 3, 255]]
     assert picture[0, 2, 3] == 0
 
 
 def test_pictures_are_reduced_and_small_ones_kept():
     small = np.random.default_rng(0).integers(0, 256, (30, 40, 3), dtype=np.uint8)
-    np.testing.assert_array_equal(pixels(label_address(small))[..., :3], small)
+    np.testing.assert_array_equal(pixels(label_uri(small))[..., :3], small)
     large = np.zeros((1024, 2048, 3), np.uint8)
     large[:, 1000:1002] = 255
-    reduced = pixels(label_address(large))
+    reduced = pixels(label_uri(large))
     assert reduced.shape[:2] == (200, 400)
     assert reduced[..., :3].max() > 50, "a thin pole stays"
-    assert pixels(photo_address(large)).shape == reduced.shape
-    assert photo_address(large).startswith("data:image/jpeg;base64,/9j/")
+    assert pixels(photo_uri(large)).shape == reduced.shape
+    assert photo_uri(large).startswith("data:image/jpeg;base64,/9j/")
 
 
 def test_the_figure_shows_the_matrix_and_names_sequences():

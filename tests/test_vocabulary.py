@@ -76,7 +76,7 @@ def test_an_array(tmp_path):
 @pytest.mark.parametrize("content", [Ran(), {400: Ran()}, {400: {4: {"conv3": Path}}}])
 def test_code_is_refused(content, tmp_path):
     (tmp_path / "words.pkl").write_bytes(pickle.dumps(content))
-    with pytest.raises(ValueError, match=r"words\.pkl is not a whole vocabulary: it asks for"):
+    with pytest.raises(ValueError, match=r"words\.pkl is not a whole vocabulary: it refers to"):
         read_vocabulary(tmp_path / "words.pkl", 4)
 
 

@@ -1,1 +1,1 @@
-"""How good a set of candidates is: ground truth and metrics."""
+"""Ground truth, and metrics of place recognition."""

@@ -13,23 +13,24 @@ _CELLS = 1 << 22
 
 Interval = tuple[float, float]
 Figures = Callable[[Floats], dict[str, Floats]]
-"""From ``(B, Q)`` float64, how often each query counts in each resample, to ``(B,)`` figures."""
+"""A function from weights ``(B, Q)`` float64, the count of each query in each resample, to figures
+``(B,)`` by name."""
 
 
 def bootstrap(figures: Figures, queries: int, resamples: int, seed: int = 0) -> dict[str, Interval]:
-    """Percentile intervals of figures, `LEVEL` wide, over resampled queries, by the figure's name.
+    """Percentile intervals of figures, at the confidence `LEVEL`, by name.
 
-    A resample draws as many queries as there are, with replacement (Efron, "Bootstrap methods:
-    another look at the jackknife", Annals of Statistics 1979). An interval says how the figure
-    varies with the choice of queries, and nothing of other maps. Queries of one drive are not
-    independent, so the intervals are rather too narrow.
+    A resample draws Q queries with replacement (Efron, "Bootstrap methods: another look at the
+    jackknife", Annals of Statistics 1979). An interval shows how a figure varies with the choice of
+    queries, not with the map. Queries of one drive are not independent, so the intervals are
+    slightly too narrow.
 
     Args:
-        figures: computes the figures of many resamples at once. Resamples in which a figure is NaN
-            are left out; its interval is NaN if all are.
-        queries: Q.
-        resamples: how many, at least 1.
-        seed: of the draw; the same seed gives the same intervals.
+        figures: computes the figures of B resamples at once. Resamples in which a figure is NaN are
+            left out; the interval is NaN if all are.
+        queries: Q, the number of queries.
+        resamples: number of resamples, at least 1.
+        seed: seed of the draws; equal seeds give equal intervals.
     """
     rng = np.random.default_rng(seed)
     block = max(1, _CELLS // max(1, queries))
@@ -41,7 +42,7 @@ def bootstrap(figures: Figures, queries: int, resamples: int, seed: int = 0) -> 
 
 
 def _resample(rng: np.random.Generator, resamples: int, queries: int) -> Floats:
-    """``(resamples, Q)``: how often each query was drawn."""
+    """Counts ``(resamples, Q)`` of the draws of each query."""
     if queries == 0:
         return np.zeros((resamples, 0))
     drawn = rng.integers(0, queries, (resamples, queries))
@@ -51,9 +52,9 @@ def _resample(rng: np.random.Generator, resamples: int, queries: int) -> Floats:
 
 
 def _interval(values: Floats) -> Interval:
-    meant = values[~np.isnan(values)]
-    if len(meant) == 0:
+    defined = values[~np.isnan(values)]
+    if len(defined) == 0:
         return float("nan"), float("nan")
     tail = 50 * (1 - LEVEL)
-    low, high = np.percentile(meant, (tail, 100 - tail))
+    low, high = np.percentile(defined, (tail, 100 - tail))
     return float(low), float(high)

@@ -1,7 +1,7 @@
-"""Precision and recall over thresholds, and the figures that sum a curve up.
+"""Precision and recall over thresholds, and the figures that summarise a curve.
 
-A curve is kept as counts, so one of many resamples at once is the same code: the arrays then have
-a leading axis of resamples, and so has every figure.
+A curve is stored as counts. The counts may have a leading axis of resamples; every figure then has
+it too.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from .outcomes import Bools, Floats, Rows
 
 @dataclass(frozen=True)
 class PrecisionRecall:
-    """What is accepted at each threshold, the highest first.
+    """Counts at each threshold, the highest threshold first.
 
     Precision is true positives / accepted, recall is true positives / positives.
 
     Attributes:
         accepted, true_positives: ``(..., T)`` float64, counts that grow along the last axis.
-        positives: ``(...)`` float64, all that could be found. Where it is 0, recall and every
-            figure are NaN.
+        positives: ``(...)`` float64, the number that could be found. Where it is 0, recall and
+            every figure are NaN.
         thresholds: ``(T,)`` float64; a score that equals the threshold is accepted.
-        start: precision that the curve is given at recall 0, where nothing is accepted; ``None``
-            for that of the highest threshold that accepts anything.
+        start: precision at recall 0, where nothing is accepted; ``None`` for the precision at the
+            highest threshold that accepts anything.
     """
 
     accepted: Floats
@@ -37,57 +37,55 @@ class PrecisionRecall:
 
     @cached_property
     def precision(self) -> Floats:
-        """``(..., T)``; the precision at recall 0 where nothing is accepted yet."""
+        """Precision ``(..., T)``; where nothing is accepted, the precision at recall 0."""
         fraction = self.true_positives / np.maximum(self.accepted, 1)
         return np.where(self.accepted > 0, fraction, self._at_recall_zero[..., None])
 
     @cached_property
     def recall(self) -> Floats:
-        """``(..., T)``."""
+        """Recall ``(..., T)``."""
         return _divide(self.true_positives, self.positives[..., None])
 
     @property
     def auc(self) -> Floats:
-        """AUC-PR, the area under the curve by the trapezoid rule, from recall 0 on.
-
-        Recall that is never reached adds no area.
-        """
+        """AUC-PR, the area under the curve by the trapezoid rule, from recall 0 to the highest
+        recall that is reached."""
         precision = np.concatenate((self._at_recall_zero[..., None], self.precision), axis=-1)
         heights = (precision[..., 1:] + precision[..., :-1]) / 2
         return _divide((self._found * heights).sum(axis=-1), self.positives)
 
     @property
     def average_precision(self) -> Floats:
-        """The precision at each threshold, weighted by the recall that is won there.
+        """The mean precision over the thresholds, weighted by the recall that each adds.
 
-        No line is drawn between the points, unlike in `auc`. scikit-learn's
-        ``average_precision_score`` is this figure where the positives are the right candidates.
+        Unlike `auc` it does not interpolate between points. It equals scikit-learn's
+        ``average_precision_score`` if the positives are the right candidates.
         """
         return _divide((self._found * self.precision).sum(axis=-1), self.positives)
 
     @property
     def recall_at_full_precision(self) -> Floats:
-        """Recall@100%Precision: the largest recall at which all that is accepted is right."""
+        """Recall@100%Precision: the highest recall at which all accepted candidates are right."""
         perfect = np.where(self.precision == 1.0, self.recall, 0.0)
-        return self._meant(perfect.max(axis=-1, initial=0.0))
+        return self._if_positives(perfect.max(axis=-1, initial=0.0))
 
     @property
     def extended_precision(self) -> Floats:
         """EP = (P_R0 + R_P100) / 2 (Ferrarini et al., RA-L 2020, DOI 10.1109/LRA.2020.2969197).
 
-        P_R0 is the precision at the lowest recall, that of the highest threshold. R_P100 is
-        Recall@100%Precision, which is 0 where P_R0 is below 1.
+        P_R0 is the precision at the highest threshold, where the recall is lowest. R_P100 is
+        Recall@100%Precision; it is 0 where P_R0 is below 1.
         """
-        return self._meant((self._at_highest_threshold + self.recall_at_full_precision) / 2)
+        return self._if_positives((self._at_highest_threshold + self.recall_at_full_precision) / 2)
 
     @property
     def _found(self) -> Floats:
-        """True positives that each threshold adds to the one before."""
+        """True positives that each threshold adds."""
         return np.diff(self.true_positives, prepend=0.0, axis=-1)
 
     @cached_property
     def _at_highest_threshold(self) -> Floats:
-        """Precision at the highest threshold that accepts anything, 0 if none does."""
+        """Precision at the highest threshold that accepts anything; 0 if no threshold does."""
         if self.accepted.shape[-1] == 0:
             return np.zeros(self.accepted.shape[:-1])
         first = (self.accepted > 0).argmax(axis=-1)[..., None]
@@ -99,18 +97,18 @@ class PrecisionRecall:
         first = self._at_highest_threshold
         return first if self.start is None else np.full_like(first, self.start)
 
-    def _meant(self, figure: Floats) -> Floats:
+    def _if_positives(self, figure: Floats) -> Floats:
         return np.where(self.positives > 0, figure, np.nan)
 
 
 @dataclass(frozen=True)
 class Ranking:
-    """Queries by falling score of their best candidate; queries without one are left out.
+    """Queries by decreasing score of the best candidate, without the queries that have none.
 
     Attributes:
         order: ``(C,)`` int64, the queries.
-        correct: ``(C,)`` bool, whether their best candidate is a true match.
-        last_of_tie: ``(T,)`` int64, the place where each distinct score occurs last.
+        correct: ``(C,)`` bool, whether the best candidate is a true match.
+        last_of_tie: ``(T,)`` int64, the last index of each distinct score.
         thresholds: ``(T,)`` float64, the distinct scores.
     """
 
@@ -122,12 +120,11 @@ class Ranking:
     def curve(
         self, weights: Floats, positives: Floats, start: float | None = None
     ) -> PrecisionRecall:
-        """The curve of accepting best candidates. There is a threshold at every distinct score, so
-        equal scores are accepted together, and the curve is exact.
+        """The exact curve of the best candidates: every distinct score is a threshold.
 
         Args:
-            weights: ``(..., Q)`` float64, how often each query counts.
-            positives: ``(...)`` float64, what recall is a fraction of.
+            weights: ``(..., Q)`` float64, the count of each query.
+            positives: ``(...)`` float64, the denominator of the recall.
             start: as in `PrecisionRecall`.
         """
         ranked = weights[..., self.order]
@@ -141,7 +138,7 @@ def rank(scores: Floats, correct: Bools) -> Ranking:
 
     Args:
         scores: ``(Q,)`` float64, -inf for a query without a candidate, which is never accepted.
-        correct: ``(Q,)`` bool, whether that candidate is a true match.
+        correct: ``(Q,)`` bool, whether the best candidate is a true match.
     """
     candidates = np.flatnonzero(scores > -np.inf)
     order = candidates[np.argsort(-scores[candidates], kind="stable")]
@@ -151,15 +148,16 @@ def rank(scores: Floats, correct: Bools) -> Ranking:
 
 
 def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
-    """ROC-AUC, ``(...)`` 0 to 1: how probably a right best candidate scores above a wrong one, ties
-    half; NaN where all are right or all are wrong.
+    """ROC-AUC ``(...)``, 0 to 1: the probability that a right best candidate has a higher score
+    than a wrong one, with ties counted half; NaN where all are right or all are wrong.
 
-    A query without a candidate counts as wrong with the lowest score of all. The figure is that of
+    A query without a candidate counts as wrong with the lowest score. The figure equals
     scikit-learn's ``roc_auc_score(correct, scores)``.
 
     Args:
         curve: from `Ranking.curve`.
-        right, wrong: ``(...)`` float64, queries whose best candidate is right, and all others.
+        right, wrong: ``(...)`` float64, number of queries whose best candidate is right, and of all
+            others.
     """
     found = np.insert(curve.true_positives, 0, 0.0, axis=-1)
     missed = np.insert(curve.accepted - curve.true_positives, 0, 0.0, axis=-1)
@@ -168,5 +166,5 @@ def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
 
 
 def _divide(part: Floats, whole: Floats) -> Floats:
-    """NaN where the whole is 0."""
+    """The quotient, NaN where ``whole`` is 0."""
     return np.where(whole > 0, part / np.where(whole > 0, whole, 1.0), np.nan)

@@ -1,7 +1,7 @@
-"""Ground truth: which references show the place of each query, as rows of the references.
+"""Ground truth from poses or frame numbers: rows of the references that show a query's place.
 
-A true match is a row of the references; a query may have any number of them, or none. Here it
-comes from what is known of the frames; `ground_truth_files` reads it from files.
+A query may have any number of true matches, also none. `ground_truth_files` reads ground truth from
+files.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ def from_poses(
     metres: float,
     degrees: float | None = None,
 ) -> list[Rows]:
-    """True matches are the references within a distance, the limit included.
+    """True matches of each query: the references within a distance, including the limit.
 
     Args:
         queries: ``(Q, 2+)`` x and y in metres, and heading in radians if ``degrees`` is given.
-        references: ``(R, 2+)`` likewise.
+        references: ``(R, 2+)`` in the same form.
         metres: largest distance of a true match.
-        degrees: largest difference of the headings, either way round; ``None`` for any.
+        degrees: largest absolute difference of the headings; ``None`` for any.
 
     Raises:
         ValueError: a pose is missing (NaN), or a limit is negative.
@@ -41,9 +41,9 @@ def from_poses(
     if degrees is not None and not degrees >= 0:
         raise ValueError(f"the tolerance must be 0 degrees or more, got {degrees}")
     for name, poses in (("queries", queries), ("references", references)):
-        _refuse_missing(name, "pose", poses[:, :2])
+        _require_known(name, "pose", poses[:, :2])
         if degrees is not None:
-            _refuse_missing(name, "heading", poses[:, 2:3])
+            _require_known(name, "heading", poses[:, 2:3])
     near = [
         np.flatnonzero(np.hypot(*(references[:, :2] - query[:2]).T) <= metres) for query in queries
     ]
@@ -59,19 +59,19 @@ def from_poses(
 def from_frame_numbers(
     queries: Sequence[str], references: Sequence[str], frames: int
 ) -> list[Rows]:
-    """True matches are the references at most so many frames away in the drive.
+    """True matches of each query: the references at most ``frames`` frames away in the drive.
 
-    Frames of one sequence, queries and references together, are counted in the order of their
-    names. Where no sequence of the queries is among the references, both must be one sequence:
-    two aligned traverses of one length, in which the n-th frames belong together.
+    The frames of a sequence, queries and references together, are numbered in the order of their
+    names. If the queries' sequences are not among those of the references, queries and references
+    must be one sequence each: aligned traverses of equal length, whose n-th frames match.
 
     Args:
         queries, references: frame ids, ``<sequence>/<name>``.
         frames: largest distance of a true match.
 
     Raises:
-        ValueError: the sequences cannot be told to belong together, aligned traverses are not of
-            one length, or ``frames`` is negative.
+        ValueError: it is not clear which sequences belong together, aligned traverses differ in
+            length, or ``frames`` is negative.
     """
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")
@@ -80,43 +80,46 @@ def from_frame_numbers(
     )
     shared = of_queries <= of_references
     if shared:
-        here = there = _places({*queries, *references})
+        query_numbers = reference_numbers = _numbers({*queries, *references})
     elif len(of_queries) == len(of_references) == 1:
-        here, there = _places({*queries}), _places({*references})
-        if len(here) != len(there):
+        query_numbers, reference_numbers = _numbers({*queries}), _numbers({*references})
+        if len(query_numbers) != len(reference_numbers):
             raise ValueError(
-                "a tolerance in frames wants two traverses of one length, got "
-                f"{len(here)} query frames and {len(there)} reference frames"
+                "a tolerance in frames requires two traverses of equal length, got "
+                f"{len(query_numbers)} query frames and {len(reference_numbers)} reference frames"
             )
     else:
-        strange = min(of_queries - of_references)
+        unknown = min(of_queries - of_references)
         raise ValueError(
-            f"a tolerance in frames cannot place query sequence {strange!r}: it is none of the "
+            f"a tolerance in frames cannot align query sequence {unknown!r}: it is none of the "
             f"database's ({', '.join(sorted(of_references))}), and there is more than one"
         )
-    names = np.array([there[frame][0] for frame in references])
-    numbers = np.array([there[frame][1] for frame in references], np.int64)
+    sequences = np.array([reference_numbers[frame][0] for frame in references])
+    numbers = np.array([reference_numbers[frame][1] for frame in references], np.int64)
     return [
-        np.flatnonzero(((names == name) | (not shared)) & (np.abs(numbers - number) <= frames))
-        for name, number in (here[frame] for frame in queries)
+        np.flatnonzero(
+            ((sequences == sequence) | (not shared)) & (np.abs(numbers - number) <= frames)
+        )
+        for sequence, number in (query_numbers[frame] for frame in queries)
     ]
 
 
-def _places(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
-    """Sequence of each frame, and its position there."""
-    counts, places = Counter[str](), {}
+def _numbers(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
+    """Sequence of each frame, and its number in the sequence."""
+    counts, numbers = Counter[str](), {}
     for frame in natsorted(sorted(frames)):
         sequence = frame.rpartition("/")[0]
-        places[frame] = sequence, counts[sequence]
+        numbers[frame] = sequence, counts[sequence]
         counts[sequence] += 1
-    return places
+    return numbers
 
 
-def _refuse_missing(name: str, what: str, poses: npt.NDArray[np.float64]) -> None:
+def _require_known(name: str, kind: str, poses: npt.NDArray[np.float64]) -> None:
+    """Raises a ValueError if a pose or heading is missing."""
     missing = int(np.isnan(poses).any(axis=1).sum()) if poses.shape[1] else len(poses)
     if missing:
-        unit = "metres" if what == "pose" else "degrees"
+        unit = "metres" if kind == "pose" else "degrees"
         raise ValueError(
-            f"{missing} of {len(poses)} {name} have no {what}; a tolerance in {unit} wants a "
+            f"{missing} of {len(poses)} {name} have no {kind}; a tolerance in {unit} requires a "
             "poses.csv (frame,x,y,heading) in or beside their folder"
         )

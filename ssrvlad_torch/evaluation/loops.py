@@ -67,7 +67,7 @@ def score_loops(
         raise ValueError(f"the tolerance must be 0 metres or more, got {metres}")
     if np.isnan(poses[:, :2]).any(axis=1).all():
         raise ValueError(
-            f"none of {len(poses)} frames has a pose; a tolerance in metres wants a poses.csv "
+            f"none of {len(poses)} frames has a pose; a tolerance in metres requires a poses.csv "
             "(frame,x,y,heading) in or beside their folder"
         )
     counts = np.zeros(4, np.int64)

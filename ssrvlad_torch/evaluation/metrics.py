@@ -1,21 +1,21 @@
-"""Metrics of place recognition, each by a convention that is named.
+"""Metrics of place recognition by four conventions.
 
-Published figures disagree because tools compute them differently. Every convention accepts what
-scores at least a threshold and differs in what is counted:
+Published figures differ because tools compute them differently. All conventions accept scores of at
+least a threshold; they differ in what they count:
 
 | | ``exact`` | ``vpr-bench`` | ``vpr-tutorial``, ``vpr-tutorial-single`` |
 |---|---|---|---|
-| accepted | a query's best candidate | the same | any pair; a query's best pair |
+| accepted | a query's best candidate | a query's best candidate | any pair; a query's best pair |
 | positives | queries with a true match | right best candidates | true pairs; as ``exact`` |
 | thresholds | every distinct score | every distinct score | 100, linearly spaced |
 | precision at recall 0 | that of the highest threshold | 1 | 1 |
 | RecallRate@N is a fraction of | queries with a true match | all queries | as ``exact`` |
 
-In ``exact``, a query without a true match is a true negative when it is rejected and a false
-positive when it is accepted: it can only cost precision. ``vpr-bench`` is what VPR-Bench prints
-(Zaffar et al., IJCV 2021): the recall of its curve says which of the right candidates are
-accepted and always ends at 1. ``vpr-tutorial`` is the code of Schubert et al., see `tutorial`; it
-has no average precision, extended precision or ROC-AUC, so these are NaN.
+In ``exact``, a query without a true match is a true negative if it is rejected and a false positive
+if it is accepted: it can only lower the precision. ``vpr-bench`` gives the figures that VPR-Bench
+prints (Zaffar et al., IJCV 2021); its recall is a fraction of the right candidates and always ends
+at 1. ``vpr-tutorial`` is the code of Schubert et al., see `tutorial`; it does not define average
+precision, extended precision and ROC-AUC, so these are NaN.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ FIGURES = {
     "extended_precision": "extended precision",
     "roc_auc": "ROC-AUC",
 }
-"""Figures beside RecallRate@N, and what readers call them."""
+"""Keys and names of the figures besides RecallRate@N."""
 
 Curves = Callable[[Floats], PrecisionRecall]
-"""From ``(..., Q)`` float64, how often each query counts, to the curve."""
+"""A function from weights ``(..., Q)`` float64, the count of each query, to the curve."""
 
 
 def precision_recall_curve(
@@ -52,8 +52,8 @@ def precision_recall_curve(
     convention: Convention = "exact",
     similarity: Scores | None = None,
 ) -> PrecisionRecall:
-    """Precision and recall by a convention; arguments and errors as for `evaluate`, ``outcomes``
-    from `judge` of the same queries as ``truth``."""
+    """Precision and recall by a convention. ``outcomes`` come from `judge` with the same
+    ``truth``; other arguments and errors as for `evaluate`."""
     return _curves(outcomes, truth, convention, similarity)(np.ones(len(outcomes)))
 
 
@@ -74,18 +74,17 @@ def evaluate(
         truth: true matches of each query.
         at: the N of RecallRate@N, at most ``top``.
         convention: one of `CONVENTIONS`.
-        similarity: ``(Q, R)`` of all pairs, -inf where there can be no match; only for the
+        similarity: ``(Q, R)`` scores of all pairs, -inf for pairs that cannot match; only for the
             conventions of the tutorial.
-        resamples: of the bootstrap; 0 for no intervals.
-        seed: of the bootstrap.
+        resamples: number of bootstrap resamples; 0 for no intervals.
+        seed: seed of the bootstrap.
 
     Returns:
         ``convention``, ``recall_at`` by N as text, ``auc_pr``, ``average_precision``,
         ``recall_at_100_precision``, ``extended_precision``, ``roc_auc``, ``queries``,
         ``queries_with_match``, and with resamples ``intervals``: ``[low, high]`` of each figure,
-        see `bootstrap`; the tutorial's thresholds stay those of all queries. A figure that has
-        no meaning (no positives) is NaN. VPR-Bench prints -1 for the ROC-AUC where every
-        candidate is right; here it is NaN.
+        see `bootstrap`; the tutorial's thresholds are the same in all resamples. A figure without
+        positives is NaN. The ROC-AUC is NaN if every candidate is right; VPR-Bench prints -1.
 
     Raises:
         ValueError: the shapes do not fit, a score is NaN, the convention is unknown, or the
@@ -116,7 +115,7 @@ def evaluate(
 
 
 def figure_rows(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[float]]]:
-    """Name, value and interval of every figure that `evaluate` gave with intervals."""
+    """Name, value and interval of every figure of `evaluate` with intervals."""
     rates, intervals = metrics["recall_at"], metrics["intervals"]
     return [
         *((f"RecallRate@{n}", rate, intervals["recall_at"][n]) for n, rate in rates.items()),
@@ -131,7 +130,7 @@ def _curves(
         raise ValueError(f"convention must be one of {', '.join(CONVENTIONS)}, got {convention!r}")
     if convention.startswith("vpr-tutorial"):
         if similarity is None:
-            raise ValueError(f"the convention {convention} wants the similarity of all pairs")
+            raise ValueError(f"the convention {convention} requires the similarity of all pairs")
         return count_pairs(as_array(similarity), truth, single=convention.endswith("single")).curve
     ranking = rank(outcomes.score, outcomes.correct)
     if convention == "vpr-bench":
@@ -142,9 +141,9 @@ def _curves(
 def recall_rates_at(
     outcomes: Outcomes, convention: Convention, at: Iterable[int], weights: Floats
 ) -> dict[str, Floats]:
-    """RecallRate@N by N as text, ``(B,)`` each; each query counts ``weights`` ``(B, Q)`` times."""
-    asked = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
-    total = weights @ asked
+    """RecallRate@N ``(B,)`` by N as text; ``weights`` ``(B, Q)`` are the counts of the queries."""
+    counted = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
+    total = weights @ counted
     rates = {}
     for n in at:
         found = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
@@ -156,20 +155,22 @@ def _summaries(
     outcomes: Outcomes, convention: Convention, curves: Curves, weights: Floats
 ) -> dict[str, Floats]:
     curve = curves(weights)
-    undefined = np.full(len(weights), np.nan)
-    of_pairs = convention.startswith("vpr-tutorial")
     right = weights @ outcomes.correct
-    return {
+    figures = {
         "auc_pr": curve.auc,
-        "average_precision": undefined if of_pairs else curve.average_precision,
+        "average_precision": curve.average_precision,
         "recall_at_100_precision": curve.recall_at_full_precision,
-        "extended_precision": undefined if of_pairs else curve.extended_precision,
-        "roc_auc": undefined if of_pairs else roc_auc(curve, right, weights.sum(axis=1) - right),
+        "extended_precision": curve.extended_precision,
+        "roc_auc": roc_auc(curve, right, weights.sum(axis=1) - right),
     }
+    if convention.startswith("vpr-tutorial"):
+        undefined = ("average_precision", "extended_precision", "roc_auc")
+        figures |= dict.fromkeys(undefined, np.full(len(weights), np.nan))
+    return figures
 
 
 def _nested(figures: dict[str, Any], at: list[int]) -> dict[str, Any]:
-    """RecallRates, which are named by N alone, under one name."""
+    """The figures with the RecallRates, whose names are N, moved to ``recall_at``."""
     rates = {str(n): figures[str(n)] for n in at}
     others = {name: figure for name, figure in figures.items() if name not in rates}
     return {"recall_at": rates, **others}

@@ -1,8 +1,8 @@
-"""Pickles of arrays, lists and mappings, read without running what a pickle asks for.
+"""Reads pickles of arrays, lists and mappings without running code from the file.
 
-A pickle is a program: NumPy's own ``allow_pickle=True`` calls any function that the file names.
-Here the few names that such files need lead to stand-ins of this module, and any other name is an
-error. Not even NumPy's own ``__setstate__`` is called, since it trusts what it is given.
+A pickle is a program: NumPy's ``allow_pickle=True`` calls any function that the file names. Here
+the few names that such files need are replaced by stand-ins, and any other name is an error.
+NumPy's ``__setstate__`` is not called either, because it trusts its arguments.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import numpy.typing as npt
 from ..files import one_line
 
 _NUMBERS = "biuf"
-_TO_MEMO = ("PUT", "BINPUT", "LONG_BINPUT")
+_MEMO_OPCODES = ("PUT", "BINPUT", "LONG_BINPUT")
 
 
 def load_object_array(file: BinaryIO) -> PickledArray:
-    """The pickled array at a file's position, as ``numpy.save`` writes it for objects after the
-    header of the ``.npy`` file.
+    """The pickled array at the position of a file; ``numpy.save`` writes one after the header of a
+    ``.npy`` file of objects.
 
     Raises:
-        ValueError: as `load_pickle`, or the pickle holds no array.
+        ValueError: as for `load_pickle`, or the pickle holds no array.
     """
     loaded = load_pickle(file)
     if not isinstance(loaded, PickledArray):
@@ -36,33 +36,33 @@ def load_object_array(file: BinaryIO) -> PickledArray:
 
 
 def load_pickle(file: BinaryIO) -> Any:
-    """What is pickled at a file's position.
+    """The content of the pickle at the position of a file.
 
     Returns:
-        numbers, text, lists, tuples and mappings; a `PickledArray` for an array; a `PickledObject`
+        Numbers, text, lists, tuples and mappings; a `PickledArray` for an array; a `PickledObject`
         for an object of scikit-learn, with its attributes only.
 
     Raises:
-        ValueError: the pickle is damaged, or asks for anything else, which the message names.
+        ValueError: the pickle is damaged, or holds another type, which the message names.
     """
     try:
         _check_memo(file)
         return _Unpickler(file, encoding="latin1").load()
     except _Forbidden as error:
         raise ValueError(
-            f"it asks for {error}; expected nothing but arrays, lists, mappings and numbers"
+            f"it refers to {error}; expected only arrays, lists, mappings and numbers"
         ) from error
-    except Exception as error:  # what a damaged pickle raises has no bounds
-        raise ValueError(f"it is no whole pickle: {one_line(error)}") from error
+    except Exception as error:  # damaged pickles raise any exception
+        raise ValueError(f"it is no complete pickle: {one_line(error)}") from error
 
 
 def _check_memo(file: BinaryIO) -> None:
-    """Refuses a memo place that so few bytes cannot have filled: memory for all places before it
-    would be taken."""
+    """Raises a ValueError for a memo index larger than the number of bytes before it: the unpickler
+    would allocate memory for all smaller indices."""
     begin = file.tell()
     for opcode, argument, _ in pickletools.genops(file):
-        if opcode.name in _TO_MEMO and (argument or 0) > file.tell():
-            raise ValueError(f"place {argument} of the memo at byte {file.tell()}")
+        if opcode.name in _MEMO_OPCODES and (argument or 0) > file.tell():
+            raise ValueError(f"memo index {argument} at byte {file.tell()}")
     file.seek(begin)
 
 
@@ -81,7 +81,7 @@ class PickledArray:
 
     Attributes:
         shape: of the array.
-        values: the elements in C order: numbers, or what an array of objects holds.
+        values: the elements in C order: numbers or objects.
     """
 
     __slots__ = ("shape", "values")
@@ -100,7 +100,7 @@ class PickledArray:
         return self.shape[0]
 
     def numbers(self) -> npt.NDArray[Any]:
-        """An array of numbers as such."""
+        """The values as a NumPy array of numbers."""
         return np.array(self.values).reshape(self.shape)
 
     def __setstate__(self, state: tuple[Any, ...]) -> None:
@@ -108,8 +108,8 @@ class PickledArray:
         of_objects = kind.name.startswith("O")
         values = content if of_objects else kind.numbers(content)
         if not isinstance(values, list) or len(values) != math.prod(shape) or not shape:
-            raise ValueError(f"an array of shape {shape} does not hold what it should")
-        if fortran and not of_objects:  # NumPy lists objects in C order all the same
+            raise ValueError(f"the content of an array does not fit its shape {shape}")
+        if fortran and not of_objects:  # NumPy always writes objects in C order
             values = np.reshape(values, shape, order="F").ravel().tolist()
         self.shape, self.values = tuple(shape), values
 
@@ -126,7 +126,7 @@ class _Kind:
         self.order = state[1].replace("|", "=")
 
     def numbers(self, content: str | bytes | bytearray) -> list[Any]:
-        """The numbers that some bytes are; Python 2 pickled them as text."""
+        """Numbers from bytes, or from text, as Python 2 pickled bytes."""
         dtype = np.dtype(self.order + self.name)
         if dtype.kind not in _NUMBERS:
             raise _Forbidden(f"numpy.dtype({self.name!r})")
@@ -155,16 +155,16 @@ _STAND_INS: dict[str, Callable[..., Any]] = {
     "builtins.list": lambda *_: [],
     "builtins.object": lambda *_: None,
 }
-"""What a pickle of arrays, lists and mappings may ask for, and what it gets."""
+"""Names that pickles of arrays, lists and mappings contain, and their stand-ins."""
 
 
 class _Forbidden(pickle.UnpicklingError):
-    """The pickle asks for a name that arrays, lists and mappings do not need."""
+    """The pickle contains a name that arrays, lists and mappings do not need."""
 
 
 class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Callable[..., Any]:
-        """A new function each time: a pickle can set attributes of what it gets."""
+        """A stand-in, new for each call because a pickle can set its attributes."""
         module = module.replace("numpy._core", "numpy.core").replace("__builtin__", "builtins")
         stand_in = _STAND_INS.get(f"{module.replace('copy_reg', 'copyreg')}.{name}")
         if stand_in is not None:

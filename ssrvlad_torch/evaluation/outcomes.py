@@ -1,4 +1,4 @@
-"""The outcome of each query: its best candidate, the score, and whether that is right."""
+"""The outcome of each query: its best candidate, the score, and whether the candidate is right."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ Rows = npt.NDArray[np.int64]
 Scores: TypeAlias = "Tensor | npt.NDArray[np.floating[Any]]"
 Indices: TypeAlias = "Tensor | Rows"
 Truth = Sequence[Rows]
-"""For each query the rows of the references that are true matches, possibly none."""
+"""Rows of the references that are true matches of each query, possibly none."""
 
 
 @dataclass(frozen=True)
 class Outcomes:
-    """A record of each query, in the order of the queries.
+    """The outcomes of the queries, in their order.
 
     Attributes:
-        score: ``(Q,)`` float64, score of the best candidate, -inf for a query that has none.
-        candidate: ``(Q,)`` int64, row of the best candidate, -1 for a query that has none.
+        score: ``(Q,)`` float64, score of the best candidate, -inf without a candidate.
+        candidate: ``(Q,)`` int64, row of the best candidate, -1 without a candidate.
         correct: ``(Q,)`` bool, whether the best candidate is a true match.
-        has_match: ``(Q,)`` bool, whether the query has a true match at all.
-        rank: ``(Q,)`` int64, place of the first true match among the candidates, the best
-            candidate being 1; 0 if no candidate is a true match.
+        has_match: ``(Q,)`` bool, whether the query has a true match.
+        rank: ``(Q,)`` int64, rank from 1 of the first true match among the candidates; 0 if no
+            candidate is a true match.
     """
 
     score: Floats
@@ -48,25 +48,25 @@ def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
     """Compares the candidates of each query with the ground truth.
 
     Args:
-        scores: ``(Q, top)`` from `ssrvlad_torch.match`, best first, -inf where there is none.
-        indices: ``(Q, top)`` int64 rows of the references, -1 where there is no candidate.
+        scores: ``(Q, top)`` from `ssrvlad_torch.match`, best first, -inf without a candidate.
+        indices: ``(Q, top)`` int64 rows of the references, -1 without a candidate.
         truth: true matches of each query.
 
     Raises:
-        ValueError: the shapes do not fit, a score is NaN or +inf, a candidate has a score and no
-            row, or the truth is a matrix in place of rows.
+        ValueError: the shapes do not fit, a score is NaN or +inf, a candidate has a score but no
+            row, or the truth is a matrix instead of rows.
     """
     scores, indices = as_array(scores), as_array(indices)
-    check_candidates(indices, truth)
+    _check_candidates(indices, truth)
     if scores.shape != indices.shape or indices.shape[1] == 0:
         raise ValueError(
             "expected scores and indices of one shape (Q, top) with top >= 1, "
             f"got {scores.shape} and {indices.shape}"
         )
-    refuse_nan(scores, "scores of candidates")
+    check_finite(scores, "scores of candidates")
     if ((scores > -np.inf) & (indices < 0)).any():
-        raise ValueError("a candidate has a score and no row; expected -inf beside an index of -1")
-    hits = hits_of(indices, truth)
+        raise ValueError("a candidate has a score but no row; expected -inf for an index of -1")
+    hits = _hits(indices, truth)
     return Outcomes(
         score=scores[:, 0].astype(np.float64),
         candidate=indices[:, 0].astype(np.int64),
@@ -77,21 +77,21 @@ def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
 
 
 def as_array(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """A tensor, wherever it lies, as an array."""
+    """A tensor of any device as an array."""
     detached = getattr(values, "detach", None)
     return np.asarray(detached().cpu() if detached else values)
 
 
-def hits_of(indices: Rows, truth: Truth) -> Bools:
-    """``(Q, top)`` bool: which candidates are true matches; an index of -1 never is."""
+def _hits(indices: Rows, truth: Truth) -> Bools:
+    """Whether each candidate ``(Q, top)`` is a true match; an index of -1 is not."""
     hits = np.zeros(indices.shape, bool)
     for row, matches in enumerate(truth):
         hits[row] = np.isin(indices[row], matches)
     return hits & (indices >= 0)
 
 
-def check_candidates(indices: Rows, truth: Truth) -> None:
-    """Refuses candidates that are not ``(Q, top)`` for the queries of a ground truth of rows."""
+def _check_candidates(indices: Rows, truth: Truth) -> None:
+    """Requires candidates ``(Q, top)`` and a ground truth of rows for Q queries."""
     if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
         raise ValueError(
             "expected the rows of the true matches of each query, got a matrix; they are "
@@ -103,8 +103,8 @@ def check_candidates(indices: Rows, truth: Truth) -> None:
         )
 
 
-def refuse_nan(scores: npt.NDArray[np.floating[Any]], name: str) -> None:
-    """Refuses scores that cannot be ranked: NaN and +inf."""
+def check_finite(scores: npt.NDArray[np.floating[Any]], name: str) -> None:
+    """Raises a ValueError for scores that are NaN or +inf."""
     bad = int((np.isnan(scores) | (scores == np.inf)).any(axis=1).sum())
     if bad:
         raise ValueError(f"{bad} of {len(scores)} queries have {name} that are NaN or +inf")

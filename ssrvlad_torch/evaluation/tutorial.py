@@ -1,8 +1,8 @@
 """The curve of "Visual Place Recognition: A Tutorial": all pairs, linearly spaced thresholds.
 
 Schubert, Neubert, Garg, Milford and Fischer, IEEE Robotics & Automation Magazine 2024 (arXiv
-2303.03281), and the code that comes with it. Written anew from its description. There the
-references are the rows of the similarity matrix; here they are the columns.
+2303.03281), and its code, reimplemented from the description. In the tutorial the references are
+the rows of the similarity matrix; here they are the columns.
 """
 
 from __future__ import annotations
@@ -14,19 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from .curves import PrecisionRecall
-from .outcomes import Bools, Floats, Truth, refuse_nan
+from .outcomes import Bools, Floats, Truth, check_finite
 
 STEPS = 100
 
 
 @dataclass(frozen=True)
 class PairCounts:
-    """What is accepted of each query at each threshold.
+    """Counts of pairs of each query at each threshold.
 
     Attributes:
-        accepted, right: ``(Q, T)`` float64, counts of pairs, and of true matches among them.
-        positives: ``(Q,)`` float64, how many can be found.
-        thresholds: ``(T,)`` float64, falling.
+        accepted, right: ``(Q, T)`` float64, accepted pairs, and true matches among them.
+        positives: ``(Q,)`` float64, pairs that can be found.
+        thresholds: ``(T,)`` float64, decreasing.
     """
 
     accepted: Floats
@@ -35,7 +35,7 @@ class PairCounts:
     thresholds: Floats
 
     def curve(self, weights: Floats) -> PrecisionRecall:
-        """The curve with each query counted ``weights`` ``(..., Q)`` times."""
+        """The curve; ``weights`` ``(..., Q)`` are the counts of the queries."""
         return PrecisionRecall(
             accepted=weights @ self.accepted,
             true_positives=weights @ self.right,
@@ -48,15 +48,15 @@ class PairCounts:
 def count_pairs(
     similarity: npt.NDArray[np.floating[Any]], truth: Truth, single: bool = False
 ) -> PairCounts:
-    """Counts pairs over `STEPS` thresholds, float64, linearly spaced from the highest similarity to
-    the lowest; without a finite similarity there is no threshold.
+    """Counts pairs at `STEPS` thresholds, linearly spaced from the highest finite similarity to the
+    lowest; without a finite similarity there are no thresholds.
 
     Args:
-        similarity: ``(Q, R)``; -inf for a pair that cannot match, which gets the lowest similarity,
-            as the tutorial does it.
+        similarity: ``(Q, R)``; a pair that cannot match has -inf and gets the lowest similarity, as
+            in the tutorial.
         truth: true matches of each query, the tutorial's ``GThard``.
-        single: only the best reference of each query may be accepted, and the positives are the
-            queries that have a true match; else every pair may, and all true pairs are positives.
+        single: if true, only the best reference of each query is counted, and the positives are the
+            queries with a true match; otherwise all pairs and all true pairs.
 
     Raises:
         ValueError: the shapes do not fit, or a similarity is NaN or +inf.
@@ -65,12 +65,12 @@ def count_pairs(
         raise ValueError(
             f"expected a (Q, R) similarity matrix for {len(truth)} queries, got {similarity.shape}"
         )
-    refuse_nan(similarity, "similarities")
+    check_finite(similarity, "similarities")
     true = truth_matrix(truth, similarity.shape[1])
     positives = np.array(true.any(axis=1) if single else true.sum(axis=1), np.float64)
     if not np.isfinite(similarity).any():
-        none = np.zeros((len(truth), 0))
-        return PairCounts(none, none, positives, np.zeros(0))
+        empty = np.zeros((len(truth), 0))
+        return PairCounts(empty, empty, positives, np.zeros(0))
     pairs = similarity.astype(np.float64)
     pairs[np.isneginf(pairs)] = pairs[np.isfinite(pairs)].min()
     if single:
@@ -91,12 +91,11 @@ def truth_matrix(truth: Truth, references: int) -> Bools:
 
 
 def _cumulate(pairs: Floats, true: Bools, thresholds: Floats) -> tuple[Floats, Floats]:
-    """How many pairs, and true ones, of each row reach each of the falling thresholds."""
+    """Number of pairs, and of true pairs, of each row that reach each decreasing threshold."""
     steps = len(thresholds)
     accepted, right = np.zeros((2, len(pairs), steps))
-    rising = thresholds[::-1]
     for row, (scores, matches) in enumerate(zip(pairs, true, strict=True)):
-        first = steps - np.searchsorted(rising, scores, side="right")
+        first = steps - np.searchsorted(thresholds[::-1], scores, side="right")
         accepted[row] = np.bincount(first, minlength=steps).cumsum()
         right[row] = np.bincount(first[matches], minlength=steps).cumsum()
     return accepted, right

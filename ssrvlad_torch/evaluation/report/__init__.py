@@ -1,4 +1,4 @@
-"""An evaluation as one self-contained HTML page, which opens without a server."""
+"""The report of an evaluation: one HTML page that needs no other file and no server."""
 
 from .contents import Descriptors, Picture, Pictures, Report, cosine_scores, stored_scores
 from .page import write_report

@@ -1,8 +1,8 @@
-"""The charts of the page: SVG by matplotlib inside the HTML.
+"""The charts of the page: SVG by matplotlib, embedded in the HTML.
 
-They are drawn in the colours of `COLOURS`, which then become variables of the style sheet, so that
-a chart follows the page's theme. ``data-ends`` holds the limits of the axes and ``data-frame``
-their place, so that the script can mark the chosen threshold.
+The colours of `COLOURS` are replaced by variables of the style sheet, so that a chart follows the
+page's theme. ``data-ends`` holds the limits of the axes, ``data-frame`` their position in pixels;
+the script uses both to mark the chosen threshold.
 """
 
 from __future__ import annotations
@@ -38,20 +38,20 @@ COLOURS = {
 }
 WIDTH, HEIGHT = 440, 300
 FRAME = (60, 426, 12, 252)
-"""Pixels of the axes: left, right, top, bottom."""
+"""Position of the axes in pixels: left, right, top, bottom."""
 
 MOST_VECTORS = 2000
-"""Frames that a map draws as vectors; of more it is a bitmap, so that its size is bounded."""
+"""Largest number of frames that a map draws as vectors; a map of more frames is a bitmap."""
 
 _BINS = 40
-_NAMES = {"right": "right", "wrong": "wrong", "unknown": "wrong, the place is not there"}
+_NAMES = {"right": "right", "wrong": "wrong", "unknown": "wrong, place not in the database"}
 
 
 def precision_recall_chart(
     curve: PrecisionRecall, exact: PrecisionRecall, convention: str, points: Mapping[str, Any]
 ) -> Markup:
-    """Precision against recall by a convention; beside it the curve by ``exact``, on which the
-    operating points lie, if that is another."""
+    """Precision against recall by a convention, the curve by ``exact`` if the convention is another
+    one, and the operating points, which belong to ``exact``."""
     figure, axes = _axes("recall", "precision")
     axes.set(xlim=(0, 1), ylim=(0, 1))
     if convention != "exact":
@@ -61,14 +61,14 @@ def precision_recall_chart(
         if point:
             colour = COLOURS["suggested" if name == "suggested" else "text"]
             axes.plot(point["recall"], point["precision"], "o", color=colour, clip_on=False)
-    told = [f"{p:.3f} at recall {r:g}" for r, p in precisions(curve) if not np.isnan(p)]
-    text = f"Precision {', '.join(told) or 'has no meaning'}."
+    values = [f"{p:.3f} at recall {r:g}" for r, p in precisions(curve) if not np.isnan(p)]
+    text = f"Precision {', '.join(values) or 'is not defined'}."
     return _svg(figure, axes, "pr", f"Precision against recall, convention {convention}", text)
 
 
 def recall_chart(rates: RecallRates) -> Markup:
     """RecallRate@N over N, with its 95 % intervals."""
-    figure, axes = _axes("N, candidates looked at", "RecallRate@N")
+    figure, axes = _axes("N, number of candidates", "RecallRate@N")
     most = max(int(rates.n[-1]), 2)
     ticks = [n for n in ROUND_N if n <= most]
     axes.set(xscale="log", xlim=(1, most), ylim=(0, 1))
@@ -76,19 +76,18 @@ def recall_chart(rates: RecallRates) -> Markup:
     axes.minorticks_off()
     axes.fill_between(rates.n, rates.low, rates.high, color=COLOURS["chosen"], alpha=0.18, lw=0)
     axes.plot(rates.n, rates.rate, color=COLOURS["chosen"])
-    told = ", ".join(f"{rates.rate[n - 1]:.3f} at {n}" for n in ticks if n <= len(rates.n))
-    return _svg(figure, axes, "recall", "RecallRate@N", f"RecallRate {told}.".replace("nan", "-"))
+    values = ", ".join(f"{rates.rate[n - 1]:.3f} at {n}" for n in ticks if n <= len(rates.n))
+    return _svg(figure, axes, "recall", "RecallRate@N", f"RecallRate {values}.".replace("nan", "-"))
 
 
 def score_chart(outcomes: Outcomes, suggested: Mapping[str, Any] | None) -> Markup:
-    """How many best candidates have which score: the right ones upwards, the wrong ones
-    downwards."""
+    """Histograms of the scores of the best candidates: right ones upwards, wrong ones downwards."""
     from matplotlib.ticker import MaxNLocator
 
     figure, axes = _axes("score of the best candidate", "queries")
     groups = score_groups(outcomes)
-    everything = np.concatenate([*groups.values()])
-    low, high = (everything.min(), everything.max()) if len(everything) else (0.0, 1.0)
+    scores = np.concatenate([*groups.values()])
+    low, high = (scores.min(), scores.max()) if len(scores) else (0.0, 1.0)
     margin = 1e-3 if high - low < 1e-9 else 0.0
     edges = np.linspace(low - margin, high + margin, _BINS + 1)
     counts = {name: np.histogram(scores, edges)[0] for name, scores in groups.items()}
@@ -107,68 +106,69 @@ def score_chart(outcomes: Outcomes, suggested: Mapping[str, Any] | None) -> Mark
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.yaxis.set_major_formatter(lambda count, _: f"{abs(count):g}")
     if suggested:
-        place = min(max(suggested["score"], edges[0]), edges[-1])
-        axes.axvline(place, color=COLOURS["suggested"], ls="--")
-    told = "; ".join(f"{_NAMES[name]}: {len(scores)}" for name, scores in groups.items())
-    return _svg(figure, axes, "scores", "Scores of the best candidates", f"{told}.")
+        score = min(max(suggested["score"], edges[0]), edges[-1])
+        axes.axvline(score, color=COLOURS["suggested"], ls="--")
+    text = "; ".join(f"{_NAMES[name]}: {len(scores)}" for name, scores in groups.items())
+    return _svg(figure, axes, "scores", "Scores of the best candidates", f"{text}.")
 
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
-    """Scores of the best candidates: right, wrong, and wrong because no reference shows the
+    """Scores of the best candidates that are right, wrong, and wrong because no reference shows the
     place."""
-    return {name: outcomes.score[kind] for name, kind in _kinds(outcomes).items()}
+    return {name: outcomes.score[queries] for name, queries in _groups(outcomes).items()}
 
 
-def _kinds(outcomes: Outcomes) -> dict[str, Bools]:
-    taken = outcomes.candidate >= 0
+def _groups(outcomes: Outcomes) -> dict[str, Bools]:
+    has_candidate = outcomes.candidate >= 0
     return {
         "right": outcomes.correct,
-        "wrong": taken & ~outcomes.correct & outcomes.has_match,
-        "unknown": taken & ~outcomes.has_match,
+        "wrong": has_candidate & ~outcomes.correct & outcomes.has_match,
+        "unknown": has_candidate & ~outcomes.has_match,
     }
 
 
 def map_chart(poses: Floats, references: Frames, outcomes: Outcomes) -> Markup | None:
-    """The drives seen from above, with a line from each wrong query to its candidate; ``None``
-    without poses.
+    """The drives from above, with a line from each wrong query to its candidate; ``None`` without
+    poses.
 
     Args:
-        poses: ``(Q, 3)`` of the queries, x and y first, in metres, NaN where unknown.
-        references: with their poses.
-        outcomes: of the queries.
+        poses: ``(Q, 3)`` poses of the queries, x and y in metres first, NaN where unknown.
+        references: the references with their poses.
+        outcomes: the outcomes of the queries.
     """
-    there = references.poses[:, :2]
-    here = np.asarray(poses[:, :2])
-    if not (np.isfinite(here).all(axis=1).any() and np.isfinite(there).all(axis=1).any()):
+    queries, places = np.asarray(poses[:, :2]), references.poses[:, :2]
+    if not (np.isfinite(queries).all(axis=1).any() and np.isfinite(places).all(axis=1).any()):
         return None
     figure, axes = _axes("x in metres", "y in metres")
-    raster = len(here) + len(there) > MOST_VECTORS
-    starts = [frame.rpartition("/")[0] for frame in references.frames]
-    for _, group in groupby(range(len(there)), starts.__getitem__):
-        axes.plot(*there[[*group]].T, color=COLOURS["other"], lw=1.5, rasterized=raster)
+    raster = len(queries) + len(places) > MOST_VECTORS
+    sequences = [frame.rpartition("/")[0] for frame in references.frames]
+    for _, rows in groupby(range(len(places)), sequences.__getitem__):
+        axes.plot(*places[[*rows]].T, color=COLOURS["other"], lw=1.5, rasterized=raster)
     wrong = np.flatnonzero((outcomes.candidate >= 0) & ~outcomes.correct)
-    lines = np.stack((here[wrong], there[outcomes.candidate[wrong]]), axis=1)
-    gaps = np.concatenate((lines, np.full((len(wrong), 1, 2), np.nan)), axis=1).reshape(-1, 2)
-    axes.plot(*gaps.T, color=COLOURS["wrong"], lw=0.7, alpha=0.6, rasterized=raster)
-    groups = _kinds(outcomes)
-    for name, chosen in groups.items():
-        axes.plot(*here[chosen].T, ".", color=COLOURS[name], ms=5, rasterized=raster)
+    gaps = np.full((len(wrong), 2), np.nan)
+    lines = np.stack((queries[wrong], places[outcomes.candidate[wrong]], gaps), axis=1)
+    axes.plot(*lines.reshape(-1, 2).T, color=COLOURS["wrong"], lw=0.7, alpha=0.6, rasterized=raster)
+    groups = _groups(outcomes)
+    for name, group in groups.items():
+        axes.plot(*queries[group].T, ".", color=COLOURS[name], ms=5, rasterized=raster)
     axes.set_aspect("equal", adjustable="datalim")
-    told = "; ".join(f"{_NAMES[name]}: {np.count_nonzero(c)}" for name, c in groups.items())
-    return _svg(figure, axes, "map", "Trajectories from above", f"{told}.")
+    text = "; ".join(f"{_NAMES[name]}: {np.count_nonzero(g)}" for name, g in groups.items())
+    return _svg(figure, axes, "map", "Trajectories from above", f"{text}.")
 
 
 def precisions(curve: PrecisionRecall) -> list[tuple[float, float]]:
-    """The precision at the highest threshold that reaches each tenth of recall; NaN if none."""
-    reached = [np.flatnonzero(curve.recall >= tenth / 10) for tenth in range(1, 11)]
+    """Each tenth of recall with the precision at the highest threshold that reaches it; NaN if no
+    threshold does."""
+    recalls = np.arange(1, 11) / 10
+    reached = [np.flatnonzero(curve.recall >= recall) for recall in recalls]
     return [
-        ((place + 1) / 10, float(curve.precision[rows[0]]) if len(rows) else float("nan"))
-        for place, rows in enumerate(reached)
+        (float(recall), float(curve.precision[rows[0]]) if len(rows) else float("nan"))
+        for recall, rows in zip(recalls, reached, strict=True)
     ]
 
 
 def _from_recall_zero(curve: PrecisionRecall) -> tuple[Floats, Floats]:
-    """Recall and precision from recall 0 on; empty if there are no positives."""
+    """Recall and precision with the point at recall 0; empty without positives."""
     if not curve.positives or not len(curve.thresholds):
         return np.zeros(0), np.zeros(0)
     first = curve.precision[0] if curve.start is None else curve.start
@@ -180,8 +180,8 @@ def _axes(x: str, y: str) -> tuple[Figure, Axes]:
 
     figure = Figure(figsize=(WIDTH / 72, HEIGHT / 72))
     left, right, top, bottom = FRAME
-    place = (left / WIDTH, 1 - bottom / HEIGHT, (right - left) / WIDTH, (bottom - top) / HEIGHT)
-    axes = figure.add_axes(place)
+    box = (left / WIDTH, 1 - bottom / HEIGHT, (right - left) / WIDTH, (bottom - top) / HEIGHT)
+    axes = figure.add_axes(box)
     axes.set_xlabel(x, color=COLOURS["text"], labelpad=8)
     axes.set_ylabel(y, color=COLOURS["text"], labelpad=10)
     axes.tick_params(length=0, labelcolor=COLOURS["soft"])
@@ -192,14 +192,14 @@ def _axes(x: str, y: str) -> tuple[Figure, Axes]:
 
 
 def _svg(figure: Figure, axes: Axes, name: str, title: str, text: str) -> Markup:
-    """The figure as an element of the page, whose ids begin with ``name``."""
+    """The figure as an SVG element whose ids begin with ``name``."""
     from markupsafe import Markup
     from matplotlib import rc_context
 
     content = io.StringIO()
-    nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+    no_metadata = dict.fromkeys(("Creator", "Date", "Format", "Type"))
     with rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
-        figure.savefig(content, format="svg", transparent=True, metadata=nothing, dpi=150)
+        figure.savefig(content, format="svg", transparent=True, metadata=no_metadata, dpi=150)
     drawn = content.getvalue().partition("<svg")[2].partition(">")[2]
     drawn = re.sub(r"<style.*?</style>|<!--.*?-->", "", drawn, flags=re.DOTALL)
     drawn = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{name}-", drawn.replace("xlink:href", "href"))

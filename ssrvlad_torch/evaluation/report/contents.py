@@ -1,4 +1,4 @@
-"""What an evaluation's page is made of."""
+"""The content of the page of an evaluation."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .images import Pixels
 
 
 class Frames(Protocol):
-    """Frames, and where they were taken; a `FrameSet` is one."""
+    """Frames with their poses, for example a `FrameSet`."""
 
     @property
     def frames(self) -> tuple[str, ...]:
@@ -33,11 +33,11 @@ class Frames(Protocol):
 
 
 class Picture(NamedTuple):
-    """What is known of how a frame looks, ``(H, W, 3)`` uint8 RGB each.
+    """Pictures of a frame, ``(H, W, 3)`` uint8 RGB, ``None`` where not available.
 
     Attributes:
-        labels: its label map in colours.
-        photo: the image that was labelled.
+        labels: the label map in colours.
+        photo: the image that was segmented.
     """
 
     labels: Pixels | None = None
@@ -45,21 +45,21 @@ class Picture(NamedTuple):
 
 
 Pictures = Callable[[str], Picture]
-"""From a frame's id to its picture; no file is looked for before it is called."""
+"""A function from a frame's id to its pictures; it reads files only when it is called."""
 
 
 Scores = Callable[[Rows, Rows], npt.NDArray[np.floating[Any]]]
-"""From rows of n queries and of m references to the ``(n, m)`` scores of all their pairs, -inf
-where there can be no match."""
+"""A function from rows of n queries and m references to the scores ``(n, m)`` of their pairs, -inf
+for pairs that cannot match."""
 
 
 class Descriptors(NamedTuple):
-    """Descriptors, and what they are made of.
+    """Descriptors and the layout of their parts.
 
     Attributes:
         queries: ``(Q, D)`` float.
         references: ``(R, D)`` float, as they were matched.
-        parts: lengths of the parts in their order, by their names; D in all.
+        parts: lengths of the parts in order, by name; their sum is D.
     """
 
     queries: Tensor
@@ -68,7 +68,7 @@ class Descriptors(NamedTuple):
 
     @classmethod
     def of(cls, queries: Tensor, references: Tensor, config: SSRVLADConfig) -> Descriptors:
-        """Descriptors of some settings."""
+        """Descriptors that were computed with ``config``."""
         if config.aggregation == "harmonics":
             areas = dict.fromkeys(CATEGORIES[:AREA_LAYERS], config.harmonics)
             names = (f"{direction} boundaries" for direction in DIRECTIONS)
@@ -80,23 +80,23 @@ class Descriptors(NamedTuple):
 
 @dataclass(frozen=True)
 class Report:
-    """An evaluation. All texts are shown as they are, whatever characters they hold.
+    """An evaluation. Texts may hold any characters; the page escapes them.
 
     Attributes:
-        title: what was evaluated.
-        metrics: from `metrics.evaluate` with intervals, and beside them ``thresholds`` from
-            `operating_points` and ``references``; what ``evaluate --json`` prints will do.
+        title: title of the page.
+        metrics: result of `metrics.evaluate` with intervals, with the additional keys
+            ``thresholds`` from `operating_points` and ``references``, as ``evaluate --json`` prints
+            it.
         queries, references: the frames, Q and R of them.
-        outcomes: of the queries.
+        outcomes: outcomes of the queries.
         truth: true matches of each query.
-        candidates: how many of each query the outcomes were judged from; RecallRate@N is drawn up
-            to here.
+        candidates: number of candidates of each query; RecallRate@N is drawn up to this N.
         curve: precision and recall by the convention of the metrics.
-        scores: of the pairs of queries and references.
-        descriptors: for what each part adds to a cosine; ``None`` where there are none.
-        query_pictures, reference_pictures: what is known of how frames look.
-        settings: names and values that say how it was done.
-        notes: warnings, a line each.
+        scores: scores of the pairs of queries and references.
+        descriptors: for the contribution of each part to a cosine; ``None`` without descriptors.
+        query_pictures, reference_pictures: pictures of the frames.
+        settings: names and values of the settings of the evaluation.
+        notes: warnings, one per line.
     """
 
     title: str
@@ -116,13 +116,12 @@ class Report:
 
 
 def cosine_scores(queries: Tensor, references: Tensor) -> Scores:
-    """Cosines of descriptors ``(Q, D)`` and ``(R, D)``, -inf where one is zero: what is empty
-    matches nothing."""
+    """Cosines of descriptors ``(Q, D)`` and ``(R, D)``, -inf where a descriptor is zero."""
     return lambda rows, columns: score(
         queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)]
     ).numpy()
 
 
 def stored_scores(similarity: npt.NDArray[np.floating[Any]]) -> Scores:
-    """Scores from a matrix ``(Q, R)``."""
+    """Scores from a matrix ``(Q, R)`` of all pairs."""
     return lambda rows, columns: similarity[np.ix_(rows, columns)]

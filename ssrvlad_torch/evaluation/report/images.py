@@ -1,4 +1,4 @@
-"""Pictures inside the page: ``data:`` addresses of PNG and JPEG."""
+"""Images inside the page: ``data:`` URIs of PNG and JPEG files."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ Pixels = npt.NDArray[np.uint8]
 """``(H, W, 3)`` RGB."""
 
 
-def label_address(picture: Pixels) -> str:
-    """A label map in colours as a PNG, at most `MOST_PIXELS_WIDE` wide; a reduced one is averaged,
-    so that thin poles stay."""
-    return _address(_reduced(Image.fromarray(picture)), "png", optimize=True)
+def label_uri(picture: Pixels) -> str:
+    """A label map in colours as a PNG, at most `MOST_PIXELS_WIDE` wide; reducing averages pixels,
+    so that thin poles remain visible."""
+    return _data_uri(_reduced(Image.fromarray(picture)), "png", optimize=True)
 
 
-def photo_address(picture: Pixels) -> str:
+def photo_uri(picture: Pixels) -> str:
     """A photo as a JPEG, at most `MOST_PIXELS_WIDE` wide."""
-    return _address(_reduced(Image.fromarray(picture)), "jpeg", quality=_JPEG_QUALITY)
+    return _data_uri(_reduced(Image.fromarray(picture)), "jpeg", quality=_JPEG_QUALITY)
 
 
-def scores_address(scores: npt.NDArray[np.float32]) -> str:
-    """Scores ``(h, w)`` as a gray PNG from the lowest, dark, to the highest, light; -inf is
-    a gray of its own."""
+def scores_uri(scores: npt.NDArray[np.float32]) -> str:
+    """Scores ``(h, w)`` as a PNG from dark, the lowest, to light, the highest; -inf has the colour
+    `_ABSENT`."""
     finite = np.isfinite(scores)
-    low, high = span(scores)
+    low, high = score_range(scores)
     fractions = (np.where(finite, scores, low) - low) / max(high - low, 1e-12)
     index = np.where(finite, 1 + np.round(fractions * 254), 0).astype(np.uint8)
     ramp = np.linspace(DARKEST, LIGHTEST, 255).round().astype(np.uint8)
     return _indexed(index, np.concatenate((np.array([_ABSENT], np.uint8), ramp)))
 
 
-def span(scores: npt.NDArray[np.float32]) -> tuple[float, float]:
-    """The lowest and the highest finite score; 0 and 1 where there is none."""
+def score_range(scores: npt.NDArray[np.float32]) -> tuple[float, float]:
+    """The lowest and the highest finite score; 0 and 1 without a finite score."""
     finite = scores[np.isfinite(scores)]
     return (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
 
 
-def mask_address(masks: list[tuple[Bools, tuple[int, int, int]]]) -> str:
-    """Masks ``(h, w)``, each in its colour, as a PNG that is transparent elsewhere; a later mask
-    covers an earlier one."""
+def mask_uri(masks: list[tuple[Bools, tuple[int, int, int]]]) -> str:
+    """Masks ``(h, w)`` with their colours as a PNG that is transparent elsewhere; later masks cover
+    earlier ones."""
     index = np.zeros(masks[0][0].shape, np.uint8)
     for number, (mask, _) in enumerate(masks, start=1):
         index[mask] = number
@@ -64,7 +64,7 @@ def mask_address(masks: list[tuple[Bools, tuple[int, int, int]]]) -> str:
 def _indexed(index: npt.NDArray[np.uint8], colours: Pixels, **options: Any) -> str:
     image = Image.fromarray(index)
     image.putpalette(colours.tobytes())
-    return _address(image, "png", optimize=True, **options)
+    return _data_uri(image, "png", optimize=True, **options)
 
 
 def _reduced(image: Image.Image) -> Image.Image:
@@ -74,7 +74,7 @@ def _reduced(image: Image.Image) -> Image.Image:
     return image.resize((MOST_PIXELS_WIDE, height), Image.Resampling.BOX)
 
 
-def _address(image: Image.Image, form: str, **options: Any) -> str:
+def _data_uri(image: Image.Image, file_format: str, **options: Any) -> str:
     content = io.BytesIO()
-    image.save(content, form, **options)
-    return f"data:image/{form};base64,{base64.b64encode(content.getvalue()).decode()}"
+    image.save(content, file_format, **options)
+    return f"data:image/{file_format};base64,{base64.b64encode(content.getvalue()).decode()}"

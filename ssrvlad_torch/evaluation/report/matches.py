@@ -1,4 +1,4 @@
-"""The matches that are worth a look, and what each part of their descriptors adds."""
+"""The matches that the page shows, and the contributions of the parts of their descriptors."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Match(NamedTuple):
 
     Attributes:
         query, candidate: rows.
-        score: of the candidate.
+        score: score of the candidate.
         correct: whether the candidate is a true match.
-        true_match: row of the true match with the highest score if the candidate is wrong; -1 if
-            there is none.
-        alone, true_alone: scores of candidate and true match as single frames, without what the
-            sequence adds; NaN where there is no true match.
+        true_match: row of the true match with the highest score if the candidate is wrong and the
+            query has one, else -1.
+        frame_score, true_frame_score: scores of candidate and true match as single frames, without
+            the sequence filter; NaN without a true match.
     """
 
     query: int
@@ -32,17 +32,18 @@ class Match(NamedTuple):
     score: float
     correct: bool
     true_match: int
-    alone: float
-    true_alone: float
+    frame_score: float
+    true_frame_score: float
 
 
 class Chosen(NamedTuple):
-    """Some matches of each kind, the strongest case of its kind first.
+    """Matches of three kinds, the clearest case of each kind first.
 
     Attributes:
-        confident: wrong, the highest score first.
-        worst: wrong although there is a true match; the widest margin between the two alone first.
-        best: right, the highest score first.
+        confident: wrong matches with the highest scores.
+        worst: wrong matches of queries with a true match whose single-frame score is the furthest
+            below that of the candidate.
+        best: right matches with the highest scores.
     """
 
     confident: list[Match]
@@ -51,36 +52,35 @@ class Chosen(NamedTuple):
 
 
 def choose(scores: Scores, outcomes: Outcomes, truth: Truth, most: int) -> Chosen:
-    """At most ``most`` matches of each kind; of equal cases the earlier query comes first."""
+    """At most ``most`` matches of each kind; in a tie, the earlier query comes first."""
     true_match = np.full(len(outcomes), -1, np.int64)
-    alone, true_alone = np.full((2, len(outcomes)), np.nan)
+    frame_score, true_frame_score = np.full((2, len(outcomes)), np.nan)
     wrong = ~outcomes.correct & (outcomes.candidate >= 0)
     missed = wrong & outcomes.has_match
     for query in np.flatnonzero(missed).tolist():
         rows = np.append(truth[query], outcomes.candidate[query])
-        *there, alone[query] = scores(np.array([query]), rows)[0]
-        true_match[query] = truth[query][int(np.argmax(there))]
-        true_alone[query] = max(there)
+        *true_scores, frame_score[query] = scores(np.array([query]), rows)[0]
+        true_match[query] = truth[query][int(np.argmax(true_scores))]
+        true_frame_score[query] = max(true_scores)
 
-    def first(kind: Rows, strength: Floats) -> list[Match]:
-        ranked = kind[np.argsort(-strength[kind], kind="stable")][:most]
+    def highest(queries: Rows, values: Floats) -> list[Match]:
+        ranked = queries[np.argsort(-values[queries], kind="stable")][:most]
         columns = (
             *(outcomes.candidate, outcomes.score, outcomes.correct),
-            *(true_match, alone, true_alone),
+            *(true_match, frame_score, true_frame_score),
         )
         return [Match(row, *(column[row].item() for column in columns)) for row in ranked.tolist()]
 
     return Chosen(
-        confident=first(np.flatnonzero(wrong), outcomes.score),
-        worst=first(np.flatnonzero(missed), alone - true_alone),
-        best=first(np.flatnonzero(outcomes.correct), outcomes.score),
+        confident=highest(np.flatnonzero(wrong), outcomes.score),
+        worst=highest(np.flatnonzero(missed), frame_score - true_frame_score),
+        best=highest(np.flatnonzero(outcomes.correct), outcomes.score),
     )
 
 
-def parts(query: Tensor, references: Tensor, lengths: Sequence[int]) -> Floats:
-    """``(N, parts)`` float64: what each part adds to the cosines of a descriptor ``(D,)`` and
-    others ``(N, D)``; ``lengths`` are those of the parts, D in all."""
-    here, there = F.normalize(query.double(), dim=0), F.normalize(references.double(), dim=1)
-    added = [part.sum(1) for part in (here * there).split(list(lengths), dim=1)]
-    found: Floats = torch.stack(added, 1).numpy()
-    return found
+def contributions(query: Tensor, references: Tensor, lengths: Sequence[int]) -> Floats:
+    """Contributions ``(N, parts)`` float64 of the parts to the cosines of a descriptor ``(D,)`` and
+    others ``(N, D)``; the sum of ``lengths``, the lengths of the parts, is D."""
+    products = F.normalize(query.double(), dim=0) * F.normalize(references.double(), dim=1)
+    sums = [part.sum(1) for part in products.split(list(lengths), dim=1)]
+    return np.asarray(torch.stack(sums, 1))

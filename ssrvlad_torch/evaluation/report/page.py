@@ -1,4 +1,4 @@
-"""The page itself: one HTML file with all that it shows inside it."""
+"""Writes the page: one HTML file that contains its images, styles and script."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..curves import PrecisionRecall
 from ..metrics import figure_rows, precision_recall_curve
 from . import charts, images
 from .contents import Frames, Picture, Report
-from .matches import Match, choose, parts
+from .matches import Match, choose, contributions
 from .recall import ROUND_N, recall_rates
 from .similarity import similarity_matrix
 
@@ -25,18 +25,18 @@ MOST_STEPS = 400
 
 NOTHING = "\N{EN DASH}"
 TRUTH, RIGHT, WRONG = (38, 194, 129), (77, 163, 255), (255, 107, 53)
-"""Colours of what is laid over the similarity matrix."""
+"""Colours of the marks on the similarity matrix."""
 
 CONVENTIONS = {
-    "exact": "A query's best candidate is accepted if its score is at least a threshold, and every "
-    "distinct score is one. Recall is a fraction of the queries that have a true match; a query "
-    "without one can only cost precision.",
-    "vpr-bench": "As VPR-Bench computes it (Zaffar et al., IJCV 2021): recall is a fraction of the "
-    "right best candidates, so it always ends at 1; RecallRate@N is a fraction of all queries.",
-    "vpr-tutorial": "As the VPR tutorial computes it (Schubert et al., RAM 2024): all pairs, 100 "
-    "evenly spaced thresholds; recall is a fraction of the true pairs.",
-    "vpr-tutorial-single": "As the VPR tutorial computes it (Schubert et al., RAM 2024) for single "
-    "matches: each query's best pair, 100 evenly spaced thresholds.",
+    "exact": "A query's best candidate is accepted if its score is at least the threshold; every "
+    "distinct score is a threshold. Recall is a fraction of the queries with a true match; a query "
+    "without a true match can only lower the precision.",
+    "vpr-bench": "As in VPR-Bench (Zaffar et al., IJCV 2021): recall is a fraction of the right "
+    "best candidates, so it always ends at 1; RecallRate@N is a fraction of all queries.",
+    "vpr-tutorial": "As in the VPR tutorial (Schubert et al., RAM 2024): all pairs, 100 evenly "
+    "spaced thresholds; recall is a fraction of the true pairs.",
+    "vpr-tutorial-single": "As in the VPR tutorial (Schubert et al., RAM 2024) for single matches: "
+    "each query's best pair, 100 evenly spaced thresholds.",
 }
 _FIRST_FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
 _MOST_NAMED = 24
@@ -47,13 +47,13 @@ _CRISP = 400
 def write_report(path: Path, report: Report) -> None:
     """Writes the page, whole or not at all.
 
-    It shows the figures with their intervals, the curves, thresholds to choose from, the similarity
+    The page shows the figures with their intervals, the curves, operating points, the similarity
     matrix, and at most `MATCHES_OF_A_KIND` matches of each kind. Its size is bounded for any number
     of queries and references. It needs no other file and no network.
 
     Raises:
         ImportError: the extra ``eval`` (Jinja2, matplotlib) is not installed.
-        OSError: no page can be there, or the disk refused; what was at ``path`` is as it was.
+        OSError: the file cannot be written; an existing file at ``path`` is unchanged.
     """
     check_output(path)
     page = render(report).encode("utf-8", "replace")
@@ -62,7 +62,7 @@ def write_report(path: Path, report: Report) -> None:
 
 
 def render(report: Report) -> str:
-    """The page as text. Its parts are in ``templates/page.html``."""
+    """The page as HTML text, from ``templates/page.html``."""
     try:
         from jinja2 import Environment, PackageLoader
     except ImportError as error:
@@ -105,23 +105,23 @@ def render(report: Report) -> str:
 
 
 def fraction(*values: float) -> str:
-    """A fraction in three digits, or the two ends of an interval; a dash for NaN."""
+    """A fraction with three digits, or both ends of an interval; a dash for NaN."""
     return NOTHING if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
 
 
 def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
-    """The points of `operating_points` by their names."""
-    named = [
+    """Names and points of the result of `operating_points`."""
+    rows = [
         (f"{kind} {100 * float(value):g}\N{NO-BREAK SPACE}%", point)
         for kind in ("precision", "recall")
         for value, point in points[f"at_{kind}"].items()
     ]
-    return [*named, ("suggested", points["suggested"])]
+    return [*rows, ("suggested", points["suggested"])]
 
 
 def _steps(exact: PrecisionRecall, points: Mapping[str, Any], operating: Mapping[str, Any]) -> str:
-    """The data of the threshold slider: thresholds evenly spread over the queries, the lowest
-    first, with the figures at each. JSON of numbers only."""
+    """The data of the threshold slider as JSON: thresholds spread evenly over the queries, the
+    lowest first, with the figures at each threshold."""
     last = len(exact.thresholds) - 1
     marked = [int((exact.thresholds >= p["score"]).sum()) - 1 for p in operating.values() if p]
     spread = np.linspace(0, last, min(last + 1, MOST_STEPS)).round()
@@ -140,21 +140,20 @@ def _steps(exact: PrecisionRecall, points: Mapping[str, Any], operating: Mapping
 
 
 def _matrix(report: Report) -> dict[str, Any] | None:
-    """The similarity matrix as pictures, with the labels of its axes; ``None`` if it is empty."""
-    there = len(report.references.frames)
-    matrix = similarity_matrix(report.scores, there, report.outcomes, report.truth)
+    """The similarity matrix as images, with the labels of its axes; ``None`` if it is empty."""
+    references = len(report.references.frames)
+    matrix = similarity_matrix(report.scores, references, report.outcomes, report.truth)
     if not matrix.scores.size:
         return None
-    low, high = images.span(matrix.scores)
     return {
-        "shape": min(max(there / len(report.queries.frames), _TALLEST), _WIDEST),
+        "shape": min(max(references / len(report.queries.frames), _TALLEST), _WIDEST),
         "crisp": max(matrix.scores.shape) <= _CRISP,
-        "scores": images.scores_address(matrix.scores),
-        "truth": images.mask_address([(matrix.truth, TRUTH)]),
-        "taken": images.mask_address([(matrix.wrong, WRONG), (matrix.right, RIGHT)]),
+        "scores": images.scores_uri(matrix.scores),
+        "truth": images.mask_uri([(matrix.truth, TRUTH)]),
+        "candidates": images.mask_uri([(matrix.wrong, WRONG), (matrix.right, RIGHT)]),
         "colours": {"truth": TRUTH, "right": RIGHT, "wrong": WRONG},
         "ramp": (images.DARKEST, images.LIGHTEST),
-        "span": (low, high),
+        "range": images.score_range(matrix.scores),
         "pairs": [-(-int(ends[-1]) // (len(ends) - 1)) for ends in (matrix.rows, matrix.columns)],
         "queries": _runs(report.queries),
         "references": _runs(report.references),
@@ -162,7 +161,7 @@ def _matrix(report: Report) -> dict[str, Any] | None:
 
 
 def _runs(frames: Frames) -> list[tuple[str, int]]:
-    """The sequences in order with their lengths; if there are many, only their number."""
+    """The sequences in order with their lengths; only their number if there are many."""
     sequences = (frame.rpartition("/")[0] for frame in frames.frames)
     runs = [(name, len([*run])) for name, run in groupby(sequences)]
     many = [(f"{len(runs)} sequences", len(frames.frames))]
@@ -170,17 +169,19 @@ def _runs(frames: Frames) -> list[tuple[str, int]]:
 
 
 def _card(report: Report, match: Match) -> dict[str, Any]:
-    """A match to show: the query beside its candidate, and the true match if that is another."""
+    """The data of a match: the query, its candidate, and the true match if it is another frame."""
     outcomes, query = report.outcomes, report.queries.frames[match.query]
+    text = f"score {match.score:.4f}"
     frames = [_frame("query", query, report.query_pictures(query), "")]
-    frames.append(_reference(report, match, "taken", match.candidate, f"score {match.score:.4f}"))
+    frames.append(_reference(report, match, "best candidate", match.candidate, text))
     if match.true_match >= 0:
         rank = int(outcomes.rank[match.query])
-        place = f"ranked {rank}" if rank else f"not among the first {report.candidates}"
-        told = "matches nothing"
-        if math.isfinite(match.true_alone):
-            told = f"alone {match.true_alone:.4f}, what was taken {match.alone:.4f}"
-        text = f"{told}, {place}"
+        text = f"rank {rank}" if rank else f"not among the first {report.candidates}"
+        if math.isfinite(match.true_frame_score):
+            text += f", single-frame score {match.true_frame_score:.4f}"
+            text += f" (best candidate {match.frame_score:.4f})"
+        else:
+            text += ", no score"
         frames.append(_reference(report, match, "true match", match.true_match, text))
     return {
         "correct": match.correct,
@@ -193,37 +194,37 @@ def _card(report: Report, match: Match) -> dict[str, Any]:
 
 def _reference(report: Report, match: Match, role: str, row: int, text: str) -> dict[str, Any]:
     frame = report.references.frames[row]
-    steps = report.queries.poses[match.query, :2] - report.references.poses[row, :2]
-    metres = math.hypot(*steps)
-    away = "" if math.isnan(metres) else f", {metres:.1f}\N{NO-BREAK SPACE}m away"
-    return _frame(role, frame, report.reference_pictures(frame), text + away)
+    metres = math.dist(report.queries.poses[match.query, :2], report.references.poses[row, :2])
+    if not math.isnan(metres):
+        text += f", {metres:.1f}\N{NO-BREAK SPACE}m away"
+    return _frame(role, frame, report.reference_pictures(frame), text)
 
 
 def _frame(role: str, frame: str, picture: Picture, text: str) -> dict[str, Any]:
-    shown = []
+    uris = []
     if picture.photo is not None:
-        shown.append((images.photo_address(picture.photo), f"photo of {frame}"))
+        uris.append((images.photo_uri(picture.photo), f"photo of {frame}"))
     if picture.labels is not None:
-        shown.append((images.label_address(picture.labels), f"label map of {frame}"))
-    return {"role": role, "frame": frame, "images": shown, "text": text}
+        uris.append((images.label_uri(picture.labels), f"label map of {frame}"))
+    return {"role": role, "frame": frame, "images": uris, "text": text}
 
 
 def _columns(report: Report, match: Match) -> list[dict[str, Any]]:
-    """What each part adds to the cosine of the candidate, and how much more than for the true
-    match."""
+    """The contributions of the parts to the cosine of the candidate, and their differences from
+    those of the true match."""
     if report.descriptors is None:
         return []
-    queries, references, names = report.descriptors
+    queries, references, parts = report.descriptors
     rows = [match.candidate, *([match.true_match] if match.true_match >= 0 else [])]
-    taken, *true = parts(queries[match.query], references[rows], [*names.values()])
-    columns = [("adds to the cosine", "part", taken)]
+    candidate, *true = contributions(queries[match.query], references[rows], [*parts.values()])
+    columns = [("contribution", "part", candidate)]
     if true:
-        columns.append(("more than for the true match", "lead", taken - true[0]))
+        columns.append(("difference from the true match", "lead", candidate - true[0]))
     return [
         {
             "name": name,
             "kind": kind,
-            "told": [f"{round(float(v), 3) + 0.0:.3f}" for v in (*values, values.sum())],  # no -0
+            "texts": [f"{round(float(v), 3) + 0.0:.3f}" for v in (*values, values.sum())],  # no -0
             "negative": (values < 0).tolist(),
             "percent": (100 * np.abs(values) / max(np.abs(values).max(), 1e-9)).round().tolist(),
         }

@@ -17,8 +17,8 @@ class RecallRates(NamedTuple):
     """RecallRate@N, all ``(N,)``; NaN where no query counts.
 
     Attributes:
-        n: int64, 1 and up.
-        rate, low, high: float64, the figure and its 95 % bootstrap interval.
+        n: int64, from 1.
+        rate, low, high: float64, the figure and the ends of its 95 % bootstrap interval.
     """
 
     n: Rows
@@ -30,13 +30,13 @@ class RecallRates(NamedTuple):
 def recall_rates(
     outcomes: Outcomes, most: int, convention: Convention = "exact", resamples: int = 1000
 ) -> RecallRates:
-    """RecallRate@1 to RecallRate@``most``, with the draws and so the figures of `evaluate`.
+    """RecallRate@1 to RecallRate@``most``, equal to the figures of `evaluate`.
 
     Args:
-        outcomes: judged from at least ``most`` candidates a query.
-        most: at least 1.
+        outcomes: outcomes of at least ``most`` candidates per query.
+        most: largest N, at least 1.
         convention: as for `evaluate`.
-        resamples: of the bootstrap.
+        resamples: number of bootstrap resamples.
     """
     n = np.arange(1, most + 1)
 

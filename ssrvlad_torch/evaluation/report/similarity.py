@@ -1,4 +1,4 @@
-"""The similarity matrix as a picture of bounded size."""
+"""The similarity matrix reduced to a bounded size."""
 
 from __future__ import annotations
 
@@ -16,15 +16,14 @@ _QUERY_BLOCK, _REFERENCE_BLOCK = 1 << 10, 1 << 12
 
 @dataclass(frozen=True)
 class SimilarityMatrix:
-    """A matrix of queries by references, reduced to cells; ``h`` by ``w`` of them.
+    """A matrix of queries by references, reduced to ``h`` by ``w`` cells.
 
     Attributes:
-        scores: ``(h, w)`` float32, the highest of each cell, -inf where nothing can match.
+        scores: ``(h, w)`` float32, the highest score of each cell, -inf if no pair can match.
         truth: ``(h, w)`` bool, cells with a true match.
-        right, wrong: ``(h, w)`` bool, cells with a best candidate that is right, and one that is
-            wrong.
-        rows, columns: ``(h + 1,)`` and ``(w + 1,)`` int64, the first query and the first
-            reference of each cell, and at the end the number of them.
+        right, wrong: ``(h, w)`` bool, cells with a right, and with a wrong best candidate.
+        rows, columns: ``(h + 1,)`` and ``(w + 1,)`` int64, the first query and the first reference
+            of each cell, then the number of queries and of references.
     """
 
     scores: npt.NDArray[np.float32]
@@ -42,8 +41,8 @@ def similarity_matrix(
     truth: Truth,
     most: tuple[int, int] = (MOST_ROWS, MOST_COLUMNS),
 ) -> SimilarityMatrix:
-    """The scores of all pairs in at most ``most`` rows and columns of cells, computed block by
-    block. There are ``references`` references."""
+    """Reduces the scores of all pairs with ``references`` references to at most ``most`` rows and
+    columns of cells, block by block."""
     rows, columns = _edges(len(outcomes), most[0]), _edges(references, most[1])
     cells = np.full((len(rows) - 1, len(columns) - 1), -np.inf, np.float32)
     for across in _blocks(columns, _REFERENCE_BLOCK):
@@ -79,17 +78,15 @@ def _reduced(
     scores: Scores, rows: Rows, down: slice, columns: Rows, across: slice
 ) -> npt.NDArray[np.float32]:
     """The highest score of each cell of a block."""
-    (top, bottom), (left, right) = (
-        (edges[cells.start], edges[cells.stop])
-        for edges, cells in ((rows, down), (columns, across))
-    )
-    pairs = scores(np.arange(top, bottom), np.arange(left, right)).astype(np.float32, copy=False)
-    lower = np.maximum.reduceat(pairs, rows[down] - top, axis=0)
-    return np.asarray(np.maximum.reduceat(lower, columns[across] - left, axis=1))
+    queries = np.arange(rows[down.start], rows[down.stop])
+    references = np.arange(columns[across.start], columns[across.stop])
+    pairs = scores(queries, references).astype(np.float32, copy=False)
+    lines = np.maximum.reduceat(pairs, rows[down] - queries[0], axis=0)
+    return np.asarray(np.maximum.reduceat(lines, columns[across] - references[0], axis=1))
 
 
 def _marked(rows: Rows, columns: Rows, queries: Rows, references: Rows) -> Bools:
-    """The cells with a pair of the query and the reference at the same place of their lists."""
+    """The cells of the pairs of the n-th query and the n-th reference."""
     marked = np.zeros((len(rows) - 1, len(columns) - 1), bool)
     marked[_cell(rows, queries), _cell(columns, references)] = True
     return marked

@@ -1,12 +1,12 @@
 "use strict";
-// Follows the threshold that is chosen: marks it in both plots and says what it does.
+// Marks the threshold of the slider in both charts and shows its figures.
 (() => {
   const steps = JSON.parse(document.getElementById("steps").textContent);
   if (!steps.score.length) return;
   const slider = document.getElementById("chosen");
   const outcome = document.getElementById("outcome");
 
-  // From values to places in a chart, which says of itself what its axes show and where they lie.
+  // Converts values to pixels of a chart, whose data attributes hold its limits and its axes.
   const plane = (name) => {
     const svg = document.getElementById(name);
     const [xLow, xHigh, yLow, yHigh] = svg.dataset.ends.split(" ").map(Number);
