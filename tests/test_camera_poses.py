@@ -13,7 +13,6 @@ from ssrvlad_torch.datasets.camera_poses import (
     Z_DOWN,
     Z_UP,
     optical_axis,
-    parse_numbers,
 )
 
 HALF = math.sqrt(0.5)
@@ -50,11 +49,3 @@ def test_seen_from_above_a_left_turn_is_positive_in_every_world():
     for ground, (ahead, left) in turns.items():
         first, second = (ground.pose((0, 0, 0), axis).heading for axis in (ahead, left))
         assert math.remainder(second - first, 2 * math.pi) == pytest.approx(math.pi / 2)
-
-
-def test_numbers_are_counted():
-    assert parse_numbers(["1", "-2.5e1"], 2) == [1, -25]
-    with pytest.raises(ValueError, match="expected 3 numbers, got 2"):
-        parse_numbers(["1", "2"], 3)
-    with pytest.raises(ValueError, match="'two'"):
-        parse_numbers(["1", "two"], 2)

@@ -81,13 +81,6 @@ def test_coarse_annotations_fill_what_is_not_fine(tree):
     assert (labels[fine], labels[coarse]) == ("gtFine", "gtCoarse")
 
 
-def test_predictions_of_the_scripts_format_are_attached(tree, tmp_path):
-    name = FRAMES["test/berlin"][0]
-    write_street(tmp_path / "results" / f"{name}_leftImg8bit.png", 0)
-    dataset = open_dataset(tree, labels=tmp_path / "results", labels_as="cityscapes-ids")
-    assert [file.name for file in dataset.label_files()] == [name]
-
-
 def test_what_is_missing_is_said(tree):
     (tree / "vehicle" / "val" / "frankfurt" / "frankfurt_000000_000294_vehicle.json").unlink()
     (tree / "leftImg8bit" / "test" / "berlin" / "berlin_000000_000019_leftImg8bit.png").unlink()

@@ -143,16 +143,6 @@ def test_scikit_learn_agrees_on_heavy_ties(seed):
     assert found == pytest.approx(sklearn.roc_auc_score(correct, scores), abs=1e-12)
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_more_positives_scale_recall_and_nothing_else(seed):
-    scores, correct = heavy_ties(seed)
-    few = precision_recall(scores, correct, int(correct.sum()))
-    many = precision_recall(scores, correct, 2 * int(correct.sum()))
-    np.testing.assert_array_equal(few.precision, many.precision)
-    for figure in ("auc", "average_precision", "recall_at_full_precision"):
-        assert getattr(many, figure) == pytest.approx(getattr(few, figure) / 2)
-
-
 QUERIES = st.lists(st.tuples(SCORES, st.booleans(), st.integers(0, 3)), max_size=20)
 
 

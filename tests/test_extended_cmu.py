@@ -87,12 +87,6 @@ def test_the_day_is_the_same_wherever_it_is_read(tree, monkeypatch, zone):
         time.tzset()
 
 
-def test_the_traverses_of_the_paper_are_chosen_by_name(tree):
-    chosen = open_dataset(tree).select(["slice7-c0-2010-10-01", "slice7-c0-2011-04-21"])
-    assert len(outline(chosen.select(role="query"))) == 1
-    assert len(list(chosen.select(role="reference").frames)) == 3
-
-
 def test_poses_are_joined_by_name(tree):
     frames = {frame.frame: frame.pose for frame in open_dataset(tree).frames}
     reference = f"slice7-c1-2011-04-21/{image(100, 1, MAP + 100)[:-4]}"

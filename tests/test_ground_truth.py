@@ -100,7 +100,7 @@ def test_sequences_that_cannot_belong_together_are_refused(queries, references):
 
 
 def test_traverses_of_unequal_length_are_refused():
-    with pytest.raises(ValueError, match="one length, got 1 query frames and 2 reference frames"):
+    with pytest.raises(ValueError, match="equal length, got 1 query frames and 2 reference frames"):
         from_frame_numbers(["night/1"], ["day/1", "day/2"], 1)
 
 

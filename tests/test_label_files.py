@@ -288,13 +288,6 @@ def test_a_damaged_header_of_an_array_is_refused(tmp_path):
     assert refused > 64
 
 
-def test_an_array_of_rank_four_is_one_frame_and_refused_whole(tmp_path):
-    np.save(tmp_path / "a.npy", np.zeros((2, 3, 4, 5), int))
-    (file,) = find_label_files([str(tmp_path / "a.npy")])
-    with pytest.raises(ValueError, match=r"got \(2, 3, 4, 5\)"):
-        read_label_map(file, CAMVID)
-
-
 def test_a_stack_that_became_shorter_is_refused(tmp_path):
     np.save(tmp_path / "a.npy", LABELS[None])
     with pytest.raises(ValueError, match="index 1 is out of bounds"):

@@ -8,11 +8,9 @@ from helpers import COLOUR, write_png
 from trees import outline, plant, roles, write
 
 from ssrvlad_torch import SSRVLAD
-from ssrvlad_torch.datasets.label_files import read_label_map
 from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.datasets.synthia import read_pose
 from ssrvlad_torch.encoding.encoder import encode_to_memory
-from ssrvlad_torch.taxonomy import label_space
 
 FRONT = "Stereo_Left/Omni_F"
 LABELS = np.arange(30 * 40).reshape(30, 40) // 100 % 13
@@ -71,12 +69,6 @@ def test_a_frame_has_its_image_its_labels_and_its_pose(tree):
     assert frame.pose == pytest.approx((4, 10, math.pi / 2))
 
 
-def test_the_class_is_read_from_the_first_channel(tree):
-    dataset = open_dataset(tree).select(["*-NIGHT-*"])
-    first = dataset.label_files()[0]
-    np.testing.assert_array_equal(read_label_map(first, label_space("synthia")), LABELS)
-
-
 def test_a_season_is_encoded(tree):
     files = open_dataset(tree).select(["*-NIGHT-*"]).label_files()
     frames, skipped = encode_to_memory(SSRVLAD.from_preset("default", labels_as="synthia"), files)
@@ -120,13 +112,6 @@ def test_headings(tmp_path, yaw, heading):
     """Yaw 0 looks along the world's z, which is a `Pose`'s y; a quarter turn clockwise, along x."""
     pose = read_pose(write(tmp_path / "000000.txt", matrix(3, 1, -4, yaw)))
     assert pose == pytest.approx((3, -4, heading))
-
-
-def test_a_matrix_may_be_written_in_lines(tmp_path):
-    words = matrix(3, 1, -4, 1).split()
-    lines = [" ".join(words[row : row + 4]) for row in range(0, 16, 4)]
-    one, four = write(tmp_path / "one", matrix(3, 1, -4, 1)), write(tmp_path / "four", lines)
-    assert read_pose(one) == read_pose(four)
 
 
 @pytest.mark.parametrize(

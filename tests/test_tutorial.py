@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from ssrvlad_torch.evaluation.tutorial import STEPS, count_pairs, truth_matrix
+from ssrvlad_torch.evaluation.tutorial import STEPS, count_pairs
 
 INF = math.inf
 
@@ -106,11 +106,6 @@ def test_weights_are_copies_of_queries():
         weighted = counts.curve(weights.astype(float))
         np.testing.assert_array_equal(weighted.accepted, counts.accepted[copies].sum(axis=0))
         np.testing.assert_array_equal(weighted.positives, counts.positives[copies].sum())
-
-
-def test_truth_as_a_matrix():
-    matrix = truth_matrix(rows([2], [], [0, 1]), 3)
-    assert matrix.tolist() == [[0, 0, 1], [0, 0, 0], [1, 1, 0]]
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """The layout of VPR-Bench."""
 
 import pytest
-from helpers import write_street
 from trees import outline, plant, roles
 from vpr_bench import CORRIDOR, needs_corridor
 
@@ -61,15 +60,6 @@ def test_an_empty_folder_is_refused(tree):
         image.unlink()
     with pytest.raises(ValueError, match=r"corridor/ref holds no images; .*MubarizZaffar"):
         open_dataset(tree)
-
-
-def test_predicted_label_maps_are_attached(tree, tmp_path):
-    out = tmp_path / "out"
-    write_street(out / "query" / "0000003.png", 0)
-    write_street(out / "ref" / "0000003.png", 0)
-    dataset = open_dataset(tree, labels=out, labels_as="camvid-11")
-    assert [f.frame for f in dataset.label_files()] == ["query/0000003", "ref/0000003"]
-    assert dataset.warnings == ["21 of 23 frames have no label map, the first is query/0000000"]
 
 
 @needs_corridor

@@ -66,7 +66,9 @@ def count_pairs(
             f"expected a (Q, R) similarity matrix for {len(truth)} queries, got {similarity.shape}"
         )
     check_finite(similarity, "similarities")
-    true = truth_matrix(truth, similarity.shape[1])
+    true = np.zeros(similarity.shape, bool)
+    for row, matches in enumerate(truth):
+        true[row, matches] = True
     positives = np.array(true.any(axis=1) if single else true.sum(axis=1), np.float64)
     if not np.isfinite(similarity).any():
         empty = np.zeros((len(truth), 0))
@@ -80,14 +82,6 @@ def count_pairs(
     thresholds = np.linspace(pairs.max(), pairs.min(), STEPS)
     accepted, right = _cumulate(pairs, true, thresholds)
     return PairCounts(accepted, right, positives, thresholds)
-
-
-def truth_matrix(truth: Truth, references: int) -> Bools:
-    """Ground truth as a matrix ``(Q, references)`` bool."""
-    matrix = np.zeros((len(truth), references), bool)
-    for row, matches in enumerate(truth):
-        matrix[row, matches] = True
-    return matrix
 
 
 def _cumulate(pairs: Floats, true: Bools, thresholds: Floats) -> tuple[Floats, Floats]:
