@@ -44,7 +44,7 @@ class BagFile(FrameFile):
     topic: str = ""
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Bag, topic and name, for messages."""
         return f"{self.path} {self.topic} at {self.name}"
 

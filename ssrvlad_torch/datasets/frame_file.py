@@ -56,7 +56,7 @@ class FrameFile:
         return f"{self.sequence}/{self.name}"
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Path or address for messages."""
         return str(self.path)
 
@@ -113,7 +113,7 @@ class RemoteFile(FrameFile):
     readers: ClassVar[int] = 16
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Address for messages."""
         return f"{self.folder}/{self.path.name}"
 
@@ -129,7 +129,7 @@ class RemoteFile(FrameFile):
 
     def _content(self) -> bytes:
         with _file_system(self.folder).open_input_file(str(self.path)) as source:
-            check_size(source.size(), self.place)
+            check_size(source.size(), self.location)
             content: bytes = source.read()
         return content
 

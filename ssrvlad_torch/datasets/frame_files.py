@@ -82,7 +82,7 @@ def find_frames(
         earlier = found.setdefault(named.frame, named)
         if earlier is not named and not _is_same(earlier, named):
             raise ValueError(
-                f"frame {named.frame!r} is both {earlier.place} and {named.place}; "
+                f"frame {named.frame!r} is both {earlier.location} and {named.location}; "
                 "give one of them another --sequence"
             )
     by_sequence: dict[str, list[FrameFile]] = {}

@@ -159,4 +159,4 @@ def _read(space: LabelSpace, item: Item) -> Item:
 
 
 def _skipped(item: Item, reason: object) -> Skipped:
-    return Skipped(item.file.frame, f"{item.file.place}: {reason}")
+    return Skipped(item.file.frame, f"{item.file.location}: {reason}")

@@ -48,6 +48,6 @@ def show(
             raise labels
         view = head.explain(labels[None])
     except ValueError as error:
-        raise ValueError(f"{file.place}: {error}") from error
+        raise ValueError(f"{file.location}: {error}") from error
     write_picture(view.show(title=file.frame), output)
     say(output)
