@@ -31,13 +31,6 @@ def test_curve_by_hand():
     assert curve.recall_at_full_precision == 0.5
 
 
-def test_without_positives_recall_is_nan():
-    curve = curve_of([0.9, 0.8], [0, 0], 0)
-    assert np.isnan(curve.recall).all()
-    assert curve.precision.tolist() == [0.0, 0.0]
-    assert math.isnan(curve.auc)
-
-
 SCORES = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
 
 

@@ -9,7 +9,7 @@ from helpers import COLOUR, GRAY, flip_byte, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile, read_ahead
-from ssrvlad_torch.datasets.image_files import SUFFIXES, decode_image, find_image_files, read_image
+from ssrvlad_torch.datasets.image_files import decode_image, find_image_files, read_image
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
 SMOOTH = np.linspace((0, 40, 250), (250, 90, 0), 20 * 30).reshape(20, 30, 3).astype(np.uint8)
@@ -173,13 +173,6 @@ def test_a_png_with_a_flipped_byte_is_refused(tmp_path):
             read(path)
 
 
-def test_a_missing_file_and_a_name_that_is_no_text(tmp_path):
-    with pytest.raises(ValueError, match="No such file"):
-        read(tmp_path / "none.jpg")
-    with pytest.raises(ValueError, match="surrogates not allowed"):
-        read_image(FrameFile("a", "\udcff", tmp_path / "a.png"))
-
-
 # ---- arrays
 
 
@@ -231,12 +224,6 @@ def test_images_are_found_as_label_maps_are(tmp_path):
     files = find_image_files([str(folder / "*")], "drive", every=2, start=1)
     assert [file.frame for file in files] == ["drive/f2", "drive/f10"]
     assert files[0].pose[:2] == (3, 4)
-
-
-def test_a_folder_without_images_says_so(tmp_path):
-    (tmp_path / "a.txt").touch()
-    with pytest.raises(ValueError, match=rf"holds no images; expected {SUFFIXES[0]}, "):
-        find_image_files([str(tmp_path)])
 
 
 # ---- reading ahead

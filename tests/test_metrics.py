@@ -31,10 +31,6 @@ def test_recall_rate_by_hand(n, expected):
     assert recall_rate(indices, truth, n) == pytest.approx(expected)
 
 
-def test_recall_rate_counts_a_query_once():
-    assert recall_rate(np.array([[1, 2]]), rows([1, 2]), 2) == 1.0
-
-
 def test_no_candidate_is_no_hit():
     assert recall_rate(np.array([[-1, -1], [0, -1]]), rows([3], [0]), 2) == 0.5
 

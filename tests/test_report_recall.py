@@ -26,15 +26,6 @@ def test_rates_and_intervals_are_those_of_the_metrics(convention):
     assert 0 < rates.rate[0] < rates.rate[-1] < 1
 
 
-def test_by_hand():
-    scores = np.zeros((4, 3))
-    indices = np.array([[0, 1, 2], [1, 0, 2], [2, 1, 0], [0, 1, 2]])
-    truth = [np.array(rows, np.int64) for rows in ([0], [0], [9], [])]
-    outcomes = judge(scores, indices, truth)
-    np.testing.assert_allclose(recall_rates(outcomes, 3).rate, np.array([1, 2, 2]) / 3)
-    np.testing.assert_allclose(recall_rates(outcomes, 3, "vpr-bench").rate, [0.25, 0.5, 0.5])
-
-
 @pytest.mark.parametrize("queries", [0, 2])
 def test_nothing_to_be_found_has_no_rate(queries):
     report = report_of(*noisy(queries, 3), [[]] * queries)
