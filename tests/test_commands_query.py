@@ -153,7 +153,7 @@ def test_the_frames_of_another_database_are_named_apart(ssrvlad, database, tmp_p
     other, others = write_maps(tmp_path / "other" / "monday", range(6)), tmp_path / "b.ssrdb"
     ssrvlad("encode", other, "-o", others, "--labels-as", "camvid-11")
     code, _, err = ssrvlad("query", database, others)
-    assert code == 2 and len(err) == 1 and "name of the sequence with --sequence" in err[0]
+    assert code == 2 and len(err) == 1 and "give --sequence monday if" in err[0]
     found = _first(ssrvlad("query", database, others, "--sequence", "b", "--top", 1)[1])
     assert found == {f"b/{n:03d}": f"monday/{n:03d}" for n in range(6)}
 
