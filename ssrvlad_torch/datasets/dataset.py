@@ -165,8 +165,8 @@ class Dataset:
             chosen.update(found)
         selected = [traverse for traverse in self.traverses if traverse.name in chosen]
         if role and not any(traverse.role == role for traverse in selected):
-            names = shortened([traverse.name for traverse in selected])
-            raise ValueError(f"{self.root} does not say which of {names} is a {role}; name it")
+            candidates = shortened([traverse.name for traverse in selected])
+            raise ValueError(f"{self.root} does not say which of {candidates} is a {role}; name it")
         return replace(self, traverses=tuple(t for t in selected if role in (None, t.role)))
 
     def with_frames(self, change: Callable[[tuple[Frame, ...]], Iterable[Frame]]) -> Dataset:
