@@ -1,4 +1,4 @@
-"""A hook of MkDocs: links that lead out of docs/ become the path of the repository's file."""
+"""A hook of MkDocs: replaces links to files outside docs/ by the paths of the files."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _LINK = re.compile(r"\[([^\]]*)\]\((\.\./[^)#]+)\)")
 
 
 def on_page_markdown(text: str, page: Any, **_: Any) -> str:
-    """The site has docs/ alone; a reader of it finds other files by their path.
+    """The page without links to files outside docs/, which are not part of the site.
 
     Raises:
-        FileNotFoundError: a link leads to no file.
+        FileNotFoundError: the file of such a link does not exist.
     """
 
     def outside(link: re.Match[str]) -> str:
@@ -22,7 +22,7 @@ def on_page_markdown(text: str, page: Any, **_: Any) -> str:
         if target.is_relative_to(DOCS):
             return link[0]
         if not target.exists():
-            raise FileNotFoundError(f"{page.file.src_uri} links to {link[2]}, which is not there")
+            raise FileNotFoundError(f"{page.file.src_uri} links to {link[2]}, which does not exist")
         path = target.relative_to(DOCS.parent).as_posix()
         return f"`{path}`" if link[1] in path else f"{link[1]} (`{path}`)"
 

@@ -1,7 +1,7 @@
-"""Makes or reuses ``.venv``, installs this package into it, and runs commands there.
+"""Creates or reuses ``.venv``, installs this package into it, and runs commands there.
 
-Needs only Python 3.11 with the standard library. It installs with pip from the package index:
-the core packages and the given extra of pyproject.toml, at the versions of constraints.txt.
+Needs only Python 3.11 with the standard library. pip installs the core packages and one extra of
+pyproject.toml, at the versions of constraints.txt.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ BIN = VENV / "bin"
 
 
 def install(extra: str) -> None:
-    """Installs the package with an extra, unless that is done already for these very files."""
-    if sys.version_info < (3, 11):  # noqa: UP036 - the very thing to find out
+    """Installs the package with an extra, unless these files have been installed before."""
+    if sys.version_info < (3, 11):  # noqa: UP036 - this checks the version
         version = sys.version.split()[0]
         sys.exit(f"{Path(sys.argv[0]).name}: expected Python 3.11 or newer, got {version}")
     names = ("pyproject.toml", "constraints.txt", "hatch_build.py")
     core = sorted((ROOT / "ssrvlad_torch" / "native").glob("ssrvlad.*"))
-    wanted = [*(ROOT / name for name in names), *core]
-    content = b"".join(file.read_bytes() for file in wanted)
+    content = b"".join(file.read_bytes() for file in (*(ROOT / name for name in names), *core))
     stamp = VENV / f"installed-{extra}-{hashlib.sha256(content).hexdigest()[:16]}"
     if stamp.exists():
         return
@@ -34,7 +33,7 @@ def install(extra: str) -> None:
     print(f"installing ssrvlad-torch[{extra}] into {VENV.name}, a few minutes", flush=True)
     pip = [BIN / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
     constraints = ["--constraint", ROOT / "constraints.txt"]
-    # torch first: a dependency on it is then satisfied by the pinned build
+    # torch first: its pinned build then satisfies the dependency of the package
     for what in (["torch"], ["--editable", f"{ROOT}[{extra}]"]):
         if subprocess.run([*pip, *constraints, *what], check=False).returncode:
             sys.exit(f"{Path(sys.argv[0]).name}: pip could not install {' '.join(what)}, see above")
@@ -42,7 +41,7 @@ def install(extra: str) -> None:
 
 
 def run(*command: str | Path) -> None:
-    """Runs a command of the environment; ends this script if it fails."""
+    """Runs a command of the environment; exits with its code if it fails."""
     done = subprocess.run([BIN / command[0], *command[1:]], cwd=ROOT, check=False)
     if done.returncode:
         sys.exit(done.returncode)

@@ -160,7 +160,7 @@ WRONG_USES = [
     ("evaluate town.ssrdb monday", "got 0 of them"),
     (
         "evaluate town.ssrdb monday --tolerance-frames 1 --tolerance-degrees 5",
-        "--tolerance-degrees wants --tolerance-metres beside it",
+        "--tolerance-degrees needs --tolerance-metres",
     ),
     (
         "evaluate town.ssrdb monday --tolerance-frames 1 --convention sklearn",

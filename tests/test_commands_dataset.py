@@ -57,9 +57,9 @@ def test_a_query_of_a_data_set(ssrvlad, city, reference):
     ("options", "message"),
     [
         (("--layout", "auto", "--split", "nope"), "city has no sequence 'nope'; it has query, ref"),
-        (("--split", "query"), "--split, --role and --labels want a --layout, for example auto"),
-        (("--role", "query"), "want a --layout"),
-        (("--labels", "maps"), "want a --layout"),
+        (("--split", "query"), "--split, --role and --labels need --layout, such as --layout auto"),
+        (("--role", "query"), "need --layout"),
+        (("--labels", "maps"), "need --layout"),
         (("--layout", "synthia"), "city is not in the layout synthia: expected"),
         (("--layout", "kitti"), "unknown layout 'kitti'; expected one of extended-cmu"),
         (("--layout", "auto", "--role", "loop"), "'loop' is not one of 'reference', 'query'"),
@@ -75,7 +75,10 @@ def test_wrong_use_of_a_data_set(ssrvlad, city, reference, options, message):
 
 def test_a_data_set_is_one_folder(ssrvlad, city, reference):
     code, _, err = ssrvlad("query", reference, city, city, "--layout", "auto")
-    assert (code, err) == (2, ["ssrvlad: --layout wants the folder of one data set, got 2 sources"])
+    assert (code, err) == (
+        2,
+        ["ssrvlad: --layout: expected the folder of one data set, got 2 sources"],
+    )
 
 
 def test_headings_can_count(ssrvlad, city, reference):
@@ -138,8 +141,8 @@ def test_numbers_of_the_truth_count_images_not_label_maps(recognise, tmp_path):
     assert metrics["references"] == 5
     assert err == [
         "ssrvlad: 1 of 6 frames have no label map, the first is query/001",
-        f"ssrvlad: 1 of the references that {tmp_path}/bench/ground_truth_new.npy names are not in "
-        "the database, the first is ref/000",
+        f"ssrvlad: 1 references of {tmp_path}/bench/ground_truth_new.npy are not in the "
+        "database, the first is ref/000",
     ]
 
 
@@ -148,7 +151,7 @@ def test_numbers_of_the_truth_count_images_not_every_so_many(recognise):
     assert figures(recognise(querying=odd)[1]) == (3, 2, 1.0)
     code, metrics, err = recognise(encoding=odd)
     assert (code, figures(metrics)) == (0, (6, 2, 1.0))
-    assert "2 of the references that" in err[0]
+    assert "2 references of " in err[0]
     assert "are not in the database, the first is ref/000" in err[0]
 
 

@@ -33,7 +33,7 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(ssrvlad, database, m
     assert file.name in err[0]
     code, _, err = ssrvlad("db", "verify", database, "--drop-damaged")
     assert code == 3
-    assert "now holds the 5 frames that are whole" in err[-1]
+    assert "now holds the 5 undamaged frames" in err[-1]
     assert ssrvlad("db", "verify", database)[0] == 0
     code, out, _ = ssrvlad("encode", maps, "-o", database, "--labels-as", "camvid-11")
     assert "1 frames encoded" in out
@@ -47,7 +47,7 @@ def test_verify_goes_back_where_the_newest_version_cannot_be_read(ssrvlad, datab
     assert "reads the version before" in err[0]
     code, _, err = ssrvlad("db", "verify", database, "--drop-damaged")
     assert code == 3
-    assert f"put aside: damaged-{newest.name}" in err[0]
+    assert f"renamed a version that cannot be read: damaged-{newest.name}" in err[0]
     code, out, err = ssrvlad("encode", maps, "-o", database)
     assert "6 frames encoded" in out, err
     assert ssrvlad("db", "verify", database)[0] == 0
@@ -120,11 +120,13 @@ def test_encode_tells_what_is_gone_and_prunes_it(ssrvlad, database, maps):
     code, out, err = ssrvlad(*arguments)
     assert code == 0
     assert "5 already there" in out
-    assert err == [f"ssrvlad: monday/003 is in {database} and its file is gone; --prune removes it"]
+    assert err == [
+        f"ssrvlad: monday/003 is in {database}, but its file is gone; --prune removes it"
+    ]
     assert ssrvlad(*arguments, "--every", 2)[2] == []
     code, _, err = ssrvlad(*arguments, "--every", 2, "--prune")
     assert code == 2
-    assert "--prune wants whole folders" in err[0]
+    assert "--prune needs whole folders" in err[0]
     code, out, err = ssrvlad(*arguments, "--prune")
     assert (code, err) == (0, [])
     assert "1 removed" in out
@@ -166,7 +168,7 @@ def test_a_query_can_be_limited(ssrvlad, database, maps, tmp_path):
     assert not {"monday/001", "monday/002", "monday/003"} & set(found)
     assert {"monday/000", "monday/004", "tuesday/002"} <= set(found)
     code, _, err = ssrvlad(*query, "--window", "2")
-    assert (code, err) == (2, ["ssrvlad: --window wants FIRST:LAST in whole numbers, got '2'"])
+    assert (code, err) == (2, ["ssrvlad: --window: expected FIRST:LAST in whole numbers, got '2'"])
     assert ssrvlad(*query, "--from-sequence", "never")[0] == 2
 
 
@@ -186,4 +188,4 @@ def test_a_database_is_a_source_of_queries(ssrvlad, database, maps, tmp_path):
     ssrvlad("encode", tmp_path / "tuesday", *arguments)
     code, _, err = ssrvlad("query", database, paper)
     assert code == 2
-    assert "they do not compare" in err[0]
+    assert "their descriptors do not compare" in err[0]

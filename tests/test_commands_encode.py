@@ -47,7 +47,7 @@ def test_a_wrong_label_space_is_told_once(ssrvlad, maps, tmp_path):
         Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / f"{n:03d}.png")
     code, _, err = ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")
     assert code == 3 and len(err) == 22
-    assert "no frame could be described: is --labels-as what the ids" in err[0]
+    assert "no frame could be described: is --labels-as the label space" in err[0]
     assert err[-1] == "ssrvlad: skipped 5 more"
 
 
@@ -118,7 +118,7 @@ def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(ssrvlad, pho
             ["--segmenter", "net.onnx", "--labels-as", "synthia"],
             "net.onnx: no output fits label space synthia: got found (?, 12, ?, ?)",
         ),
-        (["--segmenter-cache", "cache"], "--segmenter-cache wants a --segmenter"),
+        (["--segmenter-cache", "cache"], "--segmenter-cache needs --segmenter"),
     ],
 )
 def test_wrong_use_of_a_segmenter(ssrvlad, photos, tmp_path, monkeypatch, options, message):

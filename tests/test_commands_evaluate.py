@@ -108,7 +108,7 @@ def test_queries_of_the_ground_truth_that_are_not_there_are_counted(evaluate, tm
     truth = {f"tuesday/{n}": ["monday/001"] for n in ("001", "10", "9")}
     path = write_truth(tmp_path / "truth.json", truth)
     _, _, err = evaluate("--ground-truth", path)
-    strange = f"2 of the queries that {path} names are not there, the first is tuesday/9"
+    strange = f"2 queries of {path} do not exist, the first is tuesday/9"
     assert f"ssrvlad: {strange}" in err
 
 

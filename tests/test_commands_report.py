@@ -194,7 +194,7 @@ def test_another_method_has_a_page_without_categories(ssrvlad, tmp_path, out, me
     [
         ("--report none/out.html", "cannot write none/out.html: there is no folder none"),
         ("--report monday", "cannot write monday: it is a folder"),
-        ("--pictures monday", "--pictures wants a --report of a database"),
+        ("--pictures monday", "--pictures needs the --report of a database"),
         ("--report out.html --pictures none", "none does not exist and matches no file"),
         ("--report out.html --pictures town.ssrdb", "town.ssrdb holds no images"),
     ],

@@ -219,7 +219,7 @@ def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
     told = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
-    assert "--with hog wants images as SOURCE, and a --segmenter" in told
+    assert "--with hog needs images as SOURCE and --segmenter" in told
     assert not plain.exists()
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
     ray = refused("encode", maps, "-o", town, "--engine", "ray")
@@ -228,10 +228,10 @@ def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
     told = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in told
     told = refused("query", plain, photos / "today", *network, "--fuse")
-    assert "holds no descriptors of pictures; encode them anew with --with hog" in told
+    assert "holds no descriptors of pictures; encode a new database with --with hog" in told
     for source in (maps, plain):
         told = refused("query", town, source)
-        assert "expected images and a --segmenter, or --no-fuse" in told
+        assert "expected images and --segmenter, or --no-fuse" in told
         assert ssrvlad("query", town, source, "--no-fuse")[0] == 0
     assert "--as-paper" in refused("query", town, maps, "--fuse", "--as-paper")
     assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
@@ -311,4 +311,4 @@ def test_loops_take_pictures(photos, ssrvlad):
     assert "31 frames" in out
     code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--with", "hog")
     assert code == 2
-    assert "--with hog wants images as SOURCE, and a --segmenter" in line
+    assert "--with hog needs images as SOURCE and --segmenter" in line

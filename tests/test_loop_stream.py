@@ -110,7 +110,7 @@ def test_precision_and_recall_by_poses(loops, drive):
     )
     assert re.match(r"surest threshold 0\.\d+: precision 1\.000, by its 95 % ", suggestion)
     assert suggestion.endswith(
-        "; to prove a precision of 0.95 takes at least 73 loops without a mistake"
+        "; a proof of precision 0.95 needs at least 73 loops without a mistake"
     )
     _, out, _ = loops(drive, "--tolerance-metres", 5, "--json")
     *frames, told = objects(out)
@@ -250,7 +250,7 @@ def test_a_memory_is_gone_on_from(loops, drive, tmp_path):
 
 def test_a_memory_says_what_ids_mean(ssrvlad, drive, tmp_path):
     memory = tmp_path / "memory.ssrdb"
-    missing = "ssrvlad: Missing option '--labels-as': what the ids of the label maps mean"
+    missing = "ssrvlad: Missing option '--labels-as': label space of the label maps"
     assert ssrvlad("loops", drive, "--memory", memory)[2] == [missing]
     assert ssrvlad("encode", drive, "-o", memory, "--labels-as", "camvid-11")[0] == 0
     code, out, _ = ssrvlad("loops", drive, "--memory", memory, "--sequence", "again")
@@ -366,10 +366,10 @@ def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["-", "other"], "stands alone"),
-        (["-", "--every", 2], "stands alone"),
+        (["-", "other"], "takes no other SOURCE"),
+        (["-", "--every", 2], "takes no other SOURCE"),
         (["nowhere"], "nowhere does not exist"),
-        (["-", "--segmenter-cache", "x"], "--segmenter-cache wants a --segmenter"),
+        (["-", "--segmenter-cache", "x"], "--segmenter-cache needs --segmenter"),
         (["-", "--preset", "best"], "preset must be one of"),
         (["-", "--threshold", "nan"], "Invalid value for '--threshold'"),
         (["-", "--exclude", "-1"], "greater than or equal to 0"),

@@ -1,7 +1,7 @@
 """The command line: ``ssrvlad COMMAND``. Results go to stdout, notes and errors to stderr.
 
-The module of a command holds what the user types and sees. It imports what does the work inside
-the command, so that help needs no torch.
+The module of a command defines its options and its output. It imports the rest inside the command,
+so that ``--help`` needs no torch.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ app = typer.Typer(
 
 
 LIMITS = (
-    "Environment: SSRVLAD_PIXEL_LIMIT, the most pixels of a picture (64 million); "
-    "SSRVLAD_FILE_LIMIT, the most bytes of a file (256 MiB)."
+    "Environment variables: SSRVLAD_PIXEL_LIMIT, largest number of pixels of a picture (64 "
+    "million); SSRVLAD_FILE_LIMIT, largest number of bytes of a file (256 MiB)."
 )
 
 
@@ -48,11 +48,13 @@ def ssrvlad(
     version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False,
     debug: Annotated[
         bool,
-        typer.Option("--debug", help="Show the traceback of an error; anywhere on the line."),
+        typer.Option(
+            "--debug", help="Print the traceback of an error; allowed anywhere on the line."
+        ),
     ] = False,
 ) -> None:
     """Place recognition from semantic segmentation (SSR-VLAD)."""
-    del debug  # `main` has looked for it in the whole line
+    del debug  # `main` reads it from the whole line
     if version:
         print(f"ssrvlad {__version__}, on a CPU with {core().status}")
     elif context.invoked_subcommand is None:

@@ -1,4 +1,4 @@
-"""Timing: several ways to do the same work, in turn, in one process, with the threads pinned."""
+"""Times several implementations in turn, in one process, with a fixed number of threads."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BATCH = 16
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of the repetitions of one way to do the work."""
+    """Seconds of the repetitions of one implementation."""
 
     seconds: tuple[float, ...]
 
@@ -36,18 +36,17 @@ class Timing:
         return {"median": median(ordered), "min": ordered[0], "max": ordered[-1]}
 
     def times_faster_than(self, other: Timing) -> dict[str, float]:
-        """Ratios to another way, repetition by repetition: ``median``, ``min`` and ``max``."""
-        ratios = sorted(
-            there / here for here, there in zip(self.seconds, other.seconds, strict=True)
-        )
+        """Ratios to another timing, repetition by repetition: ``median``, ``min`` and ``max``."""
+        ratios = sorted(slow / fast for fast, slow in zip(self.seconds, other.seconds, strict=True))
         return {"median": median(ratios), "min": ratios[0], "max": ratios[-1]}
 
 
 def time_in_turn(
     ways: Mapping[str, Callable[[], object]], repetitions: int, warm_up: bool = True
 ) -> dict[str, Timing]:
-    """Times each way once, then each once again, and so on: a slow moment hits all alike. The
-    warm-up calls each once before, so that compiling and first allocations do not count."""
+    """Times each function once, then each once again, and so on, so that a slow moment affects all
+    of them. The warm-up calls each once before, so that compilation and first allocations do not
+    count."""
     if warm_up:
         for way in ways.values():
             way()
@@ -62,7 +61,7 @@ def time_in_turn(
 
 @contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Pins the number of threads that torch computes with."""
+    """Sets the number of threads of torch."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
@@ -72,14 +71,14 @@ def threads(count: int) -> Iterator[None]:
 
 
 def heads(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
-    """The module by torch and, where it was built, by the native core."""
+    """The head on torch alone, and, if it is built, on the native core."""
     by_torch = SSRVLAD(config)
     by_torch.native = False
     return {"torch": by_torch, **({"native core": SSRVLAD(config)} if core().library else {})}
 
 
 def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
-    """The exported head in ONNX Runtime, one thread.
+    """The exported head in ONNX Runtime, on one thread.
 
     Raises:
         ImportError: the extra ``onnx`` is not installed.
@@ -101,11 +100,11 @@ def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
 
 
 def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
-    """The table of ``ssrvlad bench``: both presets on frames of the synthetic city, one thread.
+    """The table of ``ssrvlad bench``: both presets on frames of the synthetic city, on one thread.
 
     Returns:
-        a row for each preset, batch and way, with milliseconds an image and, for one image, how
-        many times faster than the reference it is. ONNX Runtime is there with the extra ``onnx``.
+        a row for each preset, batch and implementation, with the milliseconds for each image, and
+        for a batch of one the speed-up over the reference. ONNX Runtime needs the extra ``onnx``.
 
     Raises:
         ImportError: the extra ``eval``, which the reference needs, is not installed.

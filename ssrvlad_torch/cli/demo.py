@@ -1,4 +1,4 @@
-"""The main job on generated data: two drives through a synthetic city, recognised."""
+"""The method on generated data: two drives through a synthetic city."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .pairs import Pair, chosen, draw_pairs
 LABELS_AS = "cityscapes-trainids"
 PICTURED = 4
 STEPS = 4
-"""Rounds of work for each frame: two to render, one to encode, one to query."""
+"""Steps of work for each frame: two to render, one to encode, one to query."""
 
 _ABOVE = "Queries: the second drive, in winter, beside the first track, with poor labels"
 _BELOW = "Best match of each in the first drive"
@@ -32,20 +32,20 @@ _BELOW = "Best match of each in the first drive"
 
 @dataclass(frozen=True)
 class DemoResult:
-    """The metrics as `evaluate` gives them, with ``references`` and ``fingerprint``."""
+    """The metrics of `evaluate` with ``references`` and ``fingerprint``, and the picture."""
 
     metrics: dict[str, Any]
     picture: Path
 
 
 def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None]) -> DemoResult:
-    """Renders a city, encodes the reference drive, recognises the query drive, draws the result.
+    """Renders a city, encodes the first drive, recognises the second one, draws the result.
 
     Args:
-        out: folder, new or empty, that gets ``city/``, ``city.ssrdb`` and ``demo.png``.
+        out: folder to write, new or empty: ``city/``, ``city.ssrdb`` and ``demo.png``.
         frames: frames of each drive.
         seed: of the city.
-        progress: called with the number of steps that are done, `STEPS` a frame in all.
+        progress: called with the number of further steps that are done, `STEPS` for each frame.
     """
     city = empty_folder(out) / "city"
     write_city(city, frames=frames, seed=seed, progress=progress)

@@ -1,4 +1,4 @@
-"""Several methods as one: their scores of all pairs fused, then followed."""
+"""Fused methods: the scores of several methods for all pairs, added up and followed."""
 
 from __future__ import annotations
 
@@ -12,48 +12,58 @@ from ..recognition.follow import runs
 from ..recognition.fusion import FusedScores
 from ..recognition.recognise import Steps, recognise_by_scores
 from .measure import TOP, Recognition
-from .recognise import unranked
+from .methods import similarity_of
 
 
-def followed(one: Recognition, steps: Steps) -> Recognition:
-    """What a method found of single frames, all pairs ranked, followed by the rest of the steps."""
-    return _by_scores(one, _scores(one), steps)
+def followed(recognition: Recognition, steps: Steps) -> Recognition:
+    """A method's recognition of single frames, with scores of all pairs, after following."""
+    return _by_scores(recognition, _scores(recognition), steps)
 
 
 def fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
-    """What methods found of single frames, all pairs ranked, as one; then followed, too."""
-    first, told = members[0], [member.told for member in members]
-    methods, names = [each["method"] for each in told], _sequences(first.queries.frames)
+    """The fused recognition of single frames, and the followed one if ``steps.follow``.
+
+    Args:
+        members: recognitions of single frames by each method, with scores of all pairs.
+        steps: of which only following applies.
+    """
+    first, details = members[0], [member.details for member in members]
+    methods, names = [each["method"] for each in details], _sequences(first.queries.frames)
     scores = [_scores(member) for member in members]
-    parts = {run: FusedScores([one[run.start : run.stop] for one in scores]) for run in runs(names)}
-    together = torch.cat([part.whole() for part in parts.values()])
+    parts = {
+        run: FusedScores([values[run.start : run.stop] for values in scores]) for run in runs(names)
+    }
+    sums = torch.cat([part.whole() for part in parts.values()])
     costs = {
-        cost: {key: sum(each[cost][key] for each in told) for key in ("average", "min", "max")}
+        cost: {key: sum(each[cost][key] for each in details) for key in ("average", "min", "max")}
         for cost in ("encode_ms", "match_ms")
     }
     weights = {
         names[run.start]: dict(zip(methods, part.weights, strict=True))
         for run, part in parts.items()
     }
-    summed = {"bytes_a_reference": sum(each["bytes_a_reference"] for each in told), **costs}
-    as_one = {"method": " + ".join(methods), "temporal": None, "weights": weights, **summed}
-    one = replace(first, told={**first.told, **as_one})
+    fusion = {
+        **{"method": " + ".join(methods), "temporal": None, "weights": weights},
+        **{"bytes_a_reference": sum(each["bytes_a_reference"] for each in details), **costs},
+    }
+    single = replace(first, details={**first.details, **fusion})
     if first.similarity is not None:
-        one = replace(one, similarity=together.numpy())
-    single = _by_scores(one, together, replace(steps, follow=None, delay=0))
-    return [single, _by_scores(one, together, steps)] if steps.follow else [single]
+        single = replace(single, similarity=sums.numpy())
+    alone = _by_scores(single, sums, replace(steps, follow=None, delay=0))
+    return [alone, _by_scores(single, sums, steps)] if steps.follow else [alone]
 
 
-def _by_scores(one: Recognition, scores: Tensor, steps: Steps) -> Recognition:
-    here, there = (_sequences(part.frames) for part in (one.queries, one.references))
-    found = recognise_by_scores(scores, here, there, steps, TOP)
-    before = one.told["steps"] or {}
+def _by_scores(recognition: Recognition, scores: Tensor, steps: Steps) -> Recognition:
+    queries, references = recognition.queries.frames, recognition.references.frames
+    found = recognise_by_scores(scores, _sequences(queries), _sequences(references), steps, TOP)
+    before = recognition.details["steps"] or {}
     used = {**found.used, **{key: before[key] for key in ("standardise", "sweep") if key in before}}
-    return replace(one, found=found.matches, told={**one.told, "steps": used})
+    details = {**recognition.details, "steps": used}
+    return replace(recognition, matches=found.matches, details=details)
 
 
-def _scores(one: Recognition) -> Tensor:
-    return torch.from_numpy(unranked(one.found, len(one.references.frames)))
+def _scores(recognition: Recognition) -> Tensor:
+    return torch.from_numpy(similarity_of(recognition.matches, len(recognition.references.frames)))
 
 
 def _sequences(frames: Sequence[str]) -> list[str]:

@@ -1,10 +1,9 @@
 """The entry point of the command line: an error becomes one line on stderr and an exit code.
 
-Exit codes: 0 success, 1 a file that is not what `verify` expects, 2 wrong use or an input that
-nothing can be done with, 3 finished with some inputs skipped, 130 interrupted, 143 terminated.
+Exit codes: 0 success, 1 a difference found by `verify`, 2 wrong use or unusable input, 3 finished
+with some inputs skipped, 130 interrupted, 143 terminated.
 
-Everything is imported inside `main`, so that Ctrl-C during an import is an interruption like any
-other.
+`main` imports the rest, so that Ctrl-C during an import is handled.
 """
 
 from __future__ import annotations
@@ -26,11 +25,13 @@ def main() -> None:
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
-    warnings.filterwarnings("ignore", "Image size .* exceeds limit")  # Pillow's; ours is an error
+    warnings.filterwarnings(
+        "ignore", "Image size .* exceeds limit"
+    )  # of Pillow; the package raises an error
     try:
         code = _run(arguments, debug=len(arguments) < len(sys.argv) - 1)
         sys.stdout.flush()
-    except BrokenPipeError:  # the reader has enough, as in `ssrvlad query ... | head`
+    except BrokenPipeError:  # the reader stopped, as in `ssrvlad query ... | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 0
     except KeyboardInterrupt:
@@ -54,7 +55,7 @@ def _run(arguments: list[str], debug: bool) -> int:
     except SystemExit as end:
         if end.code == TERMINATED:
             raise
-        raise BrokenPipeError from None  # typer ends with another code where a pipe is broken
+        raise BrokenPipeError from None  # typer exits with another code when a pipe breaks
     except typer.Abort:
         return INTERRUPTED
     except typer.TyperException as error:
@@ -70,7 +71,7 @@ def _run(arguments: list[str], debug: bool) -> int:
 
 
 def _sentence(error: Exception) -> str | None:
-    """What an input or the machine is at fault for, in words; ``None`` for an error in the code."""
+    """The message of an error of an input or the machine; ``None`` for an error in the code."""
     if isinstance(error, RecursionError):
         return f"an input is nested too deeply: {error}"
     if isinstance(error, MemoryError) or "allocate memory" in str(error):

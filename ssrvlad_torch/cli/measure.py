@@ -1,4 +1,4 @@
-"""Figures of the candidates of a set of queries, however they were found, and their tables."""
+"""Metrics of the candidates of queries, and their tables."""
 
 from __future__ import annotations
 
@@ -18,66 +18,67 @@ from ..evaluation.report import Descriptors, Pictures
 from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
 from ..recognition.matching import Matches
 from ..recognition.standardise import MIN_FRAMES
-from .output import figure, fused_in_words, interval, print_table
+from .output import fraction, interval, print_table, weights_in_words
 from .truth import Places
 
 TOP = 10
-"""Candidates of each query that the figures need."""
+"""Candidates of each query that the metrics need."""
 
 RESAMPLES = 1000
 
 
 @dataclass(frozen=True)
 class Recognition:
-    """What was found.
+    """The candidates of queries, and how they were found.
 
     Attributes:
         references, queries: the frames.
-        found: candidates of each query, `TOP` at least.
-        similarity: ``(Q, R)`` scores of all pairs, where they are needed.
-        descriptors: of the queries and of the references, where a database has them.
+        matches: candidates of each query, at least `TOP`.
+        similarity: ``(Q, R)`` scores of all pairs, if they are needed.
+        descriptors: of the queries and of the references, if they are from a database.
         pictures: of the queries and of the references, by their ids.
         skipped: queries that could not be encoded.
-        told: how it was found, for the user.
+        details: the method, its steps and its costs, for the report.
     """
 
     references: Places
     queries: Places
-    found: Matches
+    matches: Matches
     similarity: npt.NDArray[np.float32] | None = None
     descriptors: Descriptors | None = None
     pictures: tuple[Pictures, Pictures] | None = None
     skipped: Sequence[Skipped] = ()
-    told: Mapping[str, Any] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
 
 
-def wants_similarity(convention: Convention) -> bool:
-    """Whether a convention looks at all pairs."""
+def needs_similarity(convention: Convention) -> bool:
+    """Whether a convention needs the scores of all pairs."""
     return convention.startswith("vpr-tutorial")
 
 
 def measure(
-    recognition: Recognition, matches: PartialTruth, convention: Convention, at_recall: float
+    recognition: Recognition, truth: PartialTruth, convention: Convention, at_recall: float
 ) -> dict[str, Any]:
-    """All figures with 95 % intervals, thresholds to choose from, and how it was found."""
-    known, truth = known_matches(matches)
-    scores, rows = (best.numpy()[known] for best in recognition.found)
+    """All metrics with 95 % intervals, thresholds to choose from, and the details of the
+    recognition. Queries whose true matches are not known are left out."""
+    known, true_rows = known_matches(truth)
+    scores, rows = (part.numpy()[known] for part in recognition.matches)
     pairs = recognition.similarity
     similarity = None if pairs is None else pairs[known]
     metrics = evaluate(
-        scores, rows, truth, convention=convention, similarity=similarity, resamples=RESAMPLES
+        scores, rows, true_rows, convention=convention, similarity=similarity, resamples=RESAMPLES
     )
-    curve = precision_recall_curve(judge(scores, rows, truth), truth)
+    curve = precision_recall_curve(judge(scores, rows, true_rows), true_rows)
     metrics["thresholds"] = operating_points(curve, [at_recall])
     metrics["references"] = len(recognition.references.frames)
-    return {**metrics, **recognition.told}
+    return {**metrics, **recognition.details}
 
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
-    """All figures with their intervals, and the thresholds to choose from."""
+    """Prints all metrics with their intervals, and the thresholds to choose from."""
     table = Table("metric", metrics["convention"], "95 % interval")
     for name, value, ends in figure_rows(metrics):
-        table.add_row(name, figure(value), interval(ends))
+        table.add_row(name, fraction(value), interval(ends))
     print_table(table)
     print_table(_thresholds(metrics["thresholds"]))
     print(proof(metrics["thresholds"]["suggested"]))
@@ -85,56 +86,56 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
 
 
 def counts(metrics: Mapping[str, Any]) -> str:
-    """How many frames the figures are of, and what found them."""
+    """The number of queries and references, and the method, in a line."""
     steps = metrics.get("steps")
     done = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
     if "method" in metrics:
         encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
-        whose = f"method {metrics['method']}: {done}; encode {encode:.1f} ms, "
-        whose += f"match {match:.1f} ms a single frame"
+        method = f"method {metrics['method']}: {done}; encode {encode:.1f} ms, "
+        method += f"match {match:.1f} ms for each single frame"
     else:
-        whose = f"{done}, fingerprint {metrics['fingerprint']}"
+        method = f"{done}, fingerprint {metrics['fingerprint']}"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
-        f"{metrics['references']} references, {whose}"
+        f"{metrics['references']} references, {method}"
     )
 
 
 def proof(suggested: Mapping[str, Any] | None) -> str:
-    """How sure the precision at the suggested threshold is, and what would prove more."""
-    want = f"to prove a precision of {SURE_PRECISION:g} takes at least {queries_needed()} "
-    want += "accepted queries without a mistake"
+    """The precision that is proven at the suggested threshold, and what would prove more."""
+    missing = f"a proof of precision {SURE_PRECISION:g} needs at least {queries_needed()} "
+    missing += "accepted queries without a mistake"
     if suggested is None:
-        return f"suggested: no threshold, no query was recognised; {want}"
+        return f"suggested: no threshold, no query was recognised; {missing}"
     low = suggested["precision_low"]
-    told = f"suggested: {suggested['score']:.4f}, a precision of at least {low:.3f} is proven by "
-    told += f"{suggested['accepted']} accepted queries"
-    return told if low >= SURE_PRECISION else f"{told}; {want}"
+    proven = f"suggested: {suggested['score']:.4f}, a precision of at least {low:.3f} is proven by "
+    proven += f"{suggested['accepted']} accepted queries"
+    return proven if low >= SURE_PRECISION else f"{proven}; {missing}"
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
-    """The steps between descriptors and decision, in a line; without ``temporal`` no word on Eq.
-    3."""
+    """The steps between descriptors and a decision, in a line; those of Eq. 3 only if ``temporal``
+    is given."""
     widths, followed = used["sweep"].values(), used["follow"].values()
     if not followed:
         return "no query could be described"
-    told = [
+    words = [
         "standardised" if any(used["standardise"].values()) else "not standardised",
         f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns"
         if any(widths)
         else "no sweep",
         f"followed: {'/'.join(dict.fromkeys(followed))}",
     ]
-    told += fused_in_words(list(used["weights"].values()))
+    words += weights_in_words(list(used["weights"].values()))
     if used["delay"]:
-        told.append(f"answers wait for {used['delay']} queries")
+        words.append(f"answers wait for {used['delay']} queries")
     if temporal is not None:
         ts = temporal.values() if isinstance(temporal, Mapping) else [temporal]
         t = "/".join(map(str, dict.fromkeys(ts)))
-        told.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
+        words.append(f"temporal sum t = {t}" if any(ts) else "no temporal sum")
     if used["references"] < MIN_FRAMES:
-        told.append(f"{used['references']} references are too few to tell how sure")
-    return ", ".join(told)
+        words.append(f"no confidence: {used['references']} references are too few")
+    return ", ".join(words)
 
 
 def _thresholds(points: Mapping[str, Any]) -> Table:
@@ -149,5 +150,5 @@ def _thresholds(points: Mapping[str, Any]) -> Table:
 def _point(point: Mapping[str, Any] | None) -> list[str]:
     if point is None:
         return ["none"]
-    fractions = [figure(point[key]) for key in ("precision", "precision_low", "recall")]
+    fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
     return [f"{point['score']:.4f}", *fractions, str(point["accepted"])]

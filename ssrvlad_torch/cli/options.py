@@ -1,14 +1,14 @@
 """The options that several commands take.
 
 An options class is a frozen dataclass whose fields are options. A command takes it as one
-parameter; `expand` puts the fields in its place on the command line, and the command gets the
-object back:
+parameter; `expand` turns the fields into options of the command line and passes the object to the
+command:
 
-    def query(*, source: SourceOptions, top: int = option(5, "Candidates of each query.")): ...
+    def query(*, source: SourceOptions, top: int = option("Number of candidates.", default=5)): ...
 
 To add an option to all commands that share a class, add a field to the class:
-``name: type = option(default, "help")``. To add one to a single command, add a parameter to its
-function. Nothing here may import torch, so that ``ssrvlad --help`` is quick.
+``name: type = option("help", default=...)``. To add one to a single command, add a parameter to its
+function. This module imports no torch, so that ``ssrvlad --help`` is quick.
 """
 
 from __future__ import annotations
@@ -26,141 +26,153 @@ import typer
 from ..baselines import METHODS
 from ..evaluation.metrics import Convention
 
+NETWORK = (
+    "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
+    "torchhub:REPO/MODEL or MODULE:NAME."
+)
+
 DatabaseFolder = Annotated[str, typer.Argument(help="Folder or URI of the database.")]
 AsOf = Annotated[
     int | None,
-    typer.Option("--as-of", min=1, help="Version of the database, see ssrvlad db history."),
+    typer.Option(
+        "--as-of",
+        min=1,
+        help="Version of the database to read, see ssrvlad db history. Default: the newest.",
+    ),
 ]
 LabelsAs = Annotated[str, typer.Option(help="Label space of the ids: a name or a .yaml file.")]
+Segmenter = Annotated[
+    str | None, typer.Option(help=f"Segmentation network that labels images: {NETWORK}")
+]
+Classes = Annotated[
+    str | None,
+    typer.Option(help="Channels of the network to use, FIRST:LAST without LAST, such as 0:19."),
+]
 Preset = Annotated[str, typer.Option(help="paper (SSR-VLAD) or default (ours).")]
 MaybePreset = Annotated[
     str | None,
     typer.Option(
         "--preset",
-        help="paper (SSR-VLAD) or default (ours). Without it, the preset of the database.",
+        help="paper (SSR-VLAD) or default (ours). Default: the preset of the database, or default "
+        "for a new one.",
     ),
 ]
 With = Annotated[
     Literal["hog"] | None,
     typer.Option(
         "--with",
-        help="Describe each image by this method, too: recognition then uses both. Only when the "
-        "database is new. It wants a --segmenter.",
+        help="Also describe each image by this method; recognition then uses both. Needs "
+        "--segmenter. A database has these descriptors from its first frame on, or never.",
     ),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
-Frames = Annotated[int, typer.Option(min=2, help="Frames of each traverse.")]
 Seed = Annotated[int, typer.Option(min=0, help="Another seed gives another city.")]
 Weights = Annotated[
     Path | None,
     typer.Option(
-        help="Weights of the method's network, or their folder. Without it, "
+        help="Weights of the method's network: a file or its folder. Default: "
         "~/.cache/ssrvlad/weights."
     ),
 ]
 RandomWeights = Annotated[
-    bool, typer.Option("--random-weights", help="Random weights, only to measure costs.")
+    bool, typer.Option("--random-weights", help="Use random weights, only to measure costs.")
 ]
 
 
-def option(default: object, help: str, *flags: str, **settings: Any) -> Any:
+def option(help: str, *flags: str, default: object = None, **settings: Any) -> Any:
     """An option: a field of an options class, or the default of a command's parameter.
 
-    Without flags, its name is that of the field. A default of ``...`` means that it must be given.
+    Without flags, its name is that of the field. An option with the default ``...`` is required.
     """
     return field(default=default, metadata={"typer": typer.Option(*flags, help=help, **settings)})
 
 
 def argument(help: str, metavar: str | None = None, **default: Any) -> Any:
-    """An argument, likewise."""
+    """An argument: a field of an options class, or the default of a command's parameter."""
     return field(metadata={"typer": typer.Argument(help=help, metavar=metavar)}, **default)
 
 
 @dataclass(frozen=True)
 class SourceOptions:
-    """Where frames come from, which of them are taken, and how images become label maps."""
+    """Where frames come from, which of them are used, and how images become label maps."""
 
     paths: list[str] = argument(
-        "Folders, globs or files of label maps, or of images with --segmenter; a folder "
-        "is a sequence, and so is a ROS bag of images.",
+        "Folders, globs, files or ROS bags of label maps, or of images with --segmenter. Each "
+        "folder and each bag is one sequence.",
         metavar="SOURCE...",
     )
     labels_as: str | None = option(
-        None,
-        "Label space of the ids: a name or a .yaml file. Without it, the class names of "
-        "the segmenter decide (auto), or else the database or the data set.",
+        "Label space of the ids: a name, a .yaml file, or auto (by the class names of the "
+        "segmenter). Default: the one of the segmenter, else of the data set, else of the "
+        "database."
     )
     layout: str | None = option(
-        None,
-        "SOURCE is the folder of a data set: auto, or extended-cmu, robotcar-seasons, "
-        "synthia, cityscapes, camvid, vpr-bench, folders.",
+        "SOURCE is the folder of a data set with this layout: auto (recognised), extended-cmu, "
+        "robotcar-seasons, synthia, cityscapes, camvid, vpr-bench or folders."
     )
     split: list[str] | None = option(
-        None, "With --layout: a sequence to take, * for any text; repeatable."
+        "With --layout: sequence to use; * stands for any text; can be repeated."
     )
     role: Literal["reference", "query"] | None = option(
-        None, "With --layout: take the references only, or the queries only."
+        "With --layout: use only the references, or only the queries."
     )
-    labels: Path | None = option(None, "With --layout: other label maps than the data set's own.")
+    labels: Path | None = option(
+        "With --layout: folder of label maps to use instead of those of the data set."
+    )
     sequence: str | None = option(
-        None,
-        "Name of the sequence. Without it, the one that the folder has in the database, or else "
-        "the end of the folder's path that no other folder has.",
+        "Name of the sequence. Default: the name that the database has for the folder, else the "
+        "shortest end of its path that no other folder has."
     )
     poses: str | None = option(
-        None,
-        "Where frames were taken: a .csv file, a file of KITTI or TUM, or exif. Without "
-        "it, poses.csv in or beside a folder, or @UTM@ fields of file names.",
+        "Poses of the frames: a .csv file, a KITTI or TUM file, or exif. Default: poses.csv in or "
+        "beside the folder, or the @UTM@ fields of file names."
     )
-    topic: str | None = option(None, "Topic of a ROS bag that has several topics of images.")
-    every: int = option(1, "Take every N-th frame of a sequence.", min=1)
-    start: int = option(0, "First frame to take of a sequence.", min=0)
-    segmenter: str | None = option(
-        None,
-        "Network that labels images: FILE.onnx, FILE.yaml with a network and its "
-        "settings, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL or MODULE:NAME.",
-    )
-    classes: str | None = option(
-        None, "Channels of the network to use, FIRST:LAST, for example 0:19."
-    )
+    topic: str | None = option("Image topic of a ROS bag; needed only if the bag has several.")
+    every: int = option("Use every N-th frame of a sequence.", default=1, min=1)
+    start: int = option("Number of the first frame of a sequence to use.", default=0, min=0)
+    segmenter: Segmenter = None
+    classes: Classes = None
     segmenter_cache: Path | None = option(
-        None, "Folder that keeps the segmenter's label maps. Without it, ~/.cache/ssrvlad."
+        "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad."
     )
     workers: int | None = option(
-        None, "Frames to encode at the same time. Without it, one for each core.", min=1
+        "Number of frames to encode at the same time. Default: one for each core.", min=1
     )
 
     @property
     def takes_all(self) -> bool:
-        """Whether no frame of a sequence is left out."""
+        """Whether all frames of a sequence are used."""
         return (self.every, self.start) == (1, 0)
 
 
 @dataclass(frozen=True)
 class DriveOptions:
-    """The references and the queries of one data set, or of two folders."""
+    """The references and the queries: two parts of one data set, or two folders."""
 
     dataset: Path | None = argument(
         "Folder of a data set. Without it, --references and --queries are folders.", default=None
     )
     references: list[str] | None = option(
-        None,
-        "A sequence of the data set, * for any text; repeatable. Without it, the data "
-        "set's own references.",
+        "Sequence of the data set to use as references; * stands for any text; can be repeated. "
+        "Default: the references that the data set declares."
     )
-    queries: list[str] | None = option(None, "The same for queries.")
+    queries: list[str] | None = option(
+        "Sequence of the data set to use as queries, in the same form. Default: the queries that "
+        "the data set declares."
+    )
     odd_even: bool = option(
-        False, "Even frames of each drive are references, odd ones are queries.", "--odd-even"
+        "Use the even frames of each sequence as references and the odd ones as queries.",
+        "--odd-even",
+        default=False,
     )
     layout: str | None = option(
-        None, "Layout of the data set. Without it, the layout is recognised."
+        "Layout of the data set, see ssrvlad encode. Default: auto (recognised)."
     )
-    labels: Path | None = option(None, "Other label maps than the data set's own.")
+    labels: Path | None = option("Folder of label maps to use instead of those of the data set.")
     labels_as: str | None = option(
-        None,
-        "Label space of the label maps: a name or a .yaml file. Without it, the data "
-        "set's. Without it, PNGs that could be either are taken as images.",
+        "Label space of the label maps: a name or a .yaml file. Default: the one of the data set. "
+        "Without both, PNG files that could be images or label maps are read as images."
     )
 
 
@@ -170,48 +182,51 @@ PAPER_REACH = 3
 
 @dataclass(frozen=True)
 class Reach:
-    """How far the temporal sum of Eq. 3 reaches on each side: in frames, or, where they are given,
-    in metres."""
+    """How far the temporal sum of Eq. 3 reaches on each side: in metres if given, else in
+    frames."""
 
     frames: int = 0
     metres: float | None = None
 
     @classmethod
     def of(cls, text: str) -> Reach:
-        """From ``3`` (frames) or ``10m`` (metres)."""
+        """The reach that a text such as ``3`` (frames) or ``10m`` (metres) names.
+
+        Raises:
+            ValueError: another text.
+        """
         try:
             reach = cls(0, float(text[:-1])) if text.endswith("m") else cls(int(text))
         except ValueError:
             reach = cls(-1)
         if reach.frames < 0 or not 0 <= (reach.metres or 0) < math.inf:
-            raise ValueError(f"--temporal wants frames, as 3, or metres, as 10m, got {text!r}")
+            raise ValueError(f"--temporal: expected frames (3) or metres (10m), got {text!r}")
         return reach
 
     def __bool__(self) -> bool:
         return bool(self.frames or self.metres)
-
-    def __str__(self) -> str:
-        return str(self.frames) if self.metres is None else f"{self.metres:g}m"
 
 
 @dataclass(frozen=True)
 class StepOptions:
     """The steps between descriptors and a decision."""
 
-    standardise: bool = option(True, "Subtract the mean descriptor of each traverse.")
+    standardise: bool = option("Subtract the mean descriptor of each sequence.", default=True)
     sweep: bool = option(
-        True,
-        "Describe each query from several anchors: this helps if the camera is turned or "
-        "moved aside. The scores decide how many anchors count.",
+        "Describe each query from several anchors, which helps if the camera is turned or moved "
+        "aside. The scores decide how many anchors are used.",
+        default=True,
     )
     follow: Literal["offline", "online", "no"] = option(
-        "offline",
-        "Judge each query together with its sequence: with all queries (offline), with "
-        "the earlier ones (online), or alone (no). Queries whose scores do not form a sequence "
-        "are judged alone; the last line says what was done.",
+        "Judge each query with all queries of its sequence (offline), with the earlier ones "
+        "(online), or alone (no). Queries whose scores do not form a sequence are judged alone. "
+        "The last line reports what was done.",
+        default="offline",
     )
     delay: int = option(
-        0, "With --follow online: later queries to wait for before an answer.", min=0
+        "With --follow online: number of later queries to wait for before an answer.",
+        default=0,
+        min=0,
     )
 
 
@@ -220,46 +235,53 @@ class RecognitionOptions(StepOptions):
     """All steps from the descriptors of a database to a decision."""
 
     temporal: str | None = option(
-        None,
-        "Sum each reference descriptor over T frames on each side (Eq. 3), or, as 10m, "
-        "over as many frames as the sequence takes for so many metres. Without it, no sum.",
+        "Sum each reference descriptor over T frames on each side (Eq. 3), such as 3, or over T "
+        "metres, such as 10m. Default: no sum.",
         metavar="T",
     )
     as_paper: bool = option(
-        False,
-        "Decide as the paper does: single frames, their cosine, the sum of Eq. 3 with "
-        "t = 3, and no other step. Options that say otherwise are refused.",
+        "Decide as in the paper: cosines of single frames, the temporal sum with t = 3, and no "
+        "other step. Options that contradict this are refused.",
         "--as-paper",
+        default=False,
     )
     fuse: bool | None = option(
-        None,
-        "Use descriptors of pictures too. Without it, if the database holds them "
-        "(ssrvlad encode --with).",
+        "Also use the descriptors of pictures that ssrvlad encode --with has written. Default: use "
+        "them if the database has them."
     )
     min_confidence: float = option(
-        0.0, "Leave out queries whose first candidate is right with less probability.", min=0, max=1
+        "Print no candidate of a query with a lower confidence, the probability that its first "
+        "candidate is right.",
+        default=0.0,
+        min=0,
+        max=1,
     )
 
     def check(self, typed: Collection[str]) -> None:
-        """Refuses what --as-paper contradicts, of the options that were typed.
+        """Refuses options that contradict ``--as-paper``.
+
+        Args:
+            typed: names of the options on the command line.
 
         Raises:
-            ValueError: names them.
+            ValueError: names the contradicting options.
         """
         paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "fuse": False}
-        others = [n for n, value in paper.items() if n in typed and getattr(self, n) != value]
+        contradicting = [
+            name for name, value in paper.items() if name in typed and getattr(self, name) != value
+        ]
         if self.temporal is not None and self.reach != Reach(PAPER_REACH):
-            others.append("temporal")
-        if self.as_paper and others:
-            names = " and ".join(f"--{name}" for name in others)
+            contradicting.append("temporal")
+        if self.as_paper and contradicting:
+            names = " and ".join(f"--{name}" for name in contradicting)
             raise ValueError(
-                f"--as-paper stands for --no-standardise --no-sweep --follow no --temporal "
-                f"{PAPER_REACH} --no-fuse; got {names} as well"
+                f"--as-paper means --no-standardise --no-sweep --follow no --temporal "
+                f"{PAPER_REACH} --no-fuse; it contradicts {names}"
             )
 
     @property
     def reach(self) -> Reach:
-        """The reach of the temporal sum; other text than frames or metres is a ValueError."""
+        """The reach of the temporal sum; a ValueError if ``temporal`` is no reach."""
         if self.temporal is not None:
             return Reach.of(self.temporal)
         return Reach(PAPER_REACH if self.as_paper else 0)
@@ -267,24 +289,26 @@ class RecognitionOptions(StepOptions):
 
 @dataclass(frozen=True)
 class TruthOptions:
-    """The definition of a true match, and the convention of the figures."""
+    """The definition of a true match, and the convention of the metrics."""
 
     ground_truth: Path | None = option(
-        None,
-        "Pairs of frames, by their ids or what only their paths end in (.json, .csv), a 0/1 "
-        "matrix (.npy, .npz, .csv) or VPR-Bench's ground_truth_new.npy. Without any, the "
-        "ground truth of the data set.",
+        "Ground truth: pairs of frames by their ids or the ends of their paths (.json, .csv), a "
+        "0/1 matrix (.npy, .npz, .csv), or ground_truth_new.npy of VPR-Bench. Default: the ground "
+        "truth of the data set."
     )
     tolerance_metres: float | None = option(
-        None, "Or: true matches are at most so many metres away, by poses.csv."
+        "Instead of a ground truth: largest distance of a true match in metres, by the poses."
     )
     tolerance_degrees: float | None = option(
-        None, "With --tolerance-metres: headings differ by at most so many degrees."
+        "With --tolerance-metres: largest difference of the headings of a true match."
     )
     tolerance_frames: int | None = option(
-        None, "Or: true matches are at most so many frames away. All frames of a data set count."
+        "Instead of a ground truth: largest distance of a true match in frames. All frames of a "
+        "data set count, also those that are not used."
     )
-    convention: Convention = option("exact", "Convention that the figures follow.")
+    convention: Convention = option(
+        "Convention by which the metrics are computed.", default="exact"
+    )
 
 
 @dataclass(frozen=True)
@@ -292,26 +316,26 @@ class MethodOptions:
     """Another method, and its settings as the user typed them."""
 
     method: str | None = option(
-        None, f"Another method, which reads label maps or images: {', '.join(METHODS)}."
+        f"Evaluate another method, on label maps or images: {', '.join(METHODS)}."
     )
     settings: list[str] | None = option(
-        None, "A setting of the method, NAME=VALUE; repeatable.", "--set"
+        "Setting of the method, NAME=VALUE; can be repeated.", "--set"
     )
     weights: Weights = None
-    vocabulary: Path | None = option(None, "Vocabulary of the method, see ssrvlad vocabulary.")
+    vocabulary: Path | None = option("Vocabulary of the method, see ssrvlad vocabulary.")
     random_weights: RandomWeights = False
 
     @property
     def named(self) -> dict[str, Any]:
-        """The settings that have an option of their own, those that were given."""
+        """The given settings that are options and not ``--set``."""
         names = ("weights", "vocabulary", "random_weights")
         return {name: value for name in names if (value := getattr(self, name))}
 
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:
-    """The command as typer takes it: each parameter that is an options class is replaced by the
-    class's fields, and each `option` or `argument` by typer's. A class may have a method ``check``,
-    which is told the names of the options that were typed."""
+    """The command in the form that typer expects: the fields of each options class are parameters,
+    and each `option` or `argument` is typer's. If a class has a method ``check``, it is called with
+    the names of the options on the command line."""
     parameters: list[inspect.Parameter] = []
     classes: dict[str, type] = {}
     types = get_type_hints(command, include_extras=True)
@@ -320,19 +344,19 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
         if is_dataclass(kind):
             assert isinstance(kind, type)
             classes[name] = kind
-            own = get_type_hints(kind, include_extras=True)
-            parameters += [_parameter(each.name, own[each.name], each) for each in fields(kind)]
+            hints = get_type_hints(kind, include_extras=True)
+            parameters += [_parameter(each.name, hints[each.name], each) for each in fields(kind)]
         else:
             parameters.append(_parameter(name, kind, parameter.default))
 
     @wraps(command)
-    def run(*, context: typer.Context, **given: Any) -> None:
-        typed = [name for name in given if _is_typed(context, name)]
+    def run(*, context: typer.Context, **values: Any) -> None:
+        typed = [name for name in values if _is_typed(context, name)]
         for name, kind in classes.items():
-            given[name] = kind(**{each.name: given.pop(each.name) for each in fields(kind)})
+            values[name] = kind(**{each.name: values.pop(each.name) for each in fields(kind)})
             if hasattr(kind, "check"):
-                given[name].check(typed)
-        command(**given)
+                values[name].check(typed)
+        command(**values)
 
     parameters.append(
         inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
@@ -343,13 +367,14 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _is_typed(context: typer.Context, name: str) -> bool:
-    """Whether an option stands on the command line."""
+    """Whether an option is on the command line."""
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
-    """A parameter whose default may be a field: a plain one, or an `option` or `argument`."""
+    """A parameter of the command line. Its default may be a field: an `option`, an `argument` or a
+    plain field of an options class."""
     if isinstance(default, Field):
         if "typer" in default.metadata:
             kind = Annotated[kind, default.metadata["typer"]]

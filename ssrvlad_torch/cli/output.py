@@ -1,4 +1,4 @@
-"""What commands print: results to stdout, notes and a progress bar to stderr."""
+"""Output of commands: results on stdout, notes and a progress bar on stderr."""
 
 from __future__ import annotations
 
@@ -22,58 +22,58 @@ SOME_SKIPPED = 3
 
 _WIDE = 200
 _NAMED = 20
-"""Skipped frames that are named."""
+"""Largest number of skipped frames that are named."""
 
 _SECONDS = 0.2
-"""Between two updates of a progress bar. Frames come in batches: one alone has no rate."""
+"""Time between two updates of a progress bar. Frames come in batches, so a rate needs several."""
 
 
 class Progress(NamedTuple):
-    """What a progress bar is told: how many more steps are done, and each frame that was
-    skipped."""
+    """Updates of a progress bar: the number of further steps that are done, and a skipped
+    frame."""
 
     advance: Callable[[int], None]
     skip: Callable[[object], None]
 
 
 def note(message: str) -> None:
-    """One line on stderr."""
-    print(f"ssrvlad: {shown(' '.join(message.split()))}", file=sys.stderr)
+    """Prints one line on stderr."""
+    print(f"ssrvlad: {printable(' '.join(message.split()))}", file=sys.stderr)
 
 
 def say(text: object) -> None:
-    """One line on stdout; what is not printable in a name is escaped."""
-    print(shown(str(text)), flush=True)
+    """Prints one line on stdout."""
+    print(printable(str(text)), flush=True)
 
 
-def shown(text: str) -> str:
-    """A text with what is not printable, such as a newline in a file's name, as ``\\n``."""
+def printable(text: str) -> str:
+    """A text whose unprintable characters, such as a newline in a file name, are escaped."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 @contextmanager
 def progress_bar(what: str, total: int) -> Iterator[Progress]:
-    """A progress bar on stderr with the rate and the number of skipped frames. It is drawn only
-    on a terminal, so that logs stay clean."""
+    """Shows a progress bar on stderr, with the rate and the number of skipped frames. It is drawn
+    only on a terminal."""
     from rich import progress
     from rich.console import Console
 
     columns = (
         *(progress.TextColumn(what), progress.BarColumn(), progress.MofNCompleteColumn()),
-        progress.TextColumn("{task.fields[told]}"),
+        progress.TextColumn("{task.fields[rate]}"),
         *(progress.TimeElapsedColumn(), progress.TimeRemainingColumn()),
     )
     console = Console(stderr=True)
     with progress.Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task(what, total=total, told="")
+        task = bar.add_task(what, total=total, rate="")
         waiting = skipped = 0
         due = 0.0
 
         def show() -> None:
             nonlocal waiting, due
             rate = bar.tasks[task].speed
-            told = (f"{rate:.0f}/s" if rate else "") + (f", {skipped} skipped" if skipped else "")
-            bar.update(task, advance=waiting, told=told)
+            text = (f"{rate:.0f}/s" if rate else "") + (f", {skipped} skipped" if skipped else "")
+            bar.update(task, advance=waiting, rate=text)
             waiting, due = 0, time.monotonic() + _SECONDS
 
         def advance(done: int) -> None:
@@ -93,7 +93,7 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
 
 
 def print_table(table: Table) -> None:
-    """A table on stdout; outside a terminal it is as wide as it needs to be."""
+    """Prints a table on stdout, in full width if stdout is no terminal."""
     from rich.console import Console
 
     console = Console(width=None if sys.stdout.isatty() else _WIDE)
@@ -103,20 +103,20 @@ def print_table(table: Table) -> None:
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """One object on one line. JSON has no NaN: a figure without a meaning is null."""
+    """Prints one object on one line. NaN, a metric without a value, becomes null."""
     print(json.dumps(_without_nan(value)), flush=True)
 
 
-def fused_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
-    """The weights of several methods in each sequence; nothing for one method alone."""
+def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
+    """The weights of fused methods in each sequence; an empty list for a single method."""
     if not any(weights):
         return []
     names = (f"{name} {'/'.join(f'{each[name]:.2f}' for each in weights)}" for name in weights[0])
     return [f"fused: {' + '.join(names)}"]
 
 
-def figure(value: float) -> str:
-    """A fraction in three digits."""
+def fraction(value: float) -> str:
+    """A fraction with three digits."""
     return "-" if math.isnan(value) else f"{value:.3f}"
 
 
@@ -126,14 +126,15 @@ def interval(ends: Sequence[float]) -> str:
 
 
 def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
-    """Ends a command: names the skipped frames, if there are any, and exits with code 3.
+    """Ends a command. If inputs were skipped, names them and exits with code 3.
 
     Args:
-        skipped: frames, or what else was left out.
-        described: how many frames were described: if none was, perhaps the ids mean something else.
+        skipped: frames or other inputs.
+        described: number of frames that were described. If it is 0, and the label space is the
+            reason, a note asks for ``--labels-as``.
     """
     if skipped and described == 0 and all("label space" in frame.reason for frame in skipped):
-        note("no frame could be described: is --labels-as what the ids of these label maps mean?")
+        note("no frame could be described: is --labels-as the label space of these label maps?")
     for frame in skipped[:_NAMED]:
         note(f"skipped {frame.frame}: {frame.reason}")
     if len(skipped) > _NAMED:

@@ -1,4 +1,4 @@
-"""A picture of queries above their best matches, right and wrong ones."""
+"""A picture of queries above their best matches."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Pair(NamedTuple):
 
     Attributes:
         query, match: the label maps.
-        query_name, match_name: what stands above them.
+        query_name, match_name: their titles.
         right: whether the match shows the place.
     """
 
@@ -34,21 +34,20 @@ class Pair(NamedTuple):
 
 
 def chosen(right: Sequence[bool], matched: Sequence[bool], count: int) -> list[int]:
-    """``count`` queries evenly spread over those with a best match. If all of these are right and
-    another is wrong, the last wrong one takes the last place."""
-    some = np.flatnonzero(matched)
-    even = np.linspace(0, len(some) - 1, min(count, len(some))).astype(int)
-    places: list[int] = some[even].tolist()
-    wrong = [place for place in some.tolist() if not right[place]]
-    if wrong and all(right[place] for place in places):
-        places[-1] = wrong[-1]
-    return places
+    """``count`` queries, evenly spread over those with a best match. If all of them are right and
+    another query is wrong, the last wrong query replaces the last one."""
+    queries = np.flatnonzero(matched)
+    even = np.linspace(0, len(queries) - 1, min(count, len(queries))).astype(int)
+    drawn: list[int] = queries[even].tolist()
+    wrong = [query for query in queries.tolist() if not right[query]]
+    if wrong and all(right[query] for query in drawn):
+        drawn[-1] = wrong[-1]
+    return drawn
 
 
 def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str) -> Image.Image:
-    """Queries in a row, below them their best matches, framed green if right and red if wrong, and
-    at the bottom the classes; ``above`` and ``below`` are headings of the rows. There is at least
-    one pair."""
+    """Draws a row of queries, a row of their best matches, framed green if right and red if wrong,
+    and the classes. ``above`` and ``below`` are headings of the rows. At least one pair."""
     verdicts = [("right", _RIGHT) if pair.right else ("WRONG", _WRONG) for pair in pairs]
     rows = [
         [_tile(pair.query, space, pair.query_name, _QUERY) for pair in pairs],
@@ -59,8 +58,8 @@ def draw_pairs(pairs: Sequence[Pair], space: LabelSpace, above: str, below: str)
     ]
     wide, tall = (max(tile.size[axis] for row in rows for tile in row) for axis in (0, 1))
     width = len(pairs) * (wide + _MARGIN) + _MARGIN
-    seen = np.unique(np.concatenate([np.unique(p) for pair in pairs for p in pair[:2]]))
-    legend = _legend(width - 2 * _MARGIN, space, {*seen.tolist()})
+    ids = {label for pair in pairs for part in pair[:2] for label in np.unique(part).tolist()}
+    legend = _legend(width - 2 * _MARGIN, space, ids)
     step = _HEADING + tall + 2 * _MARGIN
     sheet = Image.new("RGB", (width, 2 * step + legend.height + 2 * _MARGIN), "white")
     draw = ImageDraw.Draw(sheet)
@@ -88,13 +87,13 @@ def _tile(labels: LabelMap, space: LabelSpace, name: str, colour: tuple[int, ...
     return tile
 
 
-def _legend(width: int, space: LabelSpace, seen: set[int]) -> Image.Image:
-    """The classes in the pictures with their colours, on as many lines as needed."""
+def _legend(width: int, space: LabelSpace, ids: set[int]) -> Image.Image:
+    """The classes of these ids with their colours, on as many lines as needed."""
     draw, font = ImageDraw.Draw(Image.new("RGB", (1, 1))), _font(_TEXT)
     line = _TEXT + 8
     places, x, y = [], 0, 0
     for label in space.classes:
-        if label.id not in seen:
+        if label.id not in ids:
             continue
         long = _TEXT + 8 + int(draw.textlength(label.name, font)) + _MARGIN
         if x + long > width:

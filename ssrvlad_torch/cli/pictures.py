@@ -1,10 +1,11 @@
-"""How frames look: their label maps in colours and their photos, wherever they can be found."""
+"""Pictures of frames: their coloured label maps and their photos, where these can be found."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 from ..database.database import Database
@@ -16,44 +17,44 @@ from ..datasets.layouts import open_dataset
 from ..evaluation.report import Picture, Pictures
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import colourise, label_space
-from .sources import LabelsAs, Source, attempt
+from .sources import LabelsAs, Source, try_find
 
 Files = dict[str, list[FrameFile]]
 
 
-class Traces(NamedTuple):
-    """Files that may be of one frame.
+class PictureFiles(NamedTuple):
+    """Files that may belong to one frame.
 
     Attributes:
         labels: label maps.
-        images: images to be segmented.
-        photos: images that are known to be the frame's.
+        images: images to segment.
+        photos: images that certainly belong to the frame.
     """
 
     labels: Sequence[FrameFile] = ()
     images: Sequence[FrameFile] = ()
     photos: Sequence[FrameFile] = ()
 
-    def look(
-        self, labels_as: LabelsAs, segmenter: Segmenter | None = None, wanted: str | None = None
+    def picture(
+        self, labels_as: LabelsAs, segmenter: Segmenter | None = None, expected: str | None = None
     ) -> Picture:
-        """What the frame looks like; what cannot be found or read is left out.
+        """The picture of the frame, without the parts that cannot be found or read.
 
         Args:
             labels_as: label space of its label map.
-            segmenter: makes label maps of images.
-            wanted: digest that the label map must have, if known.
+            segmenter: labels the images.
+            expected: digest of the label map, if known.
         """
         photo = next((image for file in self.photos for image in _read(file)), None)
         for labels, image in self._labelled(labels_as, segmenter):
-            if wanted in (None, digest(labels)):
+            if expected in (None, digest(labels)):
                 return Picture(colourise(labels, labels_as), photo if image is None else image)
         return Picture(None, photo)
 
     def _labelled(
         self, labels_as: LabelsAs, segmenter: Segmenter | None
     ) -> Iterator[tuple[LabelMap, Pixels | None]]:
-        """Label maps, each with the image that it was made of, if any."""
+        """Label maps, each with its image, or with ``None`` for a label map on disk."""
         space = label_space(labels_as)
         if segmenter and segmenter.label_space == space:
             for file, labels in segmenter.label_maps(self.images):
@@ -68,19 +69,19 @@ def pictures_of_files(files: Sequence[FrameFile], labels_as: LabelsAs | None) ->
     """Pictures of frames that are label maps, or, without a label space, images."""
     by_id = {file.frame: file for file in files}
 
-    def look(frame: str) -> Picture:
+    def picture(frame: str) -> Picture:
         if labels_as is None:
             return Picture(photo=next(_read(by_id[frame]), None))
-        return Traces(labels=[by_id[frame]]).look(labels_as)
+        return PictureFiles(labels=[by_id[frame]]).picture(labels_as)
 
-    return look
+    return picture
 
 
 def pictures_of_queries(source: Source, labels_as: LabelsAs) -> Pictures:
-    """Pictures of the frames of a source, with the photos that a data set has of them."""
+    """Pictures of the frames of a source, with the photos of its data set."""
 
     @cache
-    def found() -> tuple[Files, Segmenter | None]:
+    def frames() -> tuple[Files, Segmenter | None]:
         files, segmenter = source.frames(labels_as)
         return _by(files, "frame"), segmenter
 
@@ -88,92 +89,90 @@ def pictures_of_queries(source: Source, labels_as: LabelsAs) -> Pictures:
     def photos() -> Files:
         return _by(_photos(source.whole), "frame")
 
-    def look(frame: str) -> Picture:
-        files, segmenter = found()
+    def picture(frame: str) -> Picture:
+        files, segmenter = frames()
         if segmenter:
-            return Traces(images=files[frame]).look(labels_as, segmenter)
-        return Traces(labels=files[frame], photos=photos().get(frame, ())).look(labels_as)
+            return PictureFiles(images=files[frame]).picture(labels_as, segmenter)
+        return PictureFiles(files[frame], photos=photos().get(frame, ())).picture(labels_as)
 
-    return look
+    return picture
 
 
 def pictures_of_references(
-    database: Database, source: Source, given: Sequence[str], labels_as: LabelsAs
+    database: Database, source: Source, places: Sequence[str], labels_as: LabelsAs
 ) -> Pictures:
-    """Pictures of the frames of a database, which holds neither label maps nor their places.
+    """Pictures of the frames of a database, which stores neither label maps nor their paths.
 
-    They are looked for by the names of the frames: in the given places, in the data set of the
-    queries, and in folders that are called like the sequences, beside those of the queries. A label
-    map counts if its digest is the one in the database.
+    Files with the names of the frames are searched in the given places, in the data set of the
+    queries, and, beside the folders of the queries, in folders with the names of the sequences. A
+    label map is shown only if its digest is the one in the database.
 
     Args:
+        database: of the references.
         source: of the queries.
-        given: folders, globs or files.
-        labels_as: label space of the segmenter, if the source has one.
+        places: folders, globs or files.
+        labels_as: label space of the segmenter.
     """
-
     stored = cache(database.known)
 
     @cache
     def found() -> tuple[Files, Files, Files]:
         sequences = {frame.rpartition("/")[0] for frame in stored()}
-        labels = _around(source, given, sequences, find_label_files)
-        segmented = bool(source.given.segmenter)
-        images = _around(source, given, sequences, find_image_files) if segmented else []
+        labels = _around(source, places, sequences, find_label_files)
+        segmented = bool(source.options.segmenter)
+        images = _around(source, places, sequences, find_image_files) if segmented else []
         if whole := source.whole:
-            images += attempt(whole.image_files) if segmented else []
-            labels += attempt(whole.label_files)
-            labels += attempt(lambda: open_dataset(whole.root, whole.layout).label_files())
+            images += try_find(whole.image_files) if segmented else []
+            labels += try_find(whole.label_files)
+            labels += try_find(lambda: open_dataset(whole.root, whole.layout).label_files())
         return _by(labels, "name"), _by(images, "name"), _by(_photos(source.whole), "frame")
 
     segmenter = cache(lambda: source.segmenter(labels_as))
 
-    def look(frame: str) -> Picture:
+    def picture(frame: str) -> Picture:
         (labels, images, photos), name = found(), frame.rpartition("/")[2]
-        traces = Traces(labels.get(name, ()), images.get(name, ()), photos.get(frame, ()))
+        files = PictureFiles(labels.get(name, ()), images.get(name, ()), photos.get(frame, ()))
         with suppress(ValueError):
-            known = stored()[frame]
-            origin = database.origins.get(known.origin)
+            record = stored()[frame]
+            origin = database.origins.get(record.origin)
             if origin and origin.label_space:
-                return traces.look(origin.label_space, segmenter(), known.digest)
+                return files.picture(origin.label_space, segmenter(), record.digest)
         return Picture()
 
-    return look
+    return picture
 
 
-def require_files(given: Sequence[str]) -> None:
-    """Refuses places with neither label maps nor images, before the work is done."""
-    for place in given:
-        if not attempt(find_label_files, [place]):
+def require_files(places: Sequence[str]) -> None:
+    """Refuses places with neither label maps nor images."""
+    for place in places:
+        if not try_find(find_label_files, [place]):
             find_image_files([place])
 
 
 def _around(
     source: Source,
-    given: Sequence[str],
+    places: Sequence[str],
     sequences: Iterable[str],
     find: Callable[[list[str]], list[FrameFile]],
 ) -> list[FrameFile]:
-    """What is found in the given places, and in folders that are called like the sequences and lie
-    beside the folders of the queries."""
-    queries = source.image_files() if source.given.segmenter else source.label_files()
-    homes = {file.path.absolute().parent.parent for file in queries}
-    beside = [home / name for home in homes for name in sequences if (home / name).is_dir()]
-    places = [[*given]] if given else []
-    return [
-        file for place in [*places, *([str(f)] for f in beside)] for file in attempt(find, place)
-    ]
+    """The files that ``find`` finds in the places, and, beside the folders of the queries, in
+    folders with the names of the sequences."""
+    queries = source.image_files() if source.options.segmenter else source.label_files()
+    parents = {file.path.absolute().parent.parent for file in queries}
+    beside = [str(parent / name) for parent in parents for name in sequences]
+    groups = [[*places], *([folder] for folder in beside if Path(folder).is_dir())]
+    return [file for group in groups if group for file in try_find(find, group)]
 
 
 def _photos(dataset: Dataset | None) -> Iterator[FrameFile]:
-    """The images of a data set; a file that may be an image or a label map is none."""
+    """The images of a data set, without files that may be label maps."""
     for frame in dataset.frames if dataset else ():
         if frame.image and frame.image != frame.label:
             yield FrameFile(frame.sequence, frame.name, frame.image)
 
 
 def _read(file: FrameFile) -> Iterator[Pixels]:
-    """An image, if it can be read."""
+    """The image, unless it cannot be read."""
     with suppress(ValueError):
         yield read_image(file)
 

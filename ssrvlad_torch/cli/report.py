@@ -15,28 +15,26 @@ from ..datasets.dataset import shortened
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
-from ..evaluation.report import (
-    Report,
-    cosine_scores,
-    stored_scores,
-    write_report,
-)
+from ..evaluation.report import Report, cosine_scores, stored_scores, write_report
 from ..files import check_output
 from .measure import Recognition, steps_in_words
 from .pictures import require_files
 from .truth import Places, TrueMatches
 
 CANDIDATES = 100
-"""Candidates of each query that RecallRate@N is drawn up to."""
+"""Largest N of the curve of RecallRate@N."""
 
 
 @dataclass(frozen=True)
 class Page:
-    """The page that was asked for; making one checks its place and that of the pictures.
+    """The page to write.
 
     Attributes:
         path: the file.
-        pictures: where label maps and images of the references are.
+        pictures: folders of label maps or images of the references.
+
+    Raises:
+        ValueError: the file cannot be written, or the folders hold no pictures.
     """
 
     path: Path
@@ -49,7 +47,7 @@ class Page:
     def write(
         self,
         recognition: Recognition,
-        matches: PartialTruth,
+        truth: PartialTruth,
         metrics: Mapping[str, Any],
         title: str,
         settings: Mapping[str, object],
@@ -57,29 +55,29 @@ class Page:
         """Writes the page of the queries whose true matches are known.
 
         Args:
-            recognition: what was found.
-            matches: true matches of each query.
+            recognition: the candidates of the queries.
+            truth: true matches of each query.
             metrics: from `measure`.
             title: of the page.
-            settings: names and values that say how it was done.
+            settings: names and values to show, besides the details of the recognition.
         """
-        known, truth = known_matches(matches)
-        scores, rows = (best.numpy()[known, :CANDIDATES] for best in recognition.found)
-        outcomes = judge(scores, rows, truth)
+        known, true_rows = known_matches(truth)
+        scores, rows = (part.numpy()[known, :CANDIDATES] for part in recognition.matches)
+        outcomes = judge(scores, rows, true_rows)
         pairs = None if recognition.similarity is None else recognition.similarity[known]
         names = ("query_pictures", "reference_pictures")
         pictures: dict[str, Any] = dict(zip(names, recognition.pictures or (), strict=False))
         report = Report(
             title=title,
             metrics=metrics,
-            queries=_some(recognition.queries, known),
+            queries=_selected(recognition.queries, known),
             references=recognition.references,
             outcomes=outcomes,
-            truth=truth,
+            truth=true_rows,
             candidates=min(scores.shape[1], len(recognition.references.frames)),
-            curve=precision_recall_curve(outcomes, truth, metrics["convention"], pairs),
+            curve=precision_recall_curve(outcomes, true_rows, metrics["convention"], pairs),
             settings=_settings(settings, recognition),
-            notes=_notes(recognition, matches),
+            notes=_notes(recognition, truth),
             **_scores(recognition, known, pairs),
             **pictures,
         )
@@ -89,7 +87,7 @@ class Page:
 def title_and_settings(
     references: Path, queries: Sequence[str], truth: TrueMatches
 ) -> tuple[str, dict[str, str]]:
-    """The title of a page, and the compared frames, in words."""
+    """The title of a page, and its settings: the references, the queries and the ground truth."""
     names = shortened(["/".join(Path(place).parts[-2:]) or place for place in queries])
     title = f"{names} against {references.name or references}"
     return title, {
@@ -99,7 +97,7 @@ def title_and_settings(
     }
 
 
-def _some(places: Places, rows: Sequence[int]) -> Places:
+def _selected(places: Places, rows: Sequence[int]) -> Places:
     frames = tuple(places.frames[row] for row in rows)
     return replace(places, frames=frames, poses=places.poses[rows])
 
@@ -107,7 +105,7 @@ def _some(places: Places, rows: Sequence[int]) -> Places:
 def _scores(
     recognition: Recognition, known: list[int], pairs: npt.NDArray[np.float32] | None
 ) -> dict[str, Any]:
-    """Scores of all pairs of the known queries, and the descriptors if there are any."""
+    """Scores of all pairs of the known queries, and the descriptors if they are known."""
     if recognition.descriptors is None:
         assert pairs is not None
         return {"scores": stored_scores(pairs)}
@@ -119,12 +117,12 @@ def _scores(
 
 
 def _settings(settings: Mapping[str, object], recognition: Recognition) -> dict[str, str]:
-    """The method first, then how it was used, in words."""
-    told = dict(recognition.told)
-    method = {"method": f"SSR-VLAD {told.pop('preset')}"} if "preset" in told else {}
-    if told.get("steps"):
-        told["steps"] = steps_in_words(told["steps"], told.pop("temporal", None))
-    return _in_words({**method, **settings, **told, "ssrvlad-torch": __version__})
+    """The method first, then the settings and the details of the recognition, in words."""
+    details = dict(recognition.details)
+    method = {"method": f"SSR-VLAD {details.pop('preset')}"} if "preset" in details else {}
+    if details.get("steps"):
+        details["steps"] = steps_in_words(details["steps"], details.pop("temporal", None))
+    return _in_words({**method, **settings, **details, "ssrvlad-torch": __version__})
 
 
 def _in_words(settings: Mapping[str, object]) -> dict[str, str]:
@@ -137,12 +135,12 @@ def _words(value: object) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def _notes(recognition: Recognition, matches: PartialTruth) -> list[str]:
-    """How many queries were left out or skipped, and why."""
-    unknown, skipped = sum(rows is None for rows in matches), recognition.skipped
+def _notes(recognition: Recognition, truth: PartialTruth) -> list[str]:
+    """The numbers of queries that were left out or skipped, and the reasons."""
+    unknown, skipped = sum(rows is None for rows in truth), recognition.skipped
     notes = []
     if unknown:
-        notes.append(f"{unknown} of {len(matches)} queries are left out: no true matches are known")
+        notes.append(f"{unknown} of {len(truth)} queries are left out: no true matches are known")
     if skipped:
         first = f"{skipped[0].frame}: {skipped[0].reason}"
         notes.append(f"{len(skipped)} more queries were skipped, the first is {first}")

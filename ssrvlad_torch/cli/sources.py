@@ -1,37 +1,29 @@
-"""From what the user typed to frames: folders or a data set, label maps or images to segment."""
+"""Frames of the SOURCE that the user typed: folders or a data set, label maps or images."""
 
 from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from ..config import SSRVLADConfig
 from ..database.database import Database
-from ..database.frames import FrameSet
 from ..database.metadata import ExtraDescriptor
-from ..database.reading import Damage
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import find_image_files
 from ..datasets.label_files import find_label_files
 from ..datasets.layouts import open_dataset
-from ..datasets.names import KnownFolders, check_sequences
-from ..descriptor import query_head
-from ..encoding.encoder import encode_to_memory
+from ..datasets.names import KnownFolders
 from ..encoding.extra_descriptors import extra_descriptor
-from ..encoding.results import Skipped
-from ..recognition.follow import runs
-from ..recognition.matching import frames_within, temporal_sum
 from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
-from .options import Reach, SourceOptions
-from .output import note, progress_bar
+from .options import SourceOptions
+from .output import note
 
 LabelsAs = str | os.PathLike[str] | LabelSpace
 
@@ -41,216 +33,140 @@ class Source:
     """The source of frames.
 
     Attributes:
-        given: the options of the user.
-        dataset: the chosen part of the data set, if it is one.
+        options: of the user.
+        dataset: the chosen part of the data set; ``None`` if the source is no data set.
         whole: the data set with all its sequences.
-        labels_as: label space of the label maps, as given or as the data set declares it.
-        known: folders that have a name already, those of the database, see `sequence_names`.
+        labels_as: label space of the label maps, by the options, the segmenter or the data set.
+        known: folders whose sequences already have a name, see `sequence_names`.
     """
 
-    given: SourceOptions
+    options: SourceOptions
     dataset: Dataset | None
     whole: Dataset | None
     labels_as: str | LabelSpace | None
     known: KnownFolders = ()
 
     @classmethod
-    def open(cls, given: SourceOptions, known: KnownFolders = ()) -> Source:
-        """Opens the data set, if it is one, and notes what it lacks."""
-        whole = _open_dataset(given)
-        dataset = whole and whole.select(given.split or (), given.role)
+    def open(cls, options: SourceOptions, known: KnownFolders = ()) -> Source:
+        """Opens the source. If it is a data set, notes what the data set lacks."""
+        whole = _open_dataset(options)
+        dataset = whole and whole.select(options.split or (), options.role)
         for warning in dataset.warnings if dataset else ():
             note(warning)
-        labels_as: str | LabelSpace | None = given.labels_as
-        if given.segmenter and labels_as in (None, AUTO):
-            labels_as = _own_space(given.segmenter, given.classes, required=labels_as == AUTO)
+        labels_as: str | LabelSpace | None = options.labels_as
+        if options.segmenter and labels_as in (None, AUTO):
+            required = labels_as == AUTO
+            labels_as = _declared_space(options.segmenter, options.classes, required)
         labels_as = labels_as or (dataset.labels_as if dataset else None)
-        return cls(given, dataset, whole, labels_as, known)
+        return cls(options, dataset, whole, labels_as, known)
 
     def database(self) -> Database | None:
-        """The database that the source is, if it is one."""
-        paths = self.given.paths
+        """The database that the source is; ``None`` if it is none."""
+        paths = self.options.paths
         return Database.open(paths[0]) if len(paths) == 1 and Database.exists(paths[0]) else None
 
     def posed(self) -> Source:
-        """The same; of a data set, only the frames with a pose."""
+        """The source without the frames of its data set that have no pose."""
         return dataclasses.replace(self, dataset=self.dataset and self.dataset.posed())
 
+    def label_space(self, database: Database | None = None) -> str | LabelSpace:
+        """The label space of the source, or else of the frames of a database.
+
+        Raises:
+            ValueError: it is not known.
+        """
+        labels_as = self.labels_as or (only_label_space(database) if database else None)
+        if labels_as is None:
+            raise ValueError("Missing option '--labels-as': label space of the label maps")
+        return labels_as
+
     def frames(self, labels_as: LabelsAs) -> tuple[list[FrameFile], Segmenter | None]:
-        """The frames, and what makes label maps of them if they are images."""
+        """The frames. If they are images, also the segmenter that labels them."""
         segmenter = self.segmenter(labels_as)
         return self.image_files() if segmenter else self.label_files(), segmenter
 
     def segmenter(self, labels_as: LabelsAs) -> Segmenter | None:
-        """What makes label maps of images, if one was given."""
-        network, folder = self.given.segmenter, self.given.segmenter_cache
+        """The segmenter of the options, with its cache; ``None`` without ``--segmenter``."""
+        network, folder = self.options.segmenter, self.options.segmenter_cache
         if network is None:
             if folder is not None:
-                raise ValueError("--segmenter-cache wants a --segmenter")
+                raise ValueError("--segmenter-cache needs --segmenter")
             return None
-        classes = channels(self.given.classes)
+        classes = channels(self.options.classes)
         return Segmenter.load(_network(network), labels_as, folder or _user_cache(), classes)
 
-    def described_by(self, name: str | None) -> list[ExtraDescriptor]:
-        """What else describes the images, if a method is named."""
-        if name and not self.given.segmenter:
-            raise ValueError(f"--with {name} wants images as SOURCE, and a --segmenter")
+    def extra_descriptors(self, name: str | None) -> list[ExtraDescriptor]:
+        """The descriptor of images that ``--with`` names."""
+        if name and not self.options.segmenter:
+            raise ValueError(f"--with {name} needs images as SOURCE and --segmenter")
         return [extra_descriptor(name)] if name else []
 
     def label_files(self) -> list[FrameFile]:
-        """The frames that are label maps."""
-        given = self.given
+        """The frames of a source of label maps."""
+        options = self.options
         if self.dataset:
-            return self.dataset.label_files(given.every, given.start)
+            return self.dataset.label_files(options.every, options.start)
+        paths, name, every, start = options.paths, options.sequence, options.every, options.start
         try:
-            return find_label_files(
-                given.paths, given.sequence, given.every, given.start, self.known, given.poses
-            )
+            return find_label_files(paths, name, every, start, self.known, options.poses)
         except ValueError:
-            if not attempt(find_label_files, given.paths) and attempt(
-                find_image_files, given.paths
-            ):
+            if not try_find(find_label_files, paths) and try_find(find_image_files, paths):
                 raise ValueError(
-                    f"{' '.join(given.paths)} holds images and no label maps; name the network "
-                    "that labels them with --segmenter"
+                    f"{' '.join(paths)} holds images and no label maps; name the network that "
+                    "labels them with --segmenter"
                 ) from None
             raise
 
     def image_files(self) -> list[FrameFile]:
-        """The frames that are images."""
-        given = self.given
+        """The frames of a source of images."""
+        options = self.options
         if self.dataset:
-            return self.dataset.image_files(given.every, given.start)
-        return find_image_files(
-            given.paths,
-            given.sequence,
-            given.every,
-            given.start,
-            self.known,
-            given.poses,
-            given.topic,
-        )
-
-
-def load_references(
-    database: Database, reach: Reach, damage: list[Damage] | None = None
-) -> tuple[FrameSet, int | dict[str, int]]:
-    """The frames of a database, summed over time if asked for, and t of Eq. 3. A reach in metres
-    gives each sequence a t of its own. For ``damage`` see `Database.load`."""
-    frames = database.load(damage)
-    if not frames.frames:
-        raise ValueError(f"{database.path} holds no frames yet")
-    if not reach:
-        return frames, 0
-    ts = dict.fromkeys(frames.sequences, reach.frames)
-    if reach.metres is not None:
-        ts = frames_within(frames.poses, frames.sequences, reach.metres)
-    for run in runs(frames.sequences):
-        names = frames.sequences[run.start : run.stop]
-        for values in (frames.descriptors, *frames.beside.values()):
-            rows = values[run.start : run.stop]
-            temporal_sum(rows, names, ts[names[0]], out=rows)
-    return frames, reach.frames if reach.metres is None else ts
-
-
-def encode_queries(
-    database: Database,
-    source: Source,
-    columns: Sequence[int] = (),
-    beside: Sequence[ExtraDescriptor] = (),
-) -> tuple[FrameSet, list[Skipped], KnownFolders]:
-    """The frames of a source, encoded with the settings of a database, the skipped ones, and the
-    folders of their sequences. A source that is a database gives its own frames.
-
-    Args:
-        database: whose settings are used.
-        source: the frames.
-        columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; without, single ones.
-            Databases and ``paper`` give single ones always.
-        beside: the further methods that describe the images.
-    """
-    no_pictures = ValueError(
-        f"{database.path} holds descriptors of pictures; expected images and a --segmenter, or "
-        "--no-fuse"
-    )
-    if other := source.database():
-        if other.fingerprint != database.fingerprint:
-            raise ValueError(
-                f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
-                f"{database.fingerprint or 'none'}: they do not compare"
-            )
-        frames = other.load()
-        if not set(beside) <= set(other.beside):
-            raise no_pictures
-        known = {one.name: frames.beside[one.name] for one in beside}
-        frames = dataclasses.replace(_renamed(frames, other, source), beside=known)
-        return frames, [], () if source.given.sequence else other.folders()
-    config = settings_of(database, source.labels_as)
-    if beside and not source.given.segmenter:
-        raise no_pictures
-    files, segmenter = source.frames(config.labels_as)
-    with progress_bar("encoding", len(files)) as bar:
-        head, workers = query_head(config, columns), source.given.workers
-        frames, skipped = encode_to_memory(head, files, workers, bar.advance, segmenter, beside)
-    return frames, skipped, {(file.folder, file.sequence) for file in files}
-
-
-def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
-    """The frames of a database that is the source, by the name of the sequence that was given."""
-    if (name := source.given.sequence) is None:
-        check_sequences(database.folders(), source.known)
-        return frames
-    if len(set(frames.sequences)) > 1:
-        raise ValueError(f"--sequence names one sequence, {database.path} holds several")
-    ids = tuple(f"{name}/{frame.rpartition('/')[2]}" for frame in frames.frames)
-    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
-
-
-def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig:
-    """The settings of a database, with another label space if one is given."""
-    config = database.config
-    return dataclasses.replace(
-        config, labels_as=labels_as or only_label_space(database) or config.labels_as
-    )
+            return self.dataset.image_files(options.every, options.start)
+        paths, name, every, start = options.paths, options.sequence, options.every, options.start
+        return find_image_files(paths, name, every, start, self.known, options.poses, options.topic)
 
 
 def only_label_space(database: Database) -> LabelSpace | None:
-    """The one label space of the frames of a database; ``None`` for a new one."""
+    """The one label space of the frames of a database; ``None`` for an empty database.
+
+    Raises:
+        ValueError: the frames have several label spaces.
+    """
     spaces = database.label_spaces()
     if len(spaces) > 1:
         names = " and ".join(space.name for space in spaces)
-        raise ValueError(f"{database.path} holds frames of {names}; say --labels-as")
+        raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
     return spaces[0] if spaces else None
 
 
-def _open_dataset(given: SourceOptions) -> Dataset | None:
-    if given.layout and (given.poses or given.topic):
-        raise ValueError("--poses and --topic are of folders and bags; a --layout has its own")
-    if given.layout is None:
-        if given.split or given.role or given.labels:
-            raise ValueError("--split, --role and --labels want a --layout, for example auto")
-        return None
-    if len(given.paths) != 1:
-        raise ValueError(
-            f"--layout wants the folder of one data set, got {len(given.paths)} sources"
-        )
-    name = None if given.layout == "auto" else given.layout
-    return open_dataset(given.paths[0], name, given.labels, given.labels_as)
-
-
-def attempt(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:
-    """What is found, or nothing."""
+def try_find(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:
+    """The files that ``find`` finds; none where it raises a ValueError."""
     with suppress(ValueError):
         return find(*arguments)
     return []
 
 
+def _open_dataset(options: SourceOptions) -> Dataset | None:
+    if options.layout and (options.poses or options.topic):
+        raise ValueError("--poses and --topic do not go with --layout")
+    if options.layout is None:
+        if options.split or options.role or options.labels:
+            raise ValueError("--split, --role and --labels need --layout, such as --layout auto")
+        return None
+    if len(options.paths) != 1:
+        raise ValueError(
+            f"--layout: expected the folder of one data set, got {len(options.paths)} sources"
+        )
+    name = None if options.layout == "auto" else options.layout
+    return open_dataset(options.paths[0], name, options.labels, options.labels_as)
+
+
 _network = cache(open_network)
 
 
-def _own_space(name: str, classes: str | None, required: bool) -> LabelSpace | None:
-    """The label space that a network declares; ``None`` if it declares none and it is not
-    required."""
+def _declared_space(name: str, classes: str | None, required: bool) -> LabelSpace | None:
+    """The label space that a network declares. If it declares none, a ValueError if it is required,
+    else ``None``."""
     network = _network(name)
     if not network.class_names and network.labels_as is None and not required:
         return None

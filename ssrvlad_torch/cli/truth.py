@@ -1,4 +1,4 @@
-"""Which references show the place of each query, by the options of the user."""
+"""The true matches of each query, by the options of the user."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class Places:
     Attributes:
         frames: ids.
         poses: ``(N, 3)`` float64, x and y in metres and heading in radians, NaN where unknown.
-        counted: ids of these and of all other frames that count where frames are counted, in
-            order: those that were skipped, and with a data set all that it has of the sequences.
-        folders: of the sequences, where they are known.
+        counted: ids of all frames that a ground truth or a tolerance in frames counts, in order:
+            these, the skipped ones, and all that the data set has of their sequences.
+        folders: of the sequences, if they are known.
     """
 
     frames: tuple[str, ...]
@@ -41,11 +41,11 @@ class Places:
 
     @classmethod
     def of(cls, frames: Iterable[Frame | FrameFile], dataset: Dataset | None = None) -> Places:
-        """The places of frames on disk, counted among all of the data set."""
-        taken = list(frames)
-        ids = tuple(frame.frame for frame in taken)
-        poses = np.array([frame.pose for frame in taken], np.float64).reshape(-1, 3)
-        folders = {(f.folder, f.sequence) for f in taken if isinstance(f, FrameFile)}
+        """The places of frames on disk, counted among all frames of the data set."""
+        frames = list(frames)
+        ids = tuple(frame.frame for frame in frames)
+        poses = np.array([frame.pose for frame in frames], np.float64).reshape(-1, 3)
+        folders = {(f.folder, f.sequence) for f in frames if isinstance(f, FrameFile)}
         return cls(ids, poses, _counted(ids, dataset), folders)
 
     @classmethod
@@ -62,9 +62,9 @@ class Places:
 
     @property
     def paths(self) -> dict[str, str]:
-        """The counted ids, each with the path of its file where its sequence is one folder."""
-        several = Counter(sequence for _, sequence in self.folders)
-        folder = {name: folder for folder, name in self.folders if folder and several[name] == 1}
+        """The file path of each counted id whose sequence is one folder, else the id."""
+        count = Counter(sequence for _, sequence in self.folders)
+        folder = {name: folder for folder, name in self.folders if folder and count[name] == 1}
         parts = ((frame, *frame.rpartition("/")[::2]) for frame in self.counted)
         return {
             frame: PurePath(folder[sequence], name).as_posix() if sequence in folder else frame
@@ -74,7 +74,7 @@ class Places:
 
 @dataclass(frozen=True)
 class TrueMatches:
-    """What counts as a true match: a file, or a distance in metres or in frames."""
+    """The definition of a true match: by a file, or by a distance in metres or in frames."""
 
     file: Path | None
     metres: float | None
@@ -89,20 +89,20 @@ class TrueMatches:
                 f"got {given} of them"
             )
         if self.degrees is not None and self.metres is None:
-            raise ValueError("--tolerance-degrees wants --tolerance-metres beside it")
+            raise ValueError("--tolerance-degrees needs --tolerance-metres")
 
     @classmethod
-    def by(cls, given: TruthOptions, said: DatasetTruth | None) -> TrueMatches:
-        """By the options, or, if none of the three is given, by the data set."""
-        own = (given.ground_truth, given.tolerance_metres, given.tolerance_frames)
-        file, metres, frames = (
-            own if own != (None,) * 3 or not said else (said.file, said.metres, said.frames)
-        )
-        return cls(file, metres, given.tolerance_degrees, frames)
+    def of(cls, options: TruthOptions, dataset: DatasetTruth | None) -> TrueMatches:
+        """By the options, or by the data set if the options define nothing."""
+        typed = (options.ground_truth, options.tolerance_metres, options.tolerance_frames)
+        if typed == (None,) * 3 and dataset:
+            typed = (dataset.file, dataset.metres, dataset.frames)
+        file, metres, frames = typed
+        return cls(file, metres, options.tolerance_degrees, frames)
 
     @property
     def words(self) -> str:
-        """What counts as a true match, in words."""
+        """The definition in words."""
         if self.file is not None:
             return str(self.file)
         if self.frames is not None:
@@ -111,16 +111,15 @@ class TrueMatches:
         return f"within {self.metres:g} metres{turned}"
 
     def among(self, references: Places, queries: Places) -> PartialTruth:
-        """The rows of the references that are true matches of each query; ``None`` where nothing is
-        known. Notes how many such queries there are, and how many queries have the id of a
-        reference."""
+        """The rows of the references that are true matches of each query; ``None`` if they are not
+        known. Notes the number of these queries, and of queries with the id of a reference."""
         truth = self._find(references, queries) if queries.frames else []
         unknown = sum(rows is None for rows in truth)
         if unknown:
             note(f"{unknown} of {len(truth)} queries are left out: {self.file} does not name them")
-        themselves = len(set(queries.frames) & set(references.frames))
-        if themselves:
-            note(f"{themselves} of {len(queries.frames)} queries have ids of the database")
+        common = len(set(queries.frames) & set(references.frames))
+        if common:
+            note(f"{common} of {len(queries.frames)} queries have ids of the database")
         return truth
 
     def _find(self, references: Places, queries: Places) -> PartialTruth:
@@ -128,11 +127,11 @@ class TrueMatches:
             return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
         if self.file is not None:
             counted = from_file(self.file, queries.paths, references.paths)
-            strange = unmatched_entries(self.file, queries.paths)
-            if strange:
+            unmatched = unmatched_entries(self.file, queries.paths)
+            if unmatched:
                 note(
-                    f"{len(strange)} of the queries that {self.file} names are not there, "
-                    f"the first is {_in_order(strange)[0]}"
+                    f"{len(unmatched)} queries of {self.file} do not exist, "
+                    f"the first is {_in_order(unmatched)[0]}"
                 )
         else:
             assert self.frames is not None
@@ -141,14 +140,14 @@ class TrueMatches:
         truth, missing = _rows([of_query[frame] for frame in queries.frames], references)
         if self.file and missing:
             note(
-                f"{len(missing)} of the references that {self.file} names are not in the database, "
+                f"{len(missing)} references of {self.file} are not in the database, "
                 f"the first is {_in_order(missing)[0]}"
             )
         return truth
 
 
 def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
-    """The ids that `Places` counts: the frames, and their sequences in the whole data set."""
+    """`Places.counted` of some frames."""
     ids = {*frames}
     sequences = {frame.rpartition("/")[0] for frame in ids}
     if dataset:
@@ -157,18 +156,20 @@ def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
 
 
 def _rows(truth: PartialTruth, references: Places) -> tuple[PartialTruth, Collection[str]]:
-    """Turns places among the counted references into rows of the references; also gives the ids
-    that are not among these."""
+    """The rows of the references for positions among the counted references, and the ids of the
+    positions that have no row."""
     row = {frame: number for number, frame in enumerate(references.frames)}
     rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
-    named = {place for places in truth if places is not None for place in places.tolist()}
-    missing = {references.counted[place] for place in named if rows[place] < 0}
-    there = [
-        None if places is None else np.sort(rows[places][rows[places] >= 0]) for places in truth
-    ]
-    return there, missing
+    known = [None if positions is None else rows[positions] for positions in truth]
+    missing = {
+        references.counted[position]
+        for positions in truth
+        if positions is not None
+        for position in positions[rows[positions] < 0].tolist()
+    }
+    return [None if found is None else np.sort(found[found >= 0]) for found in known], missing
 
 
 def _in_order(frames: Iterable[str]) -> list[str]:
-    """By sequence, then by name, each in natural order."""
+    """The ids by sequence, then by name, both in natural order."""
     return natsorted(sorted(frames), key=lambda frame: frame.rpartition("/")[::2])

@@ -7,11 +7,10 @@ from ..options import Json, option
 
 def bench(
     *,
-    repetitions: int = option(5, "How often each way is timed.", min=1),
+    repetitions: int = option("Number of times to run each implementation.", default=5, min=1),
     as_json: Json = False,
 ) -> None:
-    """Time the method on this machine, one thread: reference, torch, native core, ONNX
-    Runtime.
+    """Time the method on one thread of this machine: reference, torch, native core, ONNX Runtime.
 
     Example: ssrvlad bench --repetitions 3
     """
@@ -24,7 +23,7 @@ def bench(
     if as_json:
         print_json({"rows": rows})
         return
-    table = Table("preset", "batch", "way", "ms an image", "min", "max", "times faster")
+    table = Table("preset", "batch", "implementation", "ms an image", "min", "max", "times faster")
     for row in rows:
         times = [f"{row[key]:.2f}" for key in ("median_ms", "min_ms", "max_ms")]
         ratio = f"{row['times_faster']:.1f}" if "times_faster" in row else ""

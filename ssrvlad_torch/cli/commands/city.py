@@ -15,18 +15,17 @@ def city(
     *,
     out: Path = argument("Folder to write, new or empty."),
     frames: int | None = option(
-        None,
-        f"Frames of each traverse, {FRAMES} if not given; with --tour the whole tour, "
-        f"about {TOUR_FRAMES}.",
+        f"Frames of each sequence. Default: {FRAMES}, or with --tour the whole tour, about "
+        f"{TOUR_FRAMES}.",
         min=2,
     ),
     seed: Seed = 0,
     tour: bool = option(
-        False, "Write one drive that comes back to its streets, for ssrvlad loops.", "--tour"
+        "Write one drive that returns to its streets, for ssrvlad loops.", "--tour", default=False
     ),
 ) -> None:
-    """Write the synthetic city: reference/ and query/ label PNGs (cityscapes-trainids), poses.csv
-    and ground_truth.json; or with --tour the folder tour/ and poses.csv.
+    """Write the synthetic city: label maps of cityscapes-trainids in reference/ and query/,
+    poses.csv and ground_truth.json; or, with --tour, the folder tour/ and poses.csv.
 
     Example: ssrvlad city /tmp/city --frames 200 --seed 7
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...baselines import METHODS
 from ..options import DriveOptions, Json, RandomWeights, StepOptions, TruthOptions, Workers, option
-from ..output import figure, finish, print_json, print_table, say
+from ..output import finish, fraction, print_json, print_table, say
 
 if TYPE_CHECKING:
     from ...baselines import Method
@@ -19,47 +19,50 @@ if TYPE_CHECKING:
     from ..truth import TrueMatches
 
 Row = dict[str, Any]
-"""The figures and costs of a method, or its name and the reason why it could not run."""
+"""The metrics and costs of a method, or its name and the reason why it could not run."""
 
 
-class How(NamedTuple):
-    """How methods are measured; ``together`` are those whose scores are fused."""
+class Protocol(NamedTuple):
+    """How methods are measured; ``fused`` are those whose scores are fused."""
 
     true: TrueMatches
     convention: Convention
     steps: Steps
     workers: int
-    together: Sequence[str]
+    fused: Sequence[str]
 
 
 AT_RECALL = 0.5
 AT = ("1", "5", "10")
 COSTS = ("encode", "match")
-_TOGETHER = "--fuse"
+_FUSED = "--fuse"
 
 
 def compare(
     *,
-    given: DriveOptions,
+    options: DriveOptions,
     truth: TruthOptions,
     steps: StepOptions,
-    method: str = option(..., f"Methods, with commas between: {', '.join(METHODS)}."),
+    method: str = option(
+        f"Methods to compare, separated by commas: {', '.join(METHODS)}.", default=...
+    ),
     settings: list[str] | None = option(
-        None, "A setting, METHOD.NAME=VALUE, such as netvlad.weights=FILE; repeatable.", "--set"
+        "Setting of a method, METHOD.NAME=VALUE, such as netvlad.weights=FILE; can be repeated.",
+        "--set",
     ),
     fuse: str | None = option(
-        None, "Some of the methods, with commas between, whose scores are also taken together."
+        "Methods whose scores are also fused, two or more of --method, separated by commas."
     ),
     random_weights: RandomWeights = False,
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
-    """Compare methods on one data set: how well they recognise, with 95 % bootstrap intervals, and
-    what they cost. Each method is measured twice: by the scores of single frames, and with the
-    steps below. --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad.
-    Methods that lack images, label maps or weights are left out. The others are compared on the
-    frames that all of them can use. --fuse adds up the scores of methods,
-    each weighted by how far its first candidates are ahead on the queries at hand.
+    """Compare methods on one data set: metrics with 95 % bootstrap intervals, and costs. Each
+    method is measured twice: by the scores of single frames, and with the steps below.
+    --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad. Methods without
+    their images, label maps or weights are left out. The others are compared on the frames that
+    all of them can use. --fuse adds the scores of methods, each weighted by how far its first
+    candidates are ahead on these queries.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 
@@ -72,20 +75,21 @@ def compare(
     """
     from ...encoding.results import Skipped
     from ..drives import Drives
-    from ..recognise import parse_settings, steps_of
+    from ..methods import parse_settings
+    from ..search import steps_of
     from ..truth import TrueMatches
 
     names = [name.strip() for name in method.split(",")]
-    together = [name.strip() for name in fuse.split(",")] if fuse else []
-    if fuse and (len(set(together)) < 2 or not set(together) <= set(names)):
+    fused = [name.strip() for name in fuse.split(",")] if fuse else []
+    if fuse and (len(set(fused)) < 2 or not set(fused) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
     methods = _make(names, parse_settings(settings or ()), random_weights)
-    drives = Drives.open(given)
-    true = TrueMatches.by(truth, drives.whole.truth)
+    drives = Drives.open(options)
+    true = TrueMatches.of(truth, drives.whole.truth)
     if true.metres is not None:
         drives = drives.posed()
-    how = How(true, truth.convention, steps_of(steps), workers, together)
-    rows = _rows(methods, drives, how)
+    protocol = Protocol(true, truth.convention, steps_of(steps), workers, fused)
+    rows = _rows(methods, drives, protocol)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -96,28 +100,31 @@ def compare(
 def _make(
     names: Sequence[str], settings: Mapping[str, Any], random_weights: bool
 ) -> dict[str, Method | str]:
-    """The methods by name, or in place of one the reason why it cannot be made."""
-    from ..recognise import make, takes
+    """The methods by name; for a method that cannot be made, the reason."""
+    from ..methods import has_setting, make
 
-    own: dict[str, dict[str, Any]] = {name: {} for name in names}
+    by_method: dict[str, dict[str, Any]] = {name: {} for name in names}
+    for name, values in by_method.items():
+        if random_weights and has_setting(name, "random_weights"):
+            values["random_weights"] = True
     for key, value in settings.items():
         name, dot, setting = key.partition(".")
-        if not dot or name not in own:
-            expected = ", ".join(own)
-            raise ValueError(f"--set wants METHOD.NAME=VALUE for one of {expected}, got {key!r}")
-        own[name][setting] = value
+        if not dot or name not in by_method:
+            raise ValueError(
+                f"--set: expected METHOD.NAME=VALUE for one of {', '.join(names)}, got {key!r}"
+            )
+        by_method[name][setting] = value
     methods: dict[str, Method | str] = {}
-    for name, given in own.items():
-        free = {"random_weights": True} if random_weights and takes(name, "random_weights") else {}
+    for name, values in by_method.items():
         try:
-            methods[name] = make(name, {**free, **given})
+            methods[name] = make(name, values)
         except (OSError, ImportError) as error:
             methods[name] = str(error)
     return methods
 
 
-def _rows(methods: Mapping[str, Method | str], drives: Drives, how: How) -> list[Row]:
-    """The rows of all methods in their order, and at the end those of the fused ones."""
+def _rows(methods: Mapping[str, Method | str], drives: Drives, protocol: Protocol) -> list[Row]:
+    """The rows of all methods in their order, then the rows of the fused methods."""
     from ..drives import KINDS
 
     lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
@@ -133,50 +140,54 @@ def _rows(methods: Mapping[str, Method | str], drives: Drives, how: How) -> list
     if able:
         needs = {need for method in able.values() for need in method.needs}
         drives = drives.complete([kind for kind in KINDS if kind in needs])
-        rows |= _run(able, drives, how)
-    if how.together and _TOGETHER not in rows:
-        missing = next(name for name in how.together if "reason" in rows[name][0])
-        rows[_TOGETHER] = [_not_run(" + ".join(how.together), f"{missing} does not run")]
-    order = [*methods, _TOGETHER] if how.together else methods
+        rows |= _run(able, drives, protocol)
+    if protocol.fused and _FUSED not in rows:
+        missing = next(name for name in protocol.fused if "reason" in rows[name][0])
+        rows[_FUSED] = [_not_run(" + ".join(protocol.fused), f"{missing} does not run")]
+    order = [*methods, _FUSED] if protocol.fused else methods
     return [row for name in order for row in rows[name]]
 
 
-def _run(methods: Mapping[str, Method], drives: Drives, how: How) -> dict[str, list[Row]]:
+def _run(methods: Mapping[str, Method], drives: Drives, protocol: Protocol) -> dict[str, list[Row]]:
     """The rows of each method: of single frames, and with the steps."""
     from ...recognition.recognise import AS_PAPER
     from ..fused import followed, fused
-    from ..measure import Recognition, measure, wants_similarity
-    from ..recognise import recognise
+    from ..measure import Recognition, measure, needs_similarity
+    from ..methods import run_method
     from ..truth import Places
 
-    true, convention, steps, workers, together = how
+    true, convention, steps, workers, to_fuse = protocol
     parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
-    matches = true.among(*(Places.of(part.frames, whole) for part in parts))
-    taken = None if wants_similarity(convention) or steps == AS_PAPER else steps
-    singly = replace(steps, follow=None, delay=0)
+    truth = true.among(*(Places.of(part.frames, whole) for part in parts))
+    all_steps = None if needs_similarity(convention) or steps == AS_PAPER else steps
+    no_following = replace(steps, follow=None, delay=0)
     members: dict[str, Recognition] = {}
 
     def measured(found: Sequence[Recognition]) -> list[Row]:
-        return [measure(each, matches, convention, AT_RECALL) for each in found]
+        return [measure(each, truth, convention, AT_RECALL) for each in found]
 
     for name, method in methods.items():
         labelled = "labels" in method.needs
-        there, here = (part.label_files() if labelled else part.image_files() for part in parts)
+        references, queries = (
+            part.label_files() if labelled else part.image_files() for part in parts
+        )
         labels_as = whole.labels_as if labelled else None
-        all_pairs = wants_similarity(convention) or name in together
-        own = singly if taken and name in together else taken
+        all_pairs = needs_similarity(convention) or name in to_fuse
+        method_steps = no_following if all_steps and name in to_fuse else all_steps
         try:
-            found = recognise(method, there, here, labels_as, workers, all_pairs, own)
+            found = run_method(
+                method, references, queries, labels_as, workers, all_pairs, method_steps
+            )
         except ValueError as error:
             rows[name] = [_not_run(method.name, str(error))]
             continue
-        if name in together:
+        if name in to_fuse:
             members[name] = found[-1]
             found = [found[0], *(followed(each, steps) for each in found[1:])]
         rows[name] = measured(found)
-    if together and set(together) <= set(members):
-        chosen = [members[name] for name in together]
-        rows[_TOGETHER] = measured(fused(chosen, taken or singly))
+    if to_fuse and set(to_fuse) <= set(members):
+        chosen = [members[name] for name in to_fuse]
+        rows[_FUSED] = measured(fused(chosen, all_steps or no_following))
     return rows
 
 
@@ -185,7 +196,7 @@ def _not_run(method: str, reason: str) -> Row:
 
 
 def _print(rows: Sequence[Row]) -> None:
-    """Two tables, of the figures and of the costs, a row a method in both."""
+    """Prints two tables, of the metrics and of the costs, with a row for each method."""
     from rich.table import Table
 
     from ..measure import steps_in_words
@@ -198,7 +209,7 @@ def _print(rows: Sequence[Row]) -> None:
         alone = "weights" in row and set(row["steps"]["follow"].values()) == {"no"}
         steps = "\n  with steps" if row.get("steps") and not alone else ""
         name = row["method"] + steps
-        quality.add_row(name, *(_figures(row) if row in done else ["not run"]))
+        quality.add_row(name, *(_metrics(row) if row in done else ["not run"]))
     print_table(quality)
     if not done:
         return
@@ -211,21 +222,21 @@ def _print(rows: Sequence[Row]) -> None:
     say(
         f"{done[0]['queries']} queries ({done[0]['queries_with_match']} with a true match) against "
         f"{done[0]['references']} references, convention {done[0]['convention']}; in each cell the "
-        "95 % interval, and of times, which are of single frames, the least and the most"
+        "95 % interval; times are of single frames, with the least and the greatest"
     )
     for row in done:
         if row["steps"]:
             say(f"{row['method']} with steps: {steps_in_words(row['steps'], row['temporal'])}")
 
 
-def _figures(row: Row) -> list[str]:
+def _metrics(row: Row) -> list[str]:
     names, ends = ("auc_pr", "recall_at_100_precision"), row["intervals"]
-    figures = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
-    return [_cell(*pair) for pair in (*figures, *((row[name], ends[name]) for name in names))]
+    recalls = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
+    return [_cell(*pair) for pair in (*recalls, *((row[name], ends[name]) for name in names))]
 
 
 def _cell(value: float, ends: Sequence[float]) -> str:
-    return figure(value) + ("" if math.isnan(value) else f"\n{ends[0]:.2f}-{ends[1]:.2f}")
+    return fraction(value) + ("" if math.isnan(value) else f"\n{ends[0]:.2f}-{ends[1]:.2f}")
 
 
 def _times(cost: Mapping[str, float]) -> str:

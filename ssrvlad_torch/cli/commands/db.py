@@ -10,18 +10,15 @@ import typer
 from ..options import AsOf, DatabaseFolder, Json, expand, option
 from ..output import SOME_SKIPPED, note, print_json, progress_bar, say
 
-db = typer.Typer(help="Look into a database, verify it, export it.", rich_markup_mode=None)
-
-
-@db.callback(invoke_without_command=False)
-def _look() -> None:
-    """Look into a database, verify it, export it."""
+db = typer.Typer(
+    help="Inspect, verify, compact, index or export a database.", rich_markup_mode=None
+)
 
 
 @db.command()
 @expand
 def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) -> None:
-    """What is in a database.
+    """Print what is in a database.
 
     Example: ssrvlad db info town.ssrdb
     """
@@ -34,7 +31,8 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
         return
     if report["config"]:
         used = opened.config.used()
-        report["config"] = {name: v for name, v in report["config"].items() if name in used}
+        settings = report["config"].items()
+        report["config"] = {name: value for name, value in settings if name in used}
     if not report["beside"]:
         del report["beside"]
     for name, value in report.items():
@@ -46,7 +44,7 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
 @db.command()
 @expand
 def history(database: DatabaseFolder, as_json: Json = False) -> None:
-    """The versions of a database that are kept, the oldest first; --as-of takes their numbers.
+    """Print the stored versions of a database, oldest first. --as-of of other commands reads them.
 
     Example: ssrvlad db history town.ssrdb
     """
@@ -65,9 +63,9 @@ def history(database: DatabaseFolder, as_json: Json = False) -> None:
 def compact(
     *,
     database: DatabaseFolder,
-    keep_days: float = option(14, "Keep the versions that are at most so many days old.", min=0),
+    keep_days: float = option("Largest age in days of versions to keep.", default=14, min=0),
 ) -> None:
-    """Join small files, and forget old versions with the files that only these need.
+    """Join small files, and delete old versions and the files that only they use.
 
     Example: ssrvlad db compact town.ssrdb --keep-days 0
     """
@@ -81,7 +79,7 @@ def compact(
 @db.command()
 @expand
 def index(database: DatabaseFolder, as_json: Json = False) -> None:
-    """Build an index on disk for query --index, and compare it with exact search.
+    """Write an index on disk for ssrvlad query --index, and compare it with exact search.
 
     Example: ssrvlad db index town.ssrdb
     """
@@ -105,23 +103,23 @@ def verify(
     *,
     database: DatabaseFolder,
     drop_damaged: bool = option(
-        False,
-        "Remove damaged frames, and the newest versions if they cannot be read. Encode "
-        "again to bring the frames back.",
+        "Remove damaged frames, and the newest versions if they cannot be read. ssrvlad encode "
+        "restores the frames.",
         "--drop-damaged",
+        default=False,
     ),
     as_json: Json = False,
 ) -> None:
-    """Read every byte of a database and report what was changed since it was written. The exit
-    code is 3 if anything was.
+    """Check that every byte of a database is as it was written. The exit code is 3 if a byte has
+    changed.
 
     Example: ssrvlad db verify town.ssrdb
     """
     from ...database.database import Database
 
-    aside = Database.go_back(database) if drop_damaged else []
-    for name in aside:
-        note(f"{database}: a version that cannot be read is put aside: damaged-{name}")
+    unreadable = Database.go_back(database) if drop_damaged else []
+    for name in unreadable:
+        note(f"{database}: renamed a version that cannot be read: damaged-{name}")
     opened = Database.open(database)
     frames = len(opened)
     with progress_bar("verifying", frames) as bar:
@@ -134,8 +132,8 @@ def verify(
         note(f"{database}/{entry.file}: {entry.rows} frames lost: {entry.reason}")
     if damage and drop_damaged:
         opened.drop_damaged()
-        note(f"{database} now holds the {len(opened)} frames that are whole")
-    if damage or aside:
+        note(f"{database} now holds the {len(opened)} undamaged frames")
+    if damage or unreadable:
         raise typer.Exit(SOME_SKIPPED)
 
 
@@ -144,12 +142,12 @@ def verify(
 def export(
     *,
     database: DatabaseFolder,
-    output: Path = option(..., "File to write.", "--output", "-o"),
+    output: Path = option("File to write.", "--output", "-o", default=...),
     form: Literal["npy", "hloc"] = option(
-        ...,
-        "npy: an array, the frames' ids, the fingerprint and the settings beside it; "
-        "hloc: global descriptors in HDF5.",
+        "npy: an array, with the ids of the frames, the fingerprint and the settings in files "
+        "beside it; hloc: global descriptors in HDF5.",
         "--format",
+        default=...,
     ),
     as_of: AsOf = None,
 ) -> None:

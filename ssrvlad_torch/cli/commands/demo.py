@@ -6,18 +6,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..options import Frames, Seed, option
+from ..options import Seed, option
 from ..output import say
 
 
 def demo(
     *,
-    out: Path = option(Path("ssrvlad-demo"), "Folder for all that it writes."),
-    frames: Frames = 100,
+    out: Path = option("Folder to write, new or empty.", default=Path("ssrvlad-demo")),
+    frames: int = option("Frames of each sequence.", default=100, min=2),
     seed: Seed = 0,
 ) -> None:
-    """The main job on generated data: drive twice through a synthetic city, encode, match,
-    evaluate, picture.
+    """Run the method on generated data: two drives through a synthetic city are encoded, matched
+    and evaluated, and a picture shows some matches.
 
     Example: ssrvlad demo --out /tmp/ssrvlad-demo
     """
@@ -34,12 +34,12 @@ def _print_metrics(metrics: Mapping[str, Any]) -> None:
     from rich.table import Table
 
     from ..measure import counts
-    from ..output import figure, print_table
+    from ..output import fraction, print_table
 
     table = Table("metric", "value")
     for n, rate in metrics["recall_at"].items():
-        table.add_row(f"RecallRate@{n}", figure(rate))
-    table.add_row("AUC-PR", figure(metrics["auc_pr"]))
-    table.add_row("Recall@100%Precision", figure(metrics["recall_at_100_precision"]))
+        table.add_row(f"RecallRate@{n}", fraction(rate))
+    table.add_row("AUC-PR", fraction(metrics["auc_pr"]))
+    table.add_row("Recall@100%Precision", fraction(metrics["recall_at_100_precision"]))
     print_table(table)
     say(counts(metrics))

@@ -11,7 +11,7 @@ from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
     from ...encoding.results import Summary
-    from ..sources import LabelsAs, Source
+    from ..sources import Source
 
 Engine = Literal["local", "ray"]
 
@@ -19,20 +19,22 @@ Engine = Literal["local", "ray"]
 def encode(
     *,
     source: SourceOptions,
-    output: str = option(..., "Database to make or add to: a folder or a URI.", "--output", "-o"),
+    output: str = option(
+        "Database to create or extend: a folder or a URI.", "--output", "-o", default=...
+    ),
     preset: MaybePreset = None,
     beside: With = None,
     engine: Engine = option(
-        "local",
-        "local: processes of this machine; ray: Ray Data, on this machine or on its cluster.",
+        "local: processes on this machine; ray: Ray Data, on this machine or a cluster.",
+        default="local",
     ),
     prune: bool = option(
-        False, "Remove frames whose file is no longer in the given folders.", "--prune"
+        "Remove frames whose file is no longer in the folders of SOURCE.", "--prune", default=False
     ),
     as_json: Json = False,
 ) -> None:
-    """Encode label maps, or images with a segmenter, into a database. Run again, it encodes only
-    frames that are missing, and frames whose file, pose, label space or segmenter has changed.
+    """Encode label maps, or images with --segmenter, into a database. A later run encodes only
+    missing frames, and frames whose file, pose, label space or segmenter has changed.
 
     Example: ssrvlad encode maps/monday maps/tuesday -o town.ssrdb --labels-as camvid-11
 
@@ -46,12 +48,12 @@ def encode(
     summary = _encode(Source.open(source), output, preset, beside, engine, prune)
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
-        told = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
-        print_json({"database": output, **told, **Database.open(output).info()})
+        report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
+        print_json({"database": output, **report, **Database.open(output).info()})
     else:
         say(f"{output}: {summary}")
     for frame in summary.gone:
-        note(f"{frame} is in {output} and its file is gone; --prune removes it")
+        note(f"{frame} is in {output}, but its file is gone; --prune removes it")
     finish(summary.skipped, summary.described)
 
 
@@ -69,34 +71,29 @@ def _encode(
     from ...encoding.encoder import encode_to_database
     from ...encoding.ray_engine import encode_with_ray
     from ...encoding.results import EncodeOptions
-    from ..sources import only_label_space
 
     if prune and not _is_complete(source):
-        raise ValueError("--prune wants whole folders as sources, without --every and --start")
-    if engine == "ray" and source.given.segmenter:
+        raise ValueError("--prune needs whole folders as SOURCE, without --every and --start")
+    if engine == "ray" and source.options.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
     database = Database.open(output) if Database.exists(output) else None
-    also = source.described_by(beside)
-    labels_as: LabelsAs | None = source.labels_as
-    if labels_as is None and database:
-        labels_as = only_label_space(database)
-    if labels_as is None:
-        raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
+    extra = source.extra_descriptors(beside)
+    labels_as = source.label_space(database)
     if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     if database:
-        database.require(config, also)
+        database.require(config, extra)
     head = SSRVLAD(config)
     if database:
         source = dataclasses.replace(source, known=database.folders())
     files, segmenter = source.frames(labels_as)
     if not database:
-        database = Database.create(output, config, beside=also)
+        database = Database.create(output, config, beside=extra)
     with progress_bar("encoding", len(files)) as bar:
         options = EncodeOptions(
-            source.given.workers, _is_complete(source), prune, bar.advance, bar.skip
+            source.options.workers, _is_complete(source), prune, bar.advance, bar.skip
         )
         if engine == "ray":
             return encode_with_ray(head, files, database, options)
@@ -107,6 +104,6 @@ def _is_complete(source: Source) -> bool:
     """Whether the source holds all the frames of its folders."""
     from ...datasets.names import is_uri
 
-    paths = source.given.paths
-    whole = all(is_uri(path) or Path(path).is_dir() for path in paths)
-    return whole and source.given.takes_all and source.dataset is None
+    options = source.options
+    whole = all(is_uri(path) or Path(path).is_dir() for path in options.paths)
+    return whole and options.takes_all and source.dataset is None

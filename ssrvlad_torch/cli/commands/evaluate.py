@@ -19,28 +19,26 @@ from ..output import finish, print_json, say
 
 def evaluate(
     *,
-    database: Path = argument("Folder of the database; with --method, of the references."),
+    database: Path = argument("Folder of the database, or of the references with --method."),
     source: SourceOptions,
     method: MethodOptions,
     recognition: RecognitionOptions,
     truth: TruthOptions,
-    at_recall: float = option(0.5, "Recall at which to report the precision.", min=0, max=1),
+    at_recall: float = option("Recall at which to print the precision.", default=0.5, min=0, max=1),
     as_of: AsOf = None,
     as_json: Json = False,
     report: Path | None = option(
-        None,
-        "Page to write (.html): the figures, curves, the similarity matrix, and matches "
-        "with their pictures.",
+        "Page to write (.html): metrics, curves, the similarity matrix, and matches with their "
+        "pictures."
     ),
     pictures: list[str] | None = option(
-        None,
-        "With --report: folder of the references' label maps, to show them; repeatable. "
-        "Without it, they are looked for in the data set and beside SOURCE.",
+        "With --report: folder of the references' label maps, to show them; can be repeated. "
+        "Default: the data set and the folders beside SOURCE are searched."
     ),
 ) -> None:
-    """Measure the recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
-    bootstrap intervals. A table shows what several thresholds do. The suggested threshold is the
-    lowest whose precision is at least 0.95 at the lower end of its 95 % interval.
+    """Measure place recognition: RecallRate@N, AUC-PR, Recall@100%Precision and more, with 95 %
+    bootstrap intervals. A table shows precision and recall at several thresholds. The suggested
+    threshold is the lowest whose precision has a 95 % interval that begins at 0.95 or higher.
 
     With --method, another method is measured on the frames themselves.
 
@@ -57,50 +55,50 @@ def evaluate(
 
     _check(method, recognition, source)
     if pictures and (report is None or method.method):
-        raise ValueError("--pictures wants a --report of a database")
+        raise ValueError("--pictures needs the --report of a database")
     page = None if report is None else Page(report, pictures or ())
-    town = None if method.method else Database.open(database, as_of)
-    opened = Source.open(source, town.folders() if town else ())
-    true = TrueMatches.by(truth, opened.dataset.truth if opened.dataset else None)
-    if town:
+    stored = None if method.method else Database.open(database, as_of)
+    opened = Source.open(source, stored.folders() if stored else ())
+    true = TrueMatches.of(truth, opened.dataset.truth if opened.dataset else None)
+    if stored:
         opened = opened.posed() if true.metres is not None else opened
-        found = by_database(town, opened, recognition, truth.convention, page)
+        found = by_database(stored, opened, recognition, truth.convention, page)
     else:
         found = by_method(method, database, opened, recognition, truth.convention, page)
-    matches = true.among(found.references, found.queries)
-    metrics = measure(found, matches, truth.convention, at_recall)
+    known = true.among(found.references, found.queries)
+    metrics = measure(found, known, truth.convention, at_recall)
     if as_json:
         print_json(metrics)
     else:
         print_metrics(metrics)
     if page:
         title, settings = title_and_settings(database, source.paths, true)
-        page.write(found, matches, metrics, title, settings)
+        page.write(found, known, metrics, title, settings)
         if not as_json:
             say(f"report: {page.path}")
     finish(found.skipped, len(found.queries.frames))
 
 
 def _check(method: MethodOptions, recognition: RecognitionOptions, source: SourceOptions) -> None:
-    """Refuses options that do not go together, and names what to use instead."""
+    """Refuses options that do not go together."""
     if method.method is None:
         if method.settings or method.named:
             name = "set" if method.settings else next(iter(method.named)).replace("_", "-")
-            raise ValueError(f"--{name} wants a --method")
+            raise ValueError(f"--{name} needs --method")
         return
     if recognition.min_confidence:
-        raise ValueError("--min-confidence is of a database: confidence is fitted to its scores")
+        raise ValueError("--min-confidence does not go with --method: it needs a database")
     if recognition.fuse:
-        raise ValueError("--fuse is of a database; ssrvlad compare --fuse takes methods together")
+        raise ValueError("--fuse does not go with --method: use ssrvlad compare --fuse")
     if recognition.reach:
         raise ValueError(
-            "--temporal and --as-paper are of a database; with --method ssr-vlad use "
+            "--temporal and --as-paper do not go with --method; for ssr-vlad use "
             f"--set temporal={recognition.reach.frames or 't'}"
         )
     if source.segmenter is not None:
         raise ValueError(
             "--segmenter does not go with --method: encode a database with it and evaluate that, "
-            "or give a method of label maps the folder of a network's label maps"
+            "or use a folder of label maps as SOURCE"
         )
     if source.layout is not None:
         raise ValueError(

@@ -10,27 +10,30 @@ from ..output import say
 
 def export(
     *,
-    output: Path = option(..., "ONNX file to write.", "--output", "-o"),
+    output: Path = option("ONNX file to write.", "--output", "-o", default=...),
     labels_as: LabelsAs,
-    given: str = option("labels", "What the file takes: labels or logits.", "--input"),
-    dtype: str | None = option(None, "Of the labels: uint8, int32 or int64. Without it, uint8."),
+    input: str = option("Input of the file: labels or logits.", "--input", default="labels"),
+    dtype: str | None = option("Type of the labels: uint8, int32 or int64. Default: uint8."),
     preset: Preset = "default",
     sweep: bool = option(
-        False,
-        "Describe each frame from several anchors, (B, S, D), for queries from a camera "
-        "that is turned or moved aside.",
+        "Describe each frame from several anchors, (B, S, D), for queries of a camera that is "
+        "turned or moved aside.",
         "--sweep",
+        default=False,
     ),
     form: str = option(
-        "standard", "standard, or arithmetic: of any picture the same steps, for accelerators."
+        "standard, or arithmetic: the same operations for every frame, for accelerators.",
+        default="standard",
     ),
     size: str | None = option(
-        None, "Rows and columns, HxW, of an arithmetic file that takes no others."
+        "Fixed rows and columns of an arithmetic file, HxW, such as 512x1024."
     ),
-    batch: int | None = option(None, "Images of each call, with --size; 1 if not given.", min=1),
+    batch: int | None = option(
+        "With --size: fixed number of frames of each call. Default: 1.", min=1
+    ),
 ) -> None:
-    """Write the head as one ONNX file that needs ONNX Runtime only: label ids, or class scores,
-    to descriptors.
+    """Write the head as one ONNX file, from label ids or class scores to descriptors. It needs
+    ONNX Runtime only.
 
     Example: ssrvlad export -o head.onnx --labels-as cityscapes-trainids --input logits
     """
@@ -41,15 +44,15 @@ def export(
     config = SSRVLADConfig.from_preset(preset, labels_as=labels_as)
     columns = COLUMNS if sweep else ()
     if batch and not size:
-        raise ValueError(f"--batch {batch} is for a file of fixed size; expected --size as well")
+        raise ValueError(f"--batch {batch} needs --size")
     shape = (batch or 1, *_size(size)) if size else None
-    export_head(config, output, given, dtype, columns, form, shape)
-    say(f"{output}: {given} of {labels_as} to descriptors of fingerprint {config.fingerprint}")
+    export_head(config, output, input, dtype, columns, form, shape)
+    say(f"{output}: {input} of {labels_as} to descriptors of fingerprint {config.fingerprint}")
 
 
 def _size(text: str) -> tuple[int, int]:
     """Rows and columns of ``HxW``."""
     height, _, width = text.partition("x")
     if not (height.isdecimal() and width.isdecimal()):
-        raise ValueError(f"--size {text}: expected rows and columns, as in 512x1024")
+        raise ValueError(f"--size {text}: expected rows and columns, such as 512x1024")
     return int(height), int(width)

@@ -8,12 +8,12 @@ from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
-from ..options import Json, MaybePreset, SourceOptions, option
-from ..output import figure, finish, fused_in_words, print_json, say
+from ..options import Json, MaybePreset, SourceOptions, With, option
+from ..output import finish, fraction, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
     from ...database.database import Database
@@ -30,34 +30,24 @@ def loops(
     *,
     source: SourceOptions,
     exclude: int = option(
-        LoopConfig.exclude, "Number of last frames that are no candidates.", min=0
+        "Number of most recent frames that are no candidates.", default=LoopConfig.exclude, min=0
     ),
     threshold: float = option(
-        LoopConfig.threshold,
-        "Report a loop only if its probability is at least this.",
-        min=0,
-        max=1,
+        "Smallest probability of a reported loop.", default=LoopConfig.threshold, min=0, max=1
     ),
-    sweep: bool = option(LoopConfig.sweep, "Describe each frame from three anchors."),
-    memory: Path | None = option(
-        None, "Database that keeps the frames: made, or continued if it exists."
-    ),
-    picture: Path | None = option(None, "Picture to write: the loops, and the drive by poses.csv."),
+    sweep: bool = option("Describe each frame from three anchors.", default=LoopConfig.sweep),
+    memory: Path | None = option("Database to store the frames in; one that exists is continued."),
+    picture: Path | None = option("Picture to write: the loops on the trajectory."),
     tolerance_metres: float | None = option(
-        None, "Measure precision and recall: a loop is right within so many metres."
+        "Measure precision and recall: largest distance of a right loop in metres."
     ),
     preset: MaybePreset = None,
-    beside: Literal["hog"] | None = option(
-        None,
-        "Describe each image by this method, too: recognition then uses both. With --memory: "
-        "only when the database is new. It wants a --segmenter.",
-        "--with",
-    ),
+    beside: With = None,
     as_json: Json = False,
 ) -> None:
-    """Find loop closures in a stream of frames while it comes.
+    """Find loop closures in a stream of frames, frame by frame.
 
-    SOURCE - reads names of files from stdin, one a line, and takes each as soon as it is there.
+    SOURCE - reads file names from stdin, one a line, and processes each as soon as it arrives.
 
     Example: ssrvlad loops maps/monday --labels-as camvid-11 --picture loops.png
     """
@@ -66,22 +56,19 @@ def loops(
     from ...loops.picture import draw_loops
     from ...loops.stream import detect_loops, loops_of, open_detector, report
     from ...picture import require_picture, write_picture
-    from ..sources import Source, only_label_space
+    from ..sources import Source
 
     config = LoopConfig(exclude, threshold, sweep)
-    given = Source.open(source)
-    labels_as = given.labels_as
-    if labels_as is None and memory and Database.exists(memory):
-        labels_as = only_label_space(Database.open(memory))
-    if labels_as is None:
-        raise ValueError("Missing option '--labels-as': what the ids of the label maps mean")
+    opened = Source.open(source)
+    stored = Database.open(memory) if memory and Database.exists(memory) else None
+    labels_as = opened.label_space(stored)
     if picture:
         require_picture(picture)
-    also = given.described_by(beside)
-    detector, database = open_detector(config, memory, preset, labels_as, also)
+    extra = opened.extra_descriptors(beside)
+    detector, database = open_detector(config, memory, preset, labels_as, extra)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    frames = _frames(given, detector, database)
+    frames = _frames(opened, detector, database)
     with closing(detect_loops(detector, frames, database)) as stream:
         for result in stream:
             if isinstance(result, Skipped):
@@ -101,24 +88,23 @@ def loops(
 def _frames(
     source: Source, detector: LoopDetector, database: Database | None
 ) -> Iterator[Encoded | Skipped]:
-    """The frames that a detector does not know yet: of folders, or as their names arrive on
-    stdin."""
+    """The frames that a detector does not know yet, of folders or from names on stdin."""
     from ...encoding.plan import check_folders
     from ...loops.stream import encode_as_they_come, encode_files
 
-    labels_as, given = detector.head.config.labels_as, source.given
-    if STDIN not in given.paths:
+    labels_as, options = detector.head.config.labels_as, source.options
+    if STDIN not in options.paths:
         if database:
             source = replace(source, known=database.folders())
         files, segmenter = source.frames(labels_as)
         if database:
             check_folders(files, database.known())
-        return encode_files(detector, files, given.workers, segmenter)
-    if len(given.paths) > 1 or not given.takes_all:
-        raise ValueError(f"{STDIN}, the names on stdin, stands alone, without --every and --start")
+        return encode_files(detector, files, options.workers, segmenter)
+    if len(options.paths) > 1 or not options.takes_all:
+        raise ValueError(f"SOURCE {STDIN} takes no other SOURCE, no --every and no --start")
     names = map(os.fsdecode, sys.stdin.buffer)
     segmenter = source.segmenter(labels_as)
-    return encode_as_they_come(detector, names, given.sequence, segmenter, database)
+    return encode_as_they_come(detector, names, options.sequence, segmenter, database)
 
 
 def _print_result(result: LoopResult, as_json: bool) -> None:
@@ -129,31 +115,32 @@ def _print_result(result: LoopResult, as_json: bool) -> None:
         say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")
 
 
-def _print_report(told: Mapping[str, Any], as_json: bool) -> None:
-    """In JSON only if precision and recall were asked for: every other line is a frame."""
+def _print_report(summary: Mapping[str, Any], as_json: bool) -> None:
+    """Prints the summary; as JSON only if it has precision and recall, for all other lines are
+    frames."""
     if as_json:
-        if "precision" in told:
-            print_json(told)
+        if "precision" in summary:
+            print_json(summary)
         return
-    reasons = (f"{count} {reason}" for reason, count in sorted(told["reasons"].items()))
-    say(f"{told['frames']} frames: {', '.join(reasons) or 'nothing'}")
-    columns = ", ".join(map(str, told["steps"]["sweep"])) or "0"
+    reasons = (f"{count} {reason}" for reason, count in sorted(summary["reasons"].items()))
+    say(f"{summary['frames']} frames: {', '.join(reasons) or 'nothing'}")
+    columns = ", ".join(map(str, summary["steps"]["sweep"])) or "0"
     steps = ["standardised", f"anchors {columns}", "no temporal sum", "followed online"]
-    say(f"steps: {', '.join([*steps, *fused_in_words([told['steps']['weights']])])}")
-    if "precision" not in told:
+    say(f"steps: {', '.join([*steps, *weights_in_words([summary['steps']['weights']])])}")
+    if "precision" not in summary:
         return
     say(
-        f"precision {figure(told['precision'])} ({told['right']} of {told['accepted']} loops "
-        f"are right), recall {figure(told['recall'])} ({told['recognised']} of "
-        f"{told['revisits']} revisits)"
+        f"precision {fraction(summary['precision'])} ({summary['right']} of "
+        f"{summary['accepted']} loops are right), recall {fraction(summary['recall'])} "
+        f"({summary['recognised']} of {summary['revisits']} revisits)"
     )
-    if not told["suggested"]:
+    if not summary["suggested"]:
         say("no threshold to suggest: no candidate is right; a drive with revisits is needed")
         return
-    point = told["suggested"]
+    point = summary["suggested"]
     say(
-        f"surest threshold {point['score']:.4g}: precision {figure(point['precision'])}, "
-        f"by its 95 % interval at least {figure(point['precision_low'])}, recall "
-        f"{figure(point['recall'])}; to prove a precision of {SURE_PRECISION:g} takes at least "
+        f"surest threshold {point['score']:.4g}: precision {fraction(point['precision'])}, "
+        f"by its 95 % interval at least {fraction(point['precision_low'])}, recall "
+        f"{fraction(point['recall'])}; a proof of precision {SURE_PRECISION:g} needs at least "
         f"{queries_needed()} loops without a mistake"
     )

@@ -12,11 +12,14 @@ def poses(
     *,
     source: SourceOptions,
     output: Path = option(
-        ..., "poses.csv to write; or a new folder of pictures with @UTM@ names.", "--output", "-o"
+        "poses.csv to write, or new folder for pictures with @UTM@ names.",
+        "--output",
+        "-o",
+        default=...,
     ),
 ) -> None:
-    """Write where pictures were taken in another form: KITTI, TUM, GPS, EXIF or @UTM@ names become
-    poses.csv, or pictures get the names that VPR-methods-evaluation reads.
+    """Convert the poses of pictures: from KITTI, TUM, GPS, EXIF or @UTM@ names to poses.csv, or to
+    pictures with the names that VPR-methods-evaluation reads.
 
     Example: ssrvlad poses photos/monday -o utm/database
     """
@@ -27,11 +30,11 @@ def poses(
     from ..sources import Source
 
     files = Source.open(source).image_files()
-    known = [file for file in files if not math.isnan(file.pose.x)]
-    if not known:
+    posed = [file for file in files if not math.isnan(file.pose.x)]
+    if not posed:
         raise ValueError(f"{' '.join(source.paths)}: no frame has a pose")
     if output.suffix.lower() == ".csv":
-        write_poses(output, {file.frame: file.pose for file in known})
+        write_poses(output, {file.frame: file.pose for file in posed})
     else:
-        write_pictures(output, known)
-    say(f"{output}: {len(known)} of {len(files)} frames have a pose")
+        write_pictures(output, posed)
+    say(f"{output}: {len(posed)} of {len(files)} frames have a pose")

@@ -11,7 +11,7 @@ from ..output import finish, note, print_json, say
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..recognise import Found
+    from ..search import Found
 
 
 def query(
@@ -19,42 +19,39 @@ def query(
     database: DatabaseFolder,
     source: SourceOptions,
     recognition: RecognitionOptions,
-    top: int = option(5, "Candidates of each query.", min=1),
+    top: int = option("Number of candidates of each query.", default=5, min=1),
     threshold: float | None = option(
-        None,
-        "Leave out candidates whose score is not above this. Scores are cosines of single frames. "
-        "Of followed queries the first is the probability of that place (a few frames around it), "
-        "and each other is the probability of that one frame.",
+        "Leave out candidates whose score is not above this. The score of a single frame is a "
+        "cosine. For a followed query, the score of the first candidate is the probability of that "
+        "place (a few frames around it), and every other score is the probability of one frame.",
         max=1,
     ),
     from_sequence: list[str] | None = option(
-        None, "Take candidates of this sequence only; repeatable."
+        "Use only candidates of this sequence; can be repeated."
     ),
     window: str | None = option(
-        None,
-        "FIRST:LAST, FIRST: or :LAST. Take candidates in this range of numbers or time "
-        "stamps only. A frame's number is the last one in its name.",
+        "Use only candidates whose number or time stamp is in the range FIRST:LAST, FIRST: or "
+        ":LAST. The number of a frame is the last number in its name."
     ),
     exclude: int | None = option(
-        None,
-        "Leave out candidates of the query's own sequence that are so many frames away or "
-        "fewer. It is that of the query's folder, if the database has it, or --sequence.",
+        "Leave out candidates of the query's own sequence that are at most N frames away. Its own "
+        "sequence is --sequence, or the one that the database has for its folder.",
         min=0,
     ),
     index: bool = option(
-        False,
-        "Search by the index on disk (ssrvlad db index). Scores are exact. Sequences are "
-        "followed over the candidates of the index; --sweep has no effect, and descriptors of "
-        "pictures are not used.",
+        "Search with the index on disk (ssrvlad db index). Scores are exact. Sequences are "
+        "followed over the candidates of the index. --sweep and descriptors of pictures are not "
+        "used.",
         "--index",
+        default=False,
     ),
     as_of: AsOf = None,
     skip_damaged: bool = option(
-        False, "Leave out damaged frames of the database.", "--skip-damaged"
+        "Leave out damaged frames of the database.", "--skip-damaged", default=False
     ),
     as_json: Json = False,
 ) -> None:
-    """Recognise places: ranked candidate frames with scores for every label map or image.
+    """Recognise places: print candidate frames with their scores for each query, best first.
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
@@ -62,7 +59,7 @@ def query(
     from ...database.frames import FrameSet
     from ...database.reading import Damage
     from ...database.selection import neighbours, select
-    from ..recognise import barred, look_up, look_up_by_index
+    from ..search import excluded_pairs, search, search_index
     from ..sources import Source
 
     first, last = _window(window)
@@ -70,20 +67,20 @@ def query(
         raise ValueError(
             "--index does not go with a temporal sum, --window, --skip-damaged or --fuse"
         )
-    town = Database.open(database, as_of)
-    opened = Source.open(source, town.folders(skip_damaged))
+    opened = Database.open(database, as_of)
+    frames = Source.open(source, opened.folders(skip_damaged))
     if index:
-        found = look_up_by_index(town, opened, recognition, top, from_sequence, exclude)
+        found = search_index(opened, frames, recognition, top, from_sequence, exclude)
     else:
 
-        def shut(queries: FrameSet, references: FrameSet) -> Tensor | None:
+        def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
             limited = from_sequence or window
             where = select(references, from_sequence, first, last) if limited else None
             near = None if exclude is None else neighbours(queries.frames, references, exclude)
-            return barred(len(queries.frames), len(references.frames), where, near)
+            return excluded_pairs(len(queries.frames), len(references.frames), where, near)
 
         damage = list[Damage]() if skip_damaged else None
-        found = look_up(town, opened, recognition, top, damage=damage, shut=shut)
+        found = search(opened, frames, recognition, top, damage=damage, excluded=excluded)
         for entry in damage or ():
             note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
     least = -math.inf if threshold is None else threshold
@@ -92,12 +89,12 @@ def query(
 
 
 def _print(found: Found, min_confidence: float, least: float, way: str, as_json: bool) -> None:
-    """A line for each query: its candidates that score more than the least, if it is sure."""
+    """Prints a line for each query, with its candidates of a score above ``least``."""
     from ..measure import steps_in_words
-    from ..recognise import sure_enough
+    from ..search import confident
 
     used, t = found.recognised.used, found.temporal
-    matches = sure_enough(found.recognised, min_confidence)
+    matches = confident(found.recognised, min_confidence)
     columns = *(part.tolist() for part in matches), found.recognised.confidence.tolist()
     for frame, scores, rows, confidence in zip(found.queries.frames, *columns, strict=True):
         ranked = [
@@ -107,8 +104,8 @@ def _print(found: Found, min_confidence: float, least: float, way: str, as_json:
         ]
         if as_json:
             candidates = [{"frame": name, "score": score} for name, score in ranked]
-            told = {"confidence": confidence, "temporal": t, "steps": used}
-            print_json({"query": frame, "candidates": candidates, **told})
+            details = {"confidence": confidence, "temporal": t, "steps": used}
+            print_json({"query": frame, "candidates": candidates, **details})
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
             say(f"{frame}: {listed or 'no candidate'} (confidence {confidence:.2f})")
@@ -127,7 +124,7 @@ def _window(text: str | None) -> tuple[int | None, int | None]:
             raise ValueError
         low, high = int(first) if first else None, int(last) if last else None
     except ValueError:
-        raise ValueError(f"--window wants FIRST:LAST in whole numbers, got {text!r}") from None
+        raise ValueError(f"--window: expected FIRST:LAST in whole numbers, got {text!r}") from None
     if low is not None and high is not None and low > high:
-        raise ValueError(f"--window wants a FIRST that is not above LAST, got {text!r}")
+        raise ValueError(f"--window: expected FIRST not above LAST, got {text!r}")
     return low, high

@@ -15,23 +15,23 @@ if TYPE_CHECKING:
     from ...deployment.verify import Verification
 
 MISMATCH = 1
-"""Exit code of a file that does not give what it should."""
+"""Exit code for a file that differs from the PyTorch module."""
 
 
 def verify(
     *,
-    model: Path = argument("ONNX file of export or fuse."),
+    model: Path = argument("ONNX file of ssrvlad export or ssrvlad fuse."),
     labels: list[str] | None = option(
-        None, "Label maps to compare on: a folder, glob or file; repeatable."
+        "Label maps to compare on: a folder, glob or file; can be repeated."
     ),
     provider: str = option(
-        "CPUExecutionProvider", "Execution provider of ONNX Runtime, or openvino."
+        "Execution provider of ONNX Runtime, or openvino.", default="CPUExecutionProvider"
     ),
     as_json: Json = False,
 ) -> None:
-    """Compare an exported or fused file on a runtime with the PyTorch module: on its golden pair,
-    a corpus of drawn maps, and label maps. Where they differ the exit code is 1, and the stage of
-    the graph that differs first is named, or the node that cannot be run.
+    """Compare an exported or fused file with the PyTorch module: on its golden pair, on drawn
+    label maps, and on --labels. If they differ, the exit code is 1, and the report names the first
+    stage of the graph that differs, or the node that the runtime cannot run.
 
     Example: ssrvlad verify place.onnx --provider CPUExecutionProvider
     """
@@ -56,7 +56,7 @@ def verify(
 def _as_json(found: Verification) -> dict[str, Any]:
     return {
         **dataclasses.asdict(found),
-        "checks": [one._asdict() for one in found.checks],
+        "checks": [check._asdict() for check in found.checks],
         "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
         "fault": found.fault and found.fault._asdict(),
         "difference": found.difference,
@@ -69,8 +69,8 @@ def _print(model: Path, found: Verification) -> None:
     from rich.table import Table
 
     table = Table("compared", "largest difference", "result")
-    for one in found.checks:
-        table.add_row(one.name, f"{one.difference:.2g}", one.problem or "equal")
+    for check in found.checks:
+        table.add_row(check.name, f"{check.difference:.2g}", check.problem or "equal")
     print_table(table)
     for problem in found.problems:
         say(problem)

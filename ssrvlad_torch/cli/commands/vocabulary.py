@@ -10,14 +10,14 @@ from ..output import say
 
 def vocabulary(
     *,
-    images: Path = argument("Folder of images, and of folders of images."),
-    output: Path = option(..., "The .npy file to write.", "--output", "-o"),
+    images: Path = argument("Folder of images or of folders of images."),
+    output: Path = option("File to write (.npy).", "--output", "-o", default=...),
     weights: Weights = None,
-    words: int = option(256, "Words, 256 or 128 in the paper.", min=1),
-    regions: int = option(400, "Regions of an image, 400 or 200 in the paper.", min=1),
-    seed: int = option(0, "Of the choice of the first words.", min=0),
+    words: int = option("Number of words; 256 or 128 in the paper.", default=256, min=1),
+    regions: int = option("Regions of each image; 400 or 200 in the paper.", default=400, min=1),
+    seed: int = option("Another seed gives other initial words.", default=0, min=0),
 ) -> None:
-    """Train a vocabulary of Region-VLAD on images, by k-means over their regions.
+    """Train the vocabulary of Region-VLAD by k-means over the regions of images.
 
     Example: ssrvlad vocabulary photos -o vocabulary.npy --weights alexnet_places365.caffemodel
     """

@@ -1,0 +1,248 @@
+"""Candidates of queries in a database."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from ..config import SSRVLADConfig
+from ..database.database import Database
+from ..database.frames import FrameSet
+from ..database.index_search import IndexSearch
+from ..database.metadata import ExtraDescriptor
+from ..database.reading import Damage
+from ..datasets.names import KnownFolders, check_sequences
+from ..descriptor import query_head
+from ..encoding.encoder import encode_to_memory
+from ..encoding.results import Skipped
+from ..recognition.follow import runs
+from ..recognition.matching import Matches, frames_within, temporal_sum
+from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise, recognise_by_search
+from ..recognition.standardise import MIN_FRAMES
+from ..recognition.sweep import COLUMNS
+from .options import Reach, RecognitionOptions, StepOptions
+from .output import progress_bar
+from .sources import LabelsAs, Source, only_label_space
+
+
+class Found(NamedTuple):
+    """The frames of a source, and their candidates in a database.
+
+    Attributes:
+        queries, references: the frames of the source and of the database.
+        recognised: the candidates of every query.
+        temporal: t of Eq. 3; one for each sequence if they differ.
+        skipped: frames that could not be encoded.
+        folders: of the sequences of the queries.
+    """
+
+    queries: FrameSet
+    references: FrameSet
+    recognised: Recognised
+    temporal: int | dict[str, int]
+    skipped: list[Skipped]
+    folders: KnownFolders
+
+
+def steps_of(options: StepOptions) -> Steps:
+    """The steps that the options choose."""
+    if isinstance(options, RecognitionOptions) and options.as_paper:
+        return AS_PAPER
+    follow = None if options.follow == "no" else options.follow
+    return Steps(options.standardise, options.sweep, follow, options.delay)
+
+
+def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig:
+    """The settings of a database, with another label space if one is given."""
+    config = database.config
+    return dataclasses.replace(
+        config, labels_as=labels_as or only_label_space(database) or config.labels_as
+    )
+
+
+def search(
+    database: Database,
+    source: Source,
+    options: RecognitionOptions,
+    top: int,
+    steps: Steps | None = None,
+    damage: list[Damage] | None = None,
+    excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
+) -> Found:
+    """The candidates of every frame of a source in a database.
+
+    Args:
+        database: of the references.
+        source: of the queries.
+        options: the steps from descriptors to a decision.
+        top: number of candidates of each query.
+        steps: instead of those of the options; then only descriptors of label maps are used.
+        damage: as for `Database.load`.
+        excluded: gives for queries and references ``(Q, R)`` bool, references that are no
+            candidates.
+    """
+    extra = () if steps else _extra_descriptors(database, options)
+    steps = steps or steps_of(options)
+    references, t = _references(database, options.reach, damage)
+    columns = COLUMNS if steps.sweep else ()
+    queries, skipped, folders = _queries(database, source, columns, extra)
+    recognised = recognise(
+        queries.descriptors,
+        references.descriptors,
+        queries.sequences,
+        references.sequences,
+        steps,
+        top,
+        excluded(queries, references),
+        {name: (values, references.beside[name]) for name, values in queries.beside.items()},
+    )
+    return Found(queries, references, recognised, t, skipped, folders)
+
+
+def search_index(
+    database: Database,
+    source: Source,
+    options: RecognitionOptions,
+    top: int,
+    sequences: Sequence[str] | None,
+    exclude: int | None,
+) -> Found:
+    """The candidates of every frame of a source in the index of a database, without a sweep.
+
+    Args:
+        database, source, options, top: as for `search`.
+        sequences: the sequences that candidates may be of; ``None`` for all.
+        exclude: the query's own sequence has no candidates within this number of frames.
+    """
+    steps = steps_of(options)
+    queries, skipped, folders = _queries(database, source)
+    ids, names = queries.frames, queries.sequences
+
+    @cache
+    def index(standardised: bool) -> IndexSearch:
+        return IndexSearch(
+            database, queries.descriptors, names, standardised, sequences, (ids, exclude)
+        )
+
+    long = names.count(names[0]) >= MIN_FRAMES if names else False
+    references = index(steps.standardise and long).frames
+    recognised = recognise_by_search(index, names, references.sequences, steps, top)
+    return Found(queries, references, recognised, 0, skipped, folders)
+
+
+def confident(recognised: Recognised, least: float) -> Matches:
+    """The candidates, without those of queries whose confidence is below ``least``."""
+    unsure = (recognised.confidence < least)[:, None]
+    scores, indices = recognised.matches
+    return Matches(scores.masked_fill(unsure, -torch.inf), indices.masked_fill(unsure, -1))
+
+
+def excluded_pairs(
+    queries: int,
+    references: int,
+    where: npt.NDArray[np.bool_] | None,
+    exclude: npt.NDArray[np.int64] | None,
+) -> Tensor | None:
+    """``(Q, R)`` bool, references that are no candidates, by `ssrvlad_torch.match`'s arguments."""
+    if where is None and exclude is None:
+        return None
+    excluded = np.zeros((queries, references), np.bool_)
+    if where is not None:
+        excluded |= ~where
+    if exclude is not None:
+        rows = np.arange(references)
+        excluded |= (rows >= exclude[:, :1]) & (rows < exclude[:, 1:])
+    return torch.from_numpy(excluded)
+
+
+def _extra_descriptors(
+    database: Database, options: RecognitionOptions
+) -> tuple[ExtraDescriptor, ...]:
+    """The extra descriptors of a database, unless the options exclude them."""
+    if options.fuse and not database.beside:
+        raise ValueError(
+            f"--fuse: {database.path} holds no descriptors of pictures; encode a new database "
+            "with --with hog"
+        )
+    return () if options.fuse is False or options.as_paper else database.beside
+
+
+def _references(
+    database: Database, reach: Reach, damage: list[Damage] | None
+) -> tuple[FrameSet, int | dict[str, int]]:
+    """The frames of a database after the temporal sum, and t of Eq. 3. A reach in metres gives each
+    sequence its own t."""
+    frames = database.load(damage)
+    if not frames.frames:
+        raise ValueError(f"{database.path} holds no frames yet")
+    if not reach:
+        return frames, 0
+    ts = dict.fromkeys(frames.sequences, reach.frames)
+    if reach.metres is not None:
+        ts = frames_within(frames.poses, frames.sequences, reach.metres)
+    for run in runs(frames.sequences):
+        names = frames.sequences[run.start : run.stop]
+        for values in (frames.descriptors, *frames.beside.values()):
+            rows = values[run.start : run.stop]
+            temporal_sum(rows, names, ts[names[0]], out=rows)
+    return frames, reach.frames if reach.metres is None else ts
+
+
+def _queries(
+    database: Database,
+    source: Source,
+    columns: Sequence[int] = (),
+    extra: Sequence[ExtraDescriptor] = (),
+) -> tuple[FrameSet, list[Skipped], KnownFolders]:
+    """The frames of a source, the skipped frames, and the folders of the sequences. Frames are
+    encoded with the settings of the database; a source that is a database is loaded.
+
+    Args:
+        database: of the references.
+        source: of the queries.
+        columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; without it ``(Q, 480)``, which
+            is also what a database and ``paper`` give.
+        extra: descriptors of the images, besides those of the label maps.
+    """
+    no_pictures = ValueError(
+        f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
+        "--no-fuse"
+    )
+    if other := source.database():
+        if other.fingerprint != database.fingerprint:
+            raise ValueError(
+                f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
+                f"{database.fingerprint or 'none'}: their descriptors do not compare"
+            )
+        frames = other.load()
+        if not set(extra) <= set(other.beside):
+            raise no_pictures
+        used = {method.name: frames.beside[method.name] for method in extra}
+        frames = dataclasses.replace(_renamed(frames, other, source), beside=used)
+        return frames, [], () if source.options.sequence else other.folders()
+    config = settings_of(database, source.labels_as)
+    if extra and not source.options.segmenter:
+        raise no_pictures
+    files, segmenter = source.frames(config.labels_as)
+    with progress_bar("encoding", len(files)) as bar:
+        head, workers = query_head(config, columns), source.options.workers
+        frames, skipped = encode_to_memory(head, files, workers, bar.advance, segmenter, extra)
+    return frames, skipped, {(file.folder, file.sequence) for file in files}
+
+
+def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
+    """The frames of a database that is the source, in the sequence that ``--sequence`` names."""
+    if (name := source.options.sequence) is None:
+        check_sequences(database.folders(), source.known)
+        return frames
+    if len(set(frames.sequences)) > 1:
+        raise ValueError(f"--sequence names one sequence, {database.path} holds several")
+    ids = tuple(f"{name}/{frame.rpartition('/')[2]}" for frame in frames.frames)
+    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
