@@ -123,11 +123,8 @@ class Memory(Vectors):
 
 
 def checked_vectors(descriptor: Tensor, frame: str, length: int) -> Floats:
-    """``(S, D)`` descriptors of a frame, from ``(D,)`` or ``(S, D)``.
-
-    Raises:
-        ValueError: the shape is another, or a descriptor is not of length 1 or zero.
-    """
+    """``(S, D)`` descriptors of a frame, from ``(D,)`` or ``(S, D)``; another shape and a length
+    other than 1 or 0 are a ValueError."""
     vectors: Floats = np.atleast_2d(descriptor.detach().cpu().float().numpy()).copy()
     if vectors.ndim != 2 or vectors.shape[1] != length or not len(vectors) % 2:
         raise ValueError(

@@ -26,18 +26,18 @@ def draw_loops(
     metres: float | None = None,
     sequences: Sequence[str] | None = None,
 ) -> Figure:
-    """A picture of a stream.
+    """Draws a stream.
 
-    Where there are poses, each sequence is drawn from above, with a dot at each frame that closes a
-    loop and a line to its candidate. Beside it stand the numbers of such frames against those of
-    their candidates: a stretch that is driven again is a rising line.
+    If there are poses, each sequence is drawn from above, with a dot at each frame that closes a
+    loop and a line to its candidate. A second chart shows the numbers of such frames against those
+    of their candidates: a stretch that is driven again is a rising line.
 
     Args:
-        loops: ``(N,)`` int64, row of each frame's candidate, -1 where it closes no loop.
+        loops: ``(N,)`` int64, the row of each frame's candidate, -1 where it closes no loop.
         poses: ``(N, 3)`` x and y in metres and heading, NaN where unknown.
-        title: stands above.
-        metres: loops of frames that are farther apart are wrong and drawn red, others green;
-            without, all are blue.
+        title: of the picture.
+        metres: largest distance of a right loop; right loops are green, wrong ones red. Without,
+            all are blue.
         sequences: the sequence of each frame; without, all are of one.
 
     Raises:
@@ -69,7 +69,7 @@ def draw_loops(
 def _judged(
     here: Rows, there: Rows, poses: Floats, metres: float | None
 ) -> list[tuple[str, str, Rows]]:
-    """Name, colour and which of the loops are meant."""
+    """Name, colour and loops of each group."""
     if metres is None:
         return [("loops", _UNJUDGED, np.full(len(here), True))]
     right = np.hypot(*(poses[here, :2] - poses[there, :2]).T) <= metres
@@ -80,7 +80,7 @@ def _judged(
 
 
 def _draw_trajectory(axes: Axes, poses: Floats, sequences: Sequence[str]) -> None:
-    """Draws each sequence by itself, not joined to the next."""
+    """Draws each sequence as a line of its own."""
     shown = {"trajectory": True, "start": True}
     for _, group in groupby(range(len(poses)), lambda row: sequences[row]):
         rows = [*group]

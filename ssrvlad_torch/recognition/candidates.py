@@ -214,12 +214,8 @@ class CandidateFilter:
         return targets[self._inside(rows, targets)]
 
     def _targets(self, rows: Tensor, listed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Where each step leads from each row.
-
-        Returns:
-            ``(steps, N)`` each: the place of the target among the listed rows, whether it is among
-            them, and whether it is in the sequence of its row.
-        """
+        """``(steps, N)``, for the target of each step from each row: its place among the listed
+        rows, whether it is among them, and whether it is in the sequence of its row."""
         targets = rows + self._steps
         inside = self._inside(rows, targets)
         places = torch.searchsorted(listed, targets).clamp_(max=max(0, len(listed) - 1))

@@ -19,15 +19,8 @@ _CLAMP = 1e-4
 
 
 def confidence_of_places(near: Tensor, mode: str) -> Tensor:
-    """Confidence in places that `follow` found.
-
-    Args:
-        near: ``(Q,)`` float, the probability of the neighbourhood of each first candidate.
-        mode: ``"online"`` or ``"offline"``.
-
-    Returns:
-        ``(Q,)`` float32, 0 to 1.
-    """
+    """``(Q,)`` float32, 0 to 1, of places that `follow` found in a mode; ``near`` ``(Q,)`` is the
+    probability of the neighbourhood of each first candidate."""
     offset, slope = OFFLINE if mode == "offline" else ONLINE
     return torch.sigmoid(offset + slope * torch.logit(near.float(), _CLAMP))
 
@@ -35,9 +28,7 @@ def confidence_of_places(near: Tensor, mode: str) -> Tensor:
 def confidence_of_scores(
     scores: Tensor, rows: Tensor | None = None, spread: tuple[float, float] | None = None
 ) -> Tensor:
-    """Confidence in the first candidate of a query that is judged alone.
-
-    It rests on the z-score of the candidate and on its lead, see `motion.lead`.
+    """Of a query that is judged alone, by the z-score and the lead of its first candidate.
 
     Args:
         scores: ``(N,)`` cosines of the query, -inf where there can be no match.

@@ -118,14 +118,8 @@ class Filter:
         return (belief or self.belief).cells.index_select(0, self._cells)
 
     def likelihood(self, scores: Tensor) -> Tensor:
-        """``(cells,)`` float32, see `motion.likelihoods`; 0 between sequences.
-
-        Args:
-            scores: ``(R,)`` float cosines, -inf where there can be no match.
-
-        Raises:
-            ValueError: the scores are of another shape, NaN or above 1.
-        """
+        """``(cells,)`` float32, by scores ``(R,)`` float, see `motion.likelihoods`; 0 between
+        sequences. Scores of another shape, NaN or above 1 are a ValueError."""
         if scores.shape != (len(self),):
             got = tuple(scores.shape)
             raise ValueError(f"expected a score for each of {len(self)} rows, got {got}")
@@ -139,12 +133,8 @@ class Filter:
         return torch.zeros_like(self._inside).index_copy_(0, self._cells, rows)
 
     def after(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
-        """The belief one frame later, and how likely that frame was.
-
-        Args:
-            belief: before the frame.
-            likelihood: ``(cells,)``, of the frame.
-        """
+        """The belief one frame later, by the likelihood ``(cells,)`` of the later frame, and how
+        likely that frame was."""
         if not len(self):
             return belief._replace(unmapped=1.0), 1.0
         mapped = moved(belief.mapped, self.motion)
@@ -160,12 +150,8 @@ class Filter:
         return Belief(mapped, cells.div_(total), unmapped / total), total
 
     def before(self, likelihood: Tensor, future: Future) -> Future:
-        """The future one frame earlier, by the backward algorithm.
-
-        Args:
-            likelihood: ``(cells,)``, of the later frame.
-            future: from the later frame.
-        """
+        """The future one frame earlier, by the likelihood ``(cells,)`` of the later frame: the
+        backward algorithm."""
         weighted = future.mapped * likelihood
         any_row = float((prior_of_speeds() * weighted).sum()) / max(1, len(self))
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)

@@ -87,16 +87,8 @@ def z_lead(scores: Tensor) -> float:
 
 @torch.no_grad()
 def fused(scores: Sequence[Tensor], weights: Sequence[float], first: int | None = None) -> Tensor:
-    """The scores of one query by several methods as one.
-
-    Args:
-        scores: ``(R,)`` float for each method, -inf for none.
-        weights: of the methods.
-        first: number of the first rows that give the means and deviations; without, all rows do.
-
-    Returns:
-        ``(R,)`` float32; -inf where no method has a score.
-    """
+    """``(R,)`` weighted scores of one query by several methods as one; -inf where no method has a
+    score. Means and deviations are those of the ``first`` rows; without, of all rows."""
     scaled = [_scaled(each, first) for each in scores]
     z, mean, spread = (
         sum(weight * part for weight, part in zip(weights, parts, strict=True))

@@ -98,15 +98,9 @@ def nearness(scores: Tensor) -> Tensor:
 
 
 def lead(near: Tensor, rows: Tensor | None = None) -> Tensor:
-    """How much nearer the first candidate is than the best row elsewhere, see `ELSEWHERE`.
-
-    Args:
-        near: ``(Q, N)`` float nearness.
-        rows: ``(N,)`` int64, the rows of the map, rising; without, all rows.
-
-    Returns:
-        ``(Q,)``; infinite where no row is elsewhere.
-    """
+    """``(Q,)``, how much nearer the first candidate is than the best row `ELSEWHERE`; infinite if
+    no row is elsewhere. ``near`` ``(Q, N)`` is the nearness of all rows of the map, or of ``rows``
+    ``(N,)``, rising."""
     rows = torch.arange(near.shape[1]) if rows is None else rows
     apart = (rows - rows[near.argmax(1)][:, None]).abs()
     return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
@@ -153,15 +147,9 @@ def likelihoods(
 
 
 def moved(belief: Tensor, motion: Motion, back: bool = False) -> Tensor:
-    """A belief one frame later, without jumps.
-
-    The first and last `GAP` cells stay 0. A track that leaves its sequence is in the gap after it.
-
-    Args:
-        belief: ``(8, cells)`` float32, by speed and cell.
-        motion: of which the change and the jump are used.
-        back: whether to apply the transpose, for the backward algorithm.
-    """
+    """A belief ``(8, cells)`` float32 by speed and cell, one frame later, without jumps; with
+    ``back`` by the transpose, for the backward algorithm. The first and last `GAP` cells stay 0. A
+    track that leaves its sequence is in the gap beside it."""
     after, end = torch.empty_like(belief), belief.shape[1] - GAP
     after[:, :GAP] = after[:, end:] = 0
     for first in range(GAP, end, CELLS):
