@@ -140,6 +140,9 @@ class SSRVLADConfig:
         _check_choice("anchor", self.anchor, ANCHORS)
         _check_fraction("spectral_weight", self.spectral_weight, 4.0)
         _check_fraction("power", self.power, 1.0, lowest=0.5)
+        for field in dataclasses.fields(self):
+            if field.type == "float":  # equal settings, like 1 and 1.0, get one fingerprint
+                object.__setattr__(self, field.name, float(getattr(self, field.name)) + 0.0)
         most = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
         for name in ("harmonics", "boundary_harmonics"):
             number = getattr(self, name)

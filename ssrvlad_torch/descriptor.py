@@ -50,9 +50,10 @@ class SSRVLAD(nn.Module):
 
     On a CPU the native core computes the descriptors as one operator. ``torch.compile`` and
     ``torch.export`` keep this operator and do not make it faster. On CUDA, without a built core,
-    or with ``head.native = False``, the stages in torch give the same numbers; ``torch.compile``
-    runs them without compiling and ``torch.export`` refuses them. `export_head` writes the head as
-    an ONNX file. ``copy.deepcopy`` and ``pickle`` keep the settings.
+    with ``head.native = False``, or where class scores require a gradient, the stages in torch
+    give the same numbers; ``torch.compile`` runs them without compiling and ``torch.export``
+    refuses them. ``torch.jit.trace`` is refused. `export_head` writes the head as an ONNX file.
+    ``copy.deepcopy`` and ``pickle`` keep the settings.
 
     Args:
         config: the settings; the default is the preset ``default``.
@@ -70,6 +71,7 @@ class SSRVLAD(nn.Module):
         ValueError: wrong rank or dtype, an empty batch or image, an id outside the label space,
             NaN scores, or a class count that does not fit the label space. The message names
             the offender, what was got and what was expected.
+        RuntimeError: under ``torch.jit.trace``, which would record the numbers of one input.
 
     Example:
         >>> head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")

@@ -10,7 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from .config import SSRVLADConfig
-from .stages.layers import best_class, categorise, category_table, refuse_unknown, split
+from .stages.layers import (
+    best_class,
+    best_class_operator,
+    categorise,
+    category_table,
+    refuse_unknown,
+    split,
+)
 from .stages.reduction import reduce_by_majority
 from .taxonomy import LabelSpace, label_space
 
@@ -58,7 +65,13 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
 
     Raises:
         ValueError: wrong rank, dtype or number of classes, or an empty batch or image.
+        RuntimeError: under ``torch.jit.trace``.
     """
+    if torch.jit.is_tracing():
+        raise RuntimeError(
+            "torch.jit.trace cannot record SSRVLAD; torch.export.export keeps it as an operator, "
+            "and export_head or `ssrvlad fuse` writes it as an ONNX file"
+        )
     got = f"got {tuple(labels.shape)} {str(labels.dtype).removeprefix('torch.')}"
     if labels.ndim == 3 and (labels.is_floating_point() or labels.dtype == torch.bool):
         raise ValueError(f"a (B, H, W) label map must hold integer ids, {got}")
@@ -76,7 +89,8 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(
             f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
         )
-    return best_class(labels)
+    choose = best_class_operator if torch.compiler.is_compiling() else best_class
+    return choose(labels)
 
 
 def as_tensor(labels: Tensor | npt.NDArray[Any]) -> Tensor:

@@ -57,6 +57,17 @@ def test_every_setting_that_matters_is_in_the_fingerprint(aggregation, unused):
     assert len(set(changed.values())) == len(changed) - len(same) + 1
 
 
+@pytest.mark.parametrize(
+    ("preset", "name", "value"),
+    [("default", "power", 1), ("paper", "closing", 0), ("paper", "closing", -0.0)],
+)
+def test_equal_settings_have_one_fingerprint(preset, name, value):
+    one = SSRVLADConfig.from_preset(preset, **{name: value})
+    other = SSRVLADConfig.from_preset(preset, **{name: abs(float(value))})
+    assert one == other
+    assert one.fingerprint == other.fingerprint
+
+
 def test_fingerprints_do_not_drift():
     """Databases carry these. Change them only together with METHOD_REVISION or a setting."""
     assert SSRVLADConfig.from_preset("paper").fingerprint == "fae2c61db07afbf9"

@@ -18,6 +18,7 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.config import AGGREGATIONS, ANCHORS, CONTEXTS, PRESETS, THINNINGS
 from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
+from ssrvlad_torch.descriptor import SweepHead
 from ssrvlad_torch.stages.harmonics import waves
 from ssrvlad_torch.stages.shape_context import PAIRS_AT_ONCE
 from ssrvlad_torch.taxonomy import label_space
@@ -225,6 +226,24 @@ def test_it_is_compiled_and_exported_as_one_operator(core):
     program = torch.export.export(head, (batch,))
     assert torch.equal(program.module()(batch), head(batch))
     assert "ssrvlad.describe.default" in [str(node.target) for node in program.graph.nodes]
+
+
+def test_a_network_with_the_head_is_compiled_and_exported(core):
+    torch.manual_seed(0)
+    whole = torch.nn.Sequential(torch.nn.Conv2d(3, 11, 3, padding=1), SSRVLAD(DEFAULT)).eval()
+    images, other = torch.rand(2, 3, 61, 83), torch.rand(2, 3, 61, 83)
+    with torch.no_grad():
+        expected = whole(other)
+        assert torch.equal(torch.compile(whole, fullgraph=True)(other), expected)
+        assert torch.equal(torch.export.export(whole, (images,)).module()(other), expected)
+        with pytest.raises(ValueError, match="NaN"):
+            torch.compile(whole, fullgraph=True)(other * torch.nan)
+
+
+@pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SweepHead(DEFAULT, [0])])
+def test_a_trace_is_refused(head):
+    with pytest.raises(RuntimeError, match=r"torch\.jit\.trace cannot record SSRVLAD"):
+        torch.jit.trace(head, batch_of_blobs(1))
 
 
 class LargestTensor(TorchDispatchMode):

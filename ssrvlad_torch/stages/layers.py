@@ -30,6 +30,15 @@ def best_class(scores: Tensor) -> Tensor:
     return label
 
 
+best_class_operator = torch.library.custom_op("ssrvlad::best_class", best_class, mutates_args=())
+"""`best_class` for `torch.compile` and `torch.export`, which cannot follow its check."""
+
+
+@best_class_operator.register_fake
+def _(scores: Tensor) -> Tensor:
+    return scores.new_empty((scores.shape[0], *scores.shape[2:]), dtype=torch.int64)
+
+
 def category_table(space: LabelSpace) -> tuple[Tensor, int]:
     """Look-up table of a label space, and the index of id 0 in it.
 
