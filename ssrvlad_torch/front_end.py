@@ -67,7 +67,7 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         ValueError: wrong rank, dtype or number of classes, or an empty batch or image.
         RuntimeError: under ``torch.jit.trace``.
     """
-    if torch.jit.is_tracing():
+    if torch.jit.is_tracing():  # type: ignore[attr-defined]
         raise RuntimeError(
             "torch.jit.trace cannot record SSRVLAD; torch.export.export keeps it as an operator, "
             "and export_head or `ssrvlad fuse` writes it as an ONNX file"
