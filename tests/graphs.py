@@ -1,4 +1,4 @@
-"""Parts of the method in a graph, run by ONNX Runtime on tensors; shared by the tests."""
+"""Runs parts of the method as graphs on tensors in ONNX Runtime; shared by the tests."""
 
 import base64
 import json
@@ -25,7 +25,7 @@ Forms = tuple[tuple[str, int], ...]
 
 
 def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
-    """A session of one thread on the CPU that warns of nothing."""
+    """A session with one thread on the CPU, without warnings."""
     settings = onnxruntime.SessionOptions()
     settings.intra_op_num_threads = 1
     settings.log_severity_level = 3
@@ -35,16 +35,16 @@ def session(content: bytes, **options: Any) -> onnxruntime.InferenceSession:
 
 
 def run(build: Build, *given: Tensor | int) -> list[Tensor]:
-    """What ``build(graph, *symbols)`` gives for these tensors; a graph is made once.
+    """The outputs of ``build(graph, *symbols)`` for these tensors; each graph is built once.
 
-    Integers that are int32 in a graph are int64 here.
+    int32 of a graph is int64 here.
     """
     return [result for result, _ in _results(build, given)]
 
 
 def run_on_planes(build: Build, planes: Tensor, *given: Tensor | int) -> list[Tensor]:
-    """`run`, where ``build(graph, words, *symbols)`` takes the bit-planes as words; what it gives
-    as words comes as bit-planes."""
+    """`run` for ``build(graph, words, *symbols)``: bit-planes go in as words, and outputs of words
+    come back as bit-planes."""
     shape = planes.shape
     results = _results(_with_words(build), (to_line(planes), torch.tensor(shape), *given))
     return [to_planes(result, shape) if is_words else result for result, is_words in results]
@@ -79,7 +79,7 @@ def edit_golden(source: Path, target: Path, change: Callable[[dict[str, Any]], o
 
 
 def turned(name: str) -> Callable[[dict[str, Any]], None]:
-    """For `edit_golden`: an array upside down, as if a wrong runtime had seen the right one."""
+    """For `edit_golden`: reverses the bytes of an array, so that a correct runtime looks wrong."""
 
     def turn(golden: dict[str, Any]) -> None:
         content = zlib.decompress(base64.b64decode(golden[name]["data"]))
@@ -100,8 +100,8 @@ def _with_words(build: Build) -> Build:
 
 def _results(build: Build, given: Sequence[Tensor | int]) -> list[tuple[Tensor, bool]]:
     """Every result, and whether it is a line of words."""
-    arrays = [_narrow(np.asarray(one)) for one in given]
-    session, are_words = _session(build, tuple((one.dtype.name, one.ndim) for one in arrays))
+    arrays = [_narrow(np.asarray(each)) for each in given]
+    session, are_words = _session(build, tuple((array.dtype.name, array.ndim) for array in arrays))
     used = {node.name for node in session.get_inputs()}
     fed = {f"in_{number}": array for number, array in enumerate(arrays)}
     found = session.run(None, {name: array for name, array in fed.items() if name in used})

@@ -1,4 +1,4 @@
-"""Tiny segmentation networks that are right, as modules and as ONNX graphs; shared by the tests."""
+"""Tiny exact segmentation networks, as modules and as ONNX graphs; shared by the tests."""
 
 import json
 from pathlib import Path
@@ -29,13 +29,13 @@ DTYPES = {
 
 
 def photo(labels: npt.NDArray[np.integer]) -> npt.NDArray[np.uint8]:
-    """An ``(H, W, 3)`` image of a world whose things are painted in their label's colours."""
+    """An ``(H, W, 3)`` image: each pixel has the colour of its label."""
     return colourise(labels, SPACE)
 
 
 def colour_network(white: float = 1.0) -> nn.Conv2d:
-    """A 1x1 convolution that gives each colour its own class: colours that are as far from a
-    class's colour as they are score minus the square of that distance, up to what all share."""
+    """A 1x1 convolution that gives each colour its class: a score is minus the squared distance to
+    the class's colour, plus a term that all classes share."""
     colours = torch.from_numpy(palette(SPACE)[:CLASSES]).double() / 255
     network = nn.Conv2d(3, CLASSES, 1)
     network.weight.data = (2 * colours / white)[:, :, None, None].float()
@@ -44,7 +44,7 @@ def colour_network(white: float = 1.0) -> nn.Conv2d:
 
 
 class Strided(nn.Module):
-    """The colour network on every so many-th pixel."""
+    """The colour network on every ``stride``-th pixel."""
 
     def __init__(self, stride: int) -> None:
         super().__init__()

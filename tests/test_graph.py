@@ -14,24 +14,24 @@ def arithmetic(graph: Graph, x: Symbol, y: Symbol) -> list[Symbol]:
 def test_arithmetic_on_whole_numbers():
     x, y = torch.tensor([9, 40, 7]), torch.tensor([2, 7, 9])
     expected = [x + y, x - 3, 7 - x, x * y, 2 * x, x // y, 100 // y, x % y, 1 + x]
-    for got, wanted in zip(run(arithmetic, x, y), expected, strict=True):
-        assert torch.equal(got, wanted)
+    for got, target in zip(run(arithmetic, x, y), expected, strict=True):
+        assert torch.equal(got, target)
 
 
 def bitwise(graph: Graph, x: Symbol, y: Symbol, bits: Symbol) -> list[Symbol]:
     small = x.to("uint8")
-    several = x.reshape(-1, 1) >> np.array([0, 3])
-    return [x & y, x | y, x ^ y, ~x, x & 255, small & 7, x << 8, x << bits, x >> 16, several]
+    shifted = x.reshape(-1, 1) >> np.array([0, 3])
+    return [x & y, x | y, x ^ y, ~x, x & 255, small & 7, x << 8, x << bits, x >> 16, shifted]
 
 
 def test_bits_of_words():
     x, y, bits = torch.tensor([[1, (1 << 24) - 5, 77], [3, 1 << 23, 6], [22, 0, 9]])
     small = (x & 255).to(torch.uint8)
-    several = x[:, None] >> torch.tensor([0, 3])
-    moved = [(x << 8).int().long(), (x << bits).int().long(), x >> 16, several]
+    shifted = x[:, None] >> torch.tensor([0, 3])
+    moved = [(x << 8).int().long(), (x << bits).int().long(), x >> 16, shifted]
     expected = [x & y, x | y, x ^ y, ~x, x & 255, small & 7, *moved]
-    for got, wanted in zip(run(bitwise, x, y, bits), expected, strict=True):
-        assert torch.equal(got, wanted)
+    for got, target in zip(run(bitwise, x, y, bits), expected, strict=True):
+        assert torch.equal(got, target)
 
 
 def compared(graph: Graph, x: Symbol, y: Symbol) -> list[Symbol]:
@@ -43,8 +43,8 @@ def test_comparisons_and_truth():
     x, y = torch.tensor([1, 2, 3]), torch.tensor([2, 2, 2])
     less, equal = x < y, x == y
     expected = [less, x <= y, x > y, x >= 2, equal, less | equal, less & ~equal, less ^ equal]
-    for got, wanted in zip(run(compared, x, y), expected, strict=True):
-        assert torch.equal(got, wanted)
+    for got, target in zip(run(compared, x, y), expected, strict=True):
+        assert torch.equal(got, target)
 
 
 def lists(graph: Graph, values: Symbol, index: Symbol, times: Symbol) -> list[Symbol]:
@@ -119,18 +119,18 @@ def test_what_a_loop_does_not_change_is_computed_before_it():
     def build(graph: Graph, x: Symbol) -> Symbol:
         return graph.repeat(9, lambda step, y: [y + x * x % 7 + step], x)[0]
 
-    made = model(build, x=("int32", ["N"]))
-    (loop,) = (node for node in made.graph.node if node.op_type == "Loop")
+    built = model(build, x=("int32", ["N"]))
+    (loop,) = (node for node in built.graph.node if node.op_type == "Loop")
     assert {node.op_type for node in loop.attribute[0].g.node} == {"Add", "Cast", "Identity"}
-    assert {"Mul", "Mod"} <= {node.op_type for node in made.graph.node}
+    assert {"Mul", "Mod"} <= {node.op_type for node in built.graph.node}
 
 
 def test_a_model_is_valid_and_has_no_names_of_python():
-    made = model(lambda graph, x: x + 1 + (x + 1), x=("int32", ["N"]))
-    onnx.checker.check_model(made, full_check=True)
-    assert [(one.domain, one.version) for one in made.opset_import] == [("", OPSET)]
-    assert sum(node.op_type == "Add" for node in made.graph.node) == 2, "x + 1 stands once"
-    assert not any(node.metadata_props for node in made.graph.node)
+    built = model(lambda graph, x: x + 1 + (x + 1), x=("int32", ["N"]))
+    onnx.checker.check_model(built, full_check=True)
+    assert [(each.domain, each.version) for each in built.opset_import] == [("", OPSET)]
+    assert sum(node.op_type == "Add" for node in built.graph.node) == 2, "x + 1 stands once"
+    assert not any(node.metadata_props for node in built.graph.node)
 
 
 def test_equal_tables_are_stored_once():
@@ -138,8 +138,8 @@ def test_equal_tables_are_stored_once():
         table = np.arange(5)
         return graph.constant(table).take(x) + graph.constant(table.copy()).take(x + 1)
 
-    made = model(build, x=("int32", ["N"]))
-    assert [len(one.dims) for one in made.graph.initializer].count(1) == 1
+    built = model(build, x=("int32", ["N"]))
+    assert [len(each.dims) for each in built.graph.initializer].count(1) == 1
 
 
 def test_a_symbol_has_no_truth():

@@ -1,4 +1,4 @@
-"""The script without torch against the command line with it."""
+"""The script without torch against the command line."""
 
 import importlib.util
 import json
@@ -38,7 +38,7 @@ script = load_script()
 
 
 def alone(*arguments, blocked=("torch", "ssrvlad_torch")):
-    """The script in a process of its own that cannot import these."""
+    """Runs the script in a new process that cannot import the blocked modules."""
     command = without(blocked, SCRIPT, *arguments)
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
@@ -80,12 +80,12 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, m
     export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "head.onnx")
     queries = write_maps(tmp_path / "tuesday", range(4, 9))
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
-    wanted = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
-    asked = (queries, "--database", tmp_path / "t.npy", "--top", 3, "--json")
-    ran = alone(tmp_path / "head.onnx", *asked)
+    expected_lines = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
+    arguments = (queries, "--database", tmp_path / "t.npy", "--top", 3, "--json")
+    ran = alone(tmp_path / "head.onnx", *arguments)
     assert ran.returncode == 0, ran.stderr
-    for line, own in zip(wanted.splitlines(), ran.stdout.splitlines(), strict=True):
-        expected, found = json.loads(line), json.loads(own)
+    lines = zip(expected_lines.splitlines(), ran.stdout.splitlines(), strict=True)
+    for expected, found in (map(json.loads, pair) for pair in lines):
         assert found["query"] == expected["query"]
         pairs = zip(found["candidates"], expected["candidates"], strict=True)
         for candidate, other in pairs:
@@ -186,7 +186,7 @@ def test_a_palette_gives_its_indices(head, tmp_path, run):
 
 
 def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_path, run):
-    """What a program reads back must be what was written."""
+    """A database must be read back as it was written."""
     folder = tmp_path / "day"
     folder.mkdir()
     shutil.copy(sorted(maps.iterdir())[0], folder / "a\nb.png")
@@ -337,11 +337,11 @@ def test_a_photograph_needs_no_option(fused, tmp_path, run):
     exif[0x0112] = 3  # upside down
     Image.fromarray(pixels[::-1, ::-1]).save(tmp_path / "a.png", exif=exif)
     np.save(tmp_path / "b.npy", pixels)
-    wanted = SSRVLAD(CONFIG)(torch.from_numpy(segmenter([pixels])[0])[None]).numpy()
+    expected = SSRVLAD(CONFIG)(torch.from_numpy(segmenter([pixels])[0])[None]).numpy()
     out = tmp_path / "out.npy"
     frames = (tmp_path / "a.png", tmp_path / "b.npy")
     assert run(place, *frames, "--save-descriptors", out)[0] == 0
-    np.testing.assert_allclose(np.load(out), wanted.repeat(2, axis=0), atol=1e-6)
+    np.testing.assert_allclose(np.load(out), expected.repeat(2, axis=0), atol=1e-6)
     assert run(place, "--check")[0] == 0
     Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
     code, _, err = run(place, tmp_path / "map.png")
@@ -380,7 +380,7 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
 
 
 def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
-    """References that are what the anchors of the query see, one at each end."""
+    """Each reference is the descriptor of one anchor of the query."""
     labels = np.random.default_rng(0).integers(0, 11, (6, 9)).repeat(20, 0).repeat(20, 1)
     np.save(tmp_path / "query.npy", labels.astype(np.uint8))
     config = SSRVLADConfig(labels_as="camvid-11")
@@ -396,7 +396,7 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
 
 
 def test_network_and_head_in_two_files(fused, tmp_path, run):
-    """The same as in one file, and files that do not belong together are refused."""
+    """They give what one file gives; files that do not belong together are refused."""
     net, head, place = (fused[0] / f"{name}.onnx" for name in ("net", "head", "place"))
     pixels = np.stack([photo(street(seed, 60, 90)) for seed in range(2)])
     for number, image in enumerate(pixels):
@@ -407,9 +407,9 @@ def test_network_and_head_in_two_files(fused, tmp_path, run):
     one, other = (script.Split(net, head), script.Model(place))
     for frame in frames:
         np.testing.assert_array_equal(one.describe(frame), other.describe(frame))
-    code, told, _ = run(head, "--network", net, "--check")
-    largest = told.removeprefix("largest difference for the golden pair: ")
-    assert (code, float(largest) < 1e-6) == (0, True), told
+    code, out, _ = run(head, "--network", net, "--check")
+    largest = out.removeprefix("largest difference for the golden pair: ")
+    assert (code, float(largest) < 1e-6) == (0, True), out
     export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
     export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
     for wrong, message in (("wide", "takes labels tensor(int64)"), ("default", "fingerprint")):

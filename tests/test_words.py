@@ -35,11 +35,11 @@ def all_neighbours(graph: Graph, words: Words) -> list[Words]:
 
 @shapes
 def test_neighbours_are_those_of_bit_planes(shape):
-    some = random_planes(1, shape)
-    ring = bitplanes.neighbours(some)
-    expected = (some, *ring, ring[6], ring[2])
-    for got, wanted in zip(run_on_planes(all_neighbours, some), expected, strict=True):
-        assert torch.equal(got, wanted)
+    layers = random_planes(1, shape)
+    ring = bitplanes.neighbours(layers)
+    expected = (layers, *ring, ring[6], ring[2])
+    for got, target in zip(run_on_planes(all_neighbours, layers), expected, strict=True):
+        assert torch.equal(got, target)
 
 
 def all_inside(graph: Graph, words: Words) -> list[Words]:
@@ -59,11 +59,11 @@ def listed(graph: Graph, words: Words) -> list[Symbol]:
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 12), width=st.integers(1, 20))
 def test_points_are_listed_as_from_bit_planes(seed, height, width):
-    some = random_planes(seed, (2, height, width)) & random_planes(seed + 1, (2, height, width))
-    *points, counts = run_on_planes(listed, some)
-    expected = bitplanes.points(some)
-    for got, wanted in zip(points, expected, strict=True):
-        assert torch.equal(got, wanted)
+    layers = random_planes(seed, (2, height, width)) & random_planes(seed + 1, (2, height, width))
+    *points, counts = run_on_planes(listed, layers)
+    expected = bitplanes.points(layers)
+    for got, target in zip(points, expected, strict=True):
+        assert torch.equal(got, target)
     assert torch.equal(counts, bitplanes.count_points(expected, 2))
 
 
@@ -76,11 +76,11 @@ def runs(graph: Graph, words: Words) -> list[Symbol]:
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 12), width=st.integers(1, 20))
 def test_runs_are_listed_as_from_bit_planes(seed, height, width):
-    some = random_planes(seed, (2, height, width)) | random_planes(seed + 1, (2, height, width))
-    *columns, length = run_on_planes(runs, some)
-    expected = bitplanes.runs(some)
-    for got, wanted in zip(columns, expected, strict=True):
-        assert torch.equal(got, wanted)
+    layers = random_planes(seed, (2, height, width)) | random_planes(seed + 1, (2, height, width))
+    *columns, length = run_on_planes(runs, layers)
+    expected = bitplanes.runs(layers)
+    for got, target in zip(columns, expected, strict=True):
+        assert torch.equal(got, target)
     assert torch.equal(length, expected.last - expected.first + 1)
 
 
@@ -93,16 +93,16 @@ def repainted(graph: Graph, words: Words) -> list[Words]:
 
 @shapes
 def test_painting_all_runs_gives_the_planes_back(shape):
-    for some in (random_planes(3, shape), torch.full(shape, 255, dtype=torch.uint8)):
-        assert torch.equal(run_on_planes(repainted, some)[0], some)
+    for layers in (random_planes(3, shape), torch.full(shape, 255, dtype=torch.uint8)):
+        assert torch.equal(run_on_planes(repainted, layers)[0], layers)
 
 
 @pytest.mark.parametrize("name", MASKS)
 def test_painting_chosen_runs(name):
-    some = planes(mask(MASKS[name]), ~mask(MASKS[name]))
-    found = bitplanes.runs(some)
+    layers = planes(mask(MASKS[name]), ~mask(MASKS[name]))
+    found = bitplanes.runs(layers)
     long = found.last - found.first + 1 > 2
     chosen = bitplanes.Runs(*(column[long] for column in found))
-    _, painted, first = run_on_planes(repainted, some)
-    assert torch.equal(painted, bitplanes.paint(chosen, some.shape))
-    assert torch.equal(first, some & ~bitplanes.neighbours(some)[6])
+    _, painted, first = run_on_planes(repainted, layers)
+    assert torch.equal(painted, bitplanes.paint(chosen, layers.shape))
+    assert torch.equal(first, layers & ~bitplanes.neighbours(layers)[6])
