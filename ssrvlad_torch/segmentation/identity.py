@@ -20,7 +20,8 @@ def digest_of(network: nn.Module, probe: bytes) -> str:
 
     It covers the files of an ONNX graph and the program of a frozen module. For other modules it
     covers the code of the classes, their plain attributes, weights and buffers, and ``probe``, the
-    network's output for one picture, which depends on the rest.
+    network's output for one picture, which depends on the rest. Any edit of such a class, a comment
+    too, changes the digest, and with it the keys of databases and caches.
     """
     if isinstance(network, OnnxNetwork):
         return network.digest()

@@ -66,7 +66,7 @@ class LabelNetwork(nn.Module):
             result, last = self.network(numbers.to(like.device, like.dtype)), False
         return take_output(result, self.space, self.config.output, self.config.classes, last)
 
-    def place(self, images: Tensor) -> Tensor:
+    def to_device(self, images: Tensor) -> Tensor:
         """Pictures on the device of the network's weights."""
         return images.to(self._like().device)
 

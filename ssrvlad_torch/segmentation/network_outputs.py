@@ -159,7 +159,7 @@ def _named_tensors(result: object) -> Iterator[tuple[str, Tensor]]:
     elif isinstance(result, Mapping):
         named = result
     elif isinstance(result, tuple | list):
-        named = {str(place): value for place, value in enumerate(result)}
+        named = {str(i): value for i, value in enumerate(result)}
     else:
         named = {"logits": getattr(result, "logits", None)}
     tensors = [(str(key), value) for key, value in named.items() if isinstance(value, Tensor)]

@@ -229,7 +229,7 @@ class Segmenter:
     @torch.inference_mode()
     def _segment(self, pictures: Sequence[Pixels]) -> list[LabelMap | ValueError]:
         """The label maps of a batch; if the network fails, each picture is tried alone."""
-        images = self.labels.place(torch.from_numpy(np.stack(pictures)))
+        images = self.labels.to_device(torch.from_numpy(np.stack(pictures)))
         try:
             check_pixels(*self.config.network_size(*images.shape[1:3]))
             output = self.labels.outputs(images)

@@ -74,7 +74,7 @@ class SoftSSRVLAD(nn.Module):
 
     @property
     def softness(self) -> float:
-        """The fraction of the eroded skeleton, and of a bin that also counts in the next."""
+        """Fraction of the eroded skeleton, and of a bin that also counts in the next; 0 to 1."""
         return float(1 - HARD_FRACTION**self.temperature)
 
     def forward(self, scores: Tensor, layers: Tensor | None = None) -> Tensor:
@@ -89,8 +89,8 @@ class SoftSSRVLAD(nn.Module):
             return self._describe(wide, layers)
 
     def _hard_layers(self, scores: Tensor) -> Tensor:
-        """The hard layers. A pixel is in none if its probabilities leave more to 1 than the largest
-        of them."""
+        """The hard layers. A pixel is in no layer if 1 minus the sum of its probabilities is larger
+        than each of them."""
         layers = cast(Tensor, self._front_end(scores))
         classes = self._front_end.label_space.classes
         no_layer = [label.id for label in classes if label.category_index == NO_LAYER]

@@ -49,8 +49,8 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     """
     pitch = bins.table.shape[1]
     groups, stride = LAYERS * images, bins.total + 1
-    context_place = context.y * pitch + context.x
-    reference_place = references.y * pitch + references.x - bins.table.numel() // 2
+    context_position = context.y * pitch + context.x
+    reference_position = references.y * pitch + references.x - bins.table.numel() // 2
     population = torch.bincount(context.group, minlength=groups)
     group_start = population.cumsum(0) - population
     pairs = population[references.group]
@@ -62,11 +62,11 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         owner = torch.repeat_interleave(count, output_size=pair_count)
         first = group_start[group] - (count.cumsum(0) - count)
         entry = first.index_select(0, owner) + torch.arange(pair_count, device=owner.device)
-        offset = context_place.index_select(0, entry)
-        offset -= reference_place[part].index_select(0, owner)
-        place = (group * stride).index_select(0, owner)
-        place += bins.table.flatten().index_select(0, offset)
-        counts += torch.bincount(place, minlength=groups * stride)
+        offset = context_position.index_select(0, entry)
+        offset -= reference_position[part].index_select(0, owner)
+        bin_index = (group * stride).index_select(0, owner)
+        bin_index += bins.table.flatten().index_select(0, offset)
+        counts += torch.bincount(bin_index, minlength=groups * stride)
     return by_image(counts.view(groups, stride)[:, : bins.total], images)
 
 
