@@ -256,7 +256,7 @@ def test_poses(compare, tmp_path):
         ("town --method hog,orb", "unknown method 'orb'; expected one of ssr-vlad"),
         ("town --method hog --set rows=3", "--set: expected METHOD.NAME=VALUE for one of hog, got"),
         ("town --method hog --set cohog.size=3", "for one of hog, got 'cohog.size'"),
-        ("town --method hog --set hog.rows=0", "a grid of 1 x 1 or more, got 0 x 10"),
+        ("town --method hog --set hog.rows=0", "the grid must be 1 x 1 or more, got 0 x 10"),
         ("town --method hog --set hog.rows=many", "method hog cannot take rows='many'"),
         ("town --method hog --references nope", "town has no sequence 'nope'; it has query"),
         ("town/query --method hog", "does not say which of query is a reference; name it"),

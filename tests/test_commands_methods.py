@@ -89,7 +89,7 @@ def test_random_weights_are_told_of(ssrvlad, tmp_path, monkeypatch):
         ("--method hog --set rows", "--set: expected NAME=VALUE, got 'rows'"),
         ("--method hog --set rows=[", "the value of --set rows is not plain YAML: "),
         ("--method hog --set rows=many", "method hog cannot take rows='many': "),
-        ("--method hog --set rows=0", "a grid of 1 x 1 or more, got 0 x 10"),
+        ("--method hog --set rows=0", "the grid must be 1 x 1 or more, got 0 x 10"),
         ("--method hog --set depth=0", "method hog: got an unexpected keyword argument 'depth'"),
         ("--method hog --weights a.pt", "method hog takes no --weights"),
         ("--method ssr-vlad --random-weights", "method ssr-vlad takes no --random-weights"),

@@ -114,10 +114,12 @@ def test_channels_are_named(network, ssrvlad, tmp_path):
     assert "classes must be FIRST:LAST" in err[0]
 
 
-def test_show_takes_an_image(network, ssrvlad, tmp_path):
+def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     frame, picture = tmp_path / "photos" / "1.png", tmp_path / "out.png"
     assert ssrvlad("show", frame, "-o", picture, "--segmenter", network)[0] == 0
     assert np.asarray(Image.open(picture)).size
+    assert len([*(tmp_path / "cache").rglob("*.png")]) == 1
     assert "--labels-as" in ssrvlad("show", frame, "-o", picture)[2][0]
 
 
