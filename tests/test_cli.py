@@ -168,7 +168,7 @@ WRONG_USES = [
     ),
     (
         "evaluate town.ssrdb short --tolerance-frames 1",
-        "one length, got 1 query frames and 6 reference frames",
+        "equal length, got 1 query frames and 6 reference frames",
     ),
     ("evaluate town.ssrdb monday --tolerance-metres 5", "have no pose"),
     (
