@@ -1,11 +1,12 @@
-"""A writer that is killed at every call that changes its database or at random moments, or whose
-calls fail; see `test_crashes.py`. To be run with ``crashing.c`` preloaded: ``crashes.py SHIM FOLDER
-every N`` for every N-th call, ``random N`` for N moments, ``fail N`` to let every N-th call fail,
-``record 0`` to print the calls of one `merge`; several such pairs one after another. It prints how
-many writers were disturbed, and ``--`` between parts.
+"""Kills a writer at system calls or random moments, or lets its calls fail; see `test_crashes.py`.
 
-Every writer and every look at what it left is a fork of this process, which imports Lance but never
-uses it: its threads would not survive the fork.
+Run with ``crashing.c`` preloaded: ``crashes.py SHIM FOLDER PART N ...``. Parts: ``every N`` kills
+at every N-th call that changes the database, ``random N`` at N random moments, ``fail N`` lets
+every N-th call fail; each prints the number of disturbed writers. ``record 0`` prints the calls of
+one `merge`. ``--`` separates the output of parts.
+
+Every writer and every check of its database is a fork of this process, which imports Lance but does
+not use it: its threads would not survive the fork.
 """
 
 import ctypes
@@ -34,50 +35,50 @@ NOT_REACHED = 3
 ERRORS = (errno.ENOSPC, errno.EIO, errno.EMFILE)
 
 
-def work(path: Path, told: int) -> None:
-    """Adds, replaces, removes and compacts; tells after each change which one is on the disk."""
+def work(path: Path, report: int) -> None:
+    """Adds, replaces, removes and compacts; writes a byte to ``report`` after each change."""
     if not Database.exists(path):
         Database.create(path, width=WIDTH)
     database = Database.open(path)
     there = set(database.known())
     if not there & set(KEPT):
         database.append(KEPT, OLD)
-    os.write(told, b"1")
+    os.write(report, b"1")
     database.merge(MORE, NEW)
-    os.write(told, b"2")
+    os.write(report, b"2")
     database.merge(KEPT[:1], NEW[:1])
-    os.write(told, b"3")
+    os.write(report, b"3")
     database.remove([KEPT[1]])
-    os.write(told, b"4")
+    os.write(report, b"4")
     database.compact(keep_days=0)
-    os.write(told, b"5")
+    os.write(report, b"5")
 
 
 def check(path: Path, steps: int) -> None:
-    """After a crash: what was told is there, nothing is half done, and the rest can be done."""
+    """After a crash: reported changes are stored, no change is partial, and work can go on."""
     if Database.exists(path):
         assert Database.open(path).verify() == []
         frames = Database.open(path).load()
         rows = dict(zip(frames.frames, frames.descriptors, strict=True))
     else:
         rows = {}
-    assert steps == 0 or {"a/0", "a/2"} <= set(rows), "what was told is there"
-    assert not set(KEPT) & set(rows) or {"a/0", "a/2"} <= set(rows), "all of an append or nothing"
+    assert steps == 0 or {"a/0", "a/2"} <= set(rows), "reported changes are stored"
+    assert not set(KEPT) & set(rows) or {"a/0", "a/2"} <= set(rows), "an append is whole or absent"
     assert len(set(MORE) & set(rows)) in ((3,) if steps >= 2 else (0, 3))
     assert steps < 3 or torch.equal(rows["a/0"], NEW[0])
     assert steps < 4 or "a/1" not in rows
     for frame, row in rows.items():
         allowed = [OLD, NEW] if frame == "a/0" else [OLD] if frame in KEPT else [NEW]
         assert any(torch.equal(row, numbers[int(frame[-1])]) for numbers in allowed), frame
-    with Path(os.devnull).open("w") as nobody:
-        work(path, nobody.fileno())
+    with Path(os.devnull).open("w") as null:
+        work(path, null.fileno())
     frames = Database.open(path).load()
     assert frames.frames == ("a/0", "a/2", *MORE)
     assert torch.equal(frames.descriptors, torch.cat([NEW[:1], OLD[2:], NEW]))
 
 
 def forked(action: Callable[[], None]) -> int:
-    """Starts an action in a process of its own."""
+    """Starts an action in a forked process, and returns its id."""
     child = os.fork()
     if not child:
         status = 1
@@ -93,28 +94,28 @@ def forked(action: Callable[[], None]) -> int:
 
 
 def crash(path: Path, shim: ctypes.CDLL, at: int, after: float = 0, error: int = 0) -> bool:
-    """One writer, disturbed at a call or killed after some seconds; whether it was disturbed."""
+    """Disturbs a writer at a call, or kills it after some seconds; whether it was disturbed."""
     shutil.rmtree(path, ignore_errors=True)
-    reading, telling = os.pipe()
+    reading, writing = os.pipe()
 
     def write() -> None:
         shim.fail_with(error)
         shim.crash_at(at, str(path).encode())
         try:
-            work(path, telling)
+            work(path, writing)
         except OSError as refusal:
             assert error and "\n" not in str(refusal), refusal
         if error and shim.calls_left() > 0:
             os._exit(NOT_REACHED)
 
     child = forked(write)
-    os.close(telling)
+    os.close(writing)
     if after:
         time.sleep(after)
         os.kill(child, signal.SIGKILL)
     status = os.waitpid(child, 0)[1]
-    with os.fdopen(reading, "rb") as told:
-        steps = len(told.read())
+    with os.fdopen(reading, "rb") as report:
+        steps = len(report.read())
     assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) in (0, NOT_REACHED), "the writer failed"
     assert os.waitpid(forked(lambda: check(path, steps)), 0)[1] == 0, (at, after, error, steps)
     return os.WIFSIGNALED(status) or (error > 0 and os.WEXITSTATUS(status) != NOT_REACHED)

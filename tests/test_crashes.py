@@ -1,5 +1,4 @@
-"""Nothing lost, nothing half done: writers that are killed, full disks, no file handles, places
-that must not be written, and the order in which files reach the disk."""
+"""Durability: killed writers, full disks, no file handles, and the order of flushes."""
 
 import os
 import resource
@@ -21,7 +20,7 @@ HERE = Path(__file__).parent
 
 @pytest.fixture(scope="session")
 def shim(tmp_path_factory):
-    """The library that kills a writer or writes down its calls."""
+    """The library that kills a writer or records its calls."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("g++")
     if compiler is None:
         pytest.skip("needs a C compiler")
@@ -32,7 +31,7 @@ def shim(tmp_path_factory):
 
 
 def crashes(shim, folder, *arguments):
-    """What the parts of `crashes.py` print, a list of lines each."""
+    """The lines that each part of `crashes.py` prints."""
     done = subprocess.run(
         [sys.executable, "-W", "ignore", HERE / "crashes.py", shim, folder, *arguments],
         env={**os.environ, "LD_PRELOAD": str(shim), "OMP_NUM_THREADS": "1"},
@@ -44,9 +43,9 @@ def crashes(shim, folder, *arguments):
     return [part.splitlines() for part in done.stdout.split("--\n")]
 
 
-def test_a_writer_that_is_killed_or_let_down_loses_nothing(shim, tmp_path):
-    """At some of the calls that the slow tests try all; and files reach the disk before the version
-    that names them, and it before the end."""
+def test_a_writer_that_is_killed_or_whose_calls_fail_loses_nothing(shim, tmp_path):
+    """At some calls; the slow tests try all. Files are flushed before the commit that refers to
+    them, and the manifest after it."""
     killed, failed, recorded = crashes(
         shim, tmp_path, *("every", "29"), *("fail", "29"), *("record", "0")
     )
@@ -68,9 +67,8 @@ def test_a_writer_that_is_killed_or_let_down_loses_nothing(shim, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["every", "fail"])
 def test_a_writer_loses_nothing_at_any_call(shim, tmp_path, kind):
-    """At every write, half a write, flush, link and removal, from creating to compacting. A call
-    that fails is a full disk, a broken one, or no file handles, also where Lance does not say so.
-    """
+    """At every write, partial write, flush, link and removal. A call fails as on a full or broken
+    disk or without file handles, also where Lance does not report it."""
     assert int(crashes(shim, tmp_path, kind, "1")[0][0]) >= 100
 
 
@@ -81,7 +79,7 @@ def test_a_writer_that_is_killed_at_any_moment_loses_nothing(shim, tmp_path):
 
 @contextmanager
 def limited(what, most):
-    """What a full disk, or too many open files, do to a writer."""
+    """Sets a resource limit: a full disk, or too many open files."""
     soft, hard = resource.getrlimit(what)
     resource.setrlimit(what, (most, hard))
     try:
@@ -92,7 +90,7 @@ def limited(what, most):
 
 @pytest.mark.parametrize("size", [0, 100, 1000, 10_000])
 @pytest.mark.parametrize("change", ["append", "merge"])
-def test_a_full_disk_is_an_error_and_the_database_is_as_it_was(tmp_path, size, change):
+def test_a_full_disk_is_an_error_and_the_database_is_unchanged(tmp_path, size, change):
     path = tmp_path / "db"
     Database.create(path, width=480).append(["a/1", "a/2"], descriptors(0, 2))
     frames = ["b/1", "b/2"] if change == "append" else ["a/1", "a/2"]
@@ -113,7 +111,7 @@ def test_a_full_disk_is_an_error_and_the_database_is_as_it_was(tmp_path, size, c
     assert len(Database.open(path)) == (4 if change == "append" else 2)
 
 
-def test_no_file_handles_is_an_error_and_the_database_is_as_it_was(tmp_path):
+def test_no_file_handles_is_an_error_and_the_database_is_unchanged(tmp_path):
     path = tmp_path / "db"
     Database.create(path, width=480).append(["a/1"], descriptors(0, 1))
     database = Database.open(path)

@@ -1,4 +1,4 @@
-"""A database on disk: what it takes and gives, its versions, several writers, and damage."""
+"""A database on disk: round trips, errors, versions, several writers, and damage."""
 
 import math
 import multiprocessing
@@ -51,7 +51,7 @@ def one_line(refusal):
 # ---- round trip
 
 
-def test_what_went_in_comes_out_bit_for_bit(tmp_path):
+def test_stored_frames_are_loaded_bit_for_bit(tmp_path):
     database = Database.create(tmp_path / "db", CONFIG)
     origin = database.add_origin(label_space("camvid-11"), "network 7")
     numbers = descriptors(1, 3)
@@ -80,7 +80,7 @@ def test_what_went_in_comes_out_bit_for_bit(tmp_path):
     assert "3 frames of 3 sequences" in repr(frames)
 
 
-def test_a_users_own_descriptors_need_ids_and_numbers_and_claim_nothing(tmp_path):
+def test_custom_descriptors_need_only_ids_and_have_no_settings(tmp_path):
     database = Database.create(tmp_path / "db", width=7)
     numbers = descriptors(0, 3, 7)
     database.append(["one", "drive/2", "drive/10"], numbers.numpy())
@@ -103,7 +103,7 @@ def test_an_empty_database_is_a_database(tmp_path):
     assert frames.poses.shape == (0, 3)
 
 
-def test_the_order_is_that_of_a_person_however_frames_were_added(path, tmp_path):
+def test_frames_are_in_natural_order_however_they_were_added(path, tmp_path):
     assert Database.open(path).load().frames == SORTED
     one_by_one = Database.create(tmp_path / "other", CONFIG)
     for frame in reversed(FRAMES):
@@ -112,7 +112,7 @@ def test_the_order_is_that_of_a_person_however_frames_were_added(path, tmp_path)
 
 
 @given(st.permutations(["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]))
-def test_natural_keys_order_as_a_person_would(names):
+def test_natural_keys(names):
     expected = ["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]
     assert sorted(names, key=natural_key) == expected
 
@@ -122,7 +122,7 @@ def test_natural_keys_order_as_a_person_would(names):
     | st.sampled_from(["{}", "{}-{}"]),
     st.lists(st.tuples(*[st.integers(0, 99)] * 2), min_size=1, max_size=9, unique=True),
 )
-def test_frames_of_one_shape_of_name_stand_in_natural_order_too(form, numbers):
+def test_frames_whose_names_differ_only_in_digits_are_in_natural_order(form, numbers):
     names = {f"{sequence}/{form.format(*pair)}" for pair in numbers for sequence in "ba"}
     table = pa.table({"frame": sorted(names, reverse=True)})
     table = table.append_column("sequence", pc.utf8_slice_codeunits(table["frame"], 0, 1))
@@ -133,7 +133,7 @@ def test_frames_of_one_shape_of_name_stand_in_natural_order_too(form, numbers):
 # ---- settings and origins
 
 
-def test_other_settings_are_refused_with_both_fingerprints_and_what_differs(path):
+def test_an_error_about_other_settings_shows_both_fingerprints_and_the_difference(path):
     other = SSRVLADConfig.from_preset("paper", rings=4)
     for refuse in (Database.open_or_create, lambda path, c: Database.open(path).require(c)):
         with pytest.raises(ValueError) as refusal:
@@ -146,7 +146,7 @@ def test_other_settings_are_refused_with_both_fingerprints_and_what_differs(path
 
 
 def test_another_revision_of_the_method_is_refused(path, monkeypatch):
-    """The same settings would give other numbers."""
+    """The same settings give other descriptors there."""
     monkeypatch.setattr(config_module, "METHOD_REVISION", config_module.METHOD_REVISION + 1)
     with pytest.raises(ValueError, match="another version of the method") as refusal:
         Database.open(path)
@@ -173,7 +173,7 @@ def edited(space):
     return LabelSpace(space.name, space.source, (changed, *space.classes[1:]))
 
 
-# ---- what is refused
+# ---- wrong arguments
 
 
 @pytest.mark.parametrize("shape", [(1, 480), (3, 480), (2, 479), (2, 1, 480), (960,)])
@@ -183,7 +183,7 @@ def test_descriptors_of_another_shape_are_refused(path, shape):
 
 
 @pytest.mark.parametrize(
-    ("value", "said"),
+    ("value", "message"),
     [
         (torch.nan, "not finite"),
         (torch.inf, "not finite"),
@@ -191,20 +191,20 @@ def test_descriptors_of_another_shape_are_refused(path, shape):
         (1e-30, "too small for float32 to measure"),
     ],
 )
-def test_descriptors_without_a_length_are_refused(path, value, said):
-    with pytest.raises(ValueError, match=said):
+def test_descriptors_without_a_length_are_refused(path, value, message):
+    with pytest.raises(ValueError, match=message):
         Database.open(path).append(["a/1"], torch.full((1, 480), value))
 
 
 @pytest.mark.parametrize("frame", ["", " ", "a/", "/1", " a/1", "a/1\n"])
-def test_what_is_no_id_is_refused(path, frame):
+def test_an_invalid_id_is_refused(path, frame):
     with pytest.raises(ValueError, match="expected a frame id, <sequence>/<name> or <name>, got "):
         Database.open(path).append([frame], torch.ones(1, 480))
     with pytest.raises(ValueError, match="has no name"):
         Database.open(path).append([record("a/1")._replace(name="")], torch.ones(1, 480))
 
 
-def test_a_text_is_no_list_of_ids(path):
+def test_a_single_text_is_not_a_list_of_ids(path):
     with pytest.raises(ValueError, match="expected a list of frames, got the text 'ab'"):
         Database.open(path).append("ab", torch.ones(2, 480))
     with pytest.raises(ValueError, match="got the text 'day/1'"):
@@ -212,7 +212,7 @@ def test_a_text_is_no_list_of_ids(path):
 
 
 @pytest.mark.parametrize("frames", [["a/1", "day/2"], ["day/2", "a/1"], ["a/1", "a/1"]])
-def test_a_frame_that_is_there_is_refused_with_all_that_came_along(path, frames):
+def test_an_append_with_a_stored_frame_adds_nothing(path, frames):
     before = loaded(path)
     with pytest.raises(ValueError, match=r"'day/2' is in|'a/1' is given 2 times") as refusal:
         fill(Database.open(path), frames)
@@ -220,10 +220,10 @@ def test_a_frame_that_is_there_is_refused_with_all_that_came_along(path, frames)
     assert loaded(path) == before
 
 
-def test_what_is_no_database_is_refused_and_left_alone(tmp_path):
+def test_a_path_that_is_not_a_database_is_refused_and_not_changed(tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "letter.txt").write_text("dear")
-    lance.write_dataset(torch_free_table(), tmp_path / "table")
+    lance.write_dataset(foreign_table(), tmp_path / "table")
     for name in ("folder", "folder/letter.txt"):
         with pytest.raises(ValueError, match=r"is not a database"):
             Database.open(tmp_path / name)
@@ -237,9 +237,7 @@ def test_what_is_no_database_is_refused_and_left_alone(tmp_path):
     assert [entry.name for entry in (tmp_path / "folder").iterdir()] == ["letter.txt"]
 
 
-def torch_free_table():
-    import pyarrow as pa
-
+def foreign_table():
     return pa.table({"a": [1]})
 
 
@@ -259,7 +257,7 @@ def test_a_database_is_not_created_over_one(path):
 # ---- versions
 
 
-def test_merging_and_removing_are_one_commit_each_and_stay_in_the_history(path):
+def test_merges_and_removals_are_one_commit_each_and_are_in_the_history(path):
     database = Database.open(path)
     database.merge(["day/2", "night/1"], torch.zeros(2, 480))
     assert database.load().empty.tolist() == [True, False, False, True]
@@ -268,8 +266,8 @@ def test_merging_and_removing_are_one_commit_each_and_stay_in_the_history(path):
     assert not database.load().empty[0]
     database.remove({"day/9", "day/10", "never/1"})
     assert database.load().frames == ("day/2", "new/1", "night/1")
-    told = [(entry.frames, entry.change.split()[0]) for entry in database.history()]
-    assert told == [(0, "create"), (4, "append"), (4, "merge"), (5, "merge"), (3, "remove")]
+    changes = [(entry.frames, entry.change.split()[0]) for entry in database.history()]
+    assert changes == [(0, "create"), (4, "append"), (4, "merge"), (5, "merge"), (3, "remove")]
     first = database.history()[1].version
     assert torch.equal(
         Database.open(path, first).load().descriptors, descriptors(0, 4)[[1, 3, 0, 2]]
@@ -280,7 +278,7 @@ def test_merging_and_removing_are_one_commit_each_and_stay_in_the_history(path):
         Database.open(path, 99)
 
 
-def test_removing_all_leaves_an_empty_database_that_takes_frames(path):
+def test_a_database_takes_frames_after_all_were_removed(path):
     database = Database.open(path)
     database.remove(FRAMES)
     assert len(database.load()) == 0
@@ -298,7 +296,7 @@ def test_a_reader_keeps_its_version_while_others_write(path):
     assert list(reader.known()) == FRAMES
 
 
-def test_compacting_joins_files_and_forgets_old_versions(path):
+def test_compacting_joins_files_and_deletes_old_versions(path):
     database = Database.open(path)
     for number in range(6):
         fill(database, [f"more/{number}"], number)
@@ -312,7 +310,7 @@ def test_compacting_joins_files_and_forgets_old_versions(path):
     assert len(Database.open(path)) == len(before) + 1
 
 
-def test_rows_that_were_written_apart_count_when_they_are_adopted(path):
+def test_rows_that_were_written_apart_are_added_when_they_are_adopted(path):
     database = Database.open(path)
     written = [database.write_apart([f"a/{n}"], descriptors(n, 1)) for n in range(3)]
     assert len(Database.open(path)) == len(FRAMES)
@@ -348,7 +346,7 @@ def test_two_processes_that_add_at_once_both_succeed(tmp_path):
 
 
 def in_threads(*works):
-    """Runs works at once; their errors."""
+    """Runs functions in threads at once, and returns their errors."""
     errors, ready = [], threading.Barrier(len(works))
 
     def attempt(work):
@@ -394,7 +392,7 @@ def test_two_threads_that_share_a_database_both_succeed(path):
 
 
 @pytest.mark.parametrize("empty", [True, False])
-def test_a_frame_that_several_add_at_once_is_there_once(tmp_path, empty):
+def test_of_several_writers_of_one_frame_one_succeeds(tmp_path, empty):
     path = tmp_path / "db"
     Database.create(path, CONFIG)
     if not empty:
@@ -409,8 +407,8 @@ def test_a_frame_that_several_add_at_once_is_there_once(tmp_path, empty):
     assert len(loaded(path)) == (1 if empty else 5)
 
 
-def test_writers_of_all_kinds_leave_what_some_order_of_them_would(path):
-    """Each owns some frames and changes only these, so the end is the same in every order."""
+def test_concurrent_changes_of_all_kinds_are_applied_one_after_another(path):
+    """Each writer changes only its own frames, so every order gives the same result."""
 
     def changing(name):
         def work():
@@ -445,7 +443,7 @@ def data_file(path):
     return file
 
 
-def test_every_changed_byte_of_a_data_file_is_refused_and_named_or_without_effect(path):
+def test_a_changed_byte_of_a_data_file_is_reported_or_has_no_effect(path):
     whole, before = data_file(path).read_bytes(), loaded(path)
     refused, positions = 0, range(0, len(whole), 149)
     for position in positions:
@@ -464,7 +462,7 @@ def test_every_changed_byte_of_a_data_file_is_refused_and_named_or_without_effec
     assert loaded(path) == before
 
 
-def test_damage_to_a_descriptor_is_named_left_out_if_asked_and_dropped(path):
+def test_a_damaged_descriptor_is_reported_left_out_and_dropped(path):
     expected = loaded(path)
     spoil(path, descriptors(0, 4)[3])
     with pytest.raises(
@@ -486,7 +484,7 @@ def test_damage_to_a_descriptor_is_named_left_out_if_asked_and_dropped(path):
 
 
 @pytest.mark.parametrize("length", [None, 0, 4, 1000])
-def test_a_missing_or_truncated_file_is_named_and_its_rows_are_dropped(path, length):
+def test_a_missing_or_truncated_file_is_reported_and_its_rows_are_dropped(path, length):
     lost = data_file(path)
     fill(Database.open(path), ["other/1"])
     if length is None:
@@ -529,7 +527,7 @@ def test_a_manifest_that_a_power_cut_left_half_written_is_put_aside(path):
     assert Database.open(path).verify() == []
 
 
-def test_a_label_space_of_ones_own_is_found_without_its_file(tmp_path):
+def test_a_custom_label_space_is_stored_whole(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text(yaml.safe_dump(label_space("camvid-11").to_dict()))
     Database.create(tmp_path / "db", SSRVLADConfig.from_preset("default", labels_as=file))

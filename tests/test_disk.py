@@ -1,4 +1,4 @@
-"""Files as Lance writes them: whole, and cut off anywhere."""
+"""Files that Lance wrote, whole and truncated."""
 
 import lance
 import pyarrow as pa
@@ -11,30 +11,30 @@ ROWS = 20_000
 
 @pytest.fixture(params=[3, 4096, 5000, 15_000])
 def deletions(request, tmp_path):
-    """A file of so many deleted rows, and what Lance notes of it."""
+    """A file of N deleted rows, and what Lance recorded of it."""
     rows = pa.table({"frame": pa.array(range(ROWS))})
     table = lance.write_dataset(rows, tmp_path / "table")
-    gone = rows.slice(0, request.param)
-    removal = table.merge_insert("frame").when_matched_delete().execute_uncommitted(gone)[0]
+    removed = rows.slice(0, request.param)
+    removal = table.merge_insert("frame").when_matched_delete().execute_uncommitted(removed)[0]
     [fragment] = removal.operation.updated_fragments
     assert fragment.deletion_file.num_deleted_rows == request.param
     return tmp_path / "table" / fragment.deletion_file.path(fragment.id), fragment.deletion_file
 
 
-def test_a_whole_file_passes(deletions):
+def test_a_whole_file_is_accepted(deletions):
     check_deletions(*deletions)
 
 
-@pytest.mark.parametrize("kept", [0, 1, 7, 9, 0.5, -1])
-def test_a_file_that_was_cut_off_is_refused(deletions, kept):
-    path, noted = deletions
+@pytest.mark.parametrize("size", [0, 1, 7, 9, 0.5, -1])
+def test_a_truncated_file_is_refused(deletions, size):
+    path, recorded = deletions
     content = path.read_bytes()
-    path.write_bytes(content[: int(len(content) * kept) if isinstance(kept, float) else kept])
+    path.write_bytes(content[: int(len(content) * size) if isinstance(size, float) else size])
     with pytest.raises(OSError, match="not all was written"):
-        check_deletions(path, noted)
+        check_deletions(path, recorded)
 
 
-def test_a_data_file_that_was_cut_off_is_refused(tmp_path):
+def test_a_truncated_data_file_is_refused(tmp_path):
     rows = pa.table({"frame": pa.array(range(ROWS))})
     [fragment] = lance.fragment.write_fragments(rows, tmp_path)
     [file] = fragment.files

@@ -1,4 +1,4 @@
-"""Encoding: all that can be encoded is, once, in order, and what cannot is named."""
+"""Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
 
 import errno
 import os
@@ -64,7 +64,7 @@ def counts(summary):
     return summary.encoded, summary.already_there, len(summary.skipped)
 
 
-def test_every_frame_is_what_the_head_makes_of_it_alone(maps):
+def test_descriptors_equal_those_of_single_frames(maps):
     maps.add("a", range(20))
     maps.add("b", range(3))
     (maps.folder / "poses.csv").write_text("frame,x,y,heading\na/3,1,2,0.5\n")
@@ -80,17 +80,17 @@ def test_every_frame_is_what_the_head_makes_of_it_alone(maps):
     assert (record.height, record.width, record.digest) == (24, 32, digest(street(4)))
 
 
-def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_rest_lands(maps):
+def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_encoded(maps):
     """Both in the middle of a batch."""
     maps.add("a", range(12))
     (maps.folder / "a" / "4.png").write_text("no image")
     unknown = street(7)
     unknown[2:4, 5:8] = 99
     maps.write("a/7", unknown)
-    told = []
-    summary = maps.encode(skipped=told.append)
+    reported = []
+    summary = maps.encode(skipped=reported.append)
     assert counts(summary) == (10, 0, 2)
-    assert told == summary.skipped
+    assert reported == summary.skipped
     first, second = summary.skipped
     assert first.frame == "a/4"
     assert f"{maps.folder}/a/4.png: cannot identify" in first.reason
@@ -101,11 +101,11 @@ def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_rest_lands(ma
     for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
         assert torch.equal(descriptor, alone(street(int(name[2:]))))
     maps.add("a", [4])
-    assert counts(maps.encode()) == (1, 10, 1), "what was mended is taken the next time"
+    assert counts(maps.encode()) == (1, 10, 1), "a repaired file is encoded in the next run"
 
 
-def test_frames_of_differing_sizes_and_formats_are_each_encoded_as_they_are(maps):
-    """A label map is its ids: as gray of 8 or 16 bits or 32, as an array."""
+def test_frames_may_differ_in_size_and_format(maps):
+    """Ids in gray images of 8, 16 and 32 bits, and in an array."""
     sizes = [(24, 32), (30, 20), (24, 32), (130, 150), (24, 33)]
     for number in range(10):
         maps.add("a", [number], *sizes[number % len(sizes)])
@@ -115,7 +115,7 @@ def test_frames_of_differing_sizes_and_formats_are_each_encoded_as_they_are(maps
     np.save(maps.folder / "a" / "12.npy", labels.astype(">u4"))
     assert counts(maps.encode()) == (13, 0, 0)
     frames = maps.database().load()
-    assert frames.frames == tuple(f"a/{n}" for n in range(13)), "in the order of their names"
+    assert frames.frames == tuple(f"a/{n}" for n in range(13)), "in natural order"
     for number, descriptor in enumerate(frames.descriptors[:10]):
         assert torch.equal(descriptor, alone(street(number, *sizes[number % len(sizes)])))
     known = maps.database().known()
@@ -124,7 +124,7 @@ def test_frames_of_differing_sizes_and_formats_are_each_encoded_as_they_are(maps
         assert known[f"a/{number}"].digest == known["a/0"].digest
 
 
-def test_an_empty_image_is_encoded_flagged_and_zero(maps):
+def test_an_empty_image_has_a_zero_descriptor_and_a_flag(maps):
     maps.add("a", [0, 2])
     maps.write("a/1", np.full((24, 32), VOID, np.uint8))
     summary = maps.encode()
@@ -135,7 +135,7 @@ def test_an_empty_image_is_encoded_flagged_and_zero(maps):
     assert not frames.descriptors[1].any()
 
 
-def test_nothing_that_can_be_encoded_leaves_a_valid_empty_database(maps):
+def test_unreadable_frames_alone_leave_a_valid_empty_database(maps):
     (maps.folder / "a").mkdir()
     for number in range(3):
         (maps.folder / "a" / f"{number}.png").write_text("no image")
@@ -148,7 +148,7 @@ def test_nothing_that_can_be_encoded_leaves_a_valid_empty_database(maps):
     assert frames.poses.shape == (0, 3)
 
 
-def test_memory_and_database_hold_the_same(maps):
+def test_memory_and_database_hold_the_same_frames(maps):
     maps.add("b", range(3))
     maps.add("a", range(3))
     (maps.folder / "b" / "1.png").write_text("no image")
@@ -180,7 +180,7 @@ def test_another_fingerprint_is_refused_before_anything_is_read(maps):
         encode_to_database(paper, maps.files(), maps.database())
 
 
-# ---- what is fresh, and what is encoded anew
+# ---- new frames, and frames that are encoded again
 
 
 @pytest.fixture
@@ -203,8 +203,7 @@ def test_running_again_reads_only_what_is_missing(maps, reads):
     assert sorted(reads) == ["20", "3000"]
 
 
-def test_another_label_space_or_segmenter_is_another_frame(maps):
-    """Ids mean other things, so nothing that is there stands for them."""
+def test_another_label_space_encodes_all_frames_again(maps):
     maps.add("a", range(5))
     maps.encode()
     synthia = SSRVLAD.from_preset("default", labels_as="synthia")
@@ -220,7 +219,7 @@ def test_another_label_space_or_segmenter_is_another_frame(maps):
     assert maps.encode().anew == {"label space changed": 5}
 
 
-def test_a_label_space_is_its_content_and_not_its_name(maps):
+def test_a_changed_label_space_of_the_same_name_encodes_frames_again(maps):
     maps.add("a", range(3))
     classes = [{"id": n, "name": str(n), "category": "ground"} for n in range(12)]
     path = maps.folder / "mine.yaml"
@@ -239,12 +238,12 @@ def test_a_label_space_is_its_content_and_not_its_name(maps):
 
 
 def rewrite(path, seed):
-    """Another label map in the place of one, in a file of its own."""
+    """Replaces a label map by another, in a new file."""
     path.unlink()
     write_street(path, seed)
 
 
-def test_a_changed_file_is_encoded_anew_and_takes_the_place_of_the_old(maps):
+def test_a_changed_file_is_encoded_again_and_replaces_the_row(maps):
     maps.add("a", range(5))
     maps.encode()
     rewrite(maps.folder / "a" / "3.png", 99)
@@ -257,8 +256,8 @@ def test_a_changed_file_is_encoded_anew_and_takes_the_place_of_the_old(maps):
     assert maps.encode().already_there == 5
 
 
-def test_a_change_that_keeps_size_and_time_is_seen(maps):
-    """Its time of change is not in the user's hands."""
+def test_a_change_that_keeps_size_and_modification_time_is_noticed(maps):
+    """A user cannot set the time of the inode's last change."""
     path = maps.folder / "a" / "0.npy"
     path.parent.mkdir()
     np.save(path, street(0))
@@ -272,7 +271,7 @@ def test_a_change_that_keeps_size_and_time_is_seen(maps):
     assert torch.equal(maps.database().load().descriptors[0], alone(street(1)))
 
 
-def test_a_file_that_was_only_touched_is_read_once_and_then_known(maps, reads):
+def test_a_touched_file_is_read_once(maps, reads):
     maps.add("a", range(3))
     maps.encode()
     (maps.folder / "a" / "1.png").touch()
@@ -290,7 +289,7 @@ def test_a_changed_file_that_cannot_be_read_is_skipped_and_its_row_stays(maps):
     assert torch.equal(maps.database().load().descriptors[1], alone(street(1)))
 
 
-def test_a_changed_pose_is_taken_over(maps):
+def test_a_changed_pose_is_stored(maps):
     maps.add("a", range(3))
     (maps.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\na/1,3,4\n")
     maps.encode()
@@ -300,13 +299,13 @@ def test_a_changed_pose_is_taken_over(maps):
     assert maps.database().load().poses[1, :2].tolist() == [3, 5]
 
 
-def test_frames_whose_file_is_gone_are_told_and_removed_if_asked(maps):
+def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(maps):
     maps.add("a", range(4))
     maps.add("b", range(2))
     maps.encode()
     for number in (1, 3):
         (maps.folder / "a" / f"{number}.png").unlink()
-    assert maps.encode().gone == [], "not all files need be given"
+    assert maps.encode().gone == [], "the files need not be complete"
     summary = maps.encode("a", complete=True)
     assert (summary.gone, summary.pruned) == (["a/1", "a/3"], 0)
     assert len(maps.database()) == 6
@@ -317,10 +316,10 @@ def test_frames_whose_file_is_gone_are_told_and_removed_if_asked(maps):
         EncodeOptions(prune=True)
 
 
-# ---- folders of one name
+# ---- folders with the same name
 
 
-def test_folders_of_one_name_are_told_apart_in_one_run_and_in_several(maps):
+def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(maps):
     for drive in ("00", "01", "02"):
         maps.add(f"{drive}/labels", [int(drive), 7])
     maps.encode("00/labels", "01/labels")
@@ -338,7 +337,7 @@ def test_folders_of_one_name_are_told_apart_in_one_run_and_in_several(maps):
     assert len(maps.database()) == 6
 
 
-def test_a_second_folder_of_a_name_never_merges_overwrites_or_prunes(maps):
+def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(maps):
     maps.add("00/labels", range(3))
     maps.add("01/labels", range(2, 5))
     maps.encode("00/labels")
@@ -353,10 +352,10 @@ def test_a_second_folder_of_a_name_never_merges_overwrites_or_prunes(maps):
     assert {file.sequence for file in files} == {"01/labels"}
     assert encode_to_database(HEAD, files, maps.database()).encoded == 3
     files = maps.files("01/labels", sequence="labels")[1:]
-    assert encode_to_database(HEAD, files, maps.database()).encoded == 2, "its user said so"
+    assert encode_to_database(HEAD, files, maps.database()).encoded == 2, "the user gave the name"
 
 
-def test_a_folder_that_was_moved_goes_on_if_its_name_is_given(maps):
+def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(maps):
     maps.add("a", range(3))
     maps.encode()
     (maps.folder / "other").mkdir()
@@ -374,12 +373,12 @@ def test_a_folder_that_was_moved_goes_on_if_its_name_is_given(maps):
 # ---- commits, workers and signals
 
 
-def test_frames_are_committed_from_time_to_time(maps, monkeypatch):
+def test_frames_are_committed_after_a_number_of_rows_and_after_a_time(maps, monkeypatch):
     monkeypatch.setattr(writer, "COMMIT_ROWS", 4)
     maps.add("a", range(10))
     before = maps.database().version
     assert counts(maps.encode()) == (10, 0, 0)
-    assert maps.database().version == before + 4, "what made them, and 4, 4 and 2 of them"
+    assert maps.database().version == before + 4, "the origin, and 4, 4 and 2 frames"
     monkeypatch.setattr(writer, "COMMIT_SECONDS", -1)
     maps.add("b", range(2))
     maps.encode()
@@ -388,37 +387,37 @@ def test_frames_are_committed_from_time_to_time(maps, monkeypatch):
 
 @pytest.mark.parametrize("rows", [4, 8192])
 @pytest.mark.parametrize("done", [1, 7, 18])
-def test_what_was_encoded_before_an_interruption_is_in_the_database(maps, monkeypatch, rows, done):
+def test_frames_encoded_before_an_interruption_are_in_the_database(maps, monkeypatch, rows, done):
     monkeypatch.setattr(writer, "COMMIT_ROWS", rows)
     maps.add("a", range(20))
-    told = []
+    counted = []
 
     def interrupt(count):
-        told.append(count)
-        if sum(told) == done:
+        counted.append(count)
+        if sum(counted) == done:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         maps.encode(progress=interrupt)
     assert maps.database().load().frames == tuple(f"a/{n}" for n in range(done))
-    told.clear()
-    assert counts(maps.encode(progress=told.append)) == (20 - done, done, 0)
-    assert told == [done] + [1] * (20 - done), "progress counts every frame once"
+    counted.clear()
+    assert counts(maps.encode(progress=counted.append)) == (20 - done, done, 0)
+    assert counted == [done] + [1] * (20 - done), "progress counts every frame once"
 
 
-def test_a_full_disk_keeps_what_was_committed_and_says_so(maps, monkeypatch):
+def test_a_full_disk_is_an_error_and_committed_frames_stay(maps, monkeypatch):
     monkeypatch.setattr(writer, "COMMIT_ROWS", 4)
     maps.add("a", range(10))
     merge, merged = Database.merge, []
 
-    def full_at_the_second(self, records, *descriptors):
+    def fail_at_the_second(self, records, *descriptors):
         merged.append(len(records))
         if len(merged) > 1:
             raise OSError(errno.ENOSPC, "No space left on device")
         merge(self, records, *descriptors)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Database, "merge", full_at_the_second)
+        patch.setattr(Database, "merge", fail_at_the_second)
         with pytest.raises(OSError, match="No space left"):
             maps.encode()
     assert maps.database().load().frames == ("a/0", "a/1", "a/2", "a/3")
@@ -439,7 +438,7 @@ def test_workers_make_the_same_rows(maps, monkeypatch, most_threads):
 
 
 def test_two_encoders_at_once_lose_nothing(maps):
-    """Both encode all; neither is refused, and no frame is there twice."""
+    """Both encode all frames; none is stored twice."""
     maps.add("a", range(14))
     maps.database()
     command = [sys.executable, "-c", SCRIPT, maps.folder / "town.ssrdb", maps.folder / "a", "0"]
@@ -457,10 +456,10 @@ from ssrvlad_torch.encoding import describer, encoder, writer
 describer.BATCH, encoder.BATCH, encoder.WORTH_A_PROCESS, writer.COMMIT_ROWS = 1, 1, 1, 8
 head = SSRVLAD.from_preset("default", labels_as="camvid-11")
 database = Database.open_or_create(sys.argv[1], head.config)
-told = []
+counted = []
 def progress(done):
-    told.append(done)
-    if sum(told) == 10:
+    counted.append(done)
+    if sum(counted) == 10:
         print("ready", flush=True)
     time.sleep(0.02)
 options = EncodeOptions(workers=int(sys.argv[3]), progress=progress)
@@ -472,19 +471,19 @@ encode_to_database(head, find_label_files([sys.argv[2]]), database, options)
     ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -9)]
 )
 def test_a_signal_ends_a_run_and_the_next_run_completes_it(maps, number, code):
-    """All that was told done is there; after SIGKILL all that was committed."""
+    """Frames reported by progress are stored; after SIGKILL, committed frames."""
     maps.add("a", range(60))
     target = maps.folder / "town.ssrdb"
     command = [sys.executable, "-c", SCRIPT, target, maps.folder / "a", "2"]
     running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert running.stdout.readline() == b"ready\n"
     running.send_signal(number)
-    running.communicate(timeout=60)  # to the end of its pipes: no worker holds them
+    running.communicate(timeout=60)  # no worker holds the pipes open
     assert running.returncode in (code, 130)
-    landed = len(Database.open(target))
-    assert landed >= (8 if number == signal.SIGKILL else 10)
-    assert landed < 60
-    assert counts(maps.encode()) == (60 - landed, landed, 0)
+    stored = len(Database.open(target))
+    assert stored >= (8 if number == signal.SIGKILL else 10)
+    assert stored < 60
+    assert counts(maps.encode()) == (60 - stored, stored, 0)
     frames = maps.database().load()
     assert frames.frames == tuple(f"a/{n}" for n in range(60))
     for row, descriptor in enumerate(frames.descriptors):
@@ -493,8 +492,8 @@ def test_a_signal_ends_a_run_and_the_next_run_completes_it(maps, number, code):
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize("step", ["known", "merge"])
-def test_no_signal_of_the_start_or_the_end_is_lost(maps, monkeypatch, step, number):
-    """It comes just before a step which does not ask for signals; the last is `merge`."""
+def test_a_signal_at_the_start_or_the_end_is_not_lost(maps, monkeypatch, step, number):
+    """It arrives before a step that does not check for signals; `merge` is the last step."""
     maps.add("a", range(5))
     whole, come = getattr(Database, step), []
 
@@ -513,4 +512,4 @@ def test_no_signal_of_the_start_or_the_end_is_lost(maps, monkeypatch, step, numb
         finally:
             signal.signal(signal.SIGINT, before)
     assert (end.type is SystemExit) == (number == signal.SIGTERM)
-    assert len(maps.database()) == (5 if step == "merge" else 1), "what was in hand is done"
+    assert len(maps.database()) == (5 if step == "merge" else 1), "the current frame is stored"

@@ -1,4 +1,4 @@
-"""Other forms of a database, each read back by its own library."""
+"""Exported databases, read back with NumPy and h5py."""
 
 import json
 
@@ -40,7 +40,7 @@ def test_an_array_and_names(database, tmp_path):
 
 
 def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
-    """By what its ``list_h5_names`` and ``get_descriptors`` do."""
+    """As in its ``list_h5_names`` and ``get_descriptors``."""
     h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
     file = tmp_path / "out.h5"
     assert export_database(database, "hloc", file) == [file]
@@ -60,26 +60,26 @@ def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
 
 
 @pytest.mark.parametrize("form", ["npy", "hloc"])
-def test_an_empty_database_has_empty_forms(tmp_path, form):
+def test_an_empty_database_is_exported(tmp_path, form):
     pytest.importorskip("h5py", reason="needs the extra hloc")
     export_database(Database.create(tmp_path / "db", CONFIG), form, tmp_path / "out")
     assert (tmp_path / "out").is_file()
 
 
-def test_a_place_that_cannot_be_written_is_an_error_and_leaves_nothing(database, tmp_path):
+def test_a_path_that_cannot_be_written_is_an_error_and_leaves_no_file(database, tmp_path):
     with pytest.raises(OSError, match="missing"):
         export_database(database, "npy", tmp_path / "missing" / "out.npy")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
 
 
-def test_an_id_of_several_lines_is_refused_where_ids_are_lines(database, tmp_path):
+def test_an_id_of_several_lines_is_refused_for_npy(database, tmp_path):
     database.append([record("a/1\u2028b")], descriptors(1, 1))
     with pytest.raises(ValueError, match=r"one id per line, and 1 of .* first is 'a/1\\u2028b'"):
         export_database(database, "npy", tmp_path / "out.npy")
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
 
 
-def test_hlocs_file_needs_no_call_of_posix(database, tmp_path, monkeypatch):
+def test_hloc_needs_no_posix_fallocate(database, tmp_path, monkeypatch):
     pytest.importorskip("h5py", reason="needs the extra hloc")
     monkeypatch.delattr("os.posix_fallocate")
     [file] = export_database(database, "hloc", tmp_path / "out.h5")

@@ -34,7 +34,7 @@ def made(tmp_path):
     return database
 
 
-def test_what_stands_beside_comes_out_bit_for_bit_and_in_order(made):
+def test_extra_descriptors_are_loaded_bit_for_bit_and_in_order(made):
     opened = Database.open(made.path)
     frames = opened.load()
     assert frames.frames == ("day/2", "day/10", "night/1")
@@ -48,7 +48,7 @@ def test_what_stands_beside_comes_out_bit_for_bit_and_in_order(made):
     assert torch.equal(opened.load().beside["own"][0], descriptors(3, 1, 7)[0])
 
 
-def test_every_frame_has_all_of_them(made):
+def test_every_frame_has_all_descriptors(made):
     message = "holds descriptor, own of every frame, got descriptor$"
     with pytest.raises(ValueError, match=message):
         made.append(["day/3"], descriptors(0, 1))
@@ -61,13 +61,13 @@ def test_every_frame_has_all_of_them(made):
 
 
 @pytest.mark.parametrize("names", [["frame"], ["descriptor"], ["own", "own"]])
-def test_a_column_has_one_meaning(tmp_path, names):
+def test_names_of_columns_are_unique(tmp_path, names):
     beside = [OWN._replace(name=name) for name in names]
     with pytest.raises(ValueError, match="expected names beside that no column has"):
         Database.create(tmp_path / "town", CONFIG, beside=beside)
 
 
-def test_the_checksum_covers_what_stands_beside(made):
+def test_the_checksum_covers_extra_descriptors(made):
     table = made.table().to_table()
     assert intact(table).all()
     numbers = table["own"].combine_chunks().flatten().to_numpy().copy()
@@ -79,7 +79,7 @@ def test_the_checksum_covers_what_stands_beside(made):
     ]  # fmt: skip
 
 
-def test_other_forms_have_them_too(made, tmp_path):
+def test_exports_hold_extra_descriptors(made, tmp_path):
     files = export_database(made, "npy", tmp_path / "out.npy")
     assert tmp_path / "out.npy.own.npy" in files
     np.testing.assert_array_equal(np.load(tmp_path / "out.npy.own.npy"), made.load().beside["own"])
@@ -90,7 +90,7 @@ def test_other_forms_have_them_too(made, tmp_path):
         np.testing.assert_array_equal(stored["day/2"]["own"], made.load().beside["own"][0])
 
 
-def test_an_index_is_of_the_method_itself(tmp_path):
+def test_an_index_holds_the_descriptors_of_the_method(tmp_path):
     database = Database.create(tmp_path / "town", CONFIG, beside=[OWN])
     names = [f"day/{row}" for row in range(300)]
     database.append(names, descriptors(0, 300), {"own": descriptors(1, 300, 7)})
@@ -99,7 +99,7 @@ def test_an_index_is_of_the_method_itself(tmp_path):
     assert found[0][0] == "day/17"
 
 
-def test_two_methods_that_err_apart_are_better_together():
+def test_two_methods_with_independent_errors_are_better_fused():
     generator = torch.Generator().manual_seed(0)
     maps = [torch.randn(40, 32, generator=generator) for _ in range(2)]
     seen = [known + 2 * torch.randn(40, 32, generator=generator) for known in maps]
@@ -143,7 +143,7 @@ def town(photos, ssrvlad):
     return photos / "town"
 
 
-def test_encode_stores_what_the_method_makes_of_each_picture(town, photos, ssrvlad):
+def test_encode_stores_the_descriptor_of_each_picture(town, photos, ssrvlad):
     database = Database.open(town)
     assert database.beside == (extra_descriptor("hog"),)
     frames = database.load()
@@ -159,7 +159,7 @@ def test_encode_stores_what_the_method_makes_of_each_picture(town, photos, ssrvl
     assert ssrvlad(*again, "--segmenter", photos / "net.yaml")[0] == 3
 
 
-def test_queries_are_fused_unless_told_not_to(town, photos, ssrvlad):
+def test_queries_are_fused_by_default(town, photos, ssrvlad):
     given = ("--segmenter", photos / "net.yaml", "--follow", "no")
     code, out, err = ssrvlad("query", town, photos / "today", *given, "--json")
     lines = [json.loads(line) for line in out.splitlines()]
@@ -202,14 +202,14 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
         Localiser.from_pretrained(photos / "net.yaml", photos / "other", beside="sift")
 
 
-def test_descriptors_of_another_version_do_not_compare(photos):
+def test_descriptors_of_another_version_are_refused(photos):
     changed = extra_descriptor("hog")._replace(fingerprint="7 x 7 cells")
     database = Database.create(photos / "town", CONFIG, beside=[changed])
     with pytest.raises(ValueError, match=r"hog gives other descriptors here \(6 x 10 cells, 8"):
         Localiser.from_pretrained(photos / "net.yaml", database.path)
 
 
-def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
+def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     def refused(*arguments):
         code, _, err = ssrvlad(*arguments)
         assert (code, len(err)) == (2, 1), err
@@ -218,20 +218,20 @@ def test_wrong_use_is_one_line(town, photos, maps, ssrvlad):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
-    told = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
-    assert "--with hog needs images as SOURCE and --segmenter" in told
+    message = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
+    assert "--with hog needs images as SOURCE and --segmenter" in message
     assert not plain.exists()
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
     ray = refused("encode", maps, "-o", town, "--engine", "ray")
     assert "holds descriptors of pictures; Ray reads label maps" in ray
     assert ssrvlad("encode", photos / "today", "-o", plain, *network)[0] == 0
-    told = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
-    assert "has no descriptors by hog" in told
-    told = refused("query", plain, photos / "today", *network, "--fuse")
-    assert "holds no descriptors of pictures; encode a new database with --with hog" in told
+    message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
+    assert "has no descriptors by hog" in message
+    message = refused("query", plain, photos / "today", *network, "--fuse")
+    assert "holds no descriptors of pictures; encode a new database with --with hog" in message
     for source in (maps, plain):
-        told = refused("query", town, source)
-        assert "expected images and --segmenter, or --no-fuse" in told
+        message = refused("query", town, source)
+        assert "expected images and --segmenter, or --no-fuse" in message
         assert ssrvlad("query", town, source, "--no-fuse")[0] == 0
     assert "--as-paper" in refused("query", town, maps, "--fuse", "--as-paper")
     assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
@@ -251,7 +251,7 @@ def laps(seed: int, noise: float, length: int = 60) -> torch.Tensor:
 
 
 def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
-    """How many frames of the second lap close the right loop, if none of the others closes one."""
+    """The number of right loops in the second lap; asserts that there are no wrong ones."""
     names = [one.name for one in detector.beside]
     right = 0
     for row, (own, *others) in enumerate(zip(*methods, strict=True)):
@@ -273,7 +273,7 @@ def test_a_detector_closes_more_loops_with_both():
     assert LoopDetector().weights == {}
 
 
-def test_a_detector_keeps_what_is_beside(tmp_path):
+def test_a_detector_stores_extra_descriptors(tmp_path):
     detector = LoopDetector(LoopConfig(exclude=2), beside=[extra_descriptor("hog")])
     database = Database.create(tmp_path / "memory", detector.head.config, beside=detector.beside)
     pictures = [photo(street(seed, 60, 80)) for seed in range(6)]

@@ -15,7 +15,7 @@ from ssrvlad_torch.recognition.sweep import score
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory):
-    """600 frames of 100 places, an empty one among them, and an index; the rest was added later."""
+    """600 frames of 100 places, one of them empty, with an index of the first 500."""
     database = Database.create(tmp_path_factory.mktemp("index") / "db", width=32)
     places = descriptors(0, 100, 32).repeat(6, 1) + 0.3 * descriptors(1, 600, 32)
     places[7] = 0
@@ -42,14 +42,14 @@ def test_the_report_compares_with_exact_search(town):
     assert report.recall_at[10] >= 0.9
 
 
-def test_equal_frames_are_as_good_as_each_other(tmp_path):
+def test_equal_frames_count_alike_in_the_recall(tmp_path):
     database = Database.create(tmp_path / "db", width=32)
     places = descriptors(0, 20, 32).repeat(20, 1)
     database.append([f"a/{n:03d}" for n in range(400)], places)
     assert build_index(database).recall_at[1] == 1
 
 
-def test_scores_are_exact_and_frames_that_were_added_since_are_found(town):
+def test_scores_are_exact_and_frames_added_later_are_found(town):
     database, _ = town
     queries = database.load().descriptors[1::13]
     expected, found = exact(database, queries, 3), search_index(database, queries, 3)
@@ -73,7 +73,7 @@ def test_candidates_can_be_of_some_sequences(town):
     assert search_index(database, torch.zeros(1, 32)) == [[]]
 
 
-def test_what_is_replaced_is_found_by_what_it_is_now_and_compacting_keeps_the_index(town):
+def test_replaced_frames_are_found_by_their_new_descriptor_also_after_compacting(town):
     database, _ = town
     new = descriptors(9, 1, 32)
     database.merge(["a's/000"], new)
@@ -83,7 +83,7 @@ def test_what_is_replaced_is_found_by_what_it_is_now_and_compacting_keeps_the_in
     assert "a's/020" not in dict(search_index(database, new, 599)[0])
 
 
-def test_few_frames_have_no_index(tmp_path):
+def test_too_few_frames_for_an_index_are_refused(tmp_path):
     database = Database.create(tmp_path / "db", width=5)
     database.append([f"a/{n}" for n in range(20)], descriptors(0, 20, 5))
     with pytest.raises(ValueError, match="at least 256 frames"):
@@ -92,7 +92,7 @@ def test_few_frames_have_no_index(tmp_path):
         search_index(database, torch.ones(1, 5))
 
 
-def test_a_damaged_row_that_is_found_is_refused(tmp_path):
+def test_a_damaged_row_is_refused(tmp_path):
     database = Database.create(tmp_path / "db", width=9)
     numbers = descriptors(0, 300, 9)
     database.append([f"a/{n}" for n in range(300)], numbers)
@@ -104,7 +104,7 @@ def test_a_damaged_row_that_is_found_is_refused(tmp_path):
 
 @pytest.mark.parametrize("follow", ["offline", "online", None])
 @pytest.mark.parametrize("off", [True, False])
-def test_all_frames_as_candidates_give_what_exact_search_gives(town, monkeypatch, follow, off):
+def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypatch, follow, off):
     database, _ = town
     monkeypatch.setattr(index_search, "CANDIDATES", 1000)
     frames = database.load()
@@ -122,7 +122,7 @@ def test_all_frames_as_candidates_give_what_exact_search_gives(town, monkeypatch
     torch.testing.assert_close(got.confidence, expected.confidence, atol=1e-3, rtol=0)
 
 
-def test_rows_are_scored_exactly_whether_found_or_reached(town):
+def test_scores_of_any_row_are_exact(town):
     database, _ = town
     frames = database.load()
     queries = frames.descriptors[::50]

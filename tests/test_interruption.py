@@ -1,4 +1,4 @@
-"""Signals that wait for the work in hand: none is lost, whenever it comes."""
+"""Deferred signals: none is lost, whenever it arrives."""
 
 import signal
 import threading
@@ -15,8 +15,8 @@ def handlers():
 
 
 @pytest.fixture(autouse=True)
-def as_in_a_terminal():
-    """Whatever runs the tests may have told them to pass over Ctrl-C."""
+def handlers_of_a_terminal():
+    """The program that runs the tests may ignore Ctrl-C."""
     before = handlers()
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
@@ -26,22 +26,21 @@ def as_in_a_terminal():
 
 
 @pytest.mark.parametrize(("number", "error", "arguments"), ENDS)
-def test_a_signal_waits_until_it_is_asked_for(number, error, arguments):
+def test_a_signal_waits_until_check_is_called(number, error, arguments):
     before, done = handlers(), []
     with pytest.raises(error) as end, deferred_interruption() as check:
         check()
         signal.raise_signal(number)
-        done.append("the work in hand")
+        done.append("current work")
         check()
         done.append("more")
-    assert done == ["the work in hand"]
+    assert done == ["current work"]
     assert end.value.args == arguments
     assert handlers() == before
 
 
 @pytest.mark.parametrize(("number", "error", "arguments"), ENDS)
-def test_a_signal_that_is_never_asked_for_comes_at_the_end(number, error, arguments):
-    """As one does that comes while the last part is written."""
+def test_a_signal_without_a_check_takes_effect_at_the_end(number, error, arguments):
     before = handlers()
     with pytest.raises(error) as end, deferred_interruption():
         signal.raise_signal(number)
@@ -49,7 +48,7 @@ def test_a_signal_that_is_never_asked_for_comes_at_the_end(number, error, argume
     assert handlers() == before
 
 
-def test_a_second_signal_acts_at_once():
+def test_a_second_signal_takes_effect_at_once():
     done = []
     with pytest.raises(KeyboardInterrupt), deferred_interruption():
         signal.raise_signal(signal.SIGINT)
@@ -59,7 +58,7 @@ def test_a_second_signal_acts_at_once():
     assert done == ["the first waits"]
 
 
-def test_an_error_of_the_work_goes_before_a_signal():
+def test_an_error_takes_precedence_over_a_signal():
     before = handlers()
     with pytest.raises(ZeroDivisionError), deferred_interruption():
         signal.raise_signal(signal.SIGINT)
@@ -67,8 +66,8 @@ def test_an_error_of_the_work_goes_before_a_signal():
     assert handlers() == before
 
 
-def test_a_signal_that_was_passed_over_still_is():
-    """A shell tells what it runs in the background to pass over Ctrl-C."""
+def test_an_ignored_signal_stays_ignored():
+    """A shell starts background jobs with Ctrl-C ignored."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with deferred_interruption() as check:
         assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
@@ -79,14 +78,14 @@ def test_a_signal_that_was_passed_over_still_is():
 
 
 def test_a_thread_defers_nothing():
-    before, seen = handlers(), []
+    before, found = handlers(), []
 
     def work():
         with deferred_interruption() as check:
-            seen.append(handlers())
+            found.append(handlers())
             check()
 
     thread = threading.Thread(target=work)
     thread.start()
     thread.join()
-    assert seen == [before]
+    assert found == [before]

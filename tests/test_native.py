@@ -88,8 +88,8 @@ def test_noise(seed, height, width, density, inverted, radius, area):
     assert_the_same(~some if inverted else some, radius, area)
 
 
-def test_blobs_of_the_size_of_an_image():
-    """Wide regions, thinned over many rounds, across tiles and words."""
+def test_large_regions():
+    """Thinned in many sub-iterations, across tiles and words."""
     some = noise(3, 260, 330, 3)
     assert_the_same(open_and_close(some, 0, 2), 3, 400)
 
@@ -159,7 +159,7 @@ def test_descriptors(config, seed, height, width):
 
 
 def test_many_points():
-    """So many that shape contexts are counted by rows, not by pairs."""
+    """With this many points shape contexts are counted by rows, not by pairs."""
     bare = {"closing": 0.0, "hole_area": 0.0, "region_area": 0.0}
     config = SSRVLADConfig.from_preset("paper", labels_as=SPACE, **bare)
     labels = maps(8, 1, 150, 260, grain=2)
@@ -208,8 +208,8 @@ def test_unknown_ids(bad, working_size):
         describe(labels, config)
 
 
-def test_the_operator_keeps_the_rules_of_torch():
-    """Schema, fake kernel, ahead-of-time dispatch: torch's own check; then compile and export."""
+def test_the_operator_passes_opcheck():
+    """Schema, fake kernel and ahead-of-time dispatch."""
     from ssrvlad_torch.native.operator import operator
 
     config = SSRVLADConfig(labels_as=SPACE)

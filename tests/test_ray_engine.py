@@ -1,4 +1,4 @@
-"""Encoding by Ray: the same rows as without it, whatever happens to its workers."""
+"""Encoding with Ray gives the same rows as without it, also if workers fail."""
 
 import os
 
@@ -42,8 +42,8 @@ def database(tmp_path):
     return Database.create(tmp_path / "db", HEAD.config)
 
 
-def same_as_local(path, files):
-    """Whether a database holds what the local engine makes of the same files."""
+def assert_same_as_local(path, files):
+    """Asserts that a database holds the rows that the local engine makes of the same files."""
     local = Database.create(path.with_name("local"), HEAD.config)
     encode_to_database(HEAD, files, local, EncodeOptions(workers=0))
     expected, found = local.load(), Database.open(path).load()
@@ -55,23 +55,23 @@ def same_as_local(path, files):
 
 def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
     (tmp_path / "a" / "7.png").write_text("no image")
-    told = []
-    options = EncodeOptions(workers=2, progress=told.append)
+    counted = []
+    options = EncodeOptions(workers=2, progress=counted.append)
     summary = encode_with_ray(HEAD, files, database, options)
-    assert (summary.encoded, summary.already_there, sum(told)) == (19, 0, 20)
+    assert (summary.encoded, summary.already_there, sum(counted)) == (19, 0, 20)
     assert [frame.frame for frame in summary.skipped] == ["a/7"]
-    same_as_local(tmp_path / "db", files)
+    assert_same_as_local(tmp_path / "db", files)
     write_street(tmp_path / "a" / "7.png", 7)
     write_street(tmp_path / "a" / "3.png", 99)
     summary = encode_with_ray(HEAD, files, Database.open(tmp_path / "db"), TWO)
     assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
-    kept = [file for file in files if file.name != "9"]
+    others = [file for file in files if file.name != "9"]
     options = EncodeOptions(workers=2, complete=True, prune=True)
-    assert encode_with_ray(HEAD, kept, Database.open(tmp_path / "db"), options).pruned == 1
+    assert encode_with_ray(HEAD, others, Database.open(tmp_path / "db"), options).pruned == 1
 
 
 def test_a_killed_worker_loses_nothing(tmp_path, files, database, monkeypatch):
-    """It dies after it wrote its part, which is then written again and counts once."""
+    """It dies after it wrote its part, which is written again and added once."""
     flag = tmp_path / "died"
 
     class Mortal(PartEncoder):
@@ -85,25 +85,25 @@ def test_a_killed_worker_loses_nothing(tmp_path, files, database, monkeypatch):
     monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
     assert encode_with_ray(HEAD, files, database, TWO).encoded == 20
     assert flag.exists()
-    same_as_local(tmp_path / "db", files)
+    assert_same_as_local(tmp_path / "db", files)
 
 
-def test_what_was_committed_before_an_interruption_stays(tmp_path, files, database, monkeypatch):
+def test_frames_committed_before_an_interruption_stay(tmp_path, files, database, monkeypatch):
     monkeypatch.setattr(writer, "COMMIT_SECONDS", -1)
-    told = []
+    counted = []
 
     def interrupt(done):
-        told.append(done)
-        if sum(told) > 8:
+        counted.append(done)
+        if sum(counted) > 8:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         encode_with_ray(HEAD, files, database, EncodeOptions(workers=2, progress=interrupt))
-    landed = len(Database.open(tmp_path / "db"))
-    assert landed in (12, 16), "two of the parts of 8, 8 and 4"
+    stored = len(Database.open(tmp_path / "db"))
+    assert stored in (12, 16), "two of the parts of 8, 8 and 4"
     summary = encode_with_ray(HEAD, files, Database.open(tmp_path / "db"), TWO)
-    assert (summary.encoded, summary.already_there) == (20 - landed, landed)
-    same_as_local(tmp_path / "db", files)
+    assert (summary.encoded, summary.already_there) == (20 - stored, stored)
+    assert_same_as_local(tmp_path / "db", files)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +113,7 @@ def test_what_was_committed_before_an_interruption_stays(tmp_path, files, databa
         (OSError("no room"), "^no room$"),
     ],
 )
-def test_a_part_that_fails_is_one_line(files, database, monkeypatch, error, message):
+def test_a_part_that_fails_is_an_error_in_one_line(files, database, monkeypatch, error, message):
     class Failing(PartEncoder):
         def __call__(self, files, new):
             raise error
@@ -125,7 +125,7 @@ def test_a_part_that_fails_is_one_line(files, database, monkeypatch, error, mess
     assert len(database) == 0
 
 
-def test_files_that_only_pyarrow_reaches_give_the_same_descriptors(tmp_path, files, database):
+def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
     remote = find_label_files([(tmp_path / "a").as_uri()])
     summary = encode_with_ray(HEAD, remote, database, TWO)
     assert (summary.encoded, summary.skipped) == (20, [])

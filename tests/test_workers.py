@@ -1,4 +1,4 @@
-"""Work in threads and processes: in order, bounded, honest about errors, and no orphans."""
+"""Work in threads and processes: order, memory, errors, and the end of worker processes."""
 
 import os
 import signal
@@ -60,7 +60,7 @@ def test_threads_and_processes_share_the_work_with_a_thread_of_torch_each():
 
 
 def where(_item):
-    import torch  # takes a process long, and is for this one only
+    import torch  # slow, and only this function needs it
 
     time.sleep(0.2)
     return os.getpid(), threading.get_ident(), torch.get_num_threads()
@@ -74,7 +74,7 @@ def test_items_are_taken_as_they_are_needed():
     assert len(taken) < 20
 
 
-def test_an_error_of_the_items_comes_after_what_was_before_it():
+def test_an_error_of_the_items_comes_after_earlier_results():
     def items():
         yield from range(7)
         raise KeyboardInterrupt
@@ -86,21 +86,21 @@ def test_an_error_of_the_items_comes_after_what_was_before_it():
 
 
 @pytest.mark.parametrize("workers", [(2, 0), (0, 2)])
-def test_an_error_of_the_work_has_its_own_kind(workers):
+def test_an_error_of_the_work_keeps_its_type(workers):
     with pytest.raises(ZeroDivisionError, match="nothing to share"):
         list(in_order(fail, range(3), *workers))
 
 
-def test_a_killed_worker_is_named():
+def test_a_killed_worker_is_an_error():
     with pytest.raises(ChildProcessError, match="a worker process was killed"):
         list(in_order(die_at_five, range(20), 0, 2))
 
 
-def test_what_libraries_print_is_no_result():
+def test_output_of_libraries_does_not_mix_with_results():
     assert list(in_order(noisy, range(4), 0, 2)) == [0, 1, 2, 3]
 
 
-def test_workers_end_with_the_results():
+def test_workers_end_when_results_are_closed():
     results = in_order(own_process, iter(range(100)), 0, 2)
     worker = next(results)
     results.close()
@@ -119,8 +119,8 @@ for result in in_order(slow, range(1000), 0, 2):
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_workers_end_with_their_parent_however_it_ends(number):
-    """Nor do they hold its pipes: who reads them sees their end."""
+def test_workers_end_with_their_parent(number):
+    """They do not hold its pipes open either."""
     command = [sys.executable, "-c", PARENT, str(Path(__file__).parent)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe) as parent:

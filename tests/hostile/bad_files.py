@@ -1,4 +1,4 @@
-"""Hostile and damaged files, small to write: each function writes one and returns its path."""
+"""Hostile and damaged files: each function writes one and returns its path."""
 
 import io
 import os
@@ -17,7 +17,7 @@ ALIASES = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 """A YAML document of 0.4 kB that stands for 9 ** 9 texts."""
 
 NESTED = "[" * 100_000
-"""Deeper than any parser goes."""
+"""Deeper than any parser accepts."""
 
 
 def text(path: Path, content: str) -> Path:
@@ -27,7 +27,7 @@ def text(path: Path, content: str) -> Path:
 
 
 def pipe(path: Path) -> Path:
-    """A FIFO that nobody writes to: who opens it waits for ever."""
+    """A FIFO that nobody writes to: opening it blocks forever."""
     path.parent.mkdir(parents=True, exist_ok=True)
     os.mkfifo(path)
     return path
@@ -77,7 +77,7 @@ def tiff(path: Path, side: int = 13_000) -> Path:
 
 
 def array(path: Path, shape: tuple[int, ...], content: bytes = b"", dtype: str = "|u1") -> Path:
-    """A ``.npy`` whose header promises a shape, whatever follows it."""
+    """A ``.npy`` whose header has a shape that its content need not fit."""
     path.parent.mkdir(parents=True, exist_ok=True)
     file = io.BytesIO()
     header = {"descr": dtype, "fortran_order": False, "shape": shape}
@@ -104,14 +104,14 @@ def archive(path: Path, size: int = 6_000_000_000) -> Path:
 
 
 def ones(path: Path, shape: tuple[int, ...], dtype: str = "uint8") -> Path:
-    """An honest array."""
+    """A valid array."""
     path.parent.mkdir(parents=True, exist_ok=True)
     np.save(path, np.ones(shape, dtype))
     return path
 
 
 def zeros(size: int) -> bytes:
-    """So many zeros in zlib's format: one packed block again and again."""
+    """``size`` zeros in zlib's format: one packed block, repeated."""
     block, packer = b"\0" * (1 << 20), zlib.compressobj(9, wbits=-15)
     packed = packer.compress(block) + packer.flush(zlib.Z_FULL_FLUSH)
     count, rest = divmod(size, len(block))

@@ -1,6 +1,6 @@
-"""One door and random damage: python random_damage.py DOOR SECONDS SEED FINDINGS
+"""Reads randomly damaged files: python random_damage.py READER SECONDS SEED FINDINGS
 
-Prints counts as JSON at least every second. `scripts/fuzz` runs it for all doors.
+Prints counts as JSON about every second. `scripts/fuzz` runs it for all readers.
 """
 
 import faulthandler
@@ -19,17 +19,17 @@ from PIL import Image
 
 REFUSALS = (ValueError, OSError)
 LONGEST = 10.0
-"""Seconds of computing: another program may have its turn."""
+"""Seconds of CPU time."""
 LONGEST_WAIT = 120.0
 MOST_MEMORY = 300
 MOST_PIXELS = 10_000_000
-"""A picture of more is refused here: one of the package's limit may take more memory when read."""
+"""A lower limit than the package's, whose largest images need more than `MOST_MEMORY`."""
 
 ODD = (b"\0", b"\xff", b"\x7f", b"-1", b"1e999", b"nan", b"[" * 2000, b"\n", b"&a ", b"*a", b"!!")
 
 
 def damaged(random_: random.Random, good: list[bytes]) -> bytes:
-    """A good file with one to four accidents."""
+    """A good file with one to four random changes."""
     content = bytearray(random_.choice(good))
     for _ in range(random_.randint(1, 4)):
         place = random_.randint(0, len(content))
@@ -155,7 +155,7 @@ def model(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     return [(folder / "a.onnx").read_bytes()], ".onnx", read
 
 
-DOORS = {
+READERS = {
     "label-map": label_map,
     "image": image,
     "label-space": label_space,
@@ -168,32 +168,34 @@ DOORS = {
 
 
 def main() -> None:
-    door, seconds, seed, findings = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
+    reader, seconds, seed, findings = sys.argv[1], float(sys.argv[2]), int(sys.argv[3]), sys.argv[4]
     faulthandler.enable()
     os.environ["SSRVLAD_PIXEL_LIMIT"] = str(MOST_PIXELS)
     warnings.simplefilter("ignore")
     counts = {"tried": 0, "refused": 0, "found": 0}
     random_ = random.Random(seed)
     with TemporaryDirectory() as name:
-        good, suffix, read = DOORS[door](Path(name))
+        good, suffix, read = READERS[reader](Path(name))
         idle = _memory("VmRSS")
-        end, told = time.monotonic() + seconds, 0.0
+        end, reported = time.monotonic() + seconds, 0.0
         while time.monotonic() < end:
             content = damaged(random_, good)
-            kept = Path(findings) / f"{door}-{seed}-{counts['tried']}{suffix}"
-            kept.write_bytes(content)
+            file = Path(findings) / f"{reader}-{seed}-{counts['tried']}{suffix}"
+            file.write_bytes(content)
             counts["tried"] += 1
-            begun, spent = time.monotonic(), time.process_time()
-            if _try(read, Path(name), suffix, content, counts, kept.name):
-                kept.unlink()
-            slow = time.process_time() - spent > LONGEST or time.monotonic() - begun > LONGEST_WAIT
+            started, spent = time.monotonic(), time.process_time()
+            if _try(read, Path(name), suffix, content, counts, file.name):
+                file.unlink()
+            slow = (
+                time.process_time() - spent > LONGEST or time.monotonic() - started > LONGEST_WAIT
+            )
             if slow or _memory("VmHWM") - idle > MOST_MEMORY:
                 counts["found"] += 1
-                kept.write_bytes(content)
-                print(f"{kept.name}: too slow or too large", file=sys.stderr)
+                file.write_bytes(content)
+                print(f"{file.name}: too slow or too large", file=sys.stderr)
                 break
-            if begun - told > 1:
-                told = begun
+            if started - reported > 1:
+                reported = started
                 print(json.dumps(counts), flush=True)
     print(json.dumps(counts))
 
@@ -206,7 +208,7 @@ def _try(
     counts: dict[str, int],
     name: str,
 ) -> bool:
-    """Whether the door read the file or refused it as it should."""
+    """Whether the file was read, or refused with the right type of error."""
     given = folder / f"given{suffix}"
     given.write_bytes(content)
     try:
@@ -222,7 +224,7 @@ def _try(
 
 
 def _memory(name: str) -> int:
-    """Megabytes; 0 where the system does not tell."""
+    """Megabytes; 0 if the system does not report them."""
     status = Path("/proc/self/status")
     return int(status.read_text().split(f"{name}:")[1].split()[0]) // 1024 if status.exists() else 0
 

@@ -1,4 +1,4 @@
-"""A small file must not take the machine: what is refused costs at most 300 MB."""
+"""A hostile file is refused with at most 300 MB of memory."""
 
 import json
 import subprocess
@@ -31,7 +31,7 @@ def golden(path):
     entry = {"dtype": "uint8", "shape": [1 << 20], "data": base64.b64encode(data).decode()}
     Metadata("", {}, "", {}, {}, {"labels": entry}).golden_arrays()
 
-doors = {
+readers = {
     "label map": label_map,
     "picture": lambda path: read_image(FrameFile("a", "x", path)),
     "label space": label_space,
@@ -39,19 +39,19 @@ doors = {
     "golden": golden,
     "size": lambda path: SegmenterConfig(size=(30000, 30000)),
 }
-for door, path in json.loads(sys.argv[1]):
+for reader, path in json.loads(sys.argv[1]):
     pathlib.Path("/proc/self/clear_refs").write_text("5")
     idle, refused = memory("VmRSS"), None
     try:
-        doors[door](pathlib.Path(path))
+        readers[reader](pathlib.Path(path))
     except ValueError as error:
         refused = str(error)
-    print(json.dumps([door, path, memory("VmHWM") - idle, refused]), flush=True)
+    print(json.dumps([reader, path, memory("VmHWM") - idle, refused]), flush=True)
 """
 
 
 @pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="needs Linux's /proc")
-def test_what_is_refused_costs_little(tmp_path):
+def test_refused_files_need_little_memory(tmp_path):
     (tmp_path / "bomb.yaml").write_text(bad.ALIASES)
     given = [
         ("label map", bad.png(tmp_path / "gray.png")),
@@ -67,11 +67,11 @@ def test_what_is_refused_costs_little(tmp_path):
         ("golden", tmp_path),
         ("size", tmp_path),
     ]
-    table = json.dumps([(door, str(path)) for door, path in given])
+    table = json.dumps([(reader, str(path)) for reader, path in given])
     command = [sys.executable, "-c", PROGRAM, table]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert len(rows) == len(given)
-    for door, path, more, refused in rows:
-        assert refused, (door, path)
-        assert more <= 300, (door, path, more)
+    for reader, path, megabytes, refused in rows:
+        assert refused, (reader, path)
+        assert megabytes <= 300, (reader, path, megabytes)

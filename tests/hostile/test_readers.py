@@ -1,7 +1,7 @@
-"""One table for each door: what comes in, the line that says so, the exit code.
+"""Hostile files for every reader: an error in one line, and its exit code.
 
-A line of a table: how the file is made, the command, what its one line says. ``maps`` is a folder
-of label maps, ``town.ssrdb`` a database of them, ``bad`` what the line makes.
+A table holds functions that write a file, and text of the error message. ``maps`` is a folder of
+label maps, ``town.ssrdb`` a database of them.
 """
 
 import os
@@ -20,23 +20,23 @@ SKIPPED = 3
 
 
 @pytest.fixture(scope="module")
-def kept(tmp_path_factory):
-    """What a command needs beside the bad file; made once."""
+def good(tmp_path_factory):
+    """Good files that commands need, written once."""
     return tmp_path_factory.mktemp("hostile")
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch, ssrvlad, kept):
+def here(tmp_path, monkeypatch, ssrvlad, good):
     monkeypatch.chdir(tmp_path)
-    if not (kept / "town.ssrdb").exists():
-        write_maps(kept / "maps", range(3))
-        write_photos(kept / "photos", range(2))
-        database = ("encode", kept / "maps", "-o", kept / "town.ssrdb", "--labels-as", "camvid-11")
+    if not (good / "town.ssrdb").exists():
+        write_maps(good / "maps", range(3))
+        write_photos(good / "photos", range(2))
+        database = ("encode", good / "maps", "-o", good / "town.ssrdb", "--labels-as", "camvid-11")
         assert ssrvlad(*database)[0] == 0
-        assert ssrvlad("export", "-o", kept / "head.onnx", "--labels-as", "camvid-11")[0] == 0
+        assert ssrvlad("export", "-o", good / "head.onnx", "--labels-as", "camvid-11")[0] == 0
     for name in ("maps", "photos", "town.ssrdb"):
-        shutil.copytree(kept / name, tmp_path / name)
-    shutil.copy(kept / "head.onnx", tmp_path)
+        shutil.copytree(good / name, tmp_path / name)
+    shutil.copy(good / "head.onnx", tmp_path)
     return tmp_path
 
 
@@ -77,8 +77,8 @@ def test_label_maps(here, ssrvlad, make, message):
 def test_a_label_map_alone(here, ssrvlad, make, message):
     make(here)
     name = next(file.name for file in here.glob("x.*"))
-    said = one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", message)
-    assert f"{name}: " in said
+    error = one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", message)
+    assert f"{name}: " in error
 
 
 @pytest.mark.parametrize("limit", ["5", "many"])
@@ -98,7 +98,7 @@ WAITING: list[Make] = [
 
 
 @pytest.mark.parametrize("make", WAITING)
-def test_what_is_no_file_is_no_frame(here, ssrvlad, make):
+def test_pipes_and_devices_are_not_frames(here, ssrvlad, make):
     make(here)
     one_line(ssrvlad, "encode bad -o new.ssrdb --labels-as camvid-11", "label maps")
     alone = next((here / "bad").iterdir())
@@ -158,7 +158,7 @@ def test_settings_of_a_segmenter(here, ssrvlad, content, message):
 
 
 @pytest.mark.parametrize("size", ["[]", "[30000, 30000]", "[0, 4]", "[a, b]", "[1.5, 3]"])
-def test_a_size_that_is_none(here, ssrvlad, size):
+def test_invalid_sizes(here, ssrvlad, size):
     bad.text(here / "own.yaml", f"network: net.onnx\nsize: {size}\n")
     command = "encode photos -o new.ssrdb --labels-as camvid-11 --segmenter own.yaml"
     one_line(ssrvlad, command, "own.yaml: ")
@@ -175,7 +175,7 @@ NO_FILES: list[tuple[Make, str]] = [
 @pytest.mark.parametrize(
     "command", ["encode maps -o new.ssrdb --labels-as bad.yaml", "labels bad.yaml"]
 )
-def test_a_label_space_that_is_no_file(here, ssrvlad, make, message, command):
+def test_a_label_space_must_be_a_file(here, ssrvlad, make, message, command):
     make(here)
     one_line(ssrvlad, command, message)
 
@@ -212,7 +212,7 @@ OUTPUTS = [
 
 
 @pytest.mark.parametrize("command", OUTPUTS)
-def test_nothing_is_written_over_what_is_no_file(here, ssrvlad, command):
+def test_outputs_must_be_regular_files(here, ssrvlad, command):
     (here / "folder.png").mkdir()
     bad.pipe(here / "pipe.png")
     (here / "device.png").symlink_to(os.devnull)
@@ -250,7 +250,7 @@ def test_values(here, ssrvlad, command, name):
     one_line(ssrvlad, command, name)
 
 
-def test_more_candidates_than_frames_are_all_frames(here, ssrvlad):
+def test_top_above_the_number_of_frames_gives_all_frames(here, ssrvlad):
     code, out, _ = ssrvlad(*["query", "town.ssrdb", "maps", "--top", "9", "--as-paper"])
     assert (code, len(out.splitlines())) == (0, 3)
 

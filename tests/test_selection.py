@@ -1,4 +1,4 @@
-"""Which references may answer a query."""
+"""Selection of references."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from ssrvlad_torch.recognition.matching import match
 
 
 def frame_set(*frames):
-    """Frames without descriptors, in the order of a database."""
+    """Frames without descriptors, in natural order."""
     ordered = sorted(frames, key=lambda f: tuple(natural_key(p) for p in f.rsplit("/", 1)))
     return FrameSet(
         frames=tuple(ordered),
@@ -31,18 +31,18 @@ def chosen(**limits):
     return [f for f, c in zip(FRAMES.frames, select(FRAMES, **limits), strict=True) if c]
 
 
-def test_without_limits_all_are_chosen():
+def test_without_limits_all_frames_are_selected():
     assert chosen() == list(FRAMES.frames)
 
 
-def test_sequences_are_chosen_by_name():
+def test_sequences_are_selected_by_name():
     assert chosen(sequences=["night"]) == ["night/3", "night/t1418132416", "night/x"]
     assert chosen(sequences=[]) == []
     with pytest.raises(ValueError, match="there is no sequence 'dusk' in the database"):
         chosen(sequences=["night", "dusk"])
 
 
-def test_a_window_takes_both_its_ends_and_no_frame_without_a_number():
+def test_a_range_of_numbers_includes_both_ends_and_excludes_frames_without_a_number():
     assert chosen(first=2) == ["day/2", "day/10", "night/3", "night/t1418132416"]
     assert chosen(last=3) == ["day/1", "day/2", "night/3"]
     assert chosen(first=2, last=3, sequences=["day"]) == ["day/2"]
@@ -50,7 +50,7 @@ def test_a_window_takes_both_its_ends_and_no_frame_without_a_number():
 
 
 @given(st.sets(st.integers(0, 30)), st.integers(0, 40), st.integers(0, 5))
-def test_neighbours_are_those_around_the_place_that_a_query_has(numbers, query, reach):
+def test_neighbours_are_the_frames_around_the_position_of_a_query(numbers, query, reach):
     references = frame_set("a/5", "z/5", *(f"m/{number}" for number in numbers))
     [(first, last)] = neighbours([f"m/{query}"], references, reach)
     found = [int(frame[2:]) for frame in references.frames[first:last]]
@@ -67,8 +67,8 @@ def test_a_query_of_another_sequence_has_no_neighbours():
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 6))
-def test_what_is_not_allowed_is_no_candidate(seed, top):
-    """Against a search among only those that are."""
+def test_excluded_references_are_no_candidates(seed, top):
+    """Against a search among the other references."""
     generator = np.random.default_rng(seed)
     queries = generator.normal(size=(4, 8)).astype(np.float32)
     references = generator.normal(size=(30, 8)).astype(np.float32)
