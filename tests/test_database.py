@@ -232,7 +232,7 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(tmp_path):
     with pytest.raises(ValueError, match="is a table of Lance, but not a database"):
         Database.open(tmp_path / "table")
     for name in ("folder", "folder/letter.txt"):
-        with pytest.raises(ValueError, match="is there and is no database"):
+        with pytest.raises(ValueError, match="exists and is not a database"):
             Database.create(tmp_path / name, CONFIG)
     assert [entry.name for entry in (tmp_path / "folder").iterdir()] == ["letter.txt"]
 

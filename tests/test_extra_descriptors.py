@@ -63,7 +63,7 @@ def test_every_frame_has_all_descriptors(made):
 @pytest.mark.parametrize("names", [["frame"], ["descriptor"], ["own", "own"]])
 def test_names_of_columns_are_unique(tmp_path, names):
     beside = [OWN._replace(name=name) for name in names]
-    with pytest.raises(ValueError, match="expected names beside that no column has"):
+    with pytest.raises(ValueError, match="expected unique names beside that no column has"):
         Database.create(tmp_path / "town", CONFIG, beside=beside)
 
 

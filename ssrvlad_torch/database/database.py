@@ -145,16 +145,16 @@ class Database:
         """
         text = str(path)
         if (config is None) == (width is None):
-            raise ValueError("expected the config of the descriptors, or the width of one's own")
+            raise ValueError("expected the config of the descriptors, or the width of custom ones")
         names = [extra.name for extra in beside]
         if len({*names, DESCRIPTOR, *schema({}).names}) < len(names) + 1 + len(schema({})):
             raise ValueError(
-                f"expected names beside that no column has, each once, got {', '.join(names)}"
+                f"expected unique names beside that no column has, got {', '.join(names)}"
             )
         if cls.exists(text):
             raise ValueError(f"{text} is a database already")
         if is_local(text) and (Path(text).is_file() or _is_used(Path(text))):
-            raise ValueError(f"{text} is there and is no database; expected a new or empty folder")
+            raise ValueError(f"{text} exists and is not a database; expected a new or empty folder")
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
         widths = {DESCRIPTOR: config.length if config else width or 0}
@@ -427,7 +427,7 @@ class Database:
 
     def _require_writable(self) -> None:
         if self._read_only:
-            raise ValueError(f"{self.path} was opened as of version {self.version}, to read only")
+            raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
 
     def known(self) -> StoredRecords:
         """The records of all frames, without their descriptors."""

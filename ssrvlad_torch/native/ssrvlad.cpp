@@ -1,8 +1,8 @@
-// The method in C++17 and nothing else: see ssrvlad.h for what it promises.
+// The method in plain C++17; ssrvlad.h is its interface.
 //
-// A layer is a plane of bits, a row of 64-bit words after another, the leftmost pixel in the lowest
-// bit. Every row ends with at least one bit of background, so the bit to the left of a row's first
-// pixel, the last of the row before, is off. Thinning works on tiles of 8 x 8 pixels in a word: a
+// A layer is a plane of bits, stored by rows of 64-bit words, with the leftmost pixel in the lowest
+// bit. Every row ends with at least one background bit, so the bit before a row's first pixel, the
+// last bit of the previous row, is off. Thinning works on tiles, 8 x 8 pixels in a word, because a
 // boundary of any direction then touches few words.
 
 #include "ssrvlad.h"
@@ -22,7 +22,7 @@
 #include <thread>
 #include <vector>
 
-// Loops over many words are compiled for several processors; the loader takes the best.
+// Loops over many words are compiled for several processors; the loader picks the best version.
 #if defined(__x86_64__) && defined(__GLIBC__) && defined(__GNUC__) && !defined(__clang__) && \
     !defined(SSRVLAD_ONE_TARGET)
 #define SSRVLAD_CLONES __attribute__((target_clones("avx512f", "avx2", "default")))
@@ -49,7 +49,7 @@ constexpr Size MOST_PIXELS = Size{1} << 31;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
 constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
-constexpr double BOUNDARY_WIDTH = 2;  // pixels across a straight boundary, each of which sees it
+constexpr double BOUNDARY_WIDTH = 2;  // a straight boundary is counted at 2 pixels across it
 
 inline int lowest_bit(Word word) {
 #if defined(__GNUC__)
@@ -137,7 +137,7 @@ void pack(const Word *planes, const Grid &grid, std::uint8_t *bytes) {
 
 // ------------------------------------------------------------- label ids -> categories (Table II)
 
-// What a pixel of each id counts as; ids beyond the table are its first or last entry, unknown.
+// The meaning of each id. Ids outside the table have its first or last entry, which is unknown.
 template <class Entry>
 class Lookup {
  public:
@@ -179,7 +179,7 @@ SSRVLAD_INLINE auto as_id(Id id) {
   else return static_cast<Size>(id);
 }
 
-// Pixels of each category share a word while it is counted, 7 bits each; the highest bit: unknown.
+// Ballots count pixels: a word holds a counter of 7 bits for each category, and a bit for unknown.
 constexpr int BALLOT_BITS = 7, MOST_BALLOTS = (1 << BALLOT_BITS) - 1;
 constexpr Word UNKNOWN_BALLOT = Word{1} << 63;
 
@@ -198,9 +198,9 @@ int winner(Word ballots, const std::array<Word, KINDS> &counted) {
   return best;
 }
 
-// Whether every pixel of a cell has the id of its first.
+// Whether all pixels of a cell have the same id.
 SSRVLAD_INLINE bool alike(const std::uint8_t *ids, Size pitch, Size rows, Size columns) {
-  if (columns < 8) return false;  // the votes are as soon counted
+  if (columns < 8) return false;  // counting votes is as fast
   const Word first = *ids * LEFT;
   Word other = 0, eight;
   for (Size y = 0; y < rows; ++y, ids += pitch)
@@ -219,7 +219,7 @@ SSRVLAD_INLINE bool alike(const Id *ids, Size pitch, Size rows, Size columns) {
   return !other;
 }
 
-// The commonest category of a cell, the lowest of equally common ones; `seen` gathers ballots.
+// The most common category of a cell, the lowest one in a tie. `seen` is the OR of all ballots.
 template <class Id>
 int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup<Word> &lookup,
                 Word &seen) {
@@ -247,14 +247,14 @@ int cell_winner(const Id *ids, Size pitch, Size rows, Size columns, const Lookup
   return winner(ballots, counted);
 }
 
-// The first pixel of each cell of a line, and the end of the last: pixel i is in i * cells / pixels.
+// Where each cell of a line begins, and the last ends: pixel i is in cell i * cells / pixels.
 std::vector<Size> cell_bounds(Size pixels, Size cells) {
   std::vector<Size> bounds;
   for (Size cell = 0; cell <= cells; ++cell) bounds.push_back((cell * pixels + cells - 1) / cells);
   return bounds;
 }
 
-// The category of every cell. False if an id is unknown.
+// Computes the category of every cell. False if an id is unknown.
 template <class Id>
 bool vote(const Id *ids, Size height, Size width, const Lookup<Word> &lookup, Size rows,
           Size columns, std::uint8_t *categories) {
@@ -270,7 +270,7 @@ bool vote(const Id *ids, Size height, Size width, const Lookup<Word> &lookup, Si
   return !(seen & UNKNOWN_BALLOT);
 }
 
-// The layers as planes of bits. An entry of the lookup has the bit of its layer, an unknown one bit 8.
+// The layers as planes of bits. A lookup entry is the bit of its layer, or bit 8 for unknown.
 constexpr std::uint16_t UNKNOWN_LAYER = 256;
 
 std::uint16_t layer_of(std::uint8_t category) {
@@ -313,7 +313,7 @@ bool split(const Id *ids, const Grid &grid, const Lookup<std::uint16_t> &lookup,
 
 // ------------------------------------------------------------------------------------- morphology
 
-// words[i] |= what stands `whole` words and `bits` bits after it.
+// ORs each word with the bits that are `whole` words and `bits` bits later.
 SSRVLAD_CLONES void or_later(Word *words, Size count, Size whole, int bits) {
   const Word *later = words + whole;
   if (bits == 0)
@@ -322,7 +322,7 @@ SSRVLAD_CLONES void or_later(Word *words, Size count, Size whole, int bits) {
     for (Size i = 0; i < count; ++i) words[i] |= later[i] >> bits | later[i + 1] << (64 - bits);
 }
 
-// Calls `spread` with steps that double the reach of a running OR up to `2 * radius + 1` pixels.
+// Calls `spread` with the steps by which a running OR grows, doubling, to `2 * radius + 1` pixels.
 template <class Spread>
 void by_doubling(Size radius, Spread spread) {
   for (Size reach = 1, step; reach < 2 * radius + 1; reach += step) {
@@ -331,10 +331,10 @@ void by_doubling(Size radius, Spread spread) {
   }
 }
 
-// Dilation by a square. The plane is moved `radius` rows down and pixels right in a larger one, so
-// that the window of a pixel begins at it.
+// Dilation by a square. The plane is copied into a larger one, moved down and right by `radius`
+// pixels, so that the window of a pixel begins at the pixel.
 void dilate(Word *plane, const Grid &grid, Size radius, Words &larger) {
-  radius = std::min(radius, std::max(grid.height, grid.width));  // farther there is nothing
+  radius = std::min(radius, std::max(grid.height, grid.width));  // covers the whole image
   const Size pitch = grid.pitch + 2 * radius / 64 + 1, rows = grid.height + 2 * radius;
   const Size total = rows * pitch, whole = radius / 64;
   const int bits = static_cast<int>(radius % 64);
@@ -377,10 +377,10 @@ void open_and_close(Word *plane, const Grid &grid, Size opening, Size closing, W
 
 // -------------------------------------------------------------------------------------- components
 
-// Horizontal runs of a plane and the region of each: union-find, the lowest run being the root.
+// Horizontal runs of a plane and the region of each, by union-find. The first run is the root.
 class Regions {
  public:
-  // Regions of what is on, or of what is off; `diagonal`: pixels that touch at a corner are joined.
+  // Finds regions of foreground or background; 8-connected if `diagonal`, else 4-connected.
   void find(const Word *plane, const Grid &grid, bool of_background, bool diagonal) {
     count_ = 0;
     rows_.resize(static_cast<std::size_t>(grid.height + 1));
@@ -396,8 +396,8 @@ class Regions {
     for (Size i = 0; i < count_; ++i) runs_[i].region = runs_[runs_[i].region].region;
   }
 
-  // Clears or sets the runs of regions of fewer than `area` pixels; a run at the border of the image
-  // counts `area` more if `enclosed` regions only are meant.
+  // Clears or sets the regions of fewer than `area` pixels. With `enclosed`, regions at the image
+  // border are left alone: their runs at the border add `area` to the size.
   void paint_small(Word *plane, const Grid &grid, Size area, bool enclosed, bool on) {
     for (Size i = 0; i < count_; ++i) runs_[i].size = 0;
     for (Size y = 0; y < grid.height; ++y)
@@ -416,7 +416,7 @@ class Regions {
   struct Run {
     std::int32_t first, end;
     std::int32_t region;
-    Size size;  // of the region, at its root
+    Size size;  // of the region, stored at its root
   };
 
   Size begin(Size y) const { return rows_[static_cast<std::size_t>(y)]; }
@@ -497,8 +497,8 @@ void drop_regions(Word *plane, const Grid &grid, Size area, Regions &regions) {
 
 // ------------------------------------------------------------------------------------------- tiles
 
-// A plane as tiles: pixel (y, x) of a tile is bit 8 * y + x. A tile of background ends each row, and
-// rows of them lie above and below.
+// A plane as tiles: pixel (y, x) of a tile is bit 8 * y + x. A background tile ends each row, and
+// rows of background tiles lie above and below.
 struct Tiles {
   Size rows = 0, columns = 0, pitch = 0;
   Words words;
@@ -510,7 +510,7 @@ struct Tiles {
   Size first(Size row) const { return (row + 1) * pitch + 1; }
 };
 
-// Rows of eight words <-> eight tiles: the bytes of an 8 x 8 square change places. Its own inverse.
+// Eight rows of a word <-> eight tiles: transposes a square of 8 x 8 bytes; it is its own inverse.
 void transpose_bytes(Word square[8]) {
   for (int step = 4; step; step /= 2) {
     const int bits = 8 * step;
@@ -551,12 +551,12 @@ void from_tiles(const Tiles &tiles, const Grid &grid, Word *plane) {
     }
 }
 
-// The eight neighbours of the pixels of a tile, p2 ... p9 of the thinning papers.
+// The eight neighbours of each pixel of a tile, p2 to p9 in the thinning papers.
 struct Ring {
   Word n, ne, e, se, s, sw, w, nw;
 };
 
-// From a tile and the eight around it, in reading order.
+// The neighbours in a tile, from it and the eight tiles around it in reading order.
 SSRVLAD_INLINE Ring ring_of(Word a, Word b, Word c, Word d, Word here, Word f, Word g, Word h,
                             Word i) {
   const auto west = [](Word left, Word middle) {
@@ -578,7 +578,7 @@ Ring ring_at(const Word *tile, Size pitch) {
                  tile[pitch - 1], tile[pitch], tile[pitch + 1]);
 }
 
-// The 0 -> 1 steps around a pixel in four planes; there is at most one in a quarter.
+// The 0 -> 1 steps around each pixel, at most one in each quarter of the ring, as four planes.
 struct Steps {
   Word a, b, c, d;
 };
@@ -599,7 +599,7 @@ SSRVLAD_INLINE Word two_or_more(Word a, Word b, Word c, Word d) {
 // ---------------------------------------------------------------------------------------- thinning
 
 // Pixels that a sub-iteration of Zhang & Suen, CACM 27(3), 1984, deletes: A = 1, 2 <= B <= 6 and two
-// products that are zero. Why B need not be counted: stages/skeleton.py.
+// products are zero. stages/skeleton.py shows why B is not counted.
 template <bool FIRST>
 SSRVLAD_INLINE Word zhang_suen(Word here, const Ring &r) {
   const Steps s = steps_around(r);
@@ -611,7 +611,7 @@ SSRVLAD_INLINE Word zhang_suen(Word here, const Ring &r) {
   return here & exactly_one(s.a, s.b, s.c, s.d) & two_on & ~(kept | seven_on);
 }
 
-// Likewise for algorithm A1 of Guo & Hall, CACM 32(3), 1989: C = 1, 2 <= N <= 3 and a product.
+// The same for algorithm A1 of Guo & Hall, CACM 32(3), 1989: C = 1, 2 <= N <= 3, a zero product.
 template <bool FIRST>
 SSRVLAD_INLINE Word guo_hall(Word here, const Ring &r) {
   const Word one_group = exactly_one(~r.n & (r.ne | r.e), ~r.e & (r.se | r.s),
@@ -644,8 +644,8 @@ SSRVLAD_CLONES void delete_pixels(const Block &around, int thinning, bool first,
   }
 }
 
-// Thins tiles until nothing changes. A sub-iteration looks only at tiles whose pixels, or pixels
-// beside them, changed since the one of its kind before: in the two sub-iterations before it.
+// Thins tiles until nothing changes. A sub-iteration processes only tiles in which a pixel or a
+// neighbour of one changed in the two sub-iterations before.
 class Thinning {
  public:
   void thin(Tiles &tiles, int thinning) {
@@ -667,7 +667,7 @@ class Thinning {
     Size operator[](Size i) const { return places[static_cast<std::size_t>(i)]; }
   };
 
-  // Due at first: what is on, but for tiles that are full and have full tiles around.
+  // At first all tiles with foreground are due, except full tiles among full tiles.
   void start(const Tiles &tiles) {
     const std::size_t total = tiles.words.size();
     waiting_.assign(total, 0);
@@ -735,8 +735,8 @@ class Thinning {
 
 // --------------------------------------------------------------------------------------- keypoints
 
-// End points have at most one neighbour. Intersections have three steps around them or more, and none
-// such W, NW, N or NE of them.
+// End points have at most one neighbour. Intersections have three or more steps around them, and no
+// such pixel to the W, NW, N or NE.
 void keypoints(const Tiles &skeleton, Tiles &ends, Tiles &crossings, Tiles &buffer) {
   const auto like = [&](Tiles &tiles) {
     tiles.rows = skeleton.rows, tiles.columns = skeleton.columns, tiles.pitch = skeleton.pitch;
@@ -770,7 +770,7 @@ struct Point {
   std::int32_t y, x;
 };
 
-// The pixels that are on in some of the tiles.
+// The foreground pixels of `tiles` and of `more`.
 void points_of(const Tiles &tiles, const Tiles *more, std::vector<Point> &points) {
   points.clear();
   for (Size row = 0; row < tiles.rows; ++row)
@@ -792,7 +792,7 @@ SSRVLAD_CLONES bool centroid(const Word *plane, const Grid &grid, Point &centre)
     for (Size i = 0; i < grid.pitch; ++i) {
       const Word word = plane[i];
       if (!word) continue;
-      // Bit b of x is set in the pixels of the mask: their number times 2 ** b adds up to x.
+      // HALVES[b] masks the pixels whose x has bit b: their number times 2 ** b is summed over b.
       static constexpr Word HALVES[6] = {0xaaaaaaaaaaaaaaaa, 0xcccccccccccccccc, 0xf0f0f0f0f0f0f0f0,
                                          0xff00ff00ff00ff00, 0xffff0000ffff0000, 0xffffffff00000000};
       const Size count = count_bits(word);
@@ -807,15 +807,15 @@ SSRVLAD_CLONES bool centroid(const Word *plane, const Grid &grid, Point &centre)
   return true;
 }
 
-// The bin of every offset in an image of some size: ring * sectors + sector, or `total` for what is
-// in none. The offset (dy, dx) stands at `centre + dy * pitch + dx`.
+// The bin of every offset in an image: ring * sectors + sector, or `total` if it is in no bin. The
+// bin of the offset (dy, dx) is at `centre + dy * pitch + dx`.
 struct Bins {
   Size height, width, pitch, centre;
   int total;
   std::vector<std::uint16_t> table;
 
-  // The same table as stretches of a row that are in one bin; those of row dy are
-  // `stretches[rows[height - 1 + dy]]` and on.
+  // The same table as stretches, parts of a row in one bin. Those of row dy begin at
+  // `stretches[rows[height - 1 + dy]]`.
   struct Stretch {
     std::int32_t end;  // dx of the first offset after it
     std::int32_t bin;
@@ -848,8 +848,8 @@ struct Bins {
     rows.push_back(stretches.size());
   }
 
-  // Sector m begins at the angle 2 pi m / M, counted from +x towards +y. Integer offsets meet a
-  // boundary only at multiples of 45 degrees; every other is farther from one than the nudge.
+  // Sector m begins at the angle 2 pi m / M, from +x towards +y. Integer offsets lie on a boundary
+  // only at multiples of 45 degrees; all others are farther from one than the added 1e-12.
   static int sector_of(Size dy, Size dx, int sectors) {
     const double turn = std::atan2(static_cast<double>(dy), static_cast<double>(dx)) / (2 * M_PI);
     const int sector = static_cast<int>(std::floor(turn * sectors + 1e-12));
@@ -857,7 +857,7 @@ struct Bins {
   }
 };
 
-// How many context points stand left of each column of each row.
+// The number of context points to the left of each column, in each row.
 struct RunningCounts {
   std::vector<std::uint16_t> counts;
 
@@ -875,7 +875,7 @@ struct RunningCounts {
   }
 };
 
-// As `shape_context`, stretch by stretch: what it costs does not grow with the number of points.
+// As `shape_context`, but by stretches: the time does not depend on the number of points.
 void shape_context_by_rows(Point reference, const RunningCounts &running, const Bins &bins,
                            std::vector<Size> &counts) {
   const auto width = static_cast<std::int32_t>(bins.width);
@@ -892,8 +892,8 @@ void shape_context_by_rows(Point reference, const RunningCounts &running, const 
   }
 }
 
-// Adds, for each bin, how many context points stand in it around a reference point. The counts are
-// the sums of two halves: near points are often in one bin, and one count would wait for itself.
+// Adds the number of context points in each bin around a reference point. Two counts per bin, to be
+// summed later, are faster: successive points are often in the same bin.
 void shape_context(Point reference, const std::vector<Point> &context, const Bins &bins,
                    std::vector<Size> &counts) {
   const std::uint16_t *table =
@@ -916,7 +916,7 @@ void normalise(double *values, Size count) {
 
 // -------------------------------------------- harmonics around the vanishing column (not in the paper)
 
-// Columns right of the middle to where ground, sidewalk and sky leave the view open.
+// The column towards which ground, sidewalk and sky leave the view open, minus the middle column.
 Size vanishing_column(const Word *planes, const Grid &grid, std::vector<Size> &open) {
   constexpr Size LEVELS = 64, ONE = Size{1} << 20, PULL = 20;
   constexpr int SHIFT = 6 * 8 - 20;
@@ -941,8 +941,8 @@ Size vanishing_column(const Word *planes, const Grid &grid, std::vector<Size> &o
 
 using Cells = std::array<double, CELLS>;
 
-// The fraction of each of 24 x 32 cells that a layer covers, the image moved `shift` columns left.
-// Integers up to the division: a row of W pixels is W * 32 units long, a cell W of them.
+// The fraction of each of 24 x 32 cells that a layer covers, with the image moved left by `shift`
+// columns. In integers up to the division: a row of W pixels has W * 32 units, a cell has W.
 SSRVLAD_CLONES bool pool(const Word *plane, const Grid &grid, Size shift, Cells &cells) {
   std::array<Size, CELLS> sums{};
   std::array<Size, CELL_COLUMNS + 1> bounds;
@@ -977,7 +977,7 @@ SSRVLAD_CLONES bool pool(const Word *plane, const Grid &grid, Size shift, Cells 
   return seen;
 }
 
-// Six layers of eight: guard rail counts as building, parking as ground.
+// Merges eight layers into six: guard rail counts as building, parking as ground.
 void merge(Word *planes, const Grid &grid) {
   for (Size i = 0; i < grid.words(); ++i) {
     planes[i] |= planes[7 * grid.words() + i];
@@ -985,8 +985,8 @@ void merge(Word *planes, const Grid &grid) {
   }
 }
 
-// Adds, in four planes, where a boundary of a layer runs past a pixel: upright, level, rising to the
-// right, falling. A pixel sees its four diagonal neighbours; one at the edge of the image sees none.
+// Adds the boundary pixels of a layer to four planes: vertical, horizontal, rising to the right,
+// falling. A pixel's four diagonal neighbours decide; pixels at the edge of the image have none.
 void add_boundaries(const Word *plane, const Grid &grid, Word *found) {
   for (Size y = 1; y + 1 < grid.height; ++y)
     for (Size i = 0; i < grid.pitch; ++i) {
@@ -1007,9 +1007,9 @@ void add_boundaries(const Word *plane, const Grid &grid, Word *found) {
     }
 }
 
-// The mean over each soft bin, as the bins that a cell counts in and how much. Ring n is centred on
+// Soft bins, as the weights of each cell in the bins it counts in. Ring n is centred on
 // radius * inner_radius ** (1 - n / (N - 1)) of the diagonal, sector m on the angle 2 pi m / M; each of
-// 4 x 4 samples of a cell counts in the two nearest rings and the two nearest sectors, linearly.
+// 4 x 4 samples of a cell is shared linearly by the two nearest rings and the two nearest sectors.
 struct SoftBins {
   struct Entry {
     std::size_t bin;
@@ -1061,9 +1061,9 @@ struct SoftBins {
   }
 };
 
-// The smoothest waves over the bins, for each bin its value in every wave: a cosine over the rings times a wave around.
-// One that changes u / 2 times over the rings and v times around has f ** 2 = u ** 2 + v ** 2 and the
-// length (1 + f ** 2) ** (spectral_weight / 2).
+// The smoothest waves over the bins, as the value of every wave in each bin. A wave is a cosine over
+// the rings with u / 2 periods times a wave around the centre with v periods. Its length is
+// (1 + f ** 2) ** (spectral_weight / 2), with f ** 2 = u ** 2 + v ** 2.
 std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
   std::vector<std::array<int, 4>> waves;  // f ** 2, u, v, sine
   for (int u = 0; u < s.rings; ++u)
@@ -1091,7 +1091,7 @@ std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
 
 // ------------------------------------------------------------------------------------------ a head
 
-// Fractions of the image in pixels, as SSRVLADConfig has them.
+// A fraction of the image in pixels, rounded as in SSRVLADConfig.
 Size parts(double fraction, double unit) { return static_cast<Size>(std::nearbyint(fraction * unit)); }
 Size rounded(Size numerator, Size denominator) { return (2 * numerator + denominator) / (2 * denominator); }
 
@@ -1103,7 +1103,7 @@ Size area_pixels(double fraction, const Grid &grid) {
   return (parts(fraction, 1e6) * grid.height * grid.width + 999999) / 1000000;
 }
 
-// What one thread works in.
+// The working memory of one thread.
 struct Scratch {
   std::vector<std::uint8_t> categories;
   Words layers, clean, boundaries, buffer;
@@ -1147,7 +1147,7 @@ bool valid(const ssrvlad_table &table) {
   return table.categories && table.entries > 0 && table.origin >= 0 && table.origin < table.entries;
 }
 
-// Calls `visit` with the ids of the batch in their type.
+// Calls `visit` with the ids of the batch as a pointer of their type.
 template <class Visit>
 auto with_ids(const ssrvlad_labels &labels, Visit visit) {
   switch (labels.bytes) {
@@ -1169,7 +1169,7 @@ Size count_unknown(const ssrvlad_labels &labels, const ssrvlad_table &table) {
   });
 }
 
-// Shares `count` jobs among threads, the caller's first. False if memory is short.
+// Shares `count` jobs among threads, one of them the caller's. False if out of memory.
 template <class Job>
 bool in_parallel(Size count, int threads, Job job) {
   std::atomic<Size> next{0};
@@ -1184,7 +1184,7 @@ bool in_parallel(Size count, int threads, Job job) {
   std::vector<std::thread> others;
   try {
     for (Size i = 1; i < std::min<Size>(threads, count); ++i) others.emplace_back(work);
-  } catch (const std::system_error &) {  // no more threads to be had: fewer do it
+  } catch (const std::system_error &) {  // no more threads available: fewer do the work
   }
   work();
   for (std::thread &other : others) other.join();
@@ -1212,7 +1212,7 @@ struct ssrvlad_head {
     return {rounded(height * size, shorter), rounded(width * size, shorter)};
   }
 
-  // One image, from its layers to its descriptor.
+  // Computes the descriptor of one image from its layers.
   void describe(Scratch &s, const Grid &grid, float *descriptor) {
     s.values.assign(static_cast<std::size_t>(length()), 0);
     if (settings.aggregation == SSRVLAD_RESIDUALS) residuals(s, grid);
@@ -1314,7 +1314,7 @@ struct ssrvlad_head {
                    settings.boundary_harmonics, held);
   }
 
-  // What a plane adds to the descriptor: the coefficients of its soft histogram, damped.
+  // The part of the descriptor for one plane: the weighted coefficients of its soft histogram.
   void coefficients(Scratch &s, const Word *plane, const Grid &grid, Size shift, double unit,
                     int count, double *held) {
     Cells cells;
@@ -1331,7 +1331,7 @@ struct ssrvlad_head {
       held[i] = std::copysign(std::pow(std::abs(held[i]), settings.power), held[i]);
   }
 
-  // Tables of bins are kept for the last few sizes.
+  // Bins for an image size; those of the last few sizes are cached.
   std::shared_ptr<const Bins> bins_of(const Grid &grid) {
     constexpr std::size_t KEPT = 4;
     const std::lock_guard<std::mutex> hold(mutex);
@@ -1363,7 +1363,7 @@ struct ssrvlad_head {
 
 namespace {
 
-// The layers of an image on its working grid. False if an id is unknown.
+// Computes the layers of an image on its working grid. False if an id is unknown.
 template <class Id>
 bool read_layers(Scratch &s, const Id *ids, const ssrvlad_labels &labels, const Grid &grid,
                  const Lookup<Word> &ballots, const Lookup<std::uint16_t> &layers) {

@@ -1,7 +1,7 @@
 /* SSR-VLAD in C: label map -> place descriptor, on a CPU, without any other library.
  *
- * The numbers are those of the Python package ssrvlad_torch: masks and counts are equal,
- * descriptors agree to 1e-6. Every function may be called from several threads at once.
+ * The results are those of the Python package ssrvlad_torch: masks and counts are equal,
+ * descriptors agree to 1e-6. All functions are thread-safe.
  */
 #ifndef SSRVLAD_H
 #define SSRVLAD_H
@@ -18,7 +18,7 @@
 extern "C" {
 #endif
 
-/* What a function returns if it does not return a count. */
+/* Return codes of functions; a positive return value is a count. */
 enum {
   SSRVLAD_OK = 0,
   SSRVLAD_NO_MEMORY = -1,
@@ -31,11 +31,11 @@ enum { SSRVLAD_SKELETON = 0, SSRVLAD_KEYPOINTS = 1 };
 enum { SSRVLAD_RESIDUALS = 0, SSRVLAD_HARMONICS = 1 };
 enum { SSRVLAD_VANISHING_COLUMN = 0, SSRVLAD_MIDDLE = 1 };
 
-/* The settings of the method, by the names of SSRVLADConfig. */
+/* The settings of the method, with the names of SSRVLADConfig. */
 typedef struct ssrvlad_settings {
   double opening, closing, hole_area, region_area, radius, inner_radius;
   double spectral_weight, power;
-  int32_t working_size; /* 0: the native size */
+  int32_t working_size; /* 0: native size */
   int32_t rings, sectors, harmonics, boundary_harmonics;
   int32_t thinning, context, aggregation, anchor; /* of the enumerations above */
 } ssrvlad_settings;
@@ -56,29 +56,29 @@ typedef struct ssrvlad_labels {
 
 typedef struct ssrvlad_head ssrvlad_head;
 
-/* SHA-256 of the C++ file and this header, one after the other, that the library was built from; empty
- * if the build did not say. */
+/* SHA-256 of the C++ file followed by this header, from which the library was built; empty if the
+ * build did not define it. */
 SSRVLAD_API const char *ssrvlad_source(void);
 
 /* Fills the settings of a preset, "default" or "paper". */
 SSRVLAD_API int ssrvlad_preset(const char *name, ssrvlad_settings *settings);
 
-/* A head of the given settings, or NULL if one is out of range or memory is short. It keeps what it
- * needs again: tables, and the working memory of as many threads as used it at once. */
+/* Creates a head, or returns NULL if a setting is out of range or memory is short. It keeps tables and
+ * the working memory of its threads for later calls. */
 SSRVLAD_API ssrvlad_head *ssrvlad_new(const ssrvlad_settings *settings);
 SSRVLAD_API void ssrvlad_free(ssrvlad_head *head);
 
-/* Numbers in a descriptor. */
+/* The length of a descriptor. */
 SSRVLAD_API int64_t ssrvlad_length(const ssrvlad_head *head);
 
-/* The descriptors of a batch, each of length 1 or zeros for an empty image; images are shared among
- * `threads` threads. Returns SSRVLAD_OK, a code above, or how many pixels have an unknown id; the
- * descriptors are then undefined. */
+/* Computes the descriptors of a batch, each with norm 1, or zeros for an empty image; `threads`
+ * threads share the images. Returns SSRVLAD_OK, or the number of pixels with an unknown id, or a
+ * negative code; unless SSRVLAD_OK, the descriptors are undefined. */
 SSRVLAD_API int64_t ssrvlad_describe(ssrvlad_head *head, const ssrvlad_labels *labels,
                                      const ssrvlad_table *table, int threads, float *descriptors);
 
-/* The stages alone, on `images` bit-planes of height x width bytes: bit k of a byte is layer k.
- * Radii and areas are in pixels. Source and target may be the same. */
+/* Single stages, on `images` bit-planes of height x width bytes: bit k of a byte is layer k. Radii
+ * and areas are in pixels. Source and target may be the same. */
 SSRVLAD_API int ssrvlad_open_and_close(const uint8_t *planes, int64_t images, int64_t height,
                                        int64_t width, int64_t opening, int64_t closing,
                                        uint8_t *target);
@@ -91,8 +91,8 @@ SSRVLAD_API int ssrvlad_thin(const uint8_t *planes, int64_t images, int64_t heig
 SSRVLAD_API int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height,
                                   int64_t width, uint8_t *end_points, uint8_t *intersections);
 
-/* Categories on the working grid of `rows` x `columns` cells, by majority vote: (images, rows,
- * columns) bytes. Returns as `ssrvlad_describe`. */
+/* Computes the categories on a working grid of `rows` x `columns` cells by majority vote: (images,
+ * rows, columns) bytes. Returns a value like `ssrvlad_describe`. */
 SSRVLAD_API int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table,
                                  int64_t rows, int64_t columns, uint8_t *categories);
 
