@@ -37,8 +37,6 @@ def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[np.float32]:
     """A column of descriptors as ``(N, D)`` float32, not copied if the column is one chunk."""
     if isinstance(column, pa.ChunkedArray):
         column = column.combine_chunks()
-    if isinstance(column, pa.ChunkedArray):  # of no chunks
-        column = pa.concat_arrays(column.chunks)
     values: npt.NDArray[np.float32] = column.flatten().to_numpy(zero_copy_only=False)
     return values.reshape(len(column), column.type.list_size)
 

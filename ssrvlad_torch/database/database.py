@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,12 +22,12 @@ import pyarrow.compute as pc
 
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace, label_space, label_space_names
-from . import engine, repair
+from . import engine
 from .disk import is_local
 from .frame_sets import FRAME_SET_COLUMNS, frame_set, load_frame_set, order_of
 from .frames import FrameRecord, FrameSet, Vectors, require_list
 from .metadata import ExtraDescriptor, Meta, Origin
-from .reading import Damage, read_rows
+from .reading import Damage, read_rows, replacement_of_damaged
 from .rows import (
     DESCRIPTOR,
     RECORD_COLUMNS,
@@ -74,6 +74,8 @@ class Database:
     """Descriptors of one fingerprint on disk. Use `create` or `open`.
 
     Several processes and threads may write at once: their changes are committed one after another.
+    Methods that write raise ValueError if the database was opened at a version, and OSError if the
+    disk failed; the database is then unchanged.
 
     Attributes:
         path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
@@ -190,23 +192,16 @@ class Database:
             if version:
                 message = f"{text} has no version {version}, or it is damaged: {reason}"
                 raise ValueError(message) from error
-            readable, _ = repair.newest_readable(text)
+            readable, _ = engine.newest_readable(text)
             hint = f"; --as-of {readable} reads the version before" if readable else ""
             raise ValueError(f"{text} is damaged or not a database: {reason}{hint}") from error
         return cls(text, table, read_only=version is not None)
 
     @staticmethod
     def go_back(path: str | Path) -> list[str]:
-        """Puts the manifests of the newest versions aside if they cannot be read, for example after
-        a power cut.
-
-        Returns:
-            The names of the manifests, now ``damaged-<name>`` in the database's folder.
-
-        Raises:
-            OSError: the disk failed.
-        """
-        return repair.put_manifests_aside(str(path))
+        """Renames manifests of the newest versions that cannot be read, as after a power cut, to
+        ``damaged-<name>``, and returns their names."""
+        return engine.put_manifests_aside(str(path))
 
     @classmethod
     def open_or_create(
@@ -340,8 +335,7 @@ class Database:
 
         Raises:
             ValueError: a shape is wrong; a row is not finite, or its length overflows or underflows
-                float32; an id is invalid or is in the database; or the database is read-only.
-            OSError: the disk failed; the database is unchanged.
+                float32; or an id is invalid or is in the database.
         """
         self.adopt([self.write_apart(frames, descriptors, beside)])
 
@@ -358,12 +352,7 @@ class Database:
         self._change([self.write_apart(frames, descriptors, beside)], "merge")
 
     def remove(self, frames: Collection[str]) -> None:
-        """Removes frames by their ids, in one commit; ignores ids that are not in the database.
-
-        Raises:
-            ValueError: the database is read-only, or ``frames`` is a single text.
-            OSError: the disk failed; the database is unchanged.
-        """
+        """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
         self._change([StagedRows((), tuple(sorted(set(require_list(frames)))))], "remove")
 
     def write_apart(
@@ -393,7 +382,6 @@ class Database:
 
         Raises:
             ValueError: a frame is in the database already, or was written twice.
-            OSError: the disk failed; the database is unchanged.
         """
         self._change(written, "append")
 
@@ -484,18 +472,11 @@ class Database:
         return damage
 
     def drop_damaged(self) -> list[Damage]:
-        """Drops damaged rows in one commit; encoding the same files again restores them.
-
-        Returns:
-            What was damaged.
-
-        Raises:
-            ValueError: the database is read-only.
-            OSError: the disk failed; the database is unchanged.
-        """
+        """Drops damaged rows in one commit, and returns what was damaged. Encoding the same files
+        again restores the rows."""
         self._require_writable()
         damage: list[Damage] = []
-        self._commit(lambda t: repair.replacement_of_damaged(t, damage), "drop damaged rows")
+        self._commit(lambda t: replacement_of_damaged(t, damage), "drop damaged rows")
         return damage
 
     def table(self) -> LanceDataset:
@@ -503,38 +484,25 @@ class Database:
         return self._table
 
     def write_index(self, column: str, kind: str, lists: int, **options: Any) -> None:
-        """Builds an index of cosines over a column; see `index.build_index`.
-
-        Raises:
-            ValueError: the database is read-only.
-            OSError: the disk failed.
-        """
+        """Builds an index of cosines over a column; see `index.build_index`."""
         self._require_writable()
         with self._lock:
             self._use(engine.create_index(self.path, column, kind, lists, **options))
 
     def history(self) -> list[Version]:
         """The versions that are stored, the oldest first."""
-        entries: Any = self._table.versions()
-        return [
-            Version(
-                entry["version"],
-                entry["timestamp"],
-                int(entry["metadata"]["total_rows"]),
-                engine.change_of(self._table, entry["version"]),
-            )
-            for entry in entries
-        ]
+        versions, entries = list[Version](), cast("list[Any]", self._table.versions())
+        for entry in entries:
+            number, frames = entry["version"], int(entry["metadata"]["total_rows"])
+            change = engine.change_of(self._table, number)
+            versions.append(Version(number, entry["timestamp"], frames, change))
+        return versions
 
     def compact(self, keep_days: float = 14) -> None:
         """Joins small files, and deletes old versions with the files that only they need.
 
         Args:
             keep_days: keep versions younger than this, for their readers.
-
-        Raises:
-            ValueError: the database is read-only.
-            OSError: the disk failed.
         """
         self._require_writable()
         with self._lock:

@@ -30,21 +30,13 @@ def is_local(uri: str) -> bool:
 
 
 def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
-    """Checks that the files of fragments are whole, and flushes them.
-
-    Raises:
-        OSError: a file is not whole, or the disk failed.
-    """
+    """Flushes the files of fragments; raises OSError if one is not whole."""
     if is_local(uri):
         flush_files(uri, [file for each in fragments for file in _whole_files(uri, each)])
 
 
 def flush_files(uri: str, files: Iterable[Path]) -> None:
-    """Flushes files of a table and the folders that hold them.
-
-    Raises:
-        OSError: the disk failed.
-    """
+    """Flushes files of a table and the folders that hold them."""
     if not is_local(uri):
         return
     files = list(files)
@@ -66,21 +58,13 @@ def _whole_files(uri: str, fragment: FragmentMetadata) -> list[Path]:
 
 
 def check_data(path: Path, file: DataFile) -> None:
-    """Requires that a data file has the size that Lance recorded.
-
-    Raises:
-        OSError: it has another size.
-    """
+    """Raises OSError unless a data file has the size that Lance recorded."""
     if file.file_size_bytes and path.stat().st_size != file.file_size_bytes:
         raise _truncated(path)
 
 
 def check_deletions(path: Path, file: DeletionFile) -> None:
-    """Requires that a file of deleted rows holds as many rows as Lance recorded.
-
-    Raises:
-        OSError: it does not.
-    """
+    """Raises OSError unless a file of deleted rows holds the number of rows that Lance recorded."""
     is_whole = _is_whole_bitmap if path.suffix == ".bin" else _is_whole_array
     if not is_whole(path, file.num_deleted_rows):
         raise _truncated(path)

@@ -53,11 +53,7 @@ def lance() -> Any:
 
 
 def open_table(uri: str, version: int | None = None) -> LanceDataset:
-    """Opens a table at a version, by default the newest.
-
-    Raises:
-        OSError: it does not exist, or is damaged.
-    """
+    """Opens a table at a version, by default the newest; raises OSError if it is not readable."""
     try:
         table: LanceDataset = lance().dataset(uri, version=version)
     except ValueError as error:
@@ -65,10 +61,29 @@ def open_table(uri: str, version: int | None = None) -> LanceDataset:
     return table
 
 
-def manifests(uri: str) -> dict[int, Path]:
-    """The manifest of each version of a local table, the newest first."""
-    files = sorted(Path(uri, "_versions").glob("*.manifest"))
-    return {_LAST_VERSION - int(file.stem): file for file in files}
+def newest_readable(uri: str) -> tuple[int | None, list[Path]]:
+    """The newest version of a local table that can be read, and the manifests of later ones."""
+    unreadable: list[Path] = []
+    for file in sorted(Path(uri, "_versions").glob("*.manifest")):  # the newest first
+        version = _LAST_VERSION - int(file.stem)
+        try:
+            open_table(uri, version)
+        except OSError:
+            unreadable.append(file)
+        else:
+            return version, unreadable
+    return None, unreadable
+
+
+def put_manifests_aside(uri: str) -> list[str]:
+    """Renames the newest manifests if they cannot be read and an earlier one can; their names."""
+    last, files = newest_readable(uri)
+    if last is None or not files:
+        return []
+    for file in files:
+        file.rename(Path(uri, f"damaged-{file.name}"))
+    flush_files(uri, [Path(uri, "_versions")])
+    return [file.name for file in files]
 
 
 def message_of(error: BaseException) -> str:
@@ -78,11 +93,7 @@ def message_of(error: BaseException) -> str:
 
 @contextlib.contextmanager
 def writing(uri: str) -> Iterator[None]:
-    """Turns errors of writing into one that names the table.
-
-    Raises:
-        OSError: the table cannot be written.
-    """
+    """Turns errors of writing into an OSError that names the table."""
     try:
         yield
     except (OSError, RuntimeError, lance().commit.CommitConflictError) as error:

@@ -85,10 +85,7 @@ def build_index(database: Database) -> IndexReport:
 
 
 def search_index(
-    database: Database,
-    queries: Tensor,
-    top: int = 5,
-    sequences: Collection[str] | None = None,
+    database: Database, queries: Tensor, top: int = 5, sequences: Collection[str] | None = None
 ) -> list[Candidates]:
     """The best matches of queries among the frames of a database, by its index.
 
@@ -106,11 +103,7 @@ def search_index(
 
 
 def require_index(database: Database) -> LanceDataset:
-    """The table of a database that has an index.
-
-    Raises:
-        ValueError: the database has no index.
-    """
+    """The table of a database; raises ValueError if it has no index."""
     table = database.table()
     if not any(DESCRIPTOR in index.field_names for index in table.describe_indices()):
         raise ValueError(f"{database.path} has no index; ssrvlad db index builds one")
@@ -127,12 +120,7 @@ def nearest(
     """
     return table.to_table(
         columns=columns,
-        nearest={
-            "column": DESCRIPTOR,
-            "q": query.float().numpy(),
-            "k": count,
-            "nprobes": PROBES,
-        },
+        nearest={"column": DESCRIPTOR, "q": query.float().numpy(), "k": count, "nprobes": PROBES},
         filter=condition,
         prefilter=condition is not None,
         with_row_id=True,

@@ -1,5 +1,4 @@
-"""Candidates of queries by a database's index, and scores of any row, for
-`recognition.candidates`."""
+"""Search of a map by a database's index, for `recognition.candidates`."""
 
 from __future__ import annotations
 

@@ -1,15 +1,16 @@
-"""Reading the rows of a table, with the checksum of each verified."""
+"""Reading the rows of a table with verified checksums, and dropping damaged ones."""
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from .checksums import intact
-from .engine import message_of
+from .engine import lance, message_of, write_fragments
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -72,6 +73,30 @@ def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.Re
             rows = fragment.physical_rows
         file = f"data/{fragment.metadata.files[0].path}"
         damage.append(Damage(file, rows - intact_rows, reason))
+
+
+def replacement_of_damaged(table: LanceDataset, damage: list[Damage]) -> Any:
+    """The operation that replaces damaged fragments by their intact rows; ``None`` without damage.
+
+    Args:
+        table: the version that is read.
+        damage: set to what is damaged.
+    """
+    damage.clear()
+    damaged = []
+    for fragment in table.get_fragments():
+        known = len(damage)
+        deque(read_intact(fragment, damage), maxlen=0)
+        if len(damage) > known:
+            damaged.append(fragment)
+    if not damaged:
+        return None
+    batches = (batch for fragment in damaged for batch in read_intact(fragment, []))
+    rows = pa.RecordBatchReader.from_batches(table.schema, batches)
+    return lance().LanceOperation.Update(
+        removed_fragment_ids=[fragment.fragment_id for fragment in damaged],
+        new_fragments=write_fragments(table, rows),
+    )
 
 
 def _batches(fragment: LanceFragment) -> Iterator[pa.RecordBatch | str]:

@@ -9,7 +9,6 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from ..baselines.protocol import Frame
@@ -22,7 +21,7 @@ from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..descriptor import SSRVLAD
 from ..taxonomy import LabelSpace
 from .extra_descriptors import extra_methods
-from .results import Skipped
+from .results import Encoded, Skipped
 
 BATCH = 16
 """Frames of one size in a batch; a larger batch does not fit in the processor's cache."""
@@ -35,17 +34,6 @@ class Item(NamedTuple):
     signature: str = ""
     labels: LabelMap | ValueError | None = None
     digest: str = ""
-
-
-class Described(NamedTuple):
-    """A record and its ``(D,)`` descriptors: of the method, and extra ones by name.
-
-    Arrays are cheaper to send to another process than tensors.
-    """
-
-    record: FrameRecord
-    descriptor: npt.NDArray[np.float32]
-    beside: dict[str, npt.NDArray[np.float32]]
 
 
 def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
@@ -85,13 +73,13 @@ class Describer:
         """The device of the head."""
         return next(self.head.buffers()).device
 
-    def __call__(self, items: Sequence[Item]) -> list[Described | Skipped]:
+    def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
         """The results of frames, in their order."""
         return self.describe(read(self.head.label_space, items))
 
-    def describe(self, items: Sequence[Item]) -> list[Described | Skipped]:
+    def describe(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
         """The results of frames that `read` read; a batch has one size and dtype."""
-        results: dict[int, Described | Skipped] = {}
+        results: dict[int, Encoded | Skipped] = {}
         groups: dict[object, list[int]] = {}
         for number, item in enumerate(items):
             if isinstance(item.labels, np.ndarray):
@@ -105,7 +93,7 @@ class Describer:
                 results.update(zip(numbers, batch, strict=True))
         return [results[number] for number in range(len(items))]
 
-    def _describe(self, batch: Sequence[Item]) -> list[Described | Skipped]:
+    def _describe(self, batch: Sequence[Item]) -> list[Encoded | Skipped]:
         """Describes a batch of one size and dtype; if it fails, frame by frame."""
         try:
             stack = torch.from_numpy(np.stack([np.asarray(item.labels) for item in batch]))
@@ -120,7 +108,7 @@ class Describer:
                 return [_skipped(batch[0], error)]
             return [result for item in batch for result in self._describe([item])]
         return [
-            Described(
+            Encoded(
                 self._record(item),
                 descriptors[row],
                 {name: values[row] for name, values in beside.items()},

@@ -8,15 +8,16 @@ from functools import partial
 from itertools import chain, islice
 
 import numpy as np
-import torch
 
 from ..database.database import Database
+from ..database.frame_sets import frame_set
 from ..database.frames import FrameSet
 from ..database.metadata import ExtraDescriptor
+from ..database.rows import DESCRIPTOR, to_table
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
 from ..segmentation.segmenter import Segmenter
-from .describer import BATCH, Described, Describer, Item, read
+from .describer import BATCH, Describer, Item, read
 from .interruption import deferred_interruption
 from .plan import Plan
 from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, do_nothing
@@ -100,23 +101,13 @@ def encode_to_memory(
         else:
             frames.append(frame)
         progress(1)
-    records = [frame.record for frame in frames]
-    descriptors = torch.zeros(0, head.config.length)
-    if frames:
-        descriptors = torch.stack([frame.descriptor for frame in frames])
-    return FrameSet(
-        frames=tuple(record.frame for record in records),
-        sequences=tuple(record.sequence for record in records),
-        descriptors=descriptors,
-        poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
-        stamps=np.array([record.stamp for record in records], np.float64),
-        empty=~descriptors.flatten(1).any(dim=1).numpy(),
-        beside={
-            extra.name: torch.stack([frame.beside[extra.name] for frame in frames])
-            for extra in beside
-            if frames
-        },
-    ), skipped
+    widths = {DESCRIPTOR: head.config.length} | {extra.name: extra.width for extra in beside}
+    arrays = {name: np.empty((len(frames), width), np.float32) for name, width in widths.items()}
+    for row, frame in enumerate(frames):
+        for name, values in {DESCRIPTOR: frame.descriptor, **frame.beside}.items():
+            arrays[name][row] = values
+    table = to_table([frame.record for frame in frames], arrays, widths)
+    return frame_set(table, arrays), skipped
 
 
 def encode(
@@ -149,14 +140,6 @@ def encode(
     return _encode(Describer(head, beside=beside), files, workers, segmenter)
 
 
-def encoded(result: Described | Skipped) -> Encoded | Skipped:
-    """The result of a worker, with tensors."""
-    if isinstance(result, Skipped):
-        return result
-    beside = {name: torch.from_numpy(values) for name, values in result.beside.items()}
-    return Encoded(result.record, torch.from_numpy(result.descriptor), beside)
-
-
 def _check_segmenter(
     head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]
 ) -> None:
@@ -185,10 +168,10 @@ def _encode(
     if reads_only:
         reading = partial(read, describer.head.label_space)
         ready = in_order(reading, batches, threads, processes)
-        results: Iterator[list[Described | Skipped]] = map(describer.describe, ready)
+        results: Iterator[list[Encoded | Skipped]] = map(describer.describe, ready)
     else:
         results = in_order(describer, batches, threads, processes)
-    yield from map(encoded, chain.from_iterable(results))
+    yield from chain.from_iterable(results)
 
 
 def _segmented(files: Sequence[FrameFile], segmenter: Segmenter, workers: int) -> Iterator[Item]:

@@ -11,11 +11,7 @@ _METHODS = {HOG.name: HOG}
 
 
 def extra_descriptor(name: str) -> ExtraDescriptor:
-    """The descriptor of a method of pictures, as a new database stores it.
-
-    Raises:
-        ValueError: the name is not ``hog``.
-    """
+    """The descriptor of a method of pictures, ``hog``; raises ValueError for other names."""
     if name not in _METHODS:
         raise ValueError(f"expected a method of pictures, {', '.join(_METHODS)}, got {name!r}")
     method = _METHODS[name]()

@@ -17,11 +17,10 @@ from ..datasets.frame_file import FrameFile
 from ..datasets.names import absolute, is_uri
 from ..descriptor import SSRVLAD
 from ..files import one_line
-from .describer import Described, Describer, Item
-from .encoder import encoded
+from .describer import Describer, Item
 from .interruption import deferred_interruption
 from .plan import NEW, Plan
-from .results import EncodeOptions, Skipped, Summary, cores
+from .results import Encoded, EncodeOptions, Skipped, Summary, cores
 from .writer import Writer
 
 PART = 1024
@@ -39,7 +38,7 @@ class Part(NamedTuple):
         empty: number of staged frames that are empty.
     """
 
-    results: list[Described | Skipped]
+    results: list[Encoded | Skipped]
     staged: StagedRows | None = None
     empty: int = 0
 
@@ -85,7 +84,7 @@ def encode_with_ray(
                 if part.staged:
                     writer.add_staged(part.staged, part.empty)
                 for result in part.results:
-                    writer.add(encoded(result))
+                    writer.add(result)
                 check()
         return writer.finish()
 
@@ -100,7 +99,7 @@ class PartEncoder:
     def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
         """The results of the files of a part; ``new``: none of its frames is in the database."""
         results = self.describer([Item(file) for file in files])
-        described = [result for result in results if isinstance(result, Described)]
+        described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:
             return Part(results)
         descriptors = np.stack([result.descriptor for result in described])

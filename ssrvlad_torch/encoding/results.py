@@ -9,9 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
-if TYPE_CHECKING:
-    from torch import Tensor
+import numpy as np
+import numpy.typing as npt
 
+if TYPE_CHECKING:
     from ..database.frames import FrameRecord
 
 Progress = Callable[[int], object]
@@ -22,8 +23,8 @@ class Encoded(NamedTuple):
     """A frame and its ``(D,)`` float32 descriptors: of the method, and extra ones by name."""
 
     record: FrameRecord
-    descriptor: Tensor
-    beside: dict[str, Tensor]
+    descriptor: npt.NDArray[np.float32]
+    beside: dict[str, npt.NDArray[np.float32]]
 
 
 class Skipped(NamedTuple):
@@ -55,9 +56,6 @@ class EncodeOptions:
         prune: with ``complete``, remove the frames that are gone.
         progress: called with the number of frames done since the last call.
         skipped: called with every frame that is skipped, immediately.
-
-    Raises:
-        ValueError: ``prune`` without ``complete``.
     """
 
     workers: int | None = None

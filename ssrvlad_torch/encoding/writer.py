@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-import torch
+import numpy as np
 
 from ..database.database import Database, StagedRows
 from .plan import NEW, Plan
@@ -58,13 +58,13 @@ class Writer:
         staged, self._staged = self._staged, []
         self._database.adopt(staged)
         if frames:
-            descriptors = torch.stack([frame.descriptor for frame in frames])
-            beside = {n: torch.stack([f.beside[n] for f in frames]) for n in frames[0].beside}
+            descriptors = np.stack([frame.descriptor for frame in frames])
+            beside = {n: np.stack([f.beside[n] for f in frames]) for n in frames[0].beside}
             self._database.merge([frame.record for frame in frames], descriptors, beside)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)
             self.summary.anew.update(reason for reason in reasons if reason != NEW)
-            self.summary.empty += int((~descriptors.any(dim=1)).sum())
+            self.summary.empty += int((~descriptors.any(axis=1)).sum())
         self._due = time.monotonic() + COMMIT_SECONDS
 
     def finish(self) -> Summary:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 
 from ..config import SSRVLADConfig
 from ..database.database import Database
@@ -196,6 +197,7 @@ def report(
 
 def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Skipped:
     try:
-        return detector.observe(frame.record, frame.descriptor, frame.beside)
+        beside = {name: torch.from_numpy(values) for name, values in frame.beside.items()}
+        return detector.observe(frame.record, torch.from_numpy(frame.descriptor), beside)
     except ValueError as error:
         return Skipped(frame.record.frame, str(error))

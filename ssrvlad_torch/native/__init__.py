@@ -18,21 +18,15 @@ FOLDER = Path(__file__).parent
 class Settings(ctypes.Structure):
     """``ssrvlad_settings`` of ssrvlad.h."""
 
-    _fields_ = (
-        *(
-            (name, ctypes.c_double)
-            for name in (
-                *("opening", "closing", "hole_area", "region_area", "radius", "inner_radius"),
-                *("spectral_weight", "power"),
-            )
-        ),
-        *(
-            (name, ctypes.c_int32)
-            for name in (
-                *("working_size", "rings", "sectors", "harmonics", "boundary_harmonics"),
-                *("thinning", "context", "aggregation", "anchor"),
-            )
-        ),
+    _fields_ = tuple(
+        (name, kind)
+        for kind, names in (
+            (ctypes.c_double, "opening closing hole_area region_area radius inner_radius"),
+            (ctypes.c_double, "spectral_weight power"),
+            (ctypes.c_int32, "working_size rings sectors harmonics boundary_harmonics"),
+            (ctypes.c_int32, "thinning context aggregation anchor"),
+        )
+        for name in names.split()
     )
 
 

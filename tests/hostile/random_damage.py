@@ -184,8 +184,12 @@ def main() -> None:
             file.write_bytes(content)
             counts["tried"] += 1
             started, spent = time.monotonic(), time.process_time()
-            if _try(read, Path(name), suffix, content, counts, file.name):
+            try:
+                counts["refused"] += is_refused(read, Path(name) / f"given{suffix}", content)
                 file.unlink()
+            except Exception as error:
+                counts["found"] += 1
+                print(f"{file.name}: {error!r}", file=sys.stderr)
             slow = (
                 time.process_time() - spent > LONGEST or time.monotonic() - started > LONGEST_WAIT
             )
@@ -200,27 +204,15 @@ def main() -> None:
     print(json.dumps(counts))
 
 
-def _try(
-    read: Callable[[Path], object],
-    folder: Path,
-    suffix: str,
-    content: bytes,
-    counts: dict[str, int],
-    name: str,
-) -> bool:
-    """Whether the file was read, or refused with the right type of error."""
-    given = folder / f"given{suffix}"
-    given.write_bytes(content)
+def is_refused(read: Callable[[Path], object], path: Path, content: bytes) -> bool:
+    """Whether a file with this content is refused; other errors are raised."""
+    path.write_bytes(content)
     try:
-        read(given)
+        read(path)
     except REFUSALS as error:
-        counts["refused"] += 1
         assert str(error)
-    except Exception as error:
-        counts["found"] += 1
-        print(f"{name}: {error!r}", file=sys.stderr)
-        return False
-    return True
+        return True
+    return False
 
 
 def _memory(name: str) -> int:
