@@ -11,7 +11,7 @@ from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import digest, find_label_files, read_label_map
-from ssrvlad_torch.taxonomy import colourise, label_space
+from ssrvlad_torch.taxonomy import colourise, label_space, palette
 
 CAMVID = label_space("camvid-11")
 LABELS = street(0)
@@ -57,10 +57,10 @@ def beside(first, *channels):
 
 
 @pytest.mark.parametrize("suffix", [".png", ".PNG", ".tif", ".tiff", ".bmp"])
-@pytest.mark.parametrize("palette", [False, True])
-def test_eight_bit_gray_and_palette_images_hold_ids(tmp_path, suffix, palette):
+@pytest.mark.parametrize("as_palette", [False, True])
+def test_eight_bit_gray_and_palette_images_hold_ids(tmp_path, suffix, as_palette):
     image = Image.fromarray(LABELS)
-    if palette:
+    if as_palette:
         image.putpalette(np.random.default_rng(0).integers(0, 256, 768).astype(np.uint8).tobytes())
         assert image.mode == "P"
     image.save(tmp_path / f"a{suffix}", format={".PNG": "PNG"}.get(suffix))
@@ -77,6 +77,37 @@ def test_palette_images_of_few_bits_hold_ids(tmp_path, bits):
     image.save(tmp_path / "a.png", bits=bits)
     assert (tmp_path / "a.png").read_bytes()[24] == bits
     np.testing.assert_array_equal(read(tmp_path / "a.png"), labels)
+
+
+def save_renumbered(path, labels, colours):
+    """As a PNG optimiser does: a palette of the colours that occur, in an order of its own."""
+    used, indices = np.unique(labels, return_inverse=True)
+    order = np.random.default_rng(4).permutation(len(used))
+    image = Image.fromarray(order[indices].reshape(labels.shape).astype(np.uint8), "P")
+    image.putpalette(colours[used[np.argsort(order)]].tobytes())
+    image.save(path)
+
+
+def test_a_palette_of_the_label_space_s_colours_says_the_ids(tmp_path):
+    space = label_space("cityscapes-trainids")
+    labels = LABELS % 19
+    labels[0, :3] = 255
+    save_renumbered(tmp_path / "optimised.png", labels, palette(space))
+    Image.fromarray(colourise(labels, space)).save(tmp_path / "colours.png")
+    image = Image.fromarray(labels)
+    image.putpalette(palette(space).tobytes())
+    image.save(tmp_path / "palette.png")
+    files = find_label_files([str(tmp_path)])
+    colours, optimised, plain = (read_label_map(file, space) for file in files)
+    np.testing.assert_array_equal(optimised, colours)
+    np.testing.assert_array_equal(plain, labels)
+
+
+def test_a_palette_of_other_grays_than_the_indices_is_refused(tmp_path):
+    grays = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    save_renumbered(tmp_path / "a.png", LABELS, grays)
+    with pytest.raises(ValueError, match=r"the palette shows index \d+ as gray \d+; expected"):
+        read(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4])

@@ -87,9 +87,10 @@ def test_latitudes_become_metres(tmp_path):
     np.testing.assert_allclose(first, [EAST, NORTH, 0], atol=0.01)
     assert second.y - first.y == pytest.approx(111.2, abs=0.1)
     assert math.isnan(second.heading)
-    path.write_text("frame,latitude,longitude\na,52.2,5.9\nb,52.2,6.1\n")
-    with pytest.raises(ValueError, match="crosses the border of a UTM zone"):
-        read_poses(path)
+    for places in ("a,52.2,5.9\nb,52.2,6.1", "a,52.2,5.99", "a,0.005,7"):
+        path.write_text(f"frame,latitude,longitude\n{places}\n")
+        with pytest.raises(ValueError, match="within 1 km of the border of a UTM zone"):
+            read_poses(path)
     path.write_text("frame,latitude,longitude\na,89,5.9\n")
     with pytest.raises(ValueError, match="latitude out of range"):
         read_poses(path)

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from PIL import ExifTags, Image
+
+_KILOMETRE = 1 / 111.2
+"""Degrees of latitude."""
 
 
 class Fix(NamedTuple):
@@ -22,7 +25,8 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
     """UTM coordinates ``(east, north)`` in metres of the fixes of one drive.
 
     Raises:
-        ValueError: a position is outside UTM, or the drive crosses the border of a zone.
+        ValueError: a position is outside UTM, or within 1 km of the border of a zone, across which
+            coordinates of other drives would not compare.
         ImportError: the extra ``gps`` is not installed.
     """
     try:
@@ -30,9 +34,24 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
     except ImportError as error:
         raise ImportError("latitudes need: pip install ssrvlad-torch[gps]") from error
     found = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
-    if len({(zone, letter < "N") for _, _, zone, letter in found}) > 1:
-        raise ValueError("the drive crosses the border of a UTM zone; expected x and y in metres")
+    zones = {
+        (utm.latlon_to_zone_number(latitude, longitude), latitude < 0)
+        for fix in fixes
+        for latitude, longitude in _within_a_kilometre(fix)
+    }
+    if len(zones) > 1:
+        raise ValueError(
+            "the drive comes within 1 km of the border of a UTM zone; expected x and y in metres"
+        )
     return [(float(east), float(north)) for east, north, _, _ in found]
+
+
+def _within_a_kilometre(fix: Fix) -> Iterator[tuple[float, float]]:
+    """Latitudes and longitudes of a fix, and about 1 km from it in each direction."""
+    north = _KILOMETRE
+    east = _KILOMETRE / max(math.cos(math.radians(fix.latitude)), _KILOMETRE)
+    for steps in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+        yield fix.latitude + steps[0] * north, fix.longitude + steps[1] * east
 
 
 def heading_of_course(course: float) -> float:

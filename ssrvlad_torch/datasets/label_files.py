@@ -14,7 +14,7 @@ from PIL import Image, UnidentifiedImageError
 from PIL.ImageFile import ImageFile
 
 from ..files import one_line
-from ..taxonomy import LabelSpace
+from ..taxonomy import LabelSpace, palette
 from ..untrusted import check_pixels, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames, is_npy
 
@@ -32,7 +32,7 @@ find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_r
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
     """The ids of a label map.
 
-    Reads 8- and 16-bit single-channel images, palette images (the index is the id), images with
+    Reads 8- and 16-bit single-channel images, palette images (see `_ids_of_palette`), images with
     several 16-bit channels (SYNTHIA: the first channel is the class), images in the colours of the
     label space, and ``.npy``.
 
@@ -42,7 +42,8 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
 
     Raises:
         ValueError: the file is missing, damaged or of another format, its name is not valid text,
-            or it holds a colour that the label space lacks.
+            it holds a colour that the label space lacks, or its palette has grays that are not the
+            indices.
     """
     content = file.read()
     try:
@@ -88,9 +89,13 @@ def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
                 "or colours of 8, or 16 in a PNG"
             )
         pixels = np.asarray(image)
-        if image.mode in ("L", "P", "I", "I;16", "I;16B", "I;16L"):
+        if image.mode in ("P", "PA"):
+            indices = pixels if image.mode == "P" else pixels[..., 0]
+            colours = np.array(image.getpalette(), np.uint8).reshape(-1, 3)
+            return _ids_of_palette(indices, colours, space)
+        if image.mode in ("L", "I", "I;16", "I;16B", "I;16L"):
             return pixels
-        if image.mode in ("LA", "PA"):
+        if image.mode == "LA":
             return pixels[..., 0]
         if image.mode in ("RGB", "RGBA"):
             return _ids_of_colours(pixels[..., :3], space)
@@ -119,6 +124,41 @@ def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray
         image.tile = [tile._replace(args=_SIXTEEN_BIT_LOW_BYTE[raw_mode]) for tile in image.tile]
         low = np.asarray(image)[..., 1 if raw_mode == "LA;16B" else 0]
     return np.asarray(high << 8 | low)
+
+
+def _ids_of_palette(
+    indices: npt.NDArray[np.uint8], colours: npt.NDArray[np.uint8], space: LabelSpace
+) -> npt.NDArray[Any]:
+    """Ids of a palette image: its indices, unless its palette shows other ids.
+
+    PNG optimisers write an image of few colours as a palette image with indices of their own. So an
+    image whose palette has colours of the label space, at other ids, is read like one in colours.
+
+    Raises:
+        ValueError: the palette has grays that are not the indices; either could be the ids.
+    """
+    own = palette(space)[: len(colours)]
+    if (colours == own).all():
+        return indices
+    used = np.bincount(indices.ravel(), minlength=len(colours))[: len(colours)].astype(bool)
+    (entries,) = (used | colours.any(1)).nonzero()  # unused black is padding
+    if (colours[entries] == colours[entries, :1]).all():
+        other = next((int(i) for i in entries if used[i] and colours[i, 0] != i), None)
+        if other is None:
+            return indices
+        raise ValueError(
+            f"the palette shows index {other} as gray {colours[other, 0]}; expected an image "
+            "without palette, or colours of the label space, to tell which is the id"
+        )
+    by_colour = {label.colour: label.id for label in reversed(space.classes) if label.colour}
+    shown = [tuple(colour) for colour in colours[entries].tolist()]
+    if not by_colour.keys() >= set(shown):
+        return indices
+    table = np.arange(256, dtype=np.int16)
+    for index, colour in zip(entries, shown, strict=True):
+        if (colours[index] != own[index]).any():
+            table[index] = by_colour[colour]
+    return np.asarray(table[indices])
 
 
 def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
