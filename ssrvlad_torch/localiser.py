@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,6 +54,9 @@ class Localiser:
     Each picture is judged alone. A drive is recognised far better as a whole: use `LoopDetector`
     for a stream, and ``ssrvlad locate`` for folders.
 
+    Changes that are made through its `database` count at once; those of other processes when the
+    database is opened again.
+
     Args:
         segmenter: labels pictures.
         database: of known places.
@@ -74,6 +78,7 @@ class Localiser:
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
         self._methods = extra_methods(database.beside)
         self._loaded: FrameSet | None = None
+        self._version = 0
 
     @classmethod
     def from_pretrained(
@@ -132,7 +137,6 @@ class Localiser:
             OSError: the database cannot be written.
         """
         files = find_image_files([*map(str, sources)], known=self.database.folders())
-        self._loaded = None
         return encode_to_database(self._add, files, self.database, segmenter=self.segmenter)
 
     def locate(self, picture: Pixels | str | Path) -> Place | None:
@@ -145,11 +149,15 @@ class Localiser:
             The best place, even at low confidence; ``None`` if the picture or every frame is empty.
 
         Raises:
-            ValueError: the file is no picture, the network fails, or the database is empty or
-                damaged.
+            ValueError: it is no picture, the network fails, or the database is empty or damaged.
         """
-        if not isinstance(picture, np.ndarray):
+        if isinstance(picture, (str, os.PathLike)):
             picture = _read(Path(picture))
+        if not isinstance(picture, np.ndarray):
+            raise ValueError(
+                "expected a picture as an (H, W, 3) uint8 array or the path of a file, got "
+                f"{type(picture).__name__}"
+            )
         references = self._references()
         (labels,) = self.segmenter([picture])
         frame = Frame("picture", image=picture)
@@ -173,8 +181,8 @@ class Localiser:
         return Place(references.frames[row], score, confidence, pose)
 
     def _references(self) -> FrameSet:
-        if self._loaded is None:
-            self._loaded = self.database.load()
+        if self._loaded is None or self._version != self.database.version:
+            self._loaded, self._version = self.database.load(), self.database.version
         if not self._loaded.frames:
             raise ValueError(f"{self.database.path} holds no frames yet")
         return self._loaded

@@ -11,6 +11,7 @@ import math
 import os
 import stat
 import zipfile
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -111,10 +112,18 @@ def parse_json(text: str, name: object) -> Any:
     """A JSON value.
 
     Raises:
-        InputError: it is not JSON, or is nested too deeply.
+        InputError: it is not JSON, has a key twice, or is nested too deeply.
     """
     with input_errors(name, "not JSON"):
-        return json.loads(text)
+        return json.loads(text, object_pairs_hook=_without_repeated_keys)
+
+
+def _without_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        (key, _), *_ = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {key!r} is there more than once")
+    return mapping
 
 
 def parse_npy(content: bytes) -> npt.NDArray[Any]:

@@ -74,6 +74,12 @@ def test_values_that_say_nothing(ssrvlad, database, maps, options, message):
     assert (code, err) == (2, [f"ssrvlad: {message}"])
 
 
+def test_a_window_without_frames_is_refused(ssrvlad, database, maps):
+    code, _, err = ssrvlad("query", database, maps, "--window", "900:950")
+    message = f"ssrvlad: --window 900:950: no frame of {database} has such a number"
+    assert (code, err) == (2, [message])
+
+
 def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
     (tmp_path / "other").mkdir()
     np.save(tmp_path / "other" / "0.npy", np.full((24, 32), 77, np.uint8))

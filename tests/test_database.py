@@ -117,6 +117,12 @@ def test_natural_keys(names):
     assert sorted(names, key=natural_key) == expected
 
 
+@given(st.permutations(["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]))
+def test_decimal_times_are_ordered_by_value(names):
+    expected = ["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]
+    assert sorted(names, key=natural_key) == expected
+
+
 @given(
     st.sampled_from(["{:03d}", "a{:06d}.{:02d}", "²{:04d}\n{:03d}"])
     | st.sampled_from(["{}", "{}-{}"]),

@@ -137,6 +137,7 @@ def test_the_known_queries_can_be_chosen():
         ("a.npy", MATRIX * 0.5, "is not a matrix of 0 and 1"),
         ("a.npy", MATRIX * np.nan, "is not a matrix of 0 and 1"),
         ("a.npy", MATRIX.astype(str), "is not a matrix of 0 and 1"),
+        ("a.json", '{"q/0": [], "q/1": [], "q/0": []}', "key 'q/0' is there more than once"),
         ("a.npy", b"", "cannot read the ground truth"),
         ("a.npy", b"\x93NUMPY\x01\x00", "cannot read the ground truth"),
         ("a.npz", b"PK", "cannot read the ground truth"),

@@ -514,6 +514,16 @@ def test_poses_are_found_by_id_and_by_name(tmp_path):
     assert np.isnan(poses[2:]).all()
 
 
+def test_names_in_poses_may_have_the_suffix_of_the_file(tmp_path):
+    touch(tmp_path / "a" / "0.png", tmp_path / "a" / "1.png")
+    (tmp_path / "a" / "poses.csv").write_text("frame,x,y\n0.png,1,2\na/1.png,3,4\n")
+    for files in (
+        find_label_files([str(tmp_path / "a")]),
+        find_label_files([str(tmp_path / "a")], poses=str(tmp_path / "a" / "poses.csv")),
+    ):
+        assert [file.pose[:2] for file in files] == [(1, 2), (3, 4)]
+
+
 def test_an_id_in_poses_goes_before_a_bare_name(tmp_path):
     touch(tmp_path / "a" / "0.png", tmp_path / "b" / "0.png")
     (tmp_path / "poses.csv").write_text("frame,x,y\n0,1,1\nb/0,2,2\n")

@@ -7,6 +7,7 @@ import pytest
 from drawings import SPACE
 from helpers import street
 from networks import PLAIN, Strided, photo
+from PIL import Image
 from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD, Database, Localiser, Segmenter
@@ -43,6 +44,14 @@ def test_a_picture_finds_its_place(settings, folder, tmp_path):
     assert math.isnan(again.pose.x)
 
 
+def test_a_removed_frame_is_no_place(settings, folder, tmp_path):
+    localiser = Localiser.from_pretrained(settings, tmp_path / "town")
+    localiser.add(folder)
+    assert localiser.locate(folder / "7.png").frame == "monday/7"
+    localiser.database.remove(["monday/7"])
+    assert localiser.locate(folder / "7.png").frame != "monday/7"
+
+
 def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
     localiser = Localiser.from_pretrained(settings, tmp_path / "town", preset="paper")
     localiser.add(folder / "1.png", folder / "2.png")
@@ -51,6 +60,8 @@ def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
     assert localiser.locate(folder / "1.png").confidence == 0, "two frames are nothing to go by"
     with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8"):
         localiser.locate(np.zeros((3, 4)))
+    with pytest.raises(ValueError, match=r"expected a picture as .* got Image"):
+        localiser.locate(Image.open(folder / "1.png").convert("RGB"))
     (folder.parent / "torn.jpg").write_bytes(b"torn")
     with pytest.raises(ValueError, match=r"torn\.jpg: is no image file"):
         localiser.locate(folder.parent / "torn.jpg")

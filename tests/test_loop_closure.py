@@ -229,13 +229,19 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert after[0] == after[1]
 
 
-def test_a_stamp_must_not_go_back_past_frames_without_one():
+def test_a_stamp_must_not_go_back_in_its_sequence(tmp_path):
     loops = detector()
     loops.update(PLACES[0], "drive/0", 5.0)
     loops.update(PLACES[1], "drive/1")
     with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.0"):
         loops.update(PLACES[2], "drive/2", 4.0)
     loops.update(PLACES[2], "another/0", 4.0)
+    database = Database.create(tmp_path / "db", HEAD.config)
+    loops.save(database)
+    loaded = LoopDetector.load(database, head=HEAD)
+    for each in (loops, loaded):
+        with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.5"):
+            each.update(PLACES[2], "drive/2", 4.5)
 
 
 def test_mirrored_arrays_are_label_maps_too():

@@ -49,6 +49,12 @@ def test_a_range_of_numbers_includes_both_ends_and_excludes_frames_without_a_num
     assert chosen(first=1418132416) == ["night/t1418132416"]
 
 
+def test_a_time_with_decimals_is_one_number():
+    frames = frame_set("a/1305031102.175", "a/1305031102.21", "a/1305031104.5")
+    inside = select(frames, first=1305031102, last=1305031103)
+    assert inside.tolist() == [True, True, False]
+
+
 @given(st.sets(st.integers(0, 30)), st.integers(0, 40), st.integers(0, 5))
 def test_neighbours_are_the_frames_around_the_position_of_a_query(numbers, query, reach):
     references = frame_set("a/5", "z/5", *(f"m/{number}" for number in numbers))

@@ -9,9 +9,8 @@ from pathlib import Path, PurePath
 
 import numpy as np
 import numpy.typing as npt
-from natsort import natsorted
 
-from ..database.frames import FrameSet
+from ..database.frames import FrameSet, natural_key
 from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
@@ -172,4 +171,4 @@ def _rows(truth: PartialTruth, references: Places) -> tuple[PartialTruth, Collec
 
 def _in_order(frames: Iterable[str]) -> list[str]:
     """The ids by sequence, then by name, both in natural order."""
-    return natsorted(sorted(frames), key=lambda frame: frame.rpartition("/")[::2])
+    return sorted(frames, key=lambda frame: tuple(map(natural_key, frame.rpartition("/")[::2])))

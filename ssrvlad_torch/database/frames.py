@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32]"
 
 _NAN = float("nan")
+
+_DECIMAL = re.compile(r"(\d+)\.(\d+)")
+_DECIMALS = 20
 
 _Collection = TypeVar("_Collection", bound=Collection[Any])
 
@@ -121,8 +125,11 @@ def folder_of(signature: str) -> str:
 
 
 def natural_key(name: str) -> tuple[Any, str]:
-    """Sort key of natural order: ``frame10`` after ``frame9``, and ``1`` after ``01``."""
-    return _natural()(name), name
+    """Sort key of natural order: ``frame10`` after ``frame9``, and ``1`` after ``01``. A name that
+    is a decimal number counts by its value: ``12.5`` after ``12.25``."""
+    decimal = _DECIMAL.fullmatch(name)
+    text = f"{decimal[1]}.{decimal[2]:0<{_DECIMALS}}" if decimal else name
+    return _natural()(text), name
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
+from decimal import Decimal
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ def select(
 ) -> npt.NDArray[np.bool_]:
     """Selects frames by sequence and by number.
 
-    The number of a frame is the last one in its name: a counter or a time stamp.
+    The number of a frame is the last one in its name: a counter or a time, perhaps with decimals.
 
     Args:
         frames: R frames.
@@ -84,8 +85,8 @@ def _name_key(frame: str) -> tuple[Any, str]:
 
 
 def _is_between(frame: str, first: int | None, last: int | None) -> bool:
-    numbers = re.findall(r"\d+", frame.rpartition("/")[2])
+    numbers = re.findall(r"\d+(?:\.\d+)?", frame.rpartition("/")[2])
     if not numbers:
         return False
-    number = int(numbers[-1])
+    number = Decimal(numbers[-1])
     return (first is None or number >= first) and (last is None or number <= last)

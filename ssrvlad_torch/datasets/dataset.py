@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 from natsort import natsorted
 
+from ..database.frames import natural_key
 from ..taxonomy import label_space
 from .frame_files import FrameFile, every_nth
 from .label_files import SUFFIXES as LABEL_SUFFIXES
@@ -92,7 +93,7 @@ class Traverse:
         names of the frames."""
         frames = tuple(
             Frame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
-            for key in natsorted(sorted({*images, *labels}))
+            for key in sorted({*images, *labels}, key=natural_key)
         )
         return cls(name, frames, role)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -128,7 +128,7 @@ def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[li
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     if path.suffix.lower() == ".csv":
         table = read_poses(path)
-        found = [[table.get(f.frame, table.get(f.name, UNKNOWN)) for f in d] for d in drives]
+        found = [[_listed_pose(f, table, f.sequence) or UNKNOWN for f in d] for d in drives]
         if all(pose is UNKNOWN for poses in found for pose in poses):
             raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
         return list(map(_posed, drives, found))
@@ -139,6 +139,14 @@ def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[li
         return [_posed(drives[0], trajectory.of_frames([file.name for file in drives[0]]))]
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from error
+
+
+def _listed_pose(file: FrameFile, poses: Mapping[str, Pose], folder: str) -> Pose | None:
+    """The pose of a file by its id, by ``<folder>/<name>`` or by its name, each with or without
+    the suffix of the file."""
+    names = (file.frame, f"{folder}/{file.name}", file.name)
+    keys = (name + suffix for suffix in ("", file.path.suffix) for name in names)
+    return next((poses[key] for key in keys if key in poses), None)
 
 
 def _posed(drive: Sequence[FrameFile], poses: Sequence[Pose]) -> list[FrameFile]:
@@ -245,8 +253,7 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
 def with_poses(
     files: Sequence[FrameFile], find: Callable[[Path], dict[str, Pose]] = find_poses
 ) -> Iterator[FrameFile]:
-    """Files with their poses, looked up by id, by ``<folder>/<name>`` and by name, or parsed from
-    the file name, see `utm_names`.
+    """Files with their poses, see `_listed_pose`, or parsed from the file name, see `utm_names`.
 
     Args:
         files: files of any folders.
@@ -262,7 +269,6 @@ def with_poses(
         if (folder := file.local_folder) is None:
             yield file
             continue
-        keys = (file.frame, f"{names[folder]}/{file.name}", file.name)
         pose, stamp = read_name(file.name)
-        pose = next((poses[folder][key] for key in keys if key in poses[folder]), pose)
+        pose = _listed_pose(file, poses[folder], names[folder]) or pose
         yield replace(file, pose=pose, stamp=stamp if math.isnan(file.stamp) else file.stamp)

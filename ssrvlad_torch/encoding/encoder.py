@@ -8,12 +8,11 @@ from functools import partial
 from itertools import chain, islice
 
 import numpy as np
+import torch
 
 from ..database.database import Database
-from ..database.frame_sets import frame_set
 from ..database.frames import FrameSet
 from ..database.metadata import ExtraDescriptor
-from ..database.rows import DESCRIPTOR, to_table
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
 from ..segmentation.segmenter import Segmenter
@@ -101,13 +100,19 @@ def encode_to_memory(
         else:
             frames.append(frame)
         progress(1)
-    widths = {DESCRIPTOR: head.config.length} | {extra.name: extra.width for extra in beside}
-    arrays = {name: np.empty((len(frames), width), np.float32) for name, width in widths.items()}
-    for row, frame in enumerate(frames):
-        for name, values in {DESCRIPTOR: frame.descriptor, **frame.beside}.items():
-            arrays[name][row] = values
-    table = to_table([frame.record for frame in frames], arrays, widths)
-    return frame_set(table, arrays), skipped
+    records = [frame.record for frame in frames]
+    none = np.zeros((0, head.config.length), np.float32)
+    descriptors = np.stack([frame.descriptor for frame in frames]) if frames else none
+    names = [extra.name for extra in beside if frames]
+    return FrameSet(
+        frames=tuple(record.frame for record in records),
+        sequences=tuple(record.sequence for record in records),
+        descriptors=torch.from_numpy(descriptors),
+        poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
+        stamps=np.array([record.stamp for record in records], np.float64),
+        empty=~descriptors.any(axis=tuple(range(1, descriptors.ndim))),
+        beside={n: torch.from_numpy(np.stack([f.beside[n] for f in frames])) for n in names},
+    ), skipped
 
 
 def encode(

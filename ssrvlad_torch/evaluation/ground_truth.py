@@ -12,8 +12,8 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import numpy.typing as npt
-from natsort import natsorted
 
+from ..database.frames import natural_key
 from .outcomes import Rows
 
 _ROUNDING = 1e-9
@@ -107,7 +107,7 @@ def from_frame_numbers(
 def _numbers(frames: Iterable[str]) -> dict[str, tuple[str, int]]:
     """Sequence of each frame, and its number in the sequence."""
     counts, numbers = Counter[str](), {}
-    for frame in natsorted(sorted(frames)):
+    for frame in sorted(frames, key=lambda frame: natural_key(frame.rpartition("/")[2])):
         sequence = frame.rpartition("/")[0]
         numbers[frame] = sequence, counts[sequence]
         counts[sequence] += 1

@@ -65,7 +65,7 @@ class LoopDetector:
         self._others = {extra.name: Vectors(extra.width) for extra in beside}
         self._tracker = Tracker(self.config, self._memory, self._others)
         self._sequence: str | None = None
-        self._stamp = -math.inf
+        self._stamps: dict[str, float] = {}
         self._unsaved: list[FrameRecord] = []
         self._updating, self._saving = threading.Lock(), threading.Lock()
 
@@ -190,7 +190,6 @@ class LoopDetector:
             self._check(record)
             if record.sequence != self._sequence:
                 self._tracker.start_sequence()
-                self._stamp = -math.inf
             result = self._tracker.step(record.frame, swept, others)
             centre = swept[len(swept) // 2]
             self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
@@ -199,7 +198,7 @@ class LoopDetector:
             self._unsaved.append(record)
             self._sequence = record.sequence
             if not math.isnan(record.stamp):
-                self._stamp = record.stamp
+                self._stamps[record.sequence] = record.stamp
         return result
 
     def save(self, database: Database) -> None:
@@ -259,6 +258,8 @@ class LoopDetector:
         vectors = frames.descriptors.numpy()
         for row in order:
             detector._memory.append(frames.frames[row], frames.poses[row].tolist(), vectors[row])
+            if not np.isnan(frames.stamps[row]):
+                detector._stamps[frames.sequences[row]] = float(frames.stamps[row])
             for name, others in detector._others.items():
                 others.add(frames.beside[name][row].numpy())
         return detector
@@ -268,7 +269,7 @@ class LoopDetector:
         frame, stamp = record.frame, record.stamp
         if frame in self:
             raise ValueError(f"frame {frame!r} was there before")
-        last = self._stamp if record.sequence == self._sequence else -math.inf
+        last = self._stamps.get(record.sequence, -math.inf)
         if not math.isnan(stamp) and not last <= stamp < math.inf:
             raise ValueError(f"frame {frame!r}: expected a stamp from {last} on, got {stamp}")
 

@@ -76,6 +76,8 @@ def query(
         def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
             limited = from_sequence or window
             where = select(references, from_sequence, first, last) if limited else None
+            if where is not None and not where.any():
+                raise ValueError(f"--window {window}: no frame of {database} has such a number")
             near = None if exclude is None else neighbours(queries.frames, references, exclude)
             return excluded_pairs(len(queries.frames), len(references.frames), where, near)
 
