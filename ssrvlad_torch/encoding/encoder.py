@@ -110,7 +110,7 @@ def encode_to_memory(
         descriptors=torch.from_numpy(descriptors),
         poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
-        empty=~descriptors.any(axis=tuple(range(1, descriptors.ndim))),
+        empty=~torch.from_numpy(descriptors).flatten(1).any(1).numpy(),
         beside={n: torch.from_numpy(np.stack([f.beside[n] for f in frames])) for n in names},
     ), skipped
 
