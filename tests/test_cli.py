@@ -146,7 +146,7 @@ WRONG_USES = [
     (f"encode jpegs -o none {CAMVID}", "jpegs holds images and no label maps; name the network"),
     ("city monday", "monday is not empty; expected a new or an empty folder"),
     ("demo --out monday", "monday is not empty; expected a new or an empty folder"),
-    (f"encode monday -o file {CAMVID}", "no database"),
+    (f"encode monday -o file {CAMVID}", "file exists and is not a database"),
     (f"encode monday -o file/db {CAMVID}", "file"),
     (
         f"encode monday -o none {CAMVID} --start 99",

@@ -111,7 +111,7 @@ def test_label_maps_are_kept_in_the_cache_of_the_user_or_where_told(ssrvlad, pho
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--segmenter", "none.onnx"], "none.onnx does not exist or is no file"),
+        (["--segmenter", "none.onnx"], "none.onnx does not exist or is not a file"),
         (["--segmenter", "none.yaml"], "cannot read the settings none.yaml: No such file"),
         (["--segmenter", "monday/000.png"], "no network 'monday/000.png'; expected FILE.onnx"),
         (

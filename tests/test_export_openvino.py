@@ -29,7 +29,7 @@ def assert_parity(batch, config):
     assert_equal(list(compiled(config)({"labels": batch}).values()), batch, config)
 
 
-@presets
+@pytest.mark.parametrize("preset", [pytest.param("paper", marks=pytest.mark.slow), "default"])
 def test_some_label_maps(preset):
     config = of_preset(preset)
     drawn = {**degenerate(), **hand_drawn()}

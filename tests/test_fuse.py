@@ -73,7 +73,7 @@ GRAPHS = {
     "channels last": {"channels_last": True, "shape": ("b", "h", "w", 3)},
     "channels last, fixed": {"channels_last": True, "shape": (1, 90, 120, 3)},
 }
-RARE = ("half", "double", "weights beside", "fixed", "channels last")
+RARE = ("half", "double", "weights beside", "fixed", "channels last", "channels last, fixed")
 """Each is traced anew, and runs no code that the others do not."""
 
 
@@ -91,8 +91,7 @@ def test_a_graph(form, tmp_path):
 @pytest.mark.parametrize(
     "settings",
     [
-        {"size": (64, 80), "colour_order": "bgr"},
-        {"size": 100, "longest": 120, "multiple": 16},
+        {"size": 100, "longest": 120, "multiple": 16, "colour_order": "bgr"},
         {"multiple": 8, "white": 255, "mean": (73.2, 82.9, 72.4), "std": (1, 1, 1)},
     ],
 )

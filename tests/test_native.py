@@ -237,6 +237,7 @@ def test_wrong_settings_are_refused(core):
     assert library.ssrvlad_new(ctypes.byref(own)) is None
 
 
+@pytest.mark.slow
 def test_sanitisers_find_nothing(tmp_path):
     program = tmp_path / "sanitised"
     folder = ROOT / "ssrvlad_torch" / "native"
