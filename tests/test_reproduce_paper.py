@@ -163,12 +163,12 @@ def test_an_interrupted_run_goes_on_where_it_was(run, monkeypatch, capsys, tmp_p
         run(tmp_path, "--only", "table1")
     done.append("so that it is not interrupted again")
     run(tmp_path, "--only", "table1")
-    assert len(done) == len(set(done)) == 14 + 1
+    assert len(done) == len(set(done)) == 12 + 1
     monkeypatch.setattr(trials, "_run", None)
     capsys.readouterr()
     run(tmp_path, "--only", "table1")
     printed = capsys.readouterr().out
-    assert len(table(printed, "### Synthetic city")) == 1 + 14 + 4
+    assert len(table(printed, "### Synthetic city")) == 1 + 12 + 4
     assert "- CamVid, odd against even, labels and images: no --camvid; mi.eng.cam" in printed
 
 
