@@ -131,5 +131,5 @@ def _stamp(camvid: Path | None) -> str:
 
 def _cells(cost: Cost) -> list[str]:
     pair = [milliseconds / cost.references for milliseconds in cost.match]
-    encoding = largest_mean_smallest(cost.aggregate) if cost.aggregate else ""
+    encoding = largest_mean_smallest(cost.aggregate) if any(cost.aggregate or ()) else ""
     return [largest_mean_smallest(cost.extract), encoding, largest_mean_smallest(pair)]
