@@ -99,8 +99,8 @@ INTRODUCTION = f"""- The metrics follow the convention `{CONVENTION}`, as in the
 - Recall@100%Precision and RecallRate@1 are in per cent. In brackets are 95 % bootstrap intervals
   over the queries ({RESAMPLES} resamples).
 - *No pre-processing* is without closing, hole filling and removal of small regions.
-- SSR-VLAD sums references over {REACH} frames on each side (Eq. 3, t = {REACH}), unless the name says
-  t = 0. The other methods sum nothing.
+- SSR-VLAD sums references over {REACH} frames on each side (Eq. 3, t = {REACH}), unless the name
+  says t = 0. The other methods sum nothing.
 - `default`, label grid, HOG and tiny image are not in the paper; the last three are trivial
   baselines.
 """
