@@ -39,8 +39,10 @@ def load_model(path: Path) -> onnx.ModelProto:
     try:
         check_regular(path)
         model = onnx.load(path)
-    except (InputError, FileNotFoundError) as error:
-        raise ValueError(f"{one_line(error)}; expected an ONNX graph") from error
+    except InputError:
+        raise
+    except FileNotFoundError as error:
+        raise ValueError(f"{error.filename} does not exist; expected an ONNX graph") from error
     except Exception as error:  # protobuf's, the checker's and the file system's own types
         raise ValueError(f"{path} cannot be read as an ONNX graph: {one_line(error)}") from error
     if not model.graph.node:

@@ -132,6 +132,8 @@ def test_city_then_encode_then_query_then_evaluate(ssrvlad, tmp_path):
 CAMVID = "--labels-as camvid-11"
 
 WRONG_USES = [
+    ("verify none.onnx", "ssrvlad: none.onnx does not exist; expected an ONNX graph"),
+    ("verify folder", "ssrvlad: folder is a folder; expected a file"),
     ("fly", "No such command 'fly'"),
     (f"encode -o none {CAMVID}", "Missing argument"),
     ("encode monday -o none", "Missing option '--labels-as'"),
