@@ -157,7 +157,8 @@ class Model:
         return list(self.session.run(["descriptor", "unknown"], {self.input.name: batch}))
 
     def _labels(self, path: Path) -> Array:
-        labels = _npy(path) if _is_npy(path) else _label_picture(path)
+        classes = json.loads(self.properties["ssrvlad.label_space"])["classes"]
+        labels = _npy(path) if _is_npy(path) else _label_picture(path, classes)
         if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
             raise ValueError(f"expected an (H, W) label map, got {labels.shape} {labels.dtype}")
         converted = labels.astype(self.dtype)
@@ -515,8 +516,8 @@ def _npy(path: Path, mmap_mode: Literal["r"] | None = None) -> Array:
     return np.asanyarray(np.load(path, mmap_mode, allow_pickle=False))
 
 
-def _label_picture(path: Path) -> Array:
-    """``(H, W)`` ids; of a palette image the indices."""
+def _label_picture(path: Path, classes: list[dict[str, Any]]) -> Array:
+    """``(H, W)`` ids; of a palette image see `_ids_of_palette`."""
     with _open_image(path) as image:
         stored = str(image.tile[0][3]) if image.tile else ""
         scaled = image.mode == "L" and ";" in stored
@@ -524,7 +525,31 @@ def _label_picture(path: Path) -> Array:
             raise ValueError(
                 f"expected gray (8 or 16 bits) or a palette, got {image.mode} {stored}"
             )
-        return np.asarray(image)
+        pixels = np.asarray(image)
+        return _ids_of_palette(pixels, image.getpalette(), classes) if image.mode == "P" else pixels
+
+
+def _ids_of_palette(indices: Array, colours: list[int], classes: list[dict[str, Any]]) -> Array:
+    """The rule of `ssrvlad encode`: ids are the indices, unless the palette shows other ids."""
+    known = sorted((each for each in classes if each.get("colour")), key=lambda each: each["id"])
+    ids = {tuple(each["colour"]): each["id"] for each in known}
+    own = {each["id"]: tuple(each["colour"]) for each in known}
+    shown = {int(i): tuple(colours[3 * i : 3 * i + 3]) for i in np.unique(indices)}
+    others = [i for i, colour in shown.items() if colour != own.get(i, (0, 0, 0))]
+    moved = {i: ids[shown[i]] for i in others if shown[i] in ids}
+    strays = [i for i in others if i not in moved]
+    unclear = strays if moved else []
+    if all(len(set(colour)) == 1 for colour in shown.values()):
+        is_id = strays and all(colour == (i, i, i) for i, colour in shown.items())
+        moved, unclear = {}, [] if is_id else others
+    if unclear:
+        raise ValueError(
+            f"the palette shows index {unclear[0]} as {shown[unclear[0]]}; expected colours of the "
+            "label space alone, or an image without palette, to tell which is the id"
+        )
+    table = np.arange(256)
+    table[list(moved)] = list(moved.values())
+    return table[indices]
 
 
 def _picture(path: Path) -> Array:

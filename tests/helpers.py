@@ -24,6 +24,34 @@ def street(seed: int, height: int = 24, width: int = 32) -> npt.NDArray[np.uint8
     return blobs(seed, height, width, 6)
 
 
+PALETTES = {
+    "the space's own": ([3, 8], {3: (128, 64, 128), 8: (64, 0, 128)}, [3, 8]),
+    "no colour of the space": ([3, 9], {3: (1, 2, 3), 9: (4, 5, 6)}, [3, 9]),
+    "own and none": ([3, 9], {3: (128, 64, 128), 9: (4, 5, 6)}, [3, 9]),
+    "other ids": ([0, 1], {0: (128, 64, 128), 1: (64, 0, 128)}, [3, 8]),
+    "other ids, an unused stray": (
+        [0, 1],
+        {0: (128, 64, 128), 1: (64, 0, 128), 2: (1, 2, 3)},
+        [3, 8],
+    ),
+    "other ids and own": ([0, 8], {0: (128, 64, 128), 8: (64, 0, 128)}, [3, 8]),
+    "other ids and a stray": ([0, 1], {0: (128, 64, 128), 1: (1, 2, 3)}, 1),
+    "grays that are the ids": ([0, 3], {0: (0, 0, 0), 3: (3, 3, 3)}, [0, 3]),
+    "grays that are not": ([0, 3], {0: (0, 0, 0), 3: (5, 5, 5)}, 0),
+    "black: void, or id 0": ([0, 0], {0: (0, 0, 0)}, 0),
+}
+"""Palettes of label maps in ``camvid-11``: indices of two pixels, colours of some, and the ids,
+or the index that an error names."""
+
+
+def write_palette(path: Path, pixels: Sequence[int], colours: dict[int, tuple[int, ...]]) -> Path:
+    """A palette image of one row."""
+    image = Image.fromarray(np.array([pixels], np.uint8), "P")
+    image.putpalette([part for i in range(max(colours) + 1) for part in colours.get(i, (0, 0, 0))])
+    image.save(path)
+    return path
+
+
 def write_street(path: Path, seed: int, height: int = 24, width: int = 32) -> Path:
     """A small random label map as an image; the folder is made."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -15,13 +15,14 @@ from browser import CHROMIUM, browser, served
 from drawings import SPACE
 from drives import write_maps
 from graphs import edit_golden, turned
-from helpers import COLOUR, GRAY, street, write_png
+from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.stages.harmonics import basis_table
+from ssrvlad_torch.taxonomy import label_space
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "export" / "web"
@@ -32,6 +33,7 @@ CONFIGS = {
 presets = pytest.mark.parametrize("preset", CONFIGS)
 SHOWN = "!document.getElementById('result').hidden"
 FAILED = "document.querySelector('#status.error')"
+CLASSES = json.dumps(label_space(SPACE).to_dict()["classes"])
 
 
 def runtime() -> Path:
@@ -259,6 +261,9 @@ def test_label_pictures_are_read_bit_by_bit(page, site):
     smooth[::7] = rng.integers(0, 256, smooth[::7].shape)
     Image.fromarray(smooth).save(site / "filtered.png", optimize=True)
     pictures["filtered"] = smooth
+    for name, (indices, colours, ids) in PALETTES.items():
+        write_palette(site / f"{name}.png", indices, colours)
+        pictures |= {name: np.array([ids])} if isinstance(ids, list) else {}
     open_page(page)
     for name, pixels in pictures.items():
         found = page.run(reading(name))
@@ -266,13 +271,17 @@ def test_label_pictures_are_read_bit_by_bit(page, site):
     write_png(site / "colour.png", np.zeros((2, 2, 3), int), COLOUR, 8)
     with pytest.raises(AssertionError, match="expected a PNG of gray"):
         page.run(reading("colour"))
+    for name in PALETTES.keys() - pictures:
+        with pytest.raises(AssertionError, match="the palette shows index"):
+            page.run(reading(name))
 
 
 def reading(name):
     return f"""(async () => {{
         const {{ readLabels }} = await import('./label_png.js');
-        const file = await (await fetch({json.dumps(name + ".png")})).arrayBuffer();
-        return Array.from((await readLabels(new Uint8Array(file))).labels);
+        const answer = await fetch(encodeURIComponent({json.dumps(name)}) + '.png');
+        const file = await answer.arrayBuffer();
+        return Array.from((await readLabels(new Uint8Array(file), {CLASSES})).labels);
     }})()"""
 
 

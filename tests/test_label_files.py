@@ -6,7 +6,17 @@ import struct
 import cv2
 import numpy as np
 import pytest
-from helpers import COLOUR, COLOUR_ALPHA, GRAY, GRAY_ALPHA, flip_byte, street, write_png
+from helpers import (
+    COLOUR,
+    COLOUR_ALPHA,
+    GRAY,
+    GRAY_ALPHA,
+    PALETTES,
+    flip_byte,
+    street,
+    write_palette,
+    write_png,
+)
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
@@ -103,11 +113,14 @@ def test_a_palette_of_the_label_space_s_colours_says_the_ids(tmp_path):
     np.testing.assert_array_equal(plain, labels)
 
 
-def test_a_palette_of_other_grays_than_the_indices_is_refused(tmp_path):
-    grays = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
-    save_renumbered(tmp_path / "a.png", LABELS, grays)
-    with pytest.raises(ValueError, match=r"the palette shows index \d+ as gray \d+; expected"):
-        read(tmp_path / "a.png")
+@pytest.mark.parametrize(("pixels", "colours", "ids"), PALETTES.values(), ids=PALETTES)
+def test_what_pixels_show_of_a_palette_decides(tmp_path, pixels, colours, ids):
+    path = write_palette(tmp_path / "a.png", pixels, colours)
+    if isinstance(ids, list):
+        assert read(path).tolist() == [ids]
+    else:
+        with pytest.raises(ValueError, match=rf"the palette shows index {ids} as .*; expected"):
+            read(path)
 
 
 @pytest.mark.parametrize("bits", [1, 2, 4])

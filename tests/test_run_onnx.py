@@ -13,7 +13,16 @@ import pytest
 import torch
 from drives import write_maps
 from graphs import edit_golden, turned
-from helpers import COLOUR, GRAY, flip_byte, street, without, write_png
+from helpers import (
+    COLOUR,
+    GRAY,
+    PALETTES,
+    flip_byte,
+    street,
+    without,
+    write_palette,
+    write_png,
+)
 from networks import PLAIN, photo, write_graph
 from onnx import TensorProto, helper
 from PIL import Image
@@ -172,17 +181,18 @@ def test_pictures_that_are_no_label_map(head, tmp_path, run):
     assert "got L L;4" in errors[1]
 
 
-def test_a_palette_gives_its_indices(head, tmp_path, run):
-    labels = np.arange(12, dtype=np.uint8).repeat(20).reshape(12, 20)
-    image = Image.fromarray(labels, "P")
-    image.putpalette(list(range(255, 255 - 36, -1)))
-    image.save(tmp_path / "a.png")
-    np.save(tmp_path / "b.npy", labels)
-    assert run(head, tmp_path / "a.png", tmp_path / "b.npy", "--save-descriptors",
-               tmp_path / "o.npy")[0] == 0  # fmt: skip
-    one, other = np.load(tmp_path / "o.npy")
-    assert one.any()
-    np.testing.assert_array_equal(one, other)
+@pytest.mark.parametrize(("pixels", "colours", "ids"), PALETTES.values(), ids=PALETTES)
+def test_a_palette_is_read_as_by_encode(head, tmp_path, run, pixels, colours, ids):
+    write_palette(tmp_path / "a.png", pixels, colours)
+    np.save(tmp_path / "b.npy", np.array([ids if isinstance(ids, list) else pixels]))
+    code, _, errors = run(head, tmp_path, "--save-descriptors", tmp_path / "o.npy")
+    if isinstance(ids, list):
+        one, other = np.load(tmp_path / "o.npy")
+        assert one.any()
+        np.testing.assert_array_equal(one, other)
+    else:
+        assert code == 3
+        assert f"the palette shows index {ids} as " in errors[0]
 
 
 def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_path, run):

@@ -1,26 +1,57 @@
-// Label ids of a PNG. A canvas would give colours: those of a palette instead of its indices, and gray
-// values that colour profiles or protection against browser fingerprinting change.
+// Label ids of a PNG. A canvas would give colours instead of a palette's indices, and gray values that
+// colour profiles or protection against browser fingerprinting change.
 
 const SIGNATURE = [137, 80, 78, 71, 13, 10, 26, 10];
 const [GRAY, PALETTE] = [0, 3];
 
-/** ``{labels, height, width}``; labels are a Uint8Array, or a Uint16Array of a 16-bit file. */
-export async function readLabels(file) {
+/**
+ * ``{labels, height, width}`` of a PNG; labels are an array of unsigned integers. `classes` are those of
+ * the label space: see `idsOfPalette`.
+ */
+export async function readLabels(file, classes) {
   const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
   if (SIGNATURE.some((byte, at) => file[at] !== byte)) throw new Error("expected a PNG");
   const parts = [];
-  let header = null;
+  let [header, colours] = [null, null];
   for (let at = 8; at + 12 <= file.length; ) {
     const length = view.getUint32(at);
     const kind = String.fromCharCode(...file.subarray(at + 4, at + 8));
     if (at + 12 + length > file.length) throw new Error("the PNG is cut short");
     if (kind === "IHDR") header = headerOf(view, at + 8);
+    if (kind === "PLTE") colours = file.subarray(at + 8, at + 8 + length);
     if (kind === "IDAT") parts.push(file.subarray(at + 8, at + 8 + length));
     at += 12 + length;
   }
   if (!header) throw new Error("the PNG has no header");
   const rows = unfiltered(await inflated(parts), header);
-  return { ...header, labels: unpacked(rows, header) };
+  const values = unpacked(rows, header);
+  const labels = header.colour === PALETTE ? idsOfPalette(values, colours, classes) : values;
+  return { ...header, labels };
+}
+
+/** The rule of `ssrvlad encode`: ids are the indices, unless the palette shows other ids. */
+function idsOfPalette(indices, colours, classes) {
+  if (!colours) throw new Error("the PNG has no palette");
+  const known = classes.filter(({ colour }) => colour).sort((a, b) => a.id - b.id);
+  const ids = new Map(known.map(({ id, colour }) => [colour.join(), id]));
+  const own = new Map(known.map(({ id, colour }) => [id, colour.join()]));
+  const used = [...new Set(indices)].sort((a, b) => a - b);
+  const shown = (i) => colours.subarray(3 * i, 3 * i + 3).join();
+  const others = used.filter((i) => shown(i) !== (own.get(i) ?? "0,0,0"));
+  let moved = others.filter((i) => ids.has(shown(i)));
+  const strays = others.filter((i) => !moved.includes(i));
+  let unclear = moved.length ? strays : [];
+  if (used.every((i) => new Set(shown(i).split(",")).size === 1)) {
+    const areIds = strays.length && used.every((i) => shown(i) === [i, i, i].join());
+    [moved, unclear] = [[], areIds ? [] : others];
+  }
+  if (unclear.length)
+    throw new Error(
+      `the palette shows index ${unclear[0]} as (${shown(unclear[0])}); expected colours of the label ` +
+        "space alone, or an image without palette, to tell which is the id",
+    );
+  const table = new Map(moved.map((i) => [i, ids.get(shown(i))]));
+  return Uint16Array.from(indices, (i) => table.get(i) ?? i);
 }
 
 /** Decompresses zlib data; with `size`, the content must have that many bytes. */
@@ -45,7 +76,7 @@ function headerOf(view, at) {
   const readable = colour === PALETTE || (colour === GRAY && bits >= 8);
   if (!readable) throw new Error("expected a PNG of gray of 8 or 16 bits, or of a palette");
   if (interlaced) throw new Error("expected a PNG that is not interlaced");
-  return { width, height, bits };
+  return { width, height, bits, colour };
 }
 
 /** The bytes of all rows. Each byte was stored as its difference from a prediction. */

@@ -72,7 +72,9 @@ async function describe() {
     throw new Error(`the database has fingerprint ${own}, the model ${model.fingerprint}`);
   if (!frame && model.takesPhotos) return say("Choose a photograph.");
   if (!frame) return say(`Labels of ${model.space.name}: choose a label map.`);
-  const picture = model.takesPhotos ? await readPhoto(frame.bytes) : await readLabels(frame.bytes);
+  const picture = model.takesPhotos
+    ? await readPhoto(frame.bytes)
+    : await readLabels(frame.bytes, model.space.classes);
   const start = performance.now();
   const described = model.takesPhotos ? await model.describePhoto(picture) : await model.describe(picture);
   const milliseconds = Math.round(performance.now() - start);

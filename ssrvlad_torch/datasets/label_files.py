@@ -42,8 +42,7 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
 
     Raises:
         ValueError: the file is missing, damaged or of another format, its name is not valid text,
-            it holds a colour that the label space lacks, or its palette has grays that are not the
-            indices.
+            it holds a colour that the label space lacks, or its palette can mean two things.
     """
     content = file.read()
     try:
@@ -133,42 +132,44 @@ def _ids_of_palette(
 
     PNG optimisers write an image of few colours as a palette image with indices of their own. So an
     image whose palette has colours of the label space, at other ids, is read like one in colours.
+    Entries that no pixel has do not count. The programs in ``export/`` have the same rule.
 
     Raises:
-        ValueError: the palette has grays that are not the indices; either could be the ids.
+        ValueError: the palette has grays that are not the indices; either could be the ids. Or some
+            colours are those of other ids than their indices, and some of none.
     """
-    own = palette(space)[: len(colours)]
-    if (colours == own).all():
-        return indices
-    used = np.bincount(indices.ravel(), minlength=len(colours))[: len(colours)].astype(bool)
-    (entries,) = (used | colours.any(1)).nonzero()  # unused black is padding
-    if (colours[entries] == colours[entries, :1]).all():
-        other = next((int(i) for i in entries if used[i] and colours[i, 0] != i), None)
-        if other is None:
-            return indices
+    ids, own = _ids_by_colour(space), [tuple(colour) for colour in palette(space).tolist()]
+    used = np.flatnonzero(np.bincount(indices.ravel())).tolist()
+    shown = {i: tuple(colours[i : i + 1].ravel().tolist()) for i in used}
+    others = [i for i in used if shown[i] != own[i]]
+    moved = {i: ids[shown[i]] for i in others if shown[i] in ids}
+    strays = [i for i in others if i not in moved]
+    unclear = strays if moved else []
+    if all(len(set(colour)) == 1 for colour in shown.values()):
+        is_id = strays and all(shown[i] == (i, i, i) for i in used)
+        moved, unclear = {}, [] if is_id else others
+    if unclear:
         raise ValueError(
-            f"the palette shows index {other} as gray {colours[other, 0]}; expected an image "
-            "without palette, or colours of the label space, to tell which is the id"
+            f"the palette shows index {unclear[0]} as {shown[unclear[0]]}; expected colours of the "
+            "label space alone, or an image without palette, to tell which is the id"
         )
-    by_colour = {label.colour: label.id for label in reversed(space.classes) if label.colour}
-    shown = [tuple(colour) for colour in colours[entries].tolist()]
-    if not by_colour.keys() >= set(shown):
-        return indices
-    table = np.arange(256, dtype=np.int16)
-    for index, colour in zip(entries, shown, strict=True):
-        if (colours[index] != own[index]).any():
-            table[index] = by_colour[colour]
-    return np.asarray(table[indices])
+    table = np.arange(256, dtype=np.int32)
+    table[list(moved)] = list(moved.values())
+    return np.asarray(table[indices]) if moved else indices
+
+
+def _ids_by_colour(space: LabelSpace) -> dict[tuple[int, ...], int]:
+    """The id of each colour: the largest where classes of one category share it."""
+    classes = sorted(space.classes, key=lambda label: label.id)
+    return {label.colour: label.id for label in classes if label.colour}
 
 
 def _ids_of_colours(pixels: npt.NDArray[np.uint8], space: LabelSpace) -> npt.NDArray[Any]:
-    """Ids of a label image in colours. Classes of one category may share a colour."""
+    """Ids of a label image in colours."""
     packed = pixels.astype(np.int32) @ np.array([1 << 16, 1 << 8, 1], np.int32)
     ids = np.full(packed.shape, np.iinfo(np.int32).min, np.int32)
-    for label in reversed(space.classes):
-        if label.colour:
-            red, green, blue = label.colour
-            ids[packed == (red << 16 | green << 8 | blue)] = label.id
+    for (red, green, blue), label_id in _ids_by_colour(space).items():
+        ids[packed == (red << 16 | green << 8 | blue)] = label_id
     unknown = packed[ids == np.iinfo(np.int32).min]
     if len(unknown):
         colour = tuple(int(unknown[0]) >> shift & 255 for shift in (16, 8, 0))
