@@ -10,10 +10,10 @@ from helpers import descriptors
 from ssrvlad_torch.database.database import FrameSet
 from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
 from ssrvlad_torch.evaluation.outcomes import judge
-from ssrvlad_torch.evaluation.report import Descriptors, Report, cosine_scores
+from ssrvlad_torch.evaluation.report import Report
 from ssrvlad_torch.evaluation.thresholds import operating_points
 from ssrvlad_torch.recognition.matching import match
-from ssrvlad_torch.taxonomy import CATEGORIES
+from ssrvlad_torch.recognition.sweep import score
 
 VOID = {"meta", "link", "img", "input", "br"}
 
@@ -58,21 +58,18 @@ def report_of(
     outcomes = judge(scores, rows, truth)
     metrics["thresholds"] = operating_points(precision_recall_curve(outcomes, truth))
     metrics["references"] = len(references.frames)
-    vectors = queries.descriptors, references.descriptors
-    plain = {
-        "title": "town.ssrdb",
-        "descriptors": Descriptors(*vectors, dict.fromkeys(CATEGORIES, vectors[0].shape[1] // 8)),
-        "settings": {"preset": "default"},
-    }
+    plain = {"title": "town.ssrdb", "settings": {"preset": "default"}}
     return Report(
         metrics=metrics,
         queries=queries,
         references=references,
         outcomes=outcomes,
         truth=truth,
-        candidates=top,
         curve=precision_recall_curve(outcomes, truth, convention, pairs),
-        scores=cosine_scores(*vectors),
+        cosines=lambda rows, columns: score(
+            queries.descriptors[torch.from_numpy(rows)],
+            references.descriptors[torch.from_numpy(columns)],
+        ).numpy(),
         **{**plain, **fields},  # type: ignore[arg-type]
     )
 

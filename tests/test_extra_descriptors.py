@@ -235,8 +235,6 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
         assert ssrvlad("query", town, source, "--no-fuse")[0] == 0
     assert "--as-paper" in refused("query", town, maps, "--fuse", "--as-paper")
     assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
-    folders = (photos / "monday", photos / "today", "--method", "hog", "--tolerance-frames", 0)
-    assert "ssrvlad compare --fuse" in refused("evaluate", *folders, "--fuse")
 
 
 # ---- loops

@@ -18,9 +18,10 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.config import AREA_LAYERS
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.evaluation.report import Descriptors
 from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
+from ssrvlad_torch.stages.boundaries import DIRECTIONS
 from ssrvlad_torch.taxonomy import CATEGORIES
 
 PRESETS = ("paper", "default")
@@ -54,7 +55,7 @@ def agreement(drives: dict[str, Drive]) -> Iterator[str]:
             hard = torch.cat([head(part) for part in labels.split(4)])
             for temperature in TEMPERATURES:
                 soft = _described(SoftSSRVLAD(head.config, temperature), labels, classes)
-                cosines = _cosines(soft, hard, Descriptors.of(soft, hard, head.config).parts)
+                cosines = _cosines(soft, hard, _parts(head.config))
                 yield row(name, preset, f"{temperature:g}", *cosines)
     yield ""
 
@@ -66,6 +67,15 @@ def _city() -> Tensor:
 
 
 @torch.no_grad()
+def _parts(config: SSRVLADConfig) -> dict[str, int]:
+    """The lengths of the parts of a descriptor, by name."""
+    if config.aggregation != "harmonics":
+        return dict.fromkeys(CATEGORIES, config.length // len(CATEGORIES))
+    areas = dict.fromkeys(CATEGORIES[:AREA_LAYERS], config.harmonics)
+    names = (f"{direction} boundaries" for direction in DIRECTIONS)
+    return {**areas, **dict.fromkeys(names, config.boundary_harmonics)}
+
+
 def _described(twin: SoftSSRVLAD, labels: Tensor, classes: int) -> Tensor:
     """Descriptors of one-hot scores; unlabelled pixels are zero in every class."""
     ids = torch.arange(classes).view(1, -1, 1, 1)

@@ -8,13 +8,15 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from rich.table import Table
+from torch import Tensor
 
 from ..encoding.results import Skipped
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.metrics import Convention, evaluate, figure_rows, precision_recall_curve
 from ..evaluation.outcomes import judge
-from ..evaluation.report import Descriptors, Pictures
+from ..evaluation.report import Pictures
 from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
 from ..recognition.matching import Matches
 from ..recognition.standardise import MIN_FRAMES
@@ -35,8 +37,8 @@ class Recognition:
         references, queries: the frames.
         matches: candidates of each query, at least `TOP`.
         similarity: ``(Q, R)`` scores of all pairs, if they are needed.
-        descriptors: of the queries and of the references, if they are from a database.
-        pictures: of the queries and of the references, by their ids.
+        descriptors: of single frames, of the queries and of the references, for the report.
+        pictures: of the queries and of the references, by their ids, for the report.
         skipped: queries that could not be encoded.
         details: the method, its steps and its costs, for the report.
     """
@@ -45,8 +47,8 @@ class Recognition:
     queries: Places
     matches: Matches
     similarity: npt.NDArray[np.float32] | None = None
-    descriptors: Descriptors | None = None
-    pictures: tuple[Pictures, Pictures] | None = None
+    descriptors: tuple[Tensor, Tensor] = (torch.zeros(0), torch.zeros(0))
+    pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
     skipped: Sequence[Skipped] = ()
     details: Mapping[str, Any] = field(default_factory=dict)
 
@@ -80,24 +82,18 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
     for name, value, ends in figure_rows(metrics):
         table.add_row(name, fraction(value), interval(ends))
     print_table(table)
-    print_table(_thresholds(metrics["thresholds"]))
+    print_table(_thresholds(metrics["thresholds"], metrics.get("steps")))
     print(proof(metrics["thresholds"]["suggested"]))
     print(counts(metrics))
 
 
 def counts(metrics: Mapping[str, Any]) -> str:
-    """The number of queries and references, and the method, in a line."""
+    """The number of queries and references, and the steps, in a line."""
     steps = metrics.get("steps")
     done = steps_in_words(steps, metrics["temporal"]) if steps else "single frames"
-    if "method" in metrics:
-        encode, match = (metrics[cost]["average"] for cost in ("encode_ms", "match_ms"))
-        method = f"method {metrics['method']}: {done}; encode {encode:.1f} ms, "
-        method += f"match {match:.1f} ms for each single frame"
-    else:
-        method = f"{done}, fingerprint {metrics['fingerprint']}"
     return (
         f"{metrics['queries']} queries ({metrics['queries_with_match']} with a true match) against "
-        f"{metrics['references']} references, {method}"
+        f"{metrics['references']} references, {done}, fingerprint {metrics['fingerprint']}"
     )
 
 
@@ -111,6 +107,15 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
     proven = f"suggested: {suggested['score']:.4f}, a precision of at least {low:.3f} is proven by "
     proven += f"{suggested['accepted']} accepted queries"
     return proven if low >= SURE_PRECISION else f"{proven}; {missing}"
+
+
+def score_name(used: Mapping[str, Any]) -> str:
+    """What the scores of candidates are, by the steps that were taken: cosines of queries that were
+    judged alone, probabilities of those that were followed."""
+    followed, weights = used["follow"].values(), used["weights"].values()
+    alone = "fused score" if any(weights) else "cosine"
+    names = {alone if mode == "no" else "probability" for mode in followed}
+    return " or ".join(sorted(names)) or "score"
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
@@ -138,8 +143,9 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
     return ", ".join(words)
 
 
-def _thresholds(points: Mapping[str, Any]) -> Table:
-    table = Table("threshold for", "score", "precision", "lower end", "recall", "accepted")
+def _thresholds(points: Mapping[str, Any], used: Mapping[str, Any] | None) -> Table:
+    score = score_name(used) if used else "score"
+    table = Table("threshold for", score, "precision", "lower end", "recall", "accepted")
     for kind in ("precision", "recall"):
         for value, point in points[f"at_{kind}"].items():
             table.add_row(f"{kind} {value}", *_point(point))

@@ -23,7 +23,6 @@ from typing import Annotated, Any, Literal, get_type_hints
 
 import typer
 
-from ..baselines import METHODS
 from ..evaluation.metrics import Convention
 
 NETWORK = (
@@ -309,27 +308,6 @@ class TruthOptions:
     convention: Convention = option(
         "Convention by which the metrics are computed.", default="exact"
     )
-
-
-@dataclass(frozen=True)
-class MethodOptions:
-    """Another method, and its settings as the user typed them."""
-
-    method: str | None = option(
-        f"Evaluate another method, on label maps or images: {', '.join(METHODS)}."
-    )
-    settings: list[str] | None = option(
-        "Setting of the method, NAME=VALUE; can be repeated.", "--set"
-    )
-    weights: Weights = None
-    vocabulary: Path | None = option("Vocabulary of the method, see ssrvlad vocabulary.")
-    random_weights: RandomWeights = False
-
-    @property
-    def named(self) -> dict[str, Any]:
-        """The given settings that are options and not ``--set``."""
-        names = ("weights", "vocabulary", "random_weights")
-        return {name: value for name in names if (value := getattr(self, name))}
 
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:

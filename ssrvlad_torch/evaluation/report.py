@@ -1,0 +1,324 @@
+"""The report of an evaluation: one HTML page that needs no other file and no server."""
+
+from __future__ import annotations
+
+import base64
+import io
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from ..files import check_output, replacing
+from .curves import PrecisionRecall
+from .metrics import figure_rows, precision_recall_curve
+from .outcomes import Bools, Floats, Outcomes, Rows, Truth
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Pixels = npt.NDArray[np.uint8]
+
+WRONG_MATCHES, RIGHT_MATCHES = 8, 4
+MOST_CELLS = (400, 800)
+"""Largest number of rows and columns of the similarity matrix that the page draws."""
+
+_SCORES_AT_ONCE = 1 << 24
+_WIDTH = 400
+_DASH = "\N{EN DASH}"
+_RIGHT, _WRONG, _UNKNOWN, _TRUE = "#1a73c7", "#d4501e", "#8a3a6a", "#26c281"
+
+CONVENTIONS = {
+    "exact": "A query's best candidate is accepted if its score is at least the threshold; every "
+    "distinct score is a threshold. Recall is a fraction of the queries with a true match; a query "
+    "without a true match can only lower the precision.",
+    "vpr-bench": "As in VPR-Bench (Zaffar et al., IJCV 2021): recall is a fraction of the right "
+    "best candidates, so it always ends at 1; RecallRate@N is a fraction of all queries.",
+    "vpr-tutorial": "As in the VPR tutorial (Schubert et al., RAM 2024): all pairs, 100 evenly "
+    "spaced thresholds; recall is a fraction of the true pairs.",
+    "vpr-tutorial-single": "As in the VPR tutorial (Schubert et al., RAM 2024) for single matches: "
+    "each query's best pair, 100 evenly spaced thresholds.",
+}
+
+
+class Frames(Protocol):
+    """Frames with their poses, for example a `FrameSet`."""
+
+    @property
+    def frames(self) -> tuple[str, ...]:
+        """Ids, ``<sequence>/<name>``."""
+
+    @property
+    def poses(self) -> npt.NDArray[np.float64]:
+        """``(N, 3)``, x and y in metres first, NaN where unknown."""
+
+
+Pictures = Callable[[str], Mapping[str, Pixels]]
+"""A function from a frame's id to its pictures ``(H, W, 3)`` RGB by what they are, such as
+``photo``; it reads files only when it is called."""
+
+PairScores = Callable[[Rows, Rows], npt.NDArray[np.floating[Any]]]
+"""A function from rows of n queries and m references to the scores ``(n, m)`` of their pairs, -inf
+for pairs that cannot match."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """An evaluation. Texts may hold any characters; the page escapes them.
+
+    Attributes:
+        title: title of the page.
+        metrics: result of `metrics.evaluate` with intervals, with the additional keys
+            ``thresholds`` from `operating_points` and ``references``, as ``evaluate --json`` prints
+            it.
+        queries, references: the frames, Q and R of them.
+        outcomes: outcomes of the queries.
+        truth: true matches of each query.
+        curve: precision and recall by the convention of the metrics.
+        cosines: of single frames, for the similarity matrix.
+        score: what the score of a candidate is, such as ``probability``.
+        pictures: of a query, and of a reference.
+        settings: names and values of the settings of the evaluation.
+        notes: sentences on top, such as warnings.
+    """
+
+    title: str
+    metrics: Mapping[str, Any]
+    queries: Frames
+    references: Frames
+    outcomes: Outcomes
+    truth: Truth
+    curve: PrecisionRecall
+    cosines: PairScores
+    score: str = "score"
+    pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
+    settings: Mapping[str, str] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+class Match(NamedTuple):
+    """A query, its best candidate, and the true match with the highest cosine; rows, -1 for
+    none."""
+
+    query: int
+    candidate: int
+    true_match: int
+
+
+def write_report(path: Path, report: Report) -> None:
+    """Writes the page, whole or not at all.
+
+    The page shows the figures with their intervals, operating points, precision against recall, the
+    scores of right and wrong candidates, the similarity matrix, and a table of matches. Its size is
+    bounded for any number of queries and references. It needs no other file and no network.
+
+    Raises:
+        ImportError: the extra ``eval`` (Jinja2, matplotlib) is not installed.
+        OSError: the file cannot be written; an existing file at ``path`` is unchanged.
+    """
+    check_output(path)
+    page = render(report).encode("utf-8", "replace")
+    with replacing(path) as temporary:
+        temporary.write_bytes(page)
+
+
+def render(report: Report) -> str:
+    """The page as HTML text, from ``templates/report.html``."""
+    try:
+        import matplotlib  # noqa: F401
+        from jinja2 import Environment, PackageLoader
+    except ImportError as error:
+        raise ImportError("a report needs: pip install ssrvlad-torch[eval]") from error
+    environment = Environment(
+        loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.globals |= {"fraction": fraction, "DASH": _DASH}
+    matches = chosen_matches(report.outcomes, report.truth, report.cosines)
+    return environment.get_template("report.html").render(
+        report=report,
+        metrics=report.metrics,
+        figures=figure_rows(report.metrics),
+        meaning=CONVENTIONS[report.metrics["convention"]],
+        operating=operating_rows(report.metrics["thresholds"]),
+        empty=int((report.outcomes.candidate < 0).sum()),
+        drawings=[
+            (_drawn(_precision_recall, report), "Precision against recall"),
+            (_drawn(_scores, report), f"The {report.score} of the best candidates"),
+            (_drawn(_matrix, report), "Cosines of single frames"),
+        ],
+        matches=[[_row(report, match) for match in kind] for kind in matches],
+    )
+
+
+def fraction(*values: float) -> str:
+    """A fraction with three digits, or both ends of an interval; a dash for NaN."""
+    return _DASH if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
+
+
+def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
+    """Names and points of the result of `operating_points`."""
+    rows = [
+        (f"{kind} {100 * float(value):g}\N{NO-BREAK SPACE}%", point)
+        for kind in ("precision", "recall")
+        for value, point in points[f"at_{kind}"].items()
+    ]
+    return [*rows, ("suggested", points["suggested"])]
+
+
+def chosen_matches(
+    outcomes: Outcomes, truth: Truth, cosines: PairScores
+) -> tuple[list[Match], list[Match]]:
+    """The wrong and the right best candidates with the highest scores, at most `WRONG_MATCHES` and
+    `RIGHT_MATCHES`; in a tie, the earlier query comes first."""
+
+    def highest(queries: Bools, most: int) -> list[Match]:
+        rows = np.flatnonzero(queries)
+        ranked = rows[np.argsort(-outcomes.score[rows], kind="stable")][:most].tolist()
+        return [Match(row, int(outcomes.candidate[row]), true_match(row)) for row in ranked]
+
+    def true_match(query: int) -> int:
+        rows = truth[query]
+        return int(rows[cosines(np.array([query]), rows)[0].argmax()]) if len(rows) else -1
+
+    wrong = ~outcomes.correct & (outcomes.candidate >= 0)
+    return highest(wrong, WRONG_MATCHES), highest(outcomes.correct, RIGHT_MATCHES)
+
+
+def reduced_cosines(
+    cosines: PairScores, queries: int, references: int, most: tuple[int, int] = MOST_CELLS
+) -> npt.NDArray[np.float32]:
+    """The similarity matrix with at most ``most`` rows and columns of cells; a cell is the highest
+    cosine of its pairs, -inf where no pair can match."""
+    rows, columns = (
+        np.linspace(0, count, min(count, cells) + 1).astype(np.int64)
+        for count, cells in zip((queries, references), most, strict=True)
+    )
+    cells = np.full((len(rows) - 1, len(columns) - 1), -np.inf, np.float32)
+    if not cells.size:
+        return cells
+    step, every = max(1, _SCORES_AT_ONCE // references), np.arange(references)
+    for first in range(0, queries, step):
+        chunk = np.arange(first, min(first + step, queries))
+        lines = np.maximum.reduceat(cosines(chunk, every), columns[:-1], axis=1)
+        np.maximum.at(cells, np.searchsorted(rows, chunk, side="right") - 1, lines)
+    return cells
+
+
+def _drawn(draw: Callable[[Axes, Report], None], report: Report) -> str:
+    """A figure as the address of a PNG."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6, 4.2), layout="constrained")
+    draw(figure.add_subplot(), report)
+    content = io.BytesIO()
+    figure.savefig(content, format="png", dpi=150)
+    return _address(content, "png")
+
+
+def _precision_recall(axes: Axes, report: Report) -> None:
+    """The curve by the convention, the one by ``exact`` if that is another, and the operating
+    points, which belong to ``exact``."""
+    exact = precision_recall_curve(report.outcomes, report.truth)
+    convention = report.metrics["convention"]
+    for name, curve in {"exact": exact, convention: report.curve}.items():
+        if curve.positives and len(curve.thresholds):
+            first = curve.precision[0] if curve.start is None else curve.start
+            recall, precision = np.insert(curve.recall, 0, 0), np.insert(curve.precision, 0, first)
+            axes.plot(recall, precision, label=name, ls="-" if name == convention else "--")
+    for name, point in operating_rows(report.metrics["thresholds"]):
+        if point:
+            axes.plot(point["recall"], point["precision"], "o", label=name, clip_on=False)
+    axes.set(xlabel="recall", ylabel="precision", xlim=(0, 1), ylim=(0, 1.02))
+    if axes.has_data():
+        axes.legend()
+
+
+def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
+    """Scores of the best candidates that are right, wrong, and wrong because no reference shows the
+    place."""
+    wrong = (outcomes.candidate >= 0) & ~outcomes.correct
+    groups = {
+        "right": outcomes.correct,
+        "wrong": wrong & outcomes.has_match,
+        "wrong, place not in the database": wrong & ~outcomes.has_match,
+    }
+    return {name: outcomes.score[queries] for name, queries in groups.items()}
+
+
+def _scores(axes: Axes, report: Report) -> None:
+    groups = score_groups(report.outcomes)
+    labels = [f"{name} ({len(scores)})" for name, scores in groups.items()]
+    colours = [_RIGHT, _WRONG, _UNKNOWN]
+    axes.hist([*groups.values()], bins=40, stacked=True, label=labels, color=colours)
+    if suggested := report.metrics["thresholds"]["suggested"]:
+        axes.axvline(suggested["score"], color="black", ls="--", label="suggested threshold")
+    axes.set(xlabel=f"{report.score} of the best candidate", ylabel="queries")
+    axes.legend()
+
+
+def _matrix(axes: Axes, report: Report) -> None:
+    queries, references = len(report.queries.frames), len(report.references.frames)
+    cells = reduced_cosines(report.cosines, queries, references)
+    if not np.isfinite(cells).any():
+        axes.text(0.5, 0.5, "no pairs", ha="center", va="center")
+        axes.set_axis_off()
+        return
+    shown = np.where(np.isfinite(cells), cells, np.nan)
+    extent = (-0.5, references - 0.5, queries - 0.5, -0.5)
+    image = axes.imshow(shown, "gray", aspect="auto", extent=extent, interpolation="nearest")
+    axes.figure.colorbar(image, label="cosine, the highest of each cell")
+    outcomes, query = report.outcomes, np.arange(queries)
+    counts = [len(rows) for rows in report.truth]
+    true = np.concatenate((np.zeros(0, np.int64), *report.truth))
+    wrong = ~outcomes.correct & (outcomes.candidate >= 0)
+    for name, colour, down, across in (
+        ("true match", _TRUE, np.repeat(query, counts), true),
+        ("right", _RIGHT, query[outcomes.correct], outcomes.candidate[outcomes.correct]),
+        ("wrong", _WRONG, query[wrong], outcomes.candidate[wrong]),
+    ):
+        axes.plot(across, down, ".", ms=2, color=colour, label=name)
+    axes.set(xlabel="references", ylabel="queries")
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.12), ncols=3, markerscale=4)
+
+
+def _row(report: Report, match: Match) -> dict[str, Any]:
+    """A row of the table of matches: the query, its candidate and the true match."""
+    outcomes, query = report.outcomes, report.queries.frames[match.query]
+    rank, score = int(outcomes.rank[match.query]), outcomes.score[match.query]
+    frames = [("query", query, "", report.pictures[0](query))]
+    for role, row, text in (
+        ("best candidate", match.candidate, f"{report.score} {score:.4f}"),
+        ("true match", match.true_match, f"rank {rank}" if rank else "not among the candidates"),
+    ):
+        if row < 0 or (role == "true match" and outcomes.correct[match.query]):
+            continue
+        frame = report.references.frames[row]
+        metres = math.dist(report.queries.poses[match.query, :2], report.references.poses[row, :2])
+        away = "" if math.isnan(metres) else f", {metres:.1f}\N{NO-BREAK SPACE}m away"
+        frames.append((role, frame, text + away, report.pictures[1](frame)))
+    addresses = [
+        (role, frame, text, [(_picture(pixels), kind) for kind, pixels in pictures.items()])
+        for role, frame, text, pictures in frames
+    ]
+    return {"frames": addresses, "unknown": match.true_match < 0}
+
+
+def _picture(pixels: Pixels) -> str:
+    """The address of a picture, at most `_WIDTH` wide; reducing averages pixels, so that thin poles
+    remain visible."""
+    image = Image.fromarray(pixels)
+    if image.width > _WIDTH:
+        height = max(1, round(image.height * _WIDTH / image.width))
+        image = image.resize((_WIDTH, height), Image.Resampling.BOX)
+    content = io.BytesIO()
+    image.save(content, "png", optimize=True)
+    return _address(content, "png")
+
+
+def _address(content: io.BytesIO, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(content.getvalue()).decode()}"
