@@ -59,7 +59,7 @@ def replacing(path: Path) -> Iterator[Path]:
         if error.filename in (str(temporary), temporary) or (
             error.errno in _FULL and error.filename is None
         ):
-            error.filename, error.filename2 = str(path), None
+            raise OSError(error.errno, error.strerror, str(path)) from error
         raise
     finally:
         temporary.unlink(missing_ok=True)

@@ -82,6 +82,42 @@ def test_a_reader_that_has_enough_is_no_error(database, maps):
     assert (done.returncode, done.stderr) == (0, b"")
 
 
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_a_closed_stream_is_the_null_device(database, maps, tmp_path, closed):
+    """What `ssrvlad ... >&-` does: no traceback, and no line gets into another stream or file."""
+    out, err = (tmp_path / name for name in ("out", "err"))
+    line = f"{sys.executable} -m ssrvlad_torch query {database} {maps} --top 1 >{out} 2>{err}"
+    line += "".join(f" {stream}>&-" for stream in closed)
+    assert subprocess.run(line, shell=True, check=False).returncode == 0
+    results = [f"monday/{n:03d}: monday/{n:03d}" for n in range(6)]
+    lines = [" ".join(line.split()[:2]) for line in out.read_text().splitlines()]
+    assert lines == ([] if 1 in closed else results)
+    notes = err.read_text().splitlines()
+    assert len(notes) == (2 not in closed) and all("followed" in line for line in notes)
+    assert len(Database.open(database).load()) == 6
+
+
+def test_too_few_open_files_are_told(database, maps):
+    line = f"ulimit -n 8; {sys.executable} -m ssrvlad_torch query {database} {maps}"
+    done = subprocess.run(line, shell=True, check=False, capture_output=True, text=True)
+    assert (done.returncode, done.stdout, len(done.stderr.splitlines())) == (2, "", 1)
+    assert "a database needs 64 open files, the limit is 8 (ulimit -n)" in done.stderr
+
+
+def test_a_panic_of_a_library_is_one_line(ssrvlad, monkeypatch, database, maps):
+    class PanicException(BaseException):
+        """As Rust raises it."""
+
+    def panic(*arguments: object) -> None:
+        raise PanicException("no more threads")
+
+    monkeypatch.setattr(Database, "open", panic)
+    code, _, err = ssrvlad("query", database, maps)
+    assert code == 2
+    message = "an error in ssrvlad itself: PanicException('no more threads')"
+    assert err[-1] == f"ssrvlad: {message}"
+
+
 def test_a_tour_is_written(ssrvlad, tmp_path):
     code, out, _ = ssrvlad("city", tmp_path / "town", "--tour", "--frames", 3)
     assert (code, out) == (0, f"{tmp_path / 'town' / 'tour'}: 3 frames\n")
@@ -144,6 +180,9 @@ WRONG_USES = [
     ),
     ("encode monday -o none --labels-as camvid", "did you mean camvid-11 or camvid-32?"),
     (f"encode none -o none {CAMVID}", "none does not exist"),
+    (f"city none --frames {10**30}", "--frames': Input should be less than or equal to 1000000"),
+    (f"export -o none {CAMVID} --form arithmetic --size 8x8 --batch {10**30}", "images of 8 x 8"),
+    ("evaluate town.ssrdb monday --tolerance-metres inf", "0 metres or more and finite, got inf"),
     (f"encode folder -o none {CAMVID}", "folder holds no label maps"),
     (f"encode jpegs -o none {CAMVID}", "jpegs holds images and no label maps; name the network"),
     ("city monday", "monday is not empty; expected a new or an empty folder"),

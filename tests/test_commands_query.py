@@ -8,6 +8,8 @@ from drives import write_maps
 
 from ssrvlad_torch import SSRVLADConfig
 
+REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
+
 
 def test_a_query_finds_itself(ssrvlad, database, maps):
     code, out, _ = ssrvlad("query", database, maps, "--top", 1)
@@ -34,7 +36,7 @@ def test_steps_are_told_and_taken(ssrvlad, database, maps):
     code, _, err = ssrvlad("query", database, maps, "--temporal", "3x")
     assert (code, err) == (
         2,
-        ["ssrvlad: --temporal: expected frames (3) or metres (10m), got '3x'"],
+        [f"ssrvlad: {REACH}, got '3x'"],
     )
 
 
@@ -58,6 +60,8 @@ def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
+        (("--temporal", "1e308m"), f"{REACH}, got '1e308m'"),
+        (("--as-of", 10**20), f"TOWN has no version {10**20}; the first is 1"),
         (("--window", "10:4"), "--window: expected FIRST not above LAST, got '10:4'"),
         (
             ("--threshold", "nan"),
@@ -71,7 +75,7 @@ def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
 )
 def test_values_that_say_nothing(ssrvlad, database, maps, options, message):
     code, _, err = ssrvlad("query", database, maps, *options)
-    assert (code, err) == (2, [f"ssrvlad: {message}"])
+    assert (code, err) == (2, [f"ssrvlad: {message.replace('TOWN', str(database))}"])
 
 
 def test_a_window_without_frames_is_refused(ssrvlad, database, maps):

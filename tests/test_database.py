@@ -2,6 +2,9 @@
 
 import math
 import multiprocessing
+import os
+import subprocess
+import sys
 import threading
 from pathlib import Path
 
@@ -384,6 +387,26 @@ def test_a_version_that_is_not_there_is_refused(path, version):
     with pytest.raises(ValueError, match=f"has no version {version}") as refusal:
         Database.open(path, version)
     assert one_line(refusal)
+
+
+FORKED = """
+import os, sys, warnings
+warnings.simplefilter("always")
+from ssrvlad_torch import Database
+database = Database.open(sys.argv[1])
+database.load()
+if os.fork():
+    sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+os._exit([len(Database.open(sys.argv[1]).load()), len(database.load())] != [len(database)] * 2)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_reads_on_and_nothing_is_warned_of(path):
+    """As the workers of a DataLoader are."""
+    command = [sys.executable, "-c", FORKED, path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_two_threads_that_share_a_database_both_succeed(path):

@@ -64,8 +64,9 @@ def test_where_there_is_nothing_the_shares_are_not_numbers():
 
 
 def test_wrong_arguments_are_refused():
-    with pytest.raises(ValueError, match="0 metres or more, got -1"):
-        score_loops(np.array([-1]), drive((0, EAST)), 0, -1)
+    for metres in (-1, math.inf):
+        with pytest.raises(ValueError, match=f"0 metres or more and finite, got {metres}"):
+            score_loops(np.array([-1]), drive((0, EAST)), 0, metres)
     with pytest.raises(ValueError, match=r"none of 2 frames has a pose.*poses\.csv"):
         score_loops(np.array([-1, 0]), np.full((2, 3), np.nan), 0, 5)
 
@@ -134,3 +135,5 @@ def test_no_improbable_loop_is_suggested_but_where_there_is_no_other():
     assert (point.accepted, 0.5 < point.score <= 0.6) == (2, True)
     point = surest_point(loop_curve(strengths, np.array([False, False, True, True]), 50))
     assert point.accepted == 4
+    point = surest_point(loop_curve(np.zeros(4), np.ones(4, bool), 50))
+    assert point.score == 0, "a threshold is a probability"

@@ -22,6 +22,7 @@ _ENDS = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 
 def main() -> None:
     """Runs the command that ``sys.argv`` names, and exits."""
+    _open_streams()
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))
@@ -43,6 +44,14 @@ def main() -> None:
     sys.exit(code)
 
 
+def _open_streams() -> None:
+    """Opens the null device in place of standard streams that are closed, so that no other file
+    gets their number and receives their lines."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
+
+
 def _run(arguments: list[str], debug: bool) -> int:
     import typer
 
@@ -60,7 +69,9 @@ def _run(arguments: list[str], debug: bool) -> int:
         return INTERRUPTED
     except typer.TyperException as error:
         note(error.format_message())
-    except Exception as error:
+    except (KeyboardInterrupt, GeneratorExit):
+        raise
+    except BaseException as error:  # also a panic of Lance
         message = _sentence(error)
         if debug or message is None:
             import traceback
@@ -70,14 +81,12 @@ def _run(arguments: list[str], debug: bool) -> int:
     return WRONG_USE
 
 
-def _sentence(error: Exception) -> str | None:
+def _sentence(error: BaseException) -> str | None:
     """The message of an error of an input or the machine; ``None`` for an error in the code."""
+    if isinstance(error, OverflowError):
+        return f"a number of the command or of an input is too large: {error}"
     if isinstance(error, RecursionError):
         return f"an input is nested too deeply: {error}"
     if isinstance(error, MemoryError) or "allocate memory" in str(error):
         return f"out of memory: {error}".removesuffix(": ")
-    return (
-        str(error)
-        if isinstance(error, ValueError | OSError | ImportError | OverflowError)
-        else None
-    )
+    return str(error) if isinstance(error, ValueError | OSError | ImportError) else None

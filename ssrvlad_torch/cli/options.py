@@ -14,7 +14,6 @@ function. This module imports no torch, so that ``ssrvlad --help`` is quick.
 from __future__ import annotations
 
 import inspect
-import math
 from collections.abc import Callable, Collection
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import wraps
@@ -178,6 +177,9 @@ class DriveOptions:
 PAPER_REACH = 3
 """Frames on each side of the temporal sum in the paper."""
 
+MOST_REACH = 1_000_000
+"""Frames or metres."""
+
 
 @dataclass(frozen=True)
 class Reach:
@@ -198,8 +200,10 @@ class Reach:
             reach = cls(0, float(text[:-1])) if text.endswith("m") else cls(int(text))
         except ValueError:
             reach = cls(-1)
-        if reach.frames < 0 or not 0 <= (reach.metres or 0) < math.inf:
-            raise ValueError(f"--temporal: expected frames (3) or metres (10m), got {text!r}")
+        if not (0 <= reach.frames <= MOST_REACH and 0 <= (reach.metres or 0) <= MOST_REACH):
+            raise ValueError(
+                f"--temporal: expected frames (3) or metres (10m) up to {MOST_REACH}, got {text!r}"
+            )
         return reach
 
     def __bool__(self) -> bool:

@@ -8,6 +8,7 @@ fingerprint, the extra descriptors, and every label space and segmenter that mad
 from __future__ import annotations
 
 import dataclasses
+import errno
 import threading
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -183,11 +184,13 @@ class Database:
         if is_local(text) and not cls.exists(text):
             problem = "is not a database" if Path(text).exists() else "does not exist"
             raise ValueError(f"{text} {problem}")
-        if version is not None and version < 1:
+        if version is not None and not 1 <= version < 1 << 63:
             raise ValueError(f"{text} has no version {version}; the first is 1")
         try:
             table = engine.open_table(text, version)
         except OSError as error:
+            if error.errno == errno.EMFILE:
+                raise
             reason = engine.message_of(error)
             if version:
                 message = f"{text} has no version {version}, or it is damaged: {reason}"

@@ -3,20 +3,21 @@
 Data files are flushed before the commit that refers to them; the manifest and the folders are
 flushed after it, see `disk`.
 
-Lance's threads do not survive a fork: a process that has used Lance must start others by spawn, or
-fork before its first use.
+A forked process starts Lance's threads anew.
 """
 
 from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import json
 import os
 import random
 import re
 import time
 import uuid
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from datetime import timedelta
 from pathlib import Path
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from lance.fragment import FragmentMetadata
 
 _ATTEMPTS, _PAUSE = 100, 0.02
+_LEAST_OPEN_FILES = 64
 _LAST_VERSION = (1 << 64) - 1
 _MESSAGE = "lance.commit.message"
 _CHANGES = {
@@ -43,13 +45,31 @@ _CHANGES = {
 
 
 def lance() -> Any:
-    """The module, imported at first use, with only errors logged to the terminal."""
+    """The module, imported at first use, with only errors logged to the terminal.
+
+    Raises:
+        OSError: so few files can be open at once that Lance would panic.
+    """
+    _require_open_files()
     os.environ.setdefault("LANCE_LOG", "error")
+    warnings.filterwarnings("ignore", "lance is not fork-safe")  # tests fork it
     import lance as module
     import lance.commit
     import lance.optimize
 
     return module
+
+
+def _require_open_files() -> None:
+    with contextlib.suppress(ImportError):  # Windows has no such limit
+        import resource
+
+        most, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if 0 <= most < _LEAST_OPEN_FILES:
+            raise OSError(
+                errno.EMFILE,
+                f"a database needs {_LEAST_OPEN_FILES} open files, the limit is {most} (ulimit -n)",
+            )
 
 
 def open_table(uri: str, version: int | None = None) -> LanceDataset:

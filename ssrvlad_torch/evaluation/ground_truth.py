@@ -34,10 +34,10 @@ def from_poses(
         degrees: largest absolute difference of the headings; ``None`` for any.
 
     Raises:
-        ValueError: a pose is missing (NaN), or a limit is negative.
+        ValueError: a pose is missing (NaN), a limit is negative, or the distance is infinite.
     """
-    if not metres >= 0:
-        raise ValueError(f"the tolerance must be 0 metres or more, got {metres}")
+    if not 0 <= metres < math.inf:
+        raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if degrees is not None and not degrees >= 0:
         raise ValueError(f"the tolerance must be 0 degrees or more, got {degrees}")
     for name, poses in (("queries", queries), ("references", references)):

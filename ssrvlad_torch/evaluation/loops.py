@@ -61,10 +61,10 @@ def score_loops(
         first: row of the first frame that is counted.
 
     Raises:
-        ValueError: the distance is negative, or no frame has a position.
+        ValueError: the distance is negative or infinite, or no frame has a position.
     """
-    if not metres >= 0:
-        raise ValueError(f"the tolerance must be 0 metres or more, got {metres}")
+    if not 0 <= metres < math.inf:
+        raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if np.isnan(poses[:, :2]).any(axis=1).all():
         raise ValueError(
             f"none of {len(poses)} frames has a pose; a tolerance in metres requires a poses.csv "
@@ -129,4 +129,5 @@ def surest_point(curve: PrecisionRecall) -> OperatingPoint | None:
             curve.thresholds[:likely],
         )
     precision = wilson_low(curve.true_positives, curve.accepted).max(initial=0.0)
-    return suggested_point(curve, float(precision)) if precision else None
+    point = suggested_point(curve, float(precision)) if precision else None
+    return point and point._replace(score=max(0.0, point.score))

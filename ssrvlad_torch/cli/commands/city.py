@@ -18,6 +18,7 @@ def city(
         f"Frames of each sequence. Default: {FRAMES}, or with --tour the whole tour, about "
         f"{TOUR_FRAMES}.",
         min=2,
+        max=1_000_000,
     ),
     seed: Seed = 0,
     tour: bool = option(

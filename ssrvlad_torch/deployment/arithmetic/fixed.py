@@ -51,9 +51,10 @@ def check_shape(config: SSRVLADConfig, shape: tuple[int, int, int]) -> None:
         ValueError: it is not, or the shape has no pixels.
     """
     images, height, width = shape
-    if min(shape) < 1 or height * width > _MAX_PIXELS:
+    if min(shape) < 1 or height * width > _MAX_PIXELS or images > _MAX_PIXELS:
         raise ValueError(
-            f"{images} images of {height} x {width}; expected 1 to 2 ** 24 pixels in each"
+            f"{images} images of {height} x {width}; expected 1 to 2 ** 24 images, and as many "
+            "pixels in each"
         )
     columns = config.grid(height, width)[1]
     if columns > MAX_WIDTH or -(-width // columns) > MAX_CELL_WIDTH:
