@@ -58,7 +58,8 @@ class SSRVLAD(nn.Module):
     Args:
         config: the settings; the default is the preset ``default``.
         surrogate: class scores that require a gradient get the gradient of `SoftSSRVLAD`; the
-            numbers stay the same. Without a surrogate, such scores give a warning, once.
+            numbers stay the same. Not for ``paper``. Without a surrogate, such scores give a
+            warning, once.
 
     Shape:
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
@@ -114,7 +115,7 @@ class SSRVLAD(nn.Module):
             layers = self._front_end(labels)  # Table II
             histograms = self._aggregation.histograms(layers)  # Eq. 1, d_i and d_c of Eq. 2
             descriptor = self._aggregation.descriptor(histograms)  # Eq. 2
-            return self._with_gradient(descriptor, labels, layers)
+            return self._with_gradient(descriptor, labels)
 
     def _describe_by_core(self, labels: Tensor) -> Tensor:
         """The descriptors of a batch from the native core: the same numbers."""
@@ -178,7 +179,7 @@ class SSRVLAD(nn.Module):
             histograms = (self._aggregation.histograms(layers, column) for column in columns)
             return torch.stack(list(map(self._aggregation.descriptor, histograms)), dim=1)
 
-    def _with_gradient(self, descriptor: Tensor, scores: Tensor, layers: Tensor) -> Tensor:
+    def _with_gradient(self, descriptor: Tensor, scores: Tensor) -> Tensor:
         """The descriptor, with the gradient of the surrogate if the scores require one."""
         if not self._requires_gradient(scores):
             return descriptor
@@ -187,7 +188,7 @@ class SSRVLAD(nn.Module):
                 warnings.warn(_NO_GRADIENT, stacklevel=2)
             self._warned = True
             return descriptor
-        soft: Tensor = self._surrogate(scores, layers)
+        soft: Tensor = self._surrogate(scores)
         return descriptor + (soft - soft.detach()).float()
 
     @staticmethod
