@@ -71,6 +71,7 @@ def write_graph(
     dtype: str = "float",
     labels: bool = False,
     channels_last: bool = False,
+    scores_last: bool = False,
     aux: bool = False,
     external: bool = False,
     white: float = 1.0,
@@ -83,6 +84,7 @@ def write_graph(
         dtype: of its input, a key of ``DTYPES``.
         labels: its output are int64 ids ``(B, 1, H, W)``, not scores.
         channels_last: its input and output are ``(B, H, W, C)``.
+        scores_last: its output is ``(B, H, W, C)``, its input is not.
         aux: a second output, ``aux``, has scores that are all wrong.
         external: its weights lie in a file of their own beside it.
         white: the number for the brightest pixel.
@@ -97,7 +99,7 @@ def write_graph(
     nodes.append(helper.make_node("Conv", [transposed, "weight", "bias"], ["classes"]))
     if labels:
         nodes.append(helper.make_node("ArgMax", ["classes"], ["found"], axis=1, keepdims=1))
-    elif channels_last:
+    elif channels_last or scores_last:
         nodes.append(helper.make_node("Transpose", ["classes"], ["found"], perm=[0, 2, 3, 1]))
     else:
         nodes.append(helper.make_node("Identity", ["classes"], ["found"]))

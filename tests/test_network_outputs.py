@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 from drawings import SPACE
-from networks import CLASSES, PLAIN, Strided, Then
+from helpers import street
+from networks import CLASSES, PLAIN, Strided, Then, photo
 from segmenting import NOISE, PHOTOS, assert_right, write_photos
 
 from ssrvlad_torch.datasets.image_files import find_image_files
@@ -32,6 +33,17 @@ OUTPUTS = {
 @pytest.mark.parametrize("form", OUTPUTS)
 def test_an_output_is_recognised_by_its_shape(form):
     assert_right(Segmenter(Then(OUTPUTS[form]), SPACE, PLAIN))
+
+
+@pytest.mark.parametrize("size", [(12, 16), (16, 12), (12, 12)])
+@pytest.mark.parametrize("form", ["tensor", "channels last"])
+@pytest.mark.parametrize("classes", [None, (0, 12)])
+def test_the_axis_of_the_classes_does_not_follow_the_size_of_a_picture(form, size, classes):
+    config = SegmenterConfig(**{**vars(PLAIN), "classes": classes})
+    segmenter = Segmenter(Then(OUTPUTS[form]), SPACE, config)
+    for height, width in (size, (24, 32), (17, 12)):
+        labels = street(3, height, width)
+        assert_right(segmenter, [photo(labels)], [labels])
 
 
 @pytest.mark.parametrize(

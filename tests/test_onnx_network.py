@@ -44,12 +44,22 @@ def test_a_graph_that_takes_bytes(tmp_path):
         Segmenter(OnnxNetwork(path), SPACE)
 
 
-def test_classes_that_are_as_many_as_columns_are_told_apart(tmp_path):
-    """(1, 12, 16, 12) is read by the layout of the input."""
-    labels = [street(seed, 12, 16) for seed in range(2)]
-    path = write_graph(tmp_path / "net.onnx", (1, 12, 16, 3), channels_last=True)
+@pytest.mark.parametrize("options", [{"channels_last": True}, {"scores_last": True}, {}])
+@pytest.mark.parametrize("sides", [("h", "w"), (12, 16), (16, 12)])
+def test_classes_that_are_as_many_as_rows_or_columns_are_told_apart(tmp_path, options, sides):
+    shape = (1, *sides, 3) if "channels_last" in options else (1, 3, *sides)
+    path = write_graph(tmp_path / "net.onnx", shape, **options)
+    height, width = (12, 16) if sides == ("h", "w") else sides
+    labels = [street(seed, height, width) for seed in range(2)]
     segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
     assert_right(segmenter, [photo(one) for one in labels], labels)
+
+
+def test_an_axis_of_the_classes_that_nothing_tells_is_refused(tmp_path):
+    path = write_graph(tmp_path / "net.onnx", (1, 3, 12, 12), scores_last=True)
+    expected = r"output \(1, 12, 12, 12\) float32 for images of 12x12 can be \(B, C, h, w\) or "
+    with pytest.raises(ValueError, match=expected):
+        Segmenter(OnnxNetwork(path), SPACE, PLAIN)([photo(street(0, 12, 12))])
 
 
 def test_a_fixed_size_is_the_size_of_the_settings(tmp_path):

@@ -18,7 +18,7 @@ from ssrvlad_torch.cli.bench import Timing, time_in_turn
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.onnx_files import open_session
-from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged, take_output
+from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
 PARTS = ("decoded", "prepared", "network", "class and size", "head")
@@ -84,7 +84,7 @@ def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[fl
         marks.append(time.perf_counter())
         result = network(numbers, names=[labels.config.output])
         marks.append(time.perf_counter())
-        scores = take_output(result, labels.space, labels.config.output, labels.config.classes)
+        scores = labels.scores_of(next(iter(result.values())), numbers)
         found = enlarged(classes_of(scores), *pixels.shape[:2])
         marks.append(time.perf_counter())
         head(found)

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from ..files import one_line
 from ..onnx_files import load_model, rename
 from ..segmentation.label_network import LabelNetwork
-from ..segmentation.network_outputs import channel_counts, class_axis, classes_of, enlarged
+from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import Form, Preparation, SegmenterConfig
 from .graph import OPSET
@@ -198,15 +198,13 @@ def _decision(
     size = config.size if isinstance(config.size, tuple) else (64, 96)
     with torch.inference_mode():
         example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
+        labels.outputs(example)
         output = network(labels.preparation(example), names=[config.output])[str(config.output)]
     shape: list[int | None] = [None] * output.ndim
-    if output.ndim == 3:
+    if labels.axis is None or output.ndim == 3:
         return output.dtype, tuple(shape), None, (0, 0)
-    scores = output.is_floating_point()
-    counts = channel_counts(labels.space, config.classes) if scores else range(1, 2)
-    axis = class_axis(tuple(output.shape), counts, network.form.channels_last)
-    shape[axis] = output.shape[axis]
-    return output.dtype, tuple(shape), axis, config.classes or (0, output.shape[axis])
+    channels = shape[labels.axis] = output.shape[labels.axis]
+    return output.dtype, tuple(shape), labels.axis, config.classes or (0, channels)
 
 
 def _traced(

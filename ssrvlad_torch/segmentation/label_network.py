@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import chain
 from typing import cast
 
@@ -11,7 +12,16 @@ import torch
 from torch import Tensor, nn
 
 from ..taxonomy import LabelSpace
-from .network_outputs import choose_output, classes_of, enlarged, take_output
+from .network_outputs import (
+    UnrecognisedError,
+    choose_output,
+    class_axis,
+    classes_of,
+    constant_axis,
+    enlarged,
+    form_of,
+    take_output,
+)
 from .onnx_network import OnnxNetwork
 from .preparation import Preparation, SegmenterConfig
 
@@ -27,6 +37,9 @@ class LabelNetwork(nn.Module):
         space: label space of its classes.
         config: the preparation of its pictures.
 
+    Attributes:
+        axis: the axis of the network's output that holds the classes, ``None`` if not yet known.
+
     Shape:
         - input: ``(B, H, W, 3)`` uint8 in RGB.
         - output: ``(B, H, W)`` integers.
@@ -39,11 +52,15 @@ class LabelNetwork(nn.Module):
         super().__init__()
         self.network, self.space = network, space
         self.config, form = config, None
+        self.axis: int | None = None
         if isinstance(network, OnnxNetwork):
             try:
                 self.config, form = _completed(config, network, space), network.form
             except ValueError as error:
                 raise ValueError(f"{network.path}: {error}") from error
+            declared = network.outputs[str(self.config.output)]
+            if declared.shape and len(declared.shape) == 4:
+                self.axis = class_axis(declared, space, self.config.classes)
         self.preparation = Preparation(self.config, form)
         self.eval()
 
@@ -58,13 +75,50 @@ class LabelNetwork(nn.Module):
             ValueError: the output is not recognised.
         """
         numbers = self.preparation(images)
+        return self.scores_of(self._output(numbers), numbers)
+
+    def scores_of(self, output: Tensor, numbers: Tensor) -> Tensor:
+        """An output of the network for prepared pictures, with the classes in the second axis.
+
+        Which axis holds them is fixed once, for all pictures: as the graph declares it, or by the
+        first output, or by the output for a picture twice as large.
+
+        Raises:
+            ValueError: either axis could hold the classes.
+        """
+        if output.ndim == 3:
+            return output
+        if self.axis is None:
+            form = form_of(output)
+            self.axis = class_axis(form, self.space, self.config.classes)
+            self.axis = self.axis or self._constant_axis(output, numbers)
+        if not output.is_floating_point():
+            return output.squeeze(self.axis)
+        scores = output.movedim(self.axis, 1)
+        return scores if self.config.classes is None else scores[:, slice(*self.config.classes)]
+
+    def _output(self, numbers: Tensor) -> Tensor:
         if isinstance(self.network, OnnxNetwork):
             result: object = self.network(numbers, names=[self.config.output])
-            last = self.network.form.channels_last
         else:
             like = self._like()
-            result, last = self.network(numbers.to(like.device, like.dtype)), False
-        return take_output(result, self.space, self.config.output, self.config.classes, last)
+            result = self.network(numbers.to(like.device, like.dtype))
+        return take_output(result, self.space, self.config.output, self.config.classes)
+
+    def _constant_axis(self, output: Tensor, numbers: Tensor) -> int:
+        last = isinstance(self.network, OnnxNetwork) and self.network.form.channels_last
+        shapes = [output.shape]
+        with suppress(Exception):  # a network of one size can raise anything
+            twice = numbers[:1].repeat((1, 2, 2, 1) if last else (1, 1, 2, 2))
+            shapes.append(self._output(twice).shape)
+        height, width = numbers.shape[1:3] if last else numbers.shape[2:]
+        axis = constant_axis((height, width), shapes)
+        if axis is None:
+            raise UnrecognisedError(
+                f"the output {form_of(output)} for images of {height}x{width} can be "
+                "(B, C, h, w) or (B, h, w, C); expected one that shows which at this size"
+            )
+        return axis
 
     def to_device(self, images: Tensor) -> Tensor:
         """Pictures on the device of the network's weights."""

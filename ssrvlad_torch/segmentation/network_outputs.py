@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -13,6 +13,9 @@ from ..taxonomy import LabelSpace
 
 Classes = tuple[int, int] | None
 """The first channel of the scores to use and the one after the last; ``None`` for all."""
+
+CLASS_AXES = (1, 3)
+"""The axes of an output that may hold the classes: ``(B, C, h, w)`` or ``(B, h, w, C)``."""
 
 _USUAL_NAMES = ("out", "logits")
 
@@ -77,11 +80,7 @@ def choose_output(
 
 
 def take_output(
-    result: object,
-    space: LabelSpace,
-    name: str | None = None,
-    classes: Classes = None,
-    channels_last: bool = False,
+    result: object, space: LabelSpace, name: str | None = None, classes: Classes = None
 ) -> Tensor:
     """The output that holds labels, from the result of a network.
 
@@ -89,26 +88,13 @@ def take_output(
         result: a tensor, a mapping of names to tensors, an object with ``logits``, or a tuple,
             whose tensors are named ``0``, ``1`` and so on.
         space, name, classes: as for `choose_output`.
-        channels_last: whether the last axis holds the classes, not the second, if both have a
-            fitting length.
-
-    Returns:
-        ``(B, C, h, w)`` floating class scores or ``(B, h, w)`` integer ids.
 
     Raises:
         UnrecognisedError: see `choose_output`.
     """
     tensors = dict(_named_tensors(result))
-    forms = {key: _form(tensor) for key, tensor in tensors.items()}
-    output = tensors[choose_output(forms, space, name, classes)]
-    if output.ndim == 3:
-        return output
-    if not output.is_floating_point():
-        return output.squeeze(class_axis(output.shape, range(1, 2), channels_last))
-    scores = output.movedim(
-        class_axis(output.shape, channel_counts(space, classes), channels_last), 1
-    )
-    return scores if classes is None else scores[:, slice(*classes)]
+    forms = {key: form_of(tensor) for key, tensor in tensors.items()}
+    return tensors[choose_output(forms, space, name, classes)]
 
 
 def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
@@ -120,10 +106,28 @@ def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
     return range(last, 1 << 16) if fits else range(0)
 
 
-def class_axis(shape: tuple[int | None, ...], counts: range, channels_last: bool) -> int:
-    """The axis of an output that holds the classes: the second or the last."""
-    order = (3, 1) if channels_last else (1, 3)
-    return next(axis for axis in order if shape[axis] in counts)
+def class_axis(form: Form, space: LabelSpace, classes: Classes = None) -> int | None:
+    """The axis of an output of four axes that holds the classes, the second or the last, or
+    ``None`` if its shape does not tell."""
+    assert form.shape is not None
+    counts = channel_counts(space, classes) if form.kind == "scores" else range(1, 2)
+    fitting = [axis for axis in CLASS_AXES if form.shape[axis] in counts]
+    _, second, third, last = form.shape
+    half_free = None in (second, last) and third is not None  # h and w are free together
+    return fitting[0] if len(fitting) == 1 and not half_free else None
+
+
+def constant_axis(size: tuple[int, int], shapes: Sequence[Sequence[int]]) -> int | None:
+    """The axis that holds the classes, from the shapes of a network's outputs for images of this
+    height and width and of other sizes: its length does not follow the size. If the lengths do not
+    tell, the other two axes are those proportional to height and width. ``None`` if both are."""
+    constant = [axis for axis in CLASS_AXES if len({shape[axis] for shape in shapes}) == 1]
+    if len(constant) == 1:
+        return constant[0]
+    (height, width), (_, second, third, last) = size, shapes[0]
+    places = {1: (third, last), 3: (second, third)}
+    fitting = [axis for axis, (h, w) in places.items() if h * width == w * height]
+    return fitting[0] if len(fitting) == 1 else None
 
 
 def classes_of(output: Tensor) -> Tensor:
@@ -168,7 +172,8 @@ def _named_tensors(result: object) -> Iterator[tuple[str, Tensor]]:
     yield from tensors
 
 
-def _form(tensor: Tensor) -> Form:
+def form_of(tensor: Tensor) -> Form:
+    """The form of an actual output."""
     dtype = str(tensor.dtype).removeprefix("torch.")
     if tensor.is_floating_point():
         return Form(tuple(tensor.shape), dtype, "scores")
