@@ -1,6 +1,4 @@
-"""Matching against plain NumPy, and Eq. 3 against a loop."""
-
-import tracemalloc
+"""Matching against plain NumPy."""
 
 import numpy as np
 import pytest
@@ -9,14 +7,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.recognition import matching
-from ssrvlad_torch.recognition.matching import (
-    Rows,
-    best_of,
-    frames_within,
-    highest,
-    match,
-    temporal_sum,
-)
+from ssrvlad_torch.recognition.matching import Rows, best_of, highest, match
 
 
 def coarse_vectors(seed, count):
@@ -123,65 +114,6 @@ def test_arrays_and_doubles_are_taken():
 def test_wrong_vectors_are_refused(queries, references, top, message):
     with pytest.raises(ValueError, match=message):
         match(queries, references, top)
-
-
-def plain_temporal_sum(descriptors, sequences, reach):
-    """Eq. 3 frame by frame."""
-    summed = np.zeros_like(descriptors)
-    for i in range(len(descriptors)):
-        if not descriptors[i].any():
-            continue
-        for j in range(max(0, i - reach), min(len(descriptors), i + reach + 1)):
-            if sequences[j] == sequences[i]:
-                summed[i] += descriptors[j]
-        length = np.linalg.norm(summed[i])
-        summed[i] = summed[i] / length if length else 0
-    return summed
-
-
-@given(st.lists(st.integers(0, 6), max_size=4), st.integers(0, 9), st.integers(0, 2**32 - 1))
-@example([3], 100, 0)  # a reach beyond the sequence
-@example([6, 6, 6], 2, 1)  # empty frames among others
-def test_temporal_sum_equals_a_loop(lengths, reach, seed):
-    rng = np.random.default_rng(seed)
-    sequences = [f"sequence {9 - s}" for s, length in enumerate(lengths) for _ in range(length)]
-    descriptors = rng.uniform(0.1, 1, (len(sequences), 5)).astype(np.float32)
-    descriptors[rng.random(len(sequences)) < 0.2] = 0
-    before = descriptors.copy()
-    summed = temporal_sum(descriptors, sequences, reach)
-    np.testing.assert_array_equal(descriptors, before)
-    expected = plain_temporal_sum(descriptors.astype(np.float64), sequences, reach)
-    np.testing.assert_allclose(summed.numpy(), expected, rtol=0, atol=1e-6)
-    assert summed.dtype == torch.float32
-
-
-def test_temporal_sum_keeps_no_copy_of_long_names():
-    sequences = ["a" * 1000] * 5000 + ["b" * 1000] * 5000
-    tracemalloc.start()
-    temporal_sum(torch.ones(10_000, 2), sequences, 1)
-    peak = tracemalloc.get_traced_memory()[1]
-    tracemalloc.stop()
-    assert peak < 5e6, "names as wide strings take 40 MB"
-
-
-def test_temporal_sum_refuses_wrong_arguments():
-    with pytest.raises(ValueError, match="a sequence for each of 3 frames, got 2"):
-        temporal_sum(torch.eye(3), ["a", "a"], 1)
-    with pytest.raises(ValueError, match="0 or more frames, got -1"):
-        temporal_sum(torch.eye(3), ["a"] * 3, -1)
-
-
-def test_a_reach_in_metres_is_another_t_for_each_sequence():
-    dense, sparse = np.arange(9) * 0.5, np.arange(5) * 2.0
-    x = np.concatenate((dense[:4], [1.5] * 6, dense[4:], sparse))
-    poses = np.stack((x, np.zeros(len(x)), np.full(len(x), np.nan)), 1)
-    sequences = ["a"] * 15 + ["b"] * 5
-    assert frames_within(poses, sequences, 4.0) == {"a": 8, "b": 2}
-    poses[17] = np.nan
-    assert frames_within(poses, sequences, 4.0)["b"] == 2
-    poses[15:] = np.nan
-    with pytest.raises(ValueError, match="sequence 'b' has no poses"):
-        frames_within(poses, sequences, 4.0)
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from helpers import street
 
 from ssrvlad_torch import SSRVLAD, match
 from ssrvlad_torch.baselines import Frame, make
-from ssrvlad_torch.recognition.matching import temporal_sum
+from ssrvlad_torch.recognition.temporal import temporal_sum
 
 
 def frames(seeds, sequence="a"):

@@ -36,9 +36,9 @@ from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.evaluation.ground_truth import from_poses
 from ssrvlad_torch.evaluation.metrics import evaluate
-from ssrvlad_torch.recognition.matching import temporal_sum
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
 from ssrvlad_torch.recognition.sweep import COLUMNS
+from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.taxonomy import label_space
 
 PRESETS = {"SSR-VLAD, paper": "paper", "SSR-VLAD, default": "default"}

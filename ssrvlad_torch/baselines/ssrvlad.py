@@ -11,8 +11,8 @@ from torch import Tensor
 
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
-from ..recognition.matching import temporal_sum
 from ..recognition.sweep import COLUMNS
+from ..recognition.temporal import temporal_sum
 from .protocol import Frame, batches, label_kind, labels_of, noting
 from .vectors import Vectors
 

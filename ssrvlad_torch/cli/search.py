@@ -23,10 +23,11 @@ from ..descriptor import query_head
 from ..encoding.encoder import encode_to_memory
 from ..encoding.results import Skipped
 from ..recognition.follow import runs
-from ..recognition.matching import Matches, frames_within, temporal_sum
+from ..recognition.matching import Matches
 from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise, recognise_by_search
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
+from ..recognition.temporal import frames_within, temporal_sum
 from .options import Reach, RecognitionOptions, StepOptions
 from .output import progress_bar
 from .sources import LabelsAs, Source, only_label_space

@@ -1,8 +1,7 @@
-"""Matching: cosine scores (Eq. 4), the best candidates, and the temporal sum of Eq. 3."""
+"""Matching: cosine scores (Eq. 4) and the best candidates."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -173,91 +172,6 @@ def _lengths(vectors: Tensor, name: str = "references") -> Tensor:
     if bool(vectors[lengths == 0].any()):
         raise ValueError(f"{name} hold values too small for float32 to measure their length")
     return lengths
-
-
-def temporal_sum(
-    descriptors: Vectors, sequences: Sequence[str], reach: int, out: Tensor | None = None
-) -> Tensor:
-    """Descriptors of reference frames summed over their neighbours and normalised (Eq. 3).
-
-    Frame i becomes the sum of frames i - t to i + t of its own sequence, clipped at the ends.
-    An empty frame, whose own descriptor is zero, stays zero and so matches nothing.
-
-    Args:
-        descriptors: ``(R, D)`` float, frames of a sequence one after another in order.
-        sequences: the sequence of each frame.
-        reach: t of the paper, 0 for none.
-        out: ``(R, D)`` float32 to write into; it may be the descriptors themselves, which saves
-            the memory of a copy.
-
-    Returns:
-        ``(R, D)`` float32 of length 1, or zero.
-
-    Raises:
-        ValueError: the number of sequences is not R, or ``reach`` is negative.
-    """
-    single = torch.as_tensor(descriptors).float()
-    if len(sequences) != len(single):
-        raise ValueError(
-            f"expected a sequence for each of {len(single)} frames, got {len(sequences)}"
-        )
-    if reach < 0:
-        raise ValueError(f"the temporal reach must be 0 or more frames, got {reach}")
-    number = {sequence: place for place, sequence in enumerate(dict.fromkeys(sequences))}
-    drive = torch.tensor([number[sequence] for sequence in sequences], dtype=torch.int64)
-    reach = min(reach, max(0, len(single) - 1))
-    out = torch.empty_like(single) if out is None else out
-    before = single[:0]
-    for first in range(0, len(single), _REFERENCE_BLOCK):
-        last = min(first + _REFERENCE_BLOCK, len(single))
-        around = torch.cat((before, single[first : last + reach]))
-        start = first - len(before)
-        before = around[: last - start][-reach:].clone() if reach else single[:0]
-        whole = _summed(around, drive[start : start + len(around)].to(around.device), reach)
-        out[first:last] = whole[first - start : last - start]
-    return out
-
-
-def frames_within(
-    poses: npt.NDArray[np.float64], sequences: Sequence[str], metres: float
-) -> dict[str, int]:
-    """The t of Eq. 3 in frames for a reach in metres, for each sequence.
-
-    It is the reach over the median distance of neighbouring frames, without those that stand still.
-
-    Args:
-        poses: ``(R, 3)``, x and y in metres, NaN where unknown.
-        sequences: the sequence of each frame; the frames of one stand together and in order.
-        metres: the reach, at least 0.
-
-    Raises:
-        ValueError: a sequence has no two neighbouring frames whose poses differ.
-    """
-    names = np.array(sequences)
-    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
-    steps[(names[1:] != names[:-1]) | ~(steps > _STANDING)] = np.nan
-    reaches = {}
-    for name in dict.fromkeys(sequences):
-        own = steps[names[1:] == name]
-        own = own[~np.isnan(own)]
-        if not len(own):
-            raise ValueError(f"sequence {name!r} has no poses: expected the temporal sum in frames")
-        reaches[name] = round(metres / float(np.median(own)))
-    return reaches
-
-
-_STANDING = 0.01
-"""Neighbouring frames nearer than this stand still, in metres."""
-
-
-def _summed(single: Tensor, drive: Tensor, reach: int) -> Tensor:
-    """Eq. 3 over a block of frames; correct for those whose neighbours are all in the block."""
-    total = torch.zeros_like(single)
-    for offset in range(-min(reach, len(single) - 1), min(reach, len(single) - 1) + 1):
-        here = slice(max(0, -offset), len(single) - max(0, offset))
-        there = slice(max(0, offset), len(single) - max(0, -offset))
-        total[here] += single[there] * (drive[here] == drive[there])[:, None]
-    return F.normalize(total * single.any(dim=1, keepdim=True), dim=1)
 
 
 def _improve(scores: Tensor, indices: Tensor, cosines: Tensor, first: int) -> None:

@@ -78,7 +78,7 @@ def _print(model: Path, found: Verification) -> None:
         say(f"{found.fault.kind}, {found.fault.place}: {found.fault.reason}")
     network = f" with {found.network}" if found.network else ""
     say(
-        f"{model}: {'as it should be' if found.passed else 'NOT as it should be'}, "
+        f"{model}: {'as expected' if found.passed else 'WRONG'}, "
         f"{found.verdict} in {found.runtime}, largest difference {found.difference:.2g}; version "
         f"{found.version}, fingerprint {found.fingerprint}, {found.labels_as}{network}"
     )
