@@ -29,6 +29,9 @@ Floats = npt.NDArray[np.float64]
 CELLS = (24, 32)
 """Rows and columns of the grid of cells."""
 
+FEATURE_CELLS, SIGNS = (12, 16), 85
+"""Rows and columns of the cells of features, and signs of each."""
+
 
 @dataclass(frozen=True)
 class LayerTrace:
@@ -407,3 +410,30 @@ def normalise(vector: Floats) -> Floats:
     """The vector divided by its L2 norm; zeros stay zeros."""
     norm = np.linalg.norm(vector)
     return vector / norm if norm > 0 else vector
+
+
+def features(activations: list[Floats]) -> npt.NDArray[np.uint8]:
+    """The signs of one picture, `stages.features.Features`, from ``(C, h, w)`` activations."""
+    rows, columns = FEATURE_CELLS
+    cells = np.zeros((rows, columns, 0))
+    for activation in activations:
+        height, width = activation.shape[1:]
+        down, across = overlaps(height, rows, 0) / height, overlaps(width, columns, 0) / width
+        means = np.array([down.T @ channel @ across for channel in activation])
+        means = np.array([(m - m.mean()) / max(m.std(), 1e-6) for m in means])
+        for cell in np.ndindex(rows, columns):
+            means[:, *cell] /= max(np.linalg.norm(means[:, *cell]), 1e-6)
+        cells = np.concatenate((cells, means.transpose(1, 2, 0)), 2)
+    side = [
+        [random_side(channel * SIGNS + sign) for sign in range(SIGNS)]
+        for channel in range(cells.shape[2])
+    ]
+    return np.packbits(cells @ np.array(side) > 0, bitorder="little")
+
+
+def random_side(number: int) -> int:
+    """1 or -1 by the highest bit of SplitMix64 after ``number + 1`` steps from state 0."""
+    state = (number + 1) * 0x9E3779B97F4A7C15 % 2**64
+    state = (state ^ state >> 30) * 0xBF58476D1CE4E5B9 % 2**64
+    state = (state ^ state >> 27) * 0x94D049BB133111EB % 2**64
+    return 1 if (state ^ state >> 31) >> 63 else -1

@@ -1,6 +1,7 @@
 """Tiny exact segmentation networks, as modules and as ONNX graphs; shared by the tests."""
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy.typing as npt
 import onnx
 import pytest
 import torch
+import torch.nn.functional as F
 from drawings import SPACE
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
@@ -63,6 +65,50 @@ class Then(nn.Module):
 
     def forward(self, images: Tensor) -> object:
         return self.function(self.network(images))
+
+
+class Street(nn.Module):
+    """A network like real ones, with random weights: an encoder down to stride 16, which also sees
+    smaller copies of the picture and weighs channels by their means, and a decoder."""
+
+    CHANNELS = (8, 16, 32, 24)
+
+    def __init__(self) -> None:
+        super().__init__()
+        torch.manual_seed(0)
+        before = (3, *self.CHANNELS)
+        pairs = zip(before, self.CHANNELS, strict=False)
+        self.steps = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1) for a, b in pairs)
+        self.stages = nn.ModuleList(nn.Conv2d(c + 3, c, 3, padding=1) for c in self.CHANNELS)
+        self.narrow = nn.Conv2d(32, 32, 1)
+        self.act = nn.ModuleList(nn.ReLU(inplace=True) for _ in self.CHANNELS)
+        self.up = nn.ConvTranspose2d(24, 48, 2, 2)
+        self.decoder = nn.Conv2d(80, 64, 3, padding=1)
+        self.scores = nn.Conv2d(64, 12, 1)
+        self.eval().requires_grad_(False)
+
+    def forward(self, images: Tensor) -> Tensor:
+        x, skips = images, []
+        for step, stage, act in zip(self.steps, self.stages, self.act, strict=True):
+            x = step(x)
+            small = F.interpolate(images, x.shape[2:])
+            x = act(stage(torch.cat((x * x.mean((2, 3), keepdim=True).sigmoid(), small), 1)))
+            skips.append(x)
+        x = self.decoder(torch.cat((self.up(x), self.narrow(skips[2])), 1))
+        return F.interpolate(self.scores(x), images.shape[2:], mode="bilinear")
+
+
+def write_street(path: Path) -> Path:
+    """`Street` as an ONNX graph with free axes."""
+    axes = dict.fromkeys((0, 2, 3), torch.export.Dim.DYNAMIC)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torch.onnx.export(
+            Street(), (torch.rand(2, 3, 64, 96),), path, input_names=["images"],
+            output_names=["scores"], dynamo=True, verbose=False, dynamic_shapes=(axes,),
+            external_data=False,
+        )  # fmt: skip
+    return path
 
 
 def write_graph(

@@ -7,6 +7,7 @@ import onnx
 import pytest
 from cases import REAL, needs_real
 from drawings import SPACE
+from networks import write_street
 from PIL import Image
 from segmenting import write_photos, write_settings
 
@@ -87,8 +88,21 @@ def test_labels_lists_what_is_left_out(network, ssrvlad):
     assert code == 0
     assert "8 of 12 classes have a category" in out
     assert "left out: car, pedestrian, bicyclist, void" in out
+    assert "features: none: " in out and "no activation at a stride from 4 to 32" in out
     of_space = json.loads(ssrvlad("labels", SPACE, "--json")[1])
     assert of_space["classes"][3] == {"id": 3, "name": "road", "category": "ground"}
+    assert of_space["features"] is None
+
+
+def test_labels_prints_which_activations_are_features(ssrvlad, tmp_path):
+    write_street(tmp_path / "net.onnx")
+    settings = tmp_path / "net.yaml"
+    for named, name in (("", "relu_2"), ("features: [relu_1]", "relu_1")):
+        settings.write_text(f"network: net.onnx\nlabels_as: {SPACE}\n{named}")
+        code, out, _ = ssrvlad("labels", settings)
+        assert code == 0
+        assert f"features: {name} (1, " in out
+        assert json.loads(ssrvlad("labels", settings, "--json")[1])["features"] == [name]
 
 
 @pytest.mark.parametrize(

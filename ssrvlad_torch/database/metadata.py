@@ -15,6 +15,10 @@ FORMAT = "ssrvlad-database-4"
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 
 
+FLOATS, SIGNS = "float32", "signs"
+"""Kinds of descriptors: float32 numbers, or signs, eight in a uint8."""
+
+
 class ExtraDescriptor(NamedTuple):
     """A descriptor that every frame has beside that of the method, made from its picture.
 
@@ -22,11 +26,13 @@ class ExtraDescriptor(NamedTuple):
         name: name of its method, and of its column.
         width: its length.
         fingerprint: descriptors are comparable only if their fingerprints are equal.
+        kind: `FLOATS` or `SIGNS`.
     """
 
     name: str
     width: int
     fingerprint: str
+    kind: str = FLOATS
 
 
 class Origin(NamedTuple):

@@ -1,4 +1,4 @@
-"""A cache of label maps on disk, so that no picture is segmented twice; of bounded size."""
+"""A cache of what networks said of pictures, so that none is segmented twice; of bounded size."""
 
 from __future__ import annotations
 
@@ -6,7 +6,10 @@ import os
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+import numpy.typing as npt
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 
 from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, read_label_map
@@ -18,38 +21,53 @@ LARGEST = 10 * 10**9
 
 _FILLED_TO = 0.9
 _WIDEST = 2
+_CHUNK, _END = b"ftRs", b"\n"
+"""A private chunk of a PNG, which other programs ignore and checksums of PNG cover."""
+
+Signs = npt.NDArray[np.uint8]
 
 
-class LabelMapCache:
-    """A folder of label maps, one PNG for each picture that a network has segmented.
+class SegmentedCache:
+    """A folder with a PNG for each picture that a network has segmented: its label map, and its
+    features in a chunk of their own.
 
     Args:
         folder: of the whole cache, for all networks.
         key: of the network and its preparation; the name of a folder inside ``folder``.
         space: label space of the label maps.
         largest: most bytes of the whole cache; above it the least recently used are removed.
+        features: key of the features; empty for label maps alone.
     """
 
-    def __init__(self, folder: Path, key: str, space: LabelSpace, largest: int = LARGEST) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        key: str,
+        space: LabelSpace,
+        largest: int = LARGEST,
+        features: str = "",
+    ) -> None:
         self.folder = folder
         self.key = key
         self.space = space
         self.largest = largest
+        self.features = features.encode()
         self._size: int | None = None
 
-    def get(self, picture: str) -> LabelMap | None:
-        """The label map of the picture whose file has this digest; ``None`` if it is missing or
-        damaged."""
+    def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
+        """The label map and the features of the picture whose file has this digest; ``None`` if
+        one of them is missing or damaged."""
         entry = self._entry(picture)
         try:
             labels = read_label_map(FrameFile("cache", entry.stem, entry), self.space)
+            features = self._features(entry) if self.features else None
             os.utime(entry)
         except (ValueError, OSError):
             return None
-        return labels
+        return labels, features
 
-    def put(self, picture: str, labels: LabelMap) -> None:
-        """Stores a label map, unless its ids do not fit into a PNG.
+    def put(self, picture: str, labels: LabelMap, features: Signs | None = None) -> None:
+        """Stores a label map and features, unless its ids do not fit into a PNG.
 
         Raises:
             OSError: the folder cannot be written.
@@ -58,8 +76,11 @@ class LabelMapCache:
             return
         entry = self._entry(picture)
         entry.parent.mkdir(parents=True, exist_ok=True)
+        chunks = PngInfo()
+        if features is not None:
+            chunks.add(_CHUNK, self.features + _END + features.tobytes())
         with replacing(entry) as temporary:
-            Image.fromarray(labels).save(temporary, format="PNG", compress_level=1)
+            Image.fromarray(labels).save(temporary, format="PNG", compress_level=1, pnginfo=chunks)
         if self._size is None:
             self._size = sum(size for _, size, _ in self._entries())
         else:
@@ -67,11 +88,21 @@ class LabelMapCache:
         if self._size > self.largest:
             self._remove_oldest()
 
+    def _features(self, entry: Path) -> Signs:
+        """The features in an entry; others are a ValueError."""
+        with Image.open(entry) as image:
+            image.load()
+            chunks = {name: content for name, content, *_ in vars(image)["private_chunks"]}
+        key, _, content = chunks.get(_CHUNK, b"").partition(_END)
+        if key != self.features:
+            raise ValueError(f"{entry} holds no features {self.features.decode()}")
+        return np.frombuffer(content, np.uint8)
+
     def _entry(self, picture: str) -> Path:
         return self.folder / self.key / picture[:2] / f"{picture}.png"
 
     def _entries(self) -> list[tuple[int, int, Path]]:
-        """Time of last use, size and path of every label map of the cache."""
+        """Time of last use, size and path of every entry of the cache."""
         entries = []
         for path in self.folder.glob("*/??/*.png"):
             with suppress(OSError):  # another process has removed it

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ..taxonomy import LabelSpace
+from .activations import taken
 from .network_outputs import (
     UnrecognisedError,
     choose_output,
@@ -74,8 +75,23 @@ class LabelNetwork(nn.Module):
         Raises:
             ValueError: the output is not recognised.
         """
-        numbers = self.preparation(images)
-        return self.scores_of(self._output(numbers), numbers)
+        return self.run(images)[0]
+
+    def run(self, images: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
+        """The output as `outputs` gives it, and the activations with some names.
+
+        Raises:
+            ValueError: the output is not recognised, or an activation was not computed.
+        """
+        numbers = self.numbers(images)
+        output, activations = self._output(numbers, names)
+        return self.scores_of(output, numbers), activations
+
+    def numbers(self, images: Tensor) -> Tensor:
+        """The input of the network for pictures, on the device of its weights."""
+        numbers: Tensor = self.preparation(images)
+        like = self._like()
+        return numbers if like is None else numbers.to(like.device, like.dtype)
 
     def scores_of(self, output: Tensor, numbers: Tensor) -> Tensor:
         """An output of the network for prepared pictures, with the classes in the second axis.
@@ -97,20 +113,24 @@ class LabelNetwork(nn.Module):
         scores = output.movedim(self.axis, 1)
         return scores if self.config.classes is None else scores[:, slice(*self.config.classes)]
 
-    def _output(self, numbers: Tensor) -> Tensor:
+    def _output(self, numbers: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
         if isinstance(self.network, OnnxNetwork):
-            result: object = self.network(numbers, names=[self.config.output])
+            values = self.network(numbers, names=[self.config.output, *names])
+            result: object = {self.config.output: values[self.config.output]}
         else:
-            like = self._like()
-            result = self.network(numbers.to(like.device, like.dtype))
-        return take_output(result, self.space, self.config.output, self.config.classes)
+            with taken(self.network, names) as values:
+                result = self.network(numbers)
+        if missing := [name for name in names if name not in values]:
+            raise ValueError(f"features: the network did not compute {missing[0]}")
+        output = take_output(result, self.space, self.config.output, self.config.classes)
+        return output, [values[name] for name in names]
 
     def _constant_axis(self, output: Tensor, numbers: Tensor) -> int:
         last = isinstance(self.network, OnnxNetwork) and self.network.form.channels_last
         shapes = [output.shape]
         with suppress(Exception):  # a network of one size can raise anything
             twice = numbers[:1].repeat((1, 2, 2, 1) if last else (1, 1, 2, 2))
-            shapes.append(self._output(twice).shape)
+            shapes.append(self._output(twice)[0].shape)
         height, width = numbers.shape[1:3] if last else numbers.shape[2:]
         axis = constant_axis((height, width), shapes)
         if axis is None:
@@ -122,11 +142,13 @@ class LabelNetwork(nn.Module):
 
     def to_device(self, images: Tensor) -> Tensor:
         """Pictures on the device of the network's weights."""
-        return images.to(self._like().device)
+        like = self._like()
+        return images if like is None else images.to(like.device)
 
-    def _like(self) -> Tensor:
+    def _like(self) -> Tensor | None:
+        """A weight of the network; ``None`` of an ONNX graph and of a network without weights."""
         weights = chain(self.network.parameters(), self.network.buffers())
-        return next((tensor for tensor in weights if tensor.is_floating_point()), torch.empty(0))
+        return next((tensor for tensor in weights if tensor.is_floating_point()), None)
 
 
 def _completed(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:

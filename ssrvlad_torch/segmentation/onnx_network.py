@@ -5,10 +5,10 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,9 @@ from torch import Tensor, nn
 from ..onnx_files import CPU, external_files, open_session
 from .network_outputs import Form
 from .preparation import Form as InputForm
+
+if TYPE_CHECKING:
+    import onnx
 
 _COLOURS = 3
 _DTYPES = {
@@ -86,6 +89,46 @@ class OnnxNetwork(nn.Module):
             name: torch.from_numpy(np.concatenate(arrays))
             for name, arrays in zip(names, zip(*parts, strict=True), strict=True)
         }
+
+    def nodes(self) -> Sequence[onnx.NodeProto]:
+        """The nodes of the graph, in the order in which they run."""
+        nodes: Sequence[onnx.NodeProto] = self._model().graph.node
+        return nodes
+
+    def take(self, names: Sequence[str]) -> None:
+        """Makes inner tensors outputs that `forward` can be asked for.
+
+        Raises:
+            ValueError: the graph cannot run with them.
+        """
+        self._session = self._session_with(names)
+
+    def run_all(self, images: Tensor, names: Sequence[str]) -> dict[str, Tensor]:
+        """The inner tensors with these names for one picture."""
+        session, array = self._session_with(names, whole=False), images.numpy(force=True)
+        if self.batch:
+            array = np.repeat(array, self.batch, axis=0)
+        values = session.run([*names], {self.input: np.ascontiguousarray(array)})
+        return {
+            name: torch.from_numpy(value)
+            for name, value in zip(names, values, strict=True)
+            if isinstance(value, np.ndarray) and value.dtype.kind in "fiub"
+        }
+
+    def _model(self) -> onnx.ModelProto:
+        import onnx
+
+        return onnx.load(self.path, load_external_data=False)
+
+    def _session_with(self, names: Sequence[str], whole: bool = True) -> Any:
+        from onnx.helper import make_empty_tensor_value_info
+
+        model = self._model()
+        model.graph.output.extend(map(make_empty_tensor_value_info, names))
+        settings = {"session.model_external_initializers_file_folder_path": str(self.path.parent)}
+        provider = "CUDAExecutionProvider" if whole else CPU
+        content = model.SerializeToString()
+        return open_session(content, self.path, provider, CPU, settings)
 
     def class_names(self) -> dict[int, str]:
         """Names of its classes by channel, from the metadata that exporters write; may be empty."""

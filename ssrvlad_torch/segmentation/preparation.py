@@ -32,6 +32,8 @@ class SegmenterConfig:
         output: name of the output to use, if several outputs of the network fit.
         classes: the first channel of the class scores to use and the one after the last, for a
             network with more channels than the label space has classes. ``None`` uses all.
+        features: names of the activations that are features; ``None`` uses the rule of
+            `activations.find_activations`.
 
     Raises:
         ValueError: a setting is outside its range; the message names it and what was got.
@@ -46,6 +48,7 @@ class SegmenterConfig:
     colour_order: str = "rgb"
     output: str | None = None
     classes: tuple[int, int] | None = None
+    features: tuple[str, ...] | None = None
 
     def __post_init__(self) -> None:
         number, ends = (int, float), self.classes
@@ -53,6 +56,10 @@ class SegmenterConfig:
         size = len(sides) in (1, 2) and _are_numbers(sides, len(sides), int, above=0)
         longest = self.longest is None or _are_numbers((self.longest,), 1, int, above=0)
         classes = ends is None or (_are_numbers(ends, 2, int, above=-1) and ends[0] < ends[1])
+        names = self.features
+        features = names is None or (
+            isinstance(names, tuple) and bool(names) and all(isinstance(n, str) for n in names)
+        )
         for name, fits, expected in (
             ("size", size, "height and width in pixels, or the shorter side"),
             ("longest", longest, "a number of pixels"),
@@ -63,6 +70,7 @@ class SegmenterConfig:
             ("colour_order", self.colour_order in ("rgb", "bgr"), "rgb or bgr"),
             ("output", isinstance(self.output, str | None), "a name"),
             ("classes", classes, "FIRST:LAST, LAST not included"),
+            ("features", features, "a list of names of activations"),
         ):
             if not fits:
                 raise ValueError(f"{name} must be {expected}, got {getattr(self, name)!r}")

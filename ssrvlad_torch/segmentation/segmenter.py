@@ -6,13 +6,14 @@ import dataclasses
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
@@ -24,7 +25,8 @@ from ..datasets.names import absolute
 from ..files import one_line
 from ..taxonomy import LabelSpace, label_space
 from ..untrusted import check_pixels
-from .cache import LARGEST, LabelMapCache
+from .cache import LARGEST, SegmentedCache
+from .features import NetworkFeatures
 from .identity import digest_of
 from .label_network import LabelNetwork
 from .network_outputs import UnrecognisedError, channel_counts, classes_of, enlarged
@@ -39,6 +41,18 @@ REVISION = 2
 """Increased whenever the same network and settings give other label maps; part of every key."""
 
 _AHEAD = 16
+
+
+class Segmented(NamedTuple):
+    """What a network says of a picture.
+
+    Attributes:
+        labels: ``(H, W)`` label map: uint8, or uint16 or int64 for ids that need it.
+        features: ``(D,)`` uint8 signs, see `NetworkFeatures`, if they were asked for.
+    """
+
+    labels: LabelMap
+    features: npt.NDArray[np.uint8] | None = None
 
 
 class _Picture(NamedTuple):
@@ -62,7 +76,7 @@ class Segmenter:
             evaluation mode and runs on the device of its weights.
         labels_as: label space of its classes.
         config: the preparation of its pictures.
-        cache: folder in which `label_maps` stores label maps, by the content of the image file, the
+        cache: folder in which `segmented` stores its results, by the content of the image file, the
             settings and the digest of the network (`digest_of`).
         cache_bytes: most bytes of the whole cache.
         name: of the network for `load`, if it has one.
@@ -135,18 +149,32 @@ class Segmenter:
         )
         return cls(named.network, space, config, cache, name=_absolute(named.name))
 
+    @cached_property
+    def features(self) -> NetworkFeatures:
+        """The features of the network.
+
+        Raises:
+            ValueError: it has none, see `find_activations`.
+        """
+        try:
+            return NetworkFeatures(self.labels, self._digest())
+        except ValueError as error:
+            raise ValueError(f"{self.name or 'the network'}: {error}") from error
+
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
-        """The label maps of pictures in memory, without the cache.
+        """The label maps of pictures in memory, without the cache; see `segment`."""
+        return [each.labels for each in self.segment(images)]
+
+    def segment(self, images: Sequence[Pixels], features: bool = False) -> list[Segmented]:
+        """What the network says of pictures in memory, without the cache.
 
         Args:
             images: each ``(H, W, 3)`` uint8 in RGB, of any size.
-
-        Returns:
-            ``(H, W)`` label maps: uint8, or uint16 or int64 for ids that need it.
+            features: whether to take the features too, in the same pass.
 
         Raises:
-            ValueError: a picture has another shape or dtype, the network fails, or its output is
-                not recognised or holds NaN scores.
+            ValueError: a picture has another shape or dtype, the network fails, its output is not
+                recognised or holds NaN scores, or it has no features.
         """
         for image in images:
             if not isinstance(image, np.ndarray):
@@ -155,45 +183,52 @@ class Segmenter:
                 raise ValueError(
                     f"expected a list of (H, W, 3) uint8 images, got {image.shape} {image.dtype}"
                 )
+        found = self.features if features else None
         results = []
-        for result in self._complete([_Picture(image, None) for image in images], None):
+        for result in self._complete([_Picture(image, None) for image in images], None, found):
             if isinstance(result, ValueError):
                 raise result
             results.append(result)
         return results
 
     def label_maps(
-        self,
-        files: Sequence[FrameFile],
-        workers: int = 2,
-        progress: Callable[[int], None] | None = None,
+        self, files: Sequence[FrameFile], workers: int = 2
     ) -> Iterator[tuple[FrameFile, LabelMap | ValueError]]:
-        """The label maps of images on disk, in order; an error in place of a map that failed.
+        """The label maps of images on disk; see `segmented`."""
+        for file, result in self.segmented(files, workers):
+            yield file, result if isinstance(result, ValueError) else result.labels
+
+    def segmented(
+        self, files: Sequence[FrameFile], workers: int = 2, features: bool = False
+    ) -> Iterator[tuple[FrameFile, Segmented | ValueError]]:
+        """What the network says of images on disk, in order; an error in place of a failed one.
 
         Args:
             files: from `find_image_files`.
             workers: threads that read and decode ahead of the network.
-            progress: called with the number of frames done since the last call.
+            features: whether to take the features too, in the same pass.
 
         Raises:
-            ValueError: the network's output is not recognised.
+            ValueError: the network's output is not recognised, or it has no features.
             OSError: the cache cannot be written.
         """
+        found = self.features if features else None
         cache = None
         if self.cache is not None:
-            cache = LabelMapCache(self.cache, self.key(), self.label_space, self.cache_bytes)
+            features_key = found.key if found else ""
+            cache = SegmentedCache(
+                self.cache, self.key(), self.label_space, self.cache_bytes, features_key
+            )
         read = read_ahead(partial(_read, cache), files, workers, _AHEAD)
         while chunk := list(islice(read, _AHEAD)):
-            results = self._complete([content for _, content in chunk], cache)
-            for (file, _), result in zip(chunk, results, strict=True):
-                if progress:
-                    progress(1)
-                yield file, result
+            results = self._complete([content for _, content in chunk], cache, found)
+            yield from zip((file for file, _ in chunk), results, strict=True)
 
     def key(self) -> str:
         """The key of the network with these settings in the cache, in hex; other networks and
         settings have other keys."""
-        key = [REVISION, self._digest(), dataclasses.astuple(self.config)]
+        settings = dataclasses.astuple(dataclasses.replace(self.config, features=None))[:-1]
+        key = [REVISION, self._digest(), settings]
         key.append(list(channel_counts(self.label_space, self.config.classes))[:2])
         return hashlib.blake2b(json.dumps(key).encode(), digest_size=16).hexdigest()
 
@@ -206,9 +241,12 @@ class Segmenter:
         return digest_of(self.network, labels)
 
     def _complete(
-        self, chunk: Sequence[LabelMap | _Picture | ValueError], cache: LabelMapCache | None
-    ) -> list[LabelMap | ValueError]:
-        """Replaces pictures by their label maps; pictures of one size form batches."""
+        self,
+        chunk: Sequence[Segmented | _Picture | ValueError],
+        cache: SegmentedCache | None,
+        features: NetworkFeatures | None,
+    ) -> list[Segmented | ValueError]:
+        """Replaces pictures by what the network says of them; pictures of one size form batches."""
         results = {i: item for i, item in enumerate(chunk) if not isinstance(item, _Picture)}
         by_size: dict[tuple[int, ...], list[tuple[int, _Picture]]] = {}
         for i, item in enumerate(chunk):
@@ -219,46 +257,55 @@ class Segmenter:
             step = max(1, PIXELS_AT_ONCE // max(height * width, size[0] * size[1]))
             for first in range(0, len(members), step):
                 indices, pictures = zip(*members[first : first + step], strict=True)
-                maps = self._segment([picture.pixels for picture in pictures])
-                results.update(zip(indices, maps, strict=True))
-                for picture, labels in zip(pictures, maps, strict=True):
-                    if cache and picture.digest and not isinstance(labels, ValueError):
-                        cache.put(picture.digest, labels)
+                said = self._segment([picture.pixels for picture in pictures], features)
+                results.update(zip(indices, said, strict=True))
+                for picture, result in zip(pictures, said, strict=True):
+                    if cache and picture.digest and not isinstance(result, ValueError):
+                        cache.put(picture.digest, *result)
         return [results[i] for i in range(len(chunk))]
 
     @torch.inference_mode()
-    def _segment(self, pictures: Sequence[Pixels]) -> list[LabelMap | ValueError]:
-        """The label maps of a batch; if the network fails, each picture is tried alone."""
+    def _segment(
+        self, pictures: Sequence[Pixels], features: NetworkFeatures | None
+    ) -> list[Segmented | ValueError]:
+        """What the network says of a batch; if it fails, each picture is tried alone."""
         images = self.labels.to_device(torch.from_numpy(np.stack(pictures)))
         try:
             check_pixels(*self.config.network_size(*images.shape[1:3]))
-            output = self.labels.outputs(images)
+            output, activations = self.labels.run(images, features.names if features else ())
+            signs = features(activations).numpy(force=True) if features else None
         except UnrecognisedError:
             raise
         except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
-                return [labels for picture in pictures for labels in self._segment([picture])]
+                return [said for picture in pictures for said in self._segment([picture], features)]
             height, width, _ = pictures[0].shape
             return [ValueError(f"the network fails at {height}x{width}: {one_line(error)}")]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
-        return [_label_map(part, *images.shape[1:3]) for part in output.split(1)]
+        height, width = images.shape[1:3]
+        return [
+            _segmented(part, height, width, None if signs is None else signs[number])
+            for number, part in enumerate(output.split(1))
+        ]
 
 
-def _label_map(output: Tensor, height: int, width: int) -> LabelMap | ValueError:
+def _segmented(
+    output: Tensor, height: int, width: int, features: npt.NDArray[np.uint8] | None
+) -> Segmented | ValueError:
     try:
-        return _narrowest(enlarged(classes_of(output), height, width)[0])
+        return Segmented(_narrowest(enlarged(classes_of(output), height, width)[0]), features)
     except ValueError as error:
         return error
 
 
-def _read(cache: LabelMapCache | None, file: FrameFile) -> LabelMap | _Picture:
+def _read(cache: SegmentedCache | None, file: FrameFile) -> Segmented | _Picture:
     content = file.read()
     if cache is None:
         return _Picture(decode_image(content), None)
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()
-    labels = cache.get(digest)
-    return _Picture(decode_image(content), digest) if labels is None else labels
+    found = cache.get(digest)
+    return _Picture(decode_image(content), digest) if found is None else Segmented(*found)
 
 
 def _narrowest(ids: Tensor) -> LabelMap:

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 from ...untrusted import read_yaml
 from ..options import NETWORK, Json, argument
 from ..output import print_json, print_table, say
+
+if TYPE_CHECKING:
+    from ...segmentation.features import NetworkFeatures
+    from ...segmentation.segmenter import Segmenter
 
 
 def labels(
@@ -15,7 +21,7 @@ def labels(
     as_json: Json = False,
 ) -> None:
     """Print the category of each class of a label space. A class has no category if it moves, if
-    none fits, or if its name is unknown.
+    none fits, or if its name is unknown. Of a network, also print which activations are features.
 
     Example: ssrvlad labels cityscapes-trainids
     """
@@ -23,15 +29,19 @@ def labels(
     from ...segmentation.segmenter import Segmenter
     from ...taxonomy import CATEGORIES, label_space, label_space_names
 
-    of_network = name not in label_space_names() and _is_network(name)
-    space = Segmenter.load(name).label_space if of_network else label_space(name)
+    segmenter = None
+    if name not in label_space_names() and _is_network(name):
+        segmenter = Segmenter.load(name)
+    space = segmenter.label_space if segmenter else label_space(name)
+    features, problem = _features(segmenter)
     rows = []
     for label in space.classes:
-        unknown = of_network and category_of_name(label.name) is None
+        unknown = segmenter and category_of_name(label.name) is None
         rows.append((label.id, label.name, "unknown name" if unknown else label.category))
     if as_json:
         classes = [dict(zip(("id", "name", "category"), row, strict=True)) for row in rows]
-        print_json({"name": space.name, "classes": classes})
+        names = features and features.names
+        print_json({"name": space.name, "classes": classes, "features": names})
         return
     from rich.table import Table
 
@@ -44,6 +54,17 @@ def labels(
         f"{space.name}: {len(rows) - len(out)} of {len(rows)} classes have a category; left out: "
         f"{', '.join(out) or 'none'}"
     )
+    if segmenter:
+        taken = ", ".join(map(str, features.activations)) if features else f"none: {problem}"
+        say(f"features: {taken}")
+
+
+def _features(segmenter: Segmenter | None) -> tuple[NetworkFeatures | None, str]:
+    """The features of a network, or why it has none."""
+    try:
+        return segmenter.features if segmenter else None, ""
+    except ValueError as error:
+        return None, str(error)
 
 
 def _is_network(name: str) -> bool:

@@ -1,0 +1,273 @@
+"""Activations inside a network: which of them are features, and taking them while it runs.
+
+The features of a network are the last activation of its encoder at stride 8, or at the stride
+nearest to it, before the encoder goes on to a coarser stride. The encoder is all that does not
+depend on an operator that raised the resolution. Activations with at most half the channels of the
+widest belong to the step to the next stride and do not count.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import weakref
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from difflib import get_close_matches
+from functools import partial
+from typing import Any, NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+from torch.utils.weak import WeakTensorKeyDictionary
+
+from .onnx_network import OnnxNetwork
+
+STRIDE, STRIDES = 8, (4, 32)
+"""The stride of the features, and the smallest and the largest that are near enough."""
+
+HIDDEN = "hidden_states"
+"""What the names of the activations of a transformer begin with."""
+
+_RAISING = ("upsample", "convolution", "pixel_shuffle", "unpool", "grid_sampler")
+_RAISING_NODES = ("Resize", "Upsample", "ConvTranspose", "DepthToSpace", "MaxUnpool", "GridSample")
+_RAISED = 2
+"""An operator that makes a map this many times as large raises the resolution."""
+
+_COLOURS = 3
+"""A map of so many channels is a smaller picture."""
+
+_EXTRA_TOKENS = 8
+_NAMES_SHOWN = 3
+
+
+class Activation(NamedTuple):
+    """An activation for one picture.
+
+    Attributes:
+        name: of the module, the hidden state or the tensor.
+        shape: of it.
+        stride: of the picture's side to its own; infinite if it is not ``(B, C, h, w)``.
+        raised: whether it depends on an operator that raised the resolution.
+    """
+
+    name: str
+    shape: tuple[int, ...]
+    stride: float
+    raised: bool = False
+
+    def __str__(self) -> str:
+        return f"{self.name} {self.shape}, stride {self.stride:.3g}"
+
+
+def find_activations(
+    network: nn.Module, numbers: Tensor, names: Sequence[str] | None = None
+) -> list[Activation]:
+    """The activations of a network that are features.
+
+    Args:
+        network: any module, or an `OnnxNetwork`.
+        numbers: ``(1, 3, H, W)``, or of the layout of the graph: its input for one picture.
+        names: of activations to take in place of those of the rule.
+
+    Raises:
+        ValueError: no activation of the encoder has a stride that is near enough, or a name is
+            unknown or belongs to something else than ``(B, C, h, w)`` floats.
+    """
+    found = _seen(network, numbers)
+    if names is None:
+        states = [each for each in found if each.name.startswith(HIDDEN)]
+        if chosen := _chosen(states) or _chosen(found):
+            return [chosen]
+        raise ValueError(
+            f"the encoder has no activation at a stride from {STRIDES[0]} to {STRIDES[1]}; name "
+            "one with features: in a YAML file"
+        )
+    by_name = {each.name: each for each in found}
+    for name in names:
+        if name not in by_name:
+            near = get_close_matches(name, by_name, _NAMES_SHOWN, 0) or ["none"]
+            raise ValueError(f"features: no activation {name!r}; the nearest are {', '.join(near)}")
+        if math.isinf(by_name[name].stride):
+            raise ValueError(
+                f"features: expected (B, C, h, w) floats, {name} is {by_name[name].shape}"
+            )
+    return [by_name[name] for name in names]
+
+
+def _chosen(found: Sequence[Activation]) -> Activation | None:
+    """The activation of the rule, if there is one."""
+    least, most = STRIDES
+    encoder = [
+        (round(math.log2(each.stride / STRIDE)), each)
+        for each in found
+        if not each.raised and least <= each.stride <= most and each.shape[1] > _COLOURS
+    ]
+    if not encoder:
+        return None
+    octaves = [octave for octave, _ in encoder]
+    best = min(octaves, key=lambda octave: (abs(octave), -octave))
+    first = octaves.index(best)
+    later = itertools.takewhile(lambda pair: pair[0] <= best, encoder[first:])
+    members = [each for octave, each in later if octave == best]
+    widest = max(each.shape[1] for each in members)
+    return next(each for each in reversed(members) if 2 * each.shape[1] > widest)
+
+
+@contextmanager
+def taken(network: nn.Module, names: Sequence[str]) -> Iterator[dict[str, Tensor]]:
+    """Takes activations of a module while it runs: the mapping holds them by name afterwards."""
+    modules = dict(network.named_modules())
+    values: dict[str, Tensor] = {}
+
+    def take(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
+        if isinstance(output, Tensor):
+            values[name] = output.clone()  # a later module may change it in place
+
+    with ExitStack() as stack:
+        for name in names:
+            if name in modules:
+                handle = modules[name].register_forward_hook(partial(take, name))
+                stack.callback(handle.remove)
+        if any(name.startswith(HIDDEN) for name in names):
+            stack.enter_context(_hidden_states(network, values))
+        yield values
+
+
+@contextmanager
+def _hidden_states(network: nn.Module, values: dict[str, Tensor]) -> Iterator[None]:
+    """Takes the hidden states of the encoder of a published transformer, as ``(B, C, h, w)``."""
+    transformer = _transformer(network)
+    if transformer is None:
+        yield
+        return
+
+    def ask(_module: nn.Module, inputs: Any, named: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        return inputs, {**named, "output_hidden_states": True}
+
+    def take(_module: nn.Module, inputs: Any, named: Mapping[str, Any], result: Any) -> None:
+        [picture] = (each for each in (*inputs, *named.values()) if _is_picture(each))
+        states = getattr(result, HIDDEN, None) or getattr(result, f"encoder_{HIDDEN}", None) or ()
+        for number, state in enumerate(states):
+            values[f"{HIDDEN}.{number}"] = _map_of(state, *picture.shape[2:])
+
+    with ExitStack() as stack:
+        before = transformer.register_forward_pre_hook(ask, with_kwargs=True)
+        after = transformer.register_forward_hook(take, with_kwargs=True)
+        stack.callback(before.remove)
+        stack.callback(after.remove)
+        yield
+
+
+def _transformer(network: nn.Module) -> nn.Module | None:
+    """The outermost module of a published transformer."""
+    modules = network.modules()
+    return next((m for m in modules if hasattr(getattr(m, "config", None), "model_type")), None)
+
+
+def _is_picture(value: object) -> bool:
+    return isinstance(value, Tensor) and value.ndim == 4
+
+
+def _map_of(state: Tensor, height: int, width: int) -> Tensor:
+    """Tokens ``(B, N, C)`` of the cells of a picture, after a few others, as ``(B, C, h, w)``."""
+    if state.ndim != 3:
+        return state
+    for extra in range(_EXTRA_TOKENS + 1):
+        cells = state.shape[1] - extra
+        rows = round(math.sqrt(max(1, cells) * height / width))
+        if rows and rows * (cells // rows) == cells and rows * width == cells // rows * height:
+            cut: Tensor = state[:, extra:].transpose(1, 2).unflatten(2, (rows, -1))
+            return cut
+    return state
+
+
+def _seen(network: nn.Module, numbers: Tensor) -> list[Activation]:
+    """All activations of one run but the output, in order."""
+    if isinstance(network, OnnxNetwork):
+        return _seen_in_graph(network, numbers)
+    states: dict[str, Tensor] = {}
+    with torch.no_grad(), _hidden_states(network, states), _Recorder(network, numbers) as recorder:
+        result = network(numbers)
+    outputs = [each for each in tree_leaves(result) if isinstance(each, Tensor)]
+    found = [each for each, value in recorder.seen if not any(value() is o for o in outputs)]
+    pixels = numbers.shape[2] * numbers.shape[3]
+    return [*found, *(_activation(name, state, pixels) for name, state in states.items())]
+
+
+def _seen_in_graph(network: OnnxNetwork, numbers: Tensor) -> list[Activation]:
+    nodes, outputs = network.nodes(), network.outputs
+    names = [name for node in nodes for name in node.output if name and name not in outputs]
+    values = network.run_all(numbers, names)
+    height, width = numbers.shape[1:3] if network.form.channels_last else numbers.shape[2:]
+    raised, found = set[str](), list[Activation]()
+    for node in nodes:
+        ends = [
+            values[name].shape for name in (*node.output[:1], *node.input[:1]) if name in values
+        ]
+        raises = node.op_type in _RAISING_NODES and len(ends) == 2 and is_larger(*ends)
+        if raises or not raised.isdisjoint(node.input):
+            raised.update(node.output)
+        found += [
+            _activation(name, values[name], height * width, name in raised)
+            for name in node.output
+            if name in values
+        ]
+    return found
+
+
+def _activation(name: str, value: Tensor, pixels: int, raised: bool = False) -> Activation:
+    shape = tuple(value.shape)
+    is_map = len(shape) == 4 and value.is_floating_point() and shape[2] * shape[3]
+    stride = math.sqrt(pixels / (shape[2] * shape[3])) if is_map else math.inf
+    return Activation(name, shape, stride, raised)
+
+
+class _Recorder(TorchDispatchMode):
+    """Notes the outputs of the modules of a network, and what depends on a raised resolution.
+
+    Attributes:
+        seen: activations, each with a weak reference to its tensor.
+    """
+
+    def __init__(self, network: nn.Module, numbers: Tensor) -> None:
+        super().__init__()
+        self.seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
+        self._pixels = numbers.shape[2] * numbers.shape[3]
+        self._raised = WeakTensorKeyDictionary()
+        self._handles = [
+            module.register_forward_hook(partial(self._note, name))
+            for name, module in network.named_modules()
+            if name
+        ]
+
+    def __exit__(self, *exception: Any) -> None:
+        for handle in self._handles:
+            handle.remove()
+        super().__exit__(*exception)
+
+    def __torch_dispatch__(
+        self, function: Any, _types: Any, inputs: Any = (), named: Any = None
+    ) -> Any:
+        result = function(*inputs, **(named or {}))
+        tensors = [each for each in tree_leaves((inputs, named)) if isinstance(each, Tensor)]
+        inherited = any(each in self._raised for each in tensors)
+        can_raise = any(word in function.name() for word in _RAISING)
+        for output in tree_leaves(result):
+            if isinstance(output, Tensor) and (
+                inherited or (can_raise and is_larger(output.shape, tensors[0].shape))
+            ):
+                self._raised[output] = True
+        return result
+
+    def _note(self, name: str, _module: nn.Module, _inputs: object, output: object) -> None:
+        if isinstance(output, Tensor):
+            each = _activation(name, output, self._pixels, output in self._raised)
+            self.seen.append((each, weakref.ref(output)))
+
+
+def is_larger(after: Sequence[int], before: Sequence[int]) -> bool:
+    """Whether an operator that makes a map of one shape from another raises the resolution."""
+    return len(after) == len(before) == 4 and after[2] * after[3] >= _RAISED * before[2] * before[3]

@@ -1,0 +1,82 @@
+"""The features of a network as a descriptor of pictures, made in the pass that labels them."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..database.metadata import SIGNS as KIND
+from ..database.metadata import ExtraDescriptor
+from ..files import one_line
+from ..stages.features import BYTES, COLUMNS, ROWS, SIGNS, Features
+from .activations import Activation, find_activations
+from .label_network import LabelNetwork
+from .onnx_network import OnnxNetwork
+
+NAME = "features"
+
+PROBES = ((224, 448), (512, 512), (512, 1024), (1024, 2048), (96, 128))
+"""Sizes of pictures that are tried until the network takes one."""
+
+_REVISION = 1
+_OF_LABELS = ("output", "classes", NAME)
+"""Settings of the preparation on which activations do not depend."""
+
+
+class NetworkFeatures(nn.Module):
+    """What a network sees in pictures, as signs; see `stages.features`.
+
+    Args:
+        labels: runs the network. An ONNX graph gives the activations as outputs afterwards.
+        digest: of the network, see `identity.digest_of`.
+
+    Attributes:
+        activations: of the network, by the rule of `find_activations` or by the setting
+            ``features``.
+        key: of the network, its settings, the activations and the form of the signs, in hex.
+        descriptor: its name, length and fingerprint.
+
+    Raises:
+        ValueError: the network has no such activations.
+    """
+
+    def __init__(self, labels: LabelNetwork, digest: str) -> None:
+        super().__init__()
+        self.activations = _activations(labels, labels.config.features)
+        self.names = [each.name for each in self.activations]
+        self.signs = Features([each.shape[1] for each in self.activations])
+        if isinstance(labels.network, OnnxNetwork):
+            labels.network.take(self.names)
+        settings = dataclasses.asdict(labels.config)
+        for name in _OF_LABELS:
+            del settings[name]
+        content = [_REVISION, digest, settings, self.names, ROWS, COLUMNS, SIGNS]
+        self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
+        text = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs of {', '.join(self.names)}, {self.key}"
+        self.descriptor = ExtraDescriptor(NAME, BYTES, text, KIND)
+
+    def forward(self, activations: Sequence[Tensor]) -> Tensor:
+        """``(B, BYTES)`` uint8, the signs of the activations of pictures."""
+        signs: Tensor = self.signs.to(activations[0].device)(*activations)
+        return signs
+
+
+@torch.inference_mode()
+def _activations(labels: LabelNetwork, names: Sequence[str] | None) -> list[Activation]:
+    reason = ValueError("takes no picture")
+    for height, width in PROBES:
+        probe = np.random.default_rng(0).integers(0, 256, (1, height, width, 3), np.uint8)
+        try:
+            numbers = labels.numbers(torch.from_numpy(probe))
+            labels.network(numbers)
+        except Exception as error:  # networks raise many kinds of errors
+            reason = ValueError(f"the network fails at {height}x{width}: {one_line(error)}")
+            continue
+        return find_activations(labels.network, numbers, names)
+    raise reason

@@ -1,0 +1,143 @@
+"""Which activations of a network are features, and taking them."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from cases import REAL, needs_real
+from networks import PLAIN, Street, colour_network, write_graph, write_published, write_street
+from torch import nn
+
+from ssrvlad_torch.segmentation.activations import STRIDE, find_activations, is_larger, taken
+from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+
+NUMBERS = torch.rand(1, 3, 224, 448, generator=torch.Generator().manual_seed(0))
+EXPECTED = {
+    "espnetv2": ("/n/level3.2/module_act/PRelu_output_0", 256),
+    "dabnet": ("/bn_prelu_3/acti/PRelu_output_0", 259),
+}
+
+
+@pytest.fixture(scope="module")
+def street_graph(tmp_path_factory):
+    return write_street(tmp_path_factory.mktemp("street") / "street.onnx")
+
+
+def found(network, names=None, numbers=NUMBERS):
+    return [(a.name, a.shape) for a in find_activations(network, numbers, names)]
+
+
+def test_the_end_of_the_encoder_at_stride_8_is_found(street_graph):
+    """Neither the narrow skip after stride 16, nor the wider decoder, nor a smaller picture."""
+    assert found(Street()) == [("act.2", (1, 32, 28, 56))]
+    assert found(OnnxNetwork(street_graph)) == [("relu_2", (1, 32, 28, 56))]
+
+
+def test_a_module_and_its_graph_give_the_same_activations(street_graph):
+    network, graph = Street(), OnnxNetwork(street_graph)
+    graph.take(["relu_2"])
+    both = graph(NUMBERS, ["relu_2", "scores"])
+    with taken(network, ["act.2"]) as values:
+        scores = network(NUMBERS)
+    torch.testing.assert_close(values["act.2"], both["relu_2"], atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(scores, both["scores"], atol=1e-5, rtol=1e-5)
+    assert not network._forward_hooks and not network.act[2]._forward_hooks
+
+
+@needs_real
+@pytest.mark.parametrize("name", EXPECTED)
+def test_real_networks(name):
+    graph = OnnxNetwork(REAL / "networks" / f"{name}_city.onnx")
+    [activation] = find_activations(graph, NUMBERS)
+    assert (activation.name, activation.shape[1]) == EXPECTED[name]
+    assert activation.stride == STRIDE
+
+
+@pytest.mark.parametrize(
+    ("family", "name", "shape"),
+    [
+        ("Segformer", "hidden_states.1", (1, 16, 8, 12)),
+        ("Beit", "hidden_states.4", (1, 32, 4, 6)),
+        ("UperNet", "hidden_states.2", (1, 32, 8, 12)),
+        ("Mask2Former", "hidden_states.1", (1, 32, 8, 12)),
+    ],
+)
+def test_published_transformers(tmp_path, family, name, shape):
+    network = open_network(write_published(tmp_path, family)).network.eval()
+    numbers = torch.rand(1, 3, 64, 64 if family == "Beit" else 96)
+    expected = (1, 32, 4, 4) if family == "Beit" else shape
+    assert found(network, numbers=numbers) == [(name, expected)]
+    with torch.no_grad(), taken(network, [name]) as values:
+        network(numbers)
+    assert values[name].shape == expected
+    assert values[name].std() > 0
+
+
+def test_tokens_become_the_map_that_they_were_cut_from(tmp_path):
+    """The embedding of each patch depends on its own pixels alone."""
+    network = open_network(write_published(tmp_path, "Beit")).network.eval()
+    numbers = torch.zeros(1, 3, 64, 64)
+    with torch.no_grad(), taken(network, ["hidden_states.0"]) as before:
+        network(numbers)
+    numbers[:, :, 16:32, 48:] = 1
+    with torch.no_grad(), taken(network, ["hidden_states.0"]) as after:
+        network(numbers)
+    changed = (after["hidden_states.0"] != before["hidden_states.0"]).any(1)[0]
+    assert changed.nonzero().tolist() == [[1, 3]]
+
+
+def test_names_choose_other_activations(street_graph):
+    names = ["act.3", "act.1"]
+    assert found(Street(), names) == [("act.3", (1, 24, 14, 28)), ("act.1", (1, 16, 56, 112))]
+    assert found(OnnxNetwork(street_graph), ["cat_2"]) == [("cat_2", (1, 35, 28, 56))]
+
+
+class Pooled(nn.Module):
+    def __init__(self):
+        super().__init__()
+        self.step, self.pool = nn.Conv2d(3, 8, 8, 8), nn.Flatten()
+
+    def forward(self, images):
+        return self.pool(self.step(images))
+
+
+@pytest.mark.parametrize(
+    ("network", "names", "message"),
+    [
+        (colour_network(), None, "the encoder has no activation at a stride from 4 to 32; name"),
+        (Street(), ["act.7"], r"features: no activation 'act\.7'; the nearest are act\.\d"),
+        (nn.Sequential(Pooled(), nn.Hardtanh()), ["0.pool"], r"\(B, C, h, w\) floats, 0\.pool is"),
+    ],
+)
+def test_what_cannot_be_features_is_refused(network, names, message):
+    with pytest.raises(ValueError, match=message) as error:
+        find_activations(network, NUMBERS, names)
+    assert "\n" not in str(error.value)
+
+
+def test_the_output_of_a_network_is_no_feature():
+    with pytest.raises(ValueError, match="no activation at a stride"):
+        find_activations(nn.Sequential(nn.Conv2d(3, 12, 8, 8)), NUMBERS)
+
+
+def test_a_graph_with_external_weights(tmp_path):
+    graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", external=True))
+    assert graph.run_all(NUMBERS, ["classes"])["classes"].shape == (1, 12, 224, 448)
+    graph.take(["classes"])
+    values = graph(NUMBERS, ["classes", "found"])
+    np.testing.assert_array_equal(values["classes"], values["found"])
+
+
+def test_a_larger_map():
+    assert is_larger((1, 3, 28, 56), (1, 9, 14, 28))
+    assert not is_larger((1, 3, 28, 56), (1, 3, 27, 55))
+    assert not is_larger((1, 3, 28), (1, 3, 14))
+
+
+def test_settings_name_features():
+    assert dataclasses.replace(PLAIN, features=("a",)).features == ("a",)
+    for wrong in ("a", (), (1,)):
+        with pytest.raises(ValueError, match="features must be a list of names of activations"):
+            dataclasses.replace(PLAIN, features=wrong)

@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from torch import nn
+
+from ssrvlad_torch import reference
+from ssrvlad_torch.stages.features import BYTES, COLUMNS, ROWS, SIGNS, Features, projections
+
+SIZES = [(24, 32), (13, 40), (5, 3), (72, 96)]
+
+
+def activations(seed, channels=20, size=(24, 32), count=1):
+    generator = torch.Generator().manual_seed(seed)
+    smooth = torch.rand(count, channels, 6, 8, generator=generator)
+    large = nn.functional.interpolate(smooth, size, mode="bilinear")
+    return large + 0.1 * torch.rand(large.shape, generator=generator)
+
+
+def bits(signs):
+    return np.unpackbits(np.asarray(signs), axis=-1, bitorder="little")
+
+
+@pytest.mark.parametrize("size", SIZES)
+@given(st.integers(0, 1000))
+def test_has_the_signs_of_the_reference(size, seed):
+    first, second = activations(seed, 20, size), activations(seed + 1, 7, (9, 9))
+    signs = Features([20, 7])(first, second)
+    assert signs.shape == (1, BYTES) and signs.dtype == torch.uint8
+    expected = reference.features([first[0].double().numpy(), second[0].double().numpy()])
+    assert (bits(signs[0]) != bits(expected)).mean() < 1e-3
+
+
+def test_projections_are_those_of_the_reference():
+    expected = [[reference.random_side(c * SIGNS + k) for k in range(SIGNS)] for c in range(30)]
+    assert torch.equal(projections(30), torch.tensor(expected, dtype=torch.float32))
+
+
+def test_light_and_contrast_of_a_channel_change_nothing():
+    raw, gain = activations(0), torch.linspace(0.5, 3, 20)[:, None, None]
+    changed = raw * gain + gain.flip(0)
+    module = Features([20])
+    assert (bits(module(raw)) != bits(module(changed))).mean() < 1e-3
+
+
+def test_a_mirrored_picture_has_mirrored_cells():
+    raw = activations(0)
+    cells = bits(Features([20])(raw)).reshape(ROWS, COLUMNS, SIGNS)
+    mirrored = bits(Features([20])(raw.flip(3))).reshape(ROWS, COLUMNS, SIGNS)
+    assert (mirrored != cells[:, ::-1]).mean() < 1e-3
+
+
+def test_near_activations_share_more_signs_than_others():
+    raw, other = activations(0), activations(1)
+    noisy = raw + 0.1 * torch.rand(raw.shape)
+    here, near, far = (bits(Features([20])(each)) for each in (raw, noisy, other))
+    assert (here != near).mean() < 0.3
+    assert (here != far).mean() > 0.4
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (torch.zeros(1, 20, 24, 32), "the activations of the network are the same everywhere"),
+        (torch.full((1, 20, 24, 32), torch.nan), "are not finite"),
+        (torch.rand(1, 19, 24, 32), r"of \[20\] channels, got \(1, 19, 24, 32\)"),
+        (torch.rand(1, 20, 24), r"got \(1, 20, 24\)"),
+    ],
+)
+def test_refuses_other_activations(given, message):
+    with pytest.raises(ValueError, match=message):
+        Features([20])(given)
+
+
+def test_one_bad_picture_of_a_batch_is_noticed():
+    batch = activations(0, count=3)
+    batch[1] = 2
+    with pytest.raises(ValueError, match="the same everywhere"):
+        Features([20])(batch)
+
+
+def test_a_constant_channel_counts_for_nothing():
+    raw = activations(0)
+    raw[:, 3] = 7
+    expected = reference.features([raw[0].double().numpy()])
+    assert (bits(Features([20])(raw)[0]) != bits(expected)).mean() < 1e-3
+
+
+@pytest.mark.parametrize("size", [(24, 32), (31, 17)])
+def test_is_traced_with_free_axes(size, tmp_path):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    module, file = Features([20]).eval(), tmp_path / "features.onnx"
+    axes = {0: torch.export.Dim.DYNAMIC, 2: torch.export.Dim.DYNAMIC, 3: torch.export.Dim.DYNAMIC}
+    torch.onnx.export(
+        module, (activations(0, size=(23, 45), count=2),), file, dynamo=True, verbose=False,
+        input_names=["a"], output_names=["features"], dynamic_shapes=((axes,),),
+    )  # fmt: skip
+    raw = activations(5, size=size, count=3)
+    session = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"])
+    assert {each.domain for each in __import__("onnx").load(file).graph.node} == {""}
+    [signs] = session.run(["features"], {"a": raw.numpy()})
+    assert signs.dtype == np.uint8
+    assert (bits(signs) != bits(module(raw))).mean() < 1e-3

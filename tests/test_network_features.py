@@ -1,0 +1,130 @@
+"""The features of a network, in the pass that labels pictures."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE
+from networks import PLAIN, Street, colour_network, write_street
+from segmenting import PHOTOS, counted, write_photos
+from torch import nn
+
+from ssrvlad_torch import reference
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+from ssrvlad_torch.stages.features import BYTES
+
+
+def bits(signs):
+    return np.unpackbits(signs, axis=-1, bitorder="little")
+
+
+def pictures(count=3, size=(96, 128)):
+    return list(np.random.default_rng(0).integers(0, 256, (count, *size, 3), np.uint8))
+
+
+def test_features_are_the_signs_of_the_activations(tmp_path):
+    network, images = Street(), pictures()
+    inner = {}
+    network.act[2].register_forward_hook(lambda *a: inner.update(x=a[2].clone()))
+    for each in (network, OnnxNetwork(write_street(tmp_path / "net.onnx"))):
+        segmenter = Segmenter(each, SPACE, PLAIN)
+        labels, (first, *_) = segmenter(images), segmenter.segment(images, features=True)
+        network(segmenter.labels.preparation(torch.from_numpy(np.stack(images))))
+        expected = reference.features([inner["x"][0].double().numpy()])
+        assert first.features.shape == (BYTES,)
+        assert (bits(first.features) != bits(expected)).mean() < 2e-3
+        np.testing.assert_array_equal(first.labels, labels[0])
+
+
+def test_labels_and_features_take_one_pass():
+    segmenter = Segmenter(counted(Street()), SPACE, PLAIN)
+    assert segmenter.features.names == ["act.2"]
+    before = int(segmenter.network.images)
+    said = segmenter.segment(pictures(4), features=True)
+    assert int(segmenter.network.images) == before + 4
+    assert all(each.features is not None for each in said)
+    assert segmenter.segment(pictures(1))[0].features is None
+
+
+def test_the_fingerprint_is_of_the_network_its_settings_and_the_activations():
+    other = Street()
+    other.steps[0].bias.data += 1
+    segmenters = [
+        Segmenter(Street(), SPACE, PLAIN),
+        Segmenter(other, SPACE, PLAIN),
+        Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, white=255)),
+        Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.1",))),
+    ]
+    descriptors = {each.features.descriptor for each in segmenters}
+    assert len(descriptors) == 4
+    again = Segmenter(Street(), SPACE, dataclasses.replace(PLAIN, features=("act.2",)))
+    assert again.features.descriptor == segmenters[0].features.descriptor
+    assert again.key() == segmenters[0].key() == segmenters[3].key()
+    assert "85 signs of act.2, " in again.features.descriptor.fingerprint
+
+
+def test_both_are_cached_together(tmp_path):
+    files = find_image_files([str(write_photos(tmp_path / "photos", size=(96, 128)))])
+    network = counted(Street())
+
+    def run(features, names=None):
+        config = dataclasses.replace(PLAIN, features=names)
+        segmenter = Segmenter(network, SPACE, config, tmp_path / "cache")
+        before = int(network.images)
+        segmenter.key()
+        probed = int(network.images) - before
+        if features:
+            _ = segmenter.features
+        before = int(network.images)
+        said = [said for _, said in segmenter.segmented(files, features=features)]
+        return said, int(network.images) - before - probed
+
+    def same(one, other):
+        return all(
+            np.array_equal(a.labels, b.labels) and np.array_equal(a.features, b.features)
+            for a, b in zip(one, other, strict=True)
+        )
+
+    assert run(False)[1] == 5  # labels alone
+    made, count = run(True)
+    assert count == 5
+    found, count = run(True)
+    assert count == 0 and same(made, found)
+    assert run(False)[1] == 0
+    others, count = run(True, ("act.1",))
+    assert count == 5 and not same(made, others)
+    (entry, *_) = (tmp_path / "cache").rglob("*.png")
+    entry.write_bytes(entry.read_bytes()[:-40])
+    again, count = run(True, ("act.1",))
+    assert count == 1 and same(again, others)
+
+
+class Same(nn.Module):
+    """Its activations do not depend on the picture."""
+
+    def __init__(self, value):
+        super().__init__()
+        self.step, self.scores, self.value = nn.Conv2d(3, 8, 8, 8), nn.Conv2d(8, 12, 1), value
+
+    def forward(self, images):
+        return self.scores(nn.functional.hardtanh(self.step(images) * self.value))
+
+
+@pytest.mark.parametrize(
+    ("network", "message"),
+    [
+        (colour_network(), "the network: the encoder has no activation at a stride from 4 to 32"),
+        (Same(0.0), "the network fails at 24x32: the activations of the network are the same"),
+        (Same(torch.nan), "the network fails at 24x32: the activations of the network are not f"),
+    ],
+)
+def test_a_network_without_features_is_refused_in_one_line(network, message):
+    if isinstance(network, Same):
+        network.step.register_forward_hook(lambda module, inputs, output: output * network.value)
+    with pytest.raises(ValueError, match=message) as error:
+        Segmenter(network, SPACE, PLAIN).segment(PHOTOS[:1], features=True)
+    assert "\n" not in str(error.value)
+    Segmenter(network, SPACE, PLAIN)
