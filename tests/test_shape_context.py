@@ -120,6 +120,43 @@ def test_chunks_add_up(monkeypatch):
         assert torch.equal(shape_contexts(points(some), points(some), bins, 2), whole)
 
 
+@pytest.mark.parametrize("size", [(1, 1), (1, 17), (20, 21), (13, 101)])
+def test_a_correlation_counts_what_a_list_counts(monkeypatch, size):
+    some = random_planes(14, (2, *size))
+    ends = points(some & random_planes(15, (2, *size)))
+    bins = log_polar_bins(*size, (4, 40, 400), 12, CPU)
+    listed = shape_contexts(ends, points(some), bins, 2)
+    monkeypatch.setattr(shape_context, "MOST_PAIRS", 0)
+    monkeypatch.setattr(torch, "repeat_interleave", None)  # nothing is left to list
+    assert torch.equal(shape_contexts(ends, points(some), bins, 2), listed)
+
+
+def test_layers_of_too_many_pairs_are_correlated(monkeypatch):
+    """Isolated pixels, each a keypoint: 832 million pairs, a minute of listing; and beside them a
+    layer of few points, which are listed."""
+    dots = torch.zeros(1, 120, 961, dtype=torch.uint8)
+    dots[:, ::2, ::2] = 1
+    dots[:, ::40, ::40] |= 2
+    listed = []
+    repeat = torch.repeat_interleave
+
+    def watched(counts, **options):
+        listed.append(int(counts.sum()))
+        return repeat(counts, **options)
+
+    monkeypatch.setattr(torch, "repeat_interleave", watched)
+    bins = log_polar_bins(120, 961, (100, 40_000), 12, CPU)
+    all_of = points(dots)
+    sums = shape_contexts(all_of, all_of, bins, 1)
+    few = len(all_of.y[all_of.group == 1])
+    assert sum(listed) == few**2 < 4 * bins.table.numel() < len(all_of.y) ** 2
+    y, x = np.indices((2 * 120 - 1, 2 * 961 - 1)) - np.array([119, 960])[:, None, None]
+    rows, columns = (np.maximum(0, n - np.abs(d) // 2) for n, d in ((60, y), (481, x)))
+    pairs = np.where((y % 2 == 0) & (x % 2 == 0), rows * columns, 0)
+    expected = np.bincount(bins.table.flatten(), pairs.ravel(), minlength=bins.total + 1)
+    assert sums[0, 0].tolist() == expected[: bins.total].tolist()
+
+
 def test_blocks_in_a_graph_add_up():
     """More pairs than a block may have, and a layer and an image without any."""
     some = random_planes(12, (3, 60, 70)) & 0b01011111
