@@ -293,6 +293,27 @@ def test_a_loaded_detector_knows_all_frames_and_looks_for_its_place_anew(tmp_pat
     assert set(reasons(anew[10:])) == {"accepted"}
 
 
+def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(tmp_path):
+    vectors = views([*range(100), *range(20, 60)])
+    names = np.random.default_rng(0).permutation(1000)[:140].tolist()
+    database = Database.create(tmp_path / "db", HEAD.config)
+    database.append([f"before/{n}" for n in (2, 10, 1)], views(range(3)))
+    loops = LoopDetector.load(database, LoopConfig(exclude=30), HEAD)
+    for number, vector in enumerate(vectors[:100]):
+        loops.update(vector, f"{'ba'[number >= 15]}/{names[number]}")
+        if number == 40:
+            loops.save(database)
+    loops.save(database)
+    encoded = FrameRecord("a", str(names[70]), signature="folder|state")
+    database.merge([encoded], torch.from_numpy(vectors[70:71]))
+    loaded = LoopDetector.load(Database.open(database.path), loops.config, HEAD)
+    expected = [f"before/{n}" for n in (1, 2, 10)]
+    expected += [f"{'ba'[n >= 15]}/{names[n]}" for n in range(100)]
+    assert loaded.frames == expected
+    went_on = [loaded.update(v, f"c/{n}") for n, v in enumerate(vectors[100:])]
+    assert [r.candidate for r in went_on[20:]] == expected[3 + 40 : 3 + 60]
+
+
 def test_a_memory_whose_frames_were_removed_or_encoded_anew_is_gone_on_from(tmp_path):
     vectors = views([*range(100), *range(20, 60)])
     database = Database.create(tmp_path / "db", HEAD.config)

@@ -348,11 +348,21 @@ class Database:
         descriptors: Vectors,
         beside: Mapping[str, Vectors] | None = None,
     ) -> None:
-        """Adds frames and replaces those with the same ids, in one commit.
+        """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
+        its arrival if the new record has none.
 
         Arguments and errors as for `append`.
         """
-        self._change([self.write_apart(frames, descriptors, beside)], "merge")
+        records = self._with_arrivals(_records(frames))
+        self._change([self.write_apart(records, descriptors, beside)], "merge")
+
+    def _with_arrivals(self, records: Sequence[FrameRecord]) -> list[FrameRecord]:
+        stored = self._columns(["frame", "arrival"]).filter(pc.field("arrival") >= 0)
+        numbers = dict(zip(*(column.to_pylist() for column in stored.columns), strict=True))
+        return [
+            record._replace(arrival=numbers.get(record.frame, -1)) if record.arrival < 0 else record
+            for record in records
+        ]
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
@@ -369,7 +379,7 @@ class Database:
         Arguments and errors as for `append`. `compact` deletes rows that are never adopted.
         """
         self._require_writable()
-        records = [FrameRecord.of_id(f) if isinstance(f, str) else f for f in require_list(frames)]
+        records = _records(frames)
         arrays = {DESCRIPTOR: descriptors, **(beside or {})}
         if arrays.keys() != self._widths.keys():
             names, got = ", ".join(self._widths), ", ".join(arrays)
@@ -532,6 +542,10 @@ class Database:
             "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
             "version": self.version,
         }
+
+
+def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:
+    return [FrameRecord.of_id(f) if isinstance(f, str) else f for f in require_list(frames)]
 
 
 def _is_used(folder: Path) -> bool:

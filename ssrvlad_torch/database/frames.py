@@ -39,6 +39,7 @@ class FrameRecord(NamedTuple):
         digest: of the label map, in hex.
         height, width: size of the label map in pixels.
         origin: label space and segmenter of the label map, a key of `Database.origins`.
+        arrival: number of the frame in the stream that a `LoopDetector` saved, -1 for other frames.
     """
 
     sequence: str
@@ -52,6 +53,7 @@ class FrameRecord(NamedTuple):
     height: int = 0
     width: int = 0
     origin: str = ""
+    arrival: int = -1
 
     @property
     def frame(self) -> str:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace
 
-FORMAT = "ssrvlad-database-4"
+FORMAT = "ssrvlad-database-5"
 
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 

@@ -19,14 +19,14 @@ DESCRIPTOR = "descriptor"
 
 POSE = ["x", "y", "heading"]
 RECORD_COLUMNS = ["frame", "sequence", *POSE, "stamp", "signature", "digest", "height", "width"]
-RECORD_COLUMNS += ["origin"]
+RECORD_COLUMNS += ["origin", "arrival"]
 
 
 def schema(widths: Mapping[str, int]) -> pa.Schema:
     """The columns of a database, with those of descriptors by name and width."""
     kinds = dict.fromkeys(RECORD_COLUMNS, pa.string())
     kinds |= dict.fromkeys([*POSE, "stamp"], pa.float64())
-    kinds |= {"height": pa.int32(), "width": pa.int32(), "empty": pa.bool_()}
+    kinds |= {"height": pa.int32(), "width": pa.int32(), "arrival": pa.int64(), "empty": pa.bool_()}
     kinds |= {name: pa.list_(pa.float32(), width) for name, width in widths.items()}
     kinds["checksum"] = pa.uint64()
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])

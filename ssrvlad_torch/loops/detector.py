@@ -66,6 +66,7 @@ class LoopDetector:
         self._tracker = Tracker(self.config, self._memory, self._others)
         self._sequence: str | None = None
         self._stamps: dict[str, float] = {}
+        self._arrivals = 0
         self._unsaved: list[FrameRecord] = []
         self._updating, self._saving = threading.Lock(), threading.Lock()
 
@@ -195,7 +196,8 @@ class LoopDetector:
             self._memory.append(record.frame, (record.x, record.y, record.heading), centre)
             for name, [vector] in others.items():
                 self._others[name].add(vector)
-            self._unsaved.append(record)
+            self._unsaved.append(record._replace(arrival=self._arrivals))
+            self._arrivals += 1
             self._sequence = record.sequence
             if not math.isnan(record.stamp):
                 self._stamps[record.sequence] = record.stamp
@@ -237,8 +239,10 @@ class LoopDetector:
     ) -> LoopDetector:
         """A detector that knows the frames of a database, as if they came before.
 
-        Sequences are in the order in which they were added, the frames of each in the order of
-        their names. The next frame starts a sequence for the filter.
+        Frames that a detector saved are in the order in which they came. Frames that were encoded
+        from files come before them, in whichever order workers stored them: sequences in the order
+        in which they were added, the frames of each in the order of their names. The next frame
+        starts a sequence for the filter.
 
         Args:
             database: of raw descriptors.
@@ -252,9 +256,15 @@ class LoopDetector:
         database.require(head.config)
         detector = cls(config, head, database.beside)
         frames = database.load()
-        names = dict.fromkeys(database.known().column("sequence"))
+        known = database.known()
+        names = dict.fromkeys(known.column("sequence"))
         added = {name: number for number, name in enumerate(names)}
-        order = sorted(range(len(frames.frames)), key=lambda row: added[frames.sequences[row]])
+        arrivals = dict(zip(known, known.column("arrival"), strict=True))
+        order = sorted(
+            range(len(frames)),
+            key=lambda row: (arrivals[frames.frames[row]], added[frames.sequences[row]]),
+        )
+        detector._arrivals = max(arrivals.values(), default=-1) + 1
         vectors = frames.descriptors.numpy()
         for row in order:
             detector._memory.append(frames.frames[row], frames.poses[row].tolist(), vectors[row])
