@@ -6,9 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from ssrvlad_torch.recognition.candidates import follow_candidates, gain
-from ssrvlad_torch.recognition.filter import Filter
-from ssrvlad_torch.recognition.follow import follow
+from ssrvlad_torch.recognition.candidates import follow_candidates, lead_of_candidates
+from ssrvlad_torch.recognition.follow import follow, lead_of_map
 from ssrvlad_torch.recognition.motion import Motion, moments
 
 
@@ -61,6 +60,7 @@ def test_all_rows_as_candidates_give_what_the_whole_map_gives(seed, lengths, cou
     expected = follow(scores, sequences, **options)
     got = follow_candidates(Best(scores, len(sequences)), sequences, **options)
     torch.testing.assert_close(got.unmapped, expected.unmapped, atol=2e-5, rtol=0)
+    torch.testing.assert_close(got.backward, expected.backward, atol=2e-5, rtol=0)
     torch.testing.assert_close(got.near, expected.near, atol=2e-5, rtol=0)
     torch.testing.assert_close(got.scores, expected.scores, atol=2e-5, rtol=0)
 
@@ -87,12 +87,11 @@ def test_the_track_goes_on_where_no_candidate_is_found():
     assert found.indices[20:, 0].tolist() == list(range(1020, 1060))
 
 
-def test_the_gain_is_that_of_the_filter():
-    scores, motion = drive(40, 12), Motion(unmapped=0.0)
-    track = Filter(["m"] * 40, motion)
-    for row in scores:
-        track.step(row)
-    assert gain(Best(scores, 40), ["m"] * 40, motion) == pytest.approx(track.gain, abs=1e-3)
+def test_the_lead_of_the_map_is_that_of_all_rows():
+    for scores in (drive(40, 12), drive(40, 12).flip(0)):
+        expected = lead_of_map(scores, ["m"] * 40)
+        got = lead_of_candidates(Best(scores, 40), ["m"] * 40)
+        assert got == pytest.approx(expected, abs=1e-3)
 
 
 def test_an_empty_query_is_placed_by_its_neighbours():

@@ -1,5 +1,7 @@
 """`recognition.follow`: the sequence filter against a plain dense one, and what it is for."""
 
+import itertools
+
 import numpy as np
 import pytest
 import torch
@@ -8,52 +10,62 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from ssrvlad_torch.recognition.filter import Filter
-from ssrvlad_torch.recognition.follow import NEAR, follow
-from ssrvlad_torch.recognition.motion import SPEEDS, Motion, likelihoods
+from ssrvlad_torch.recognition.follow import NEAR, follow, lead_of_map, way_of
+from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, SPEEDS, Motion, likelihoods
+
+WAYS = (FORWARDS, BACKWARDS)
 
 
 def transitions(sequences: list[str], motion: Motion) -> np.ndarray:
-    """The whole transition matrix over (speed, row) and the unmapped state, the last one."""
+    """The whole transition matrix over (way, speed, row) and the unmapped state, the last one."""
     rows, speeds = len(sequences), len(SPEEDS)
-    size = speeds * rows + 1
-    prior = np.array([chance for chance, _ in SPEEDS])
-    enter = np.append(np.repeat(prior, rows) / rows, 0.0)
-    matrix = np.zeros((size, size))
-    for before in range(speeds):
-        for row in range(rows):
-            here = before * rows + row
-            for after, (chance, steps) in enumerate(SPEEDS):
-                turned = motion.change * chance + (1 - motion.change) * (after == before)
-                for step, part in steps.items():
-                    there = row + step
-                    if 0 <= there < rows and sequences[there] == sequences[row]:
-                        matrix[here, after * rows + there] += (1 - motion.jump) * turned * part
-            lost = 1 - matrix[here].sum()
-            matrix[here] += lost * (1 - motion.unmapped) * enter
-            matrix[here, -1] += lost * motion.unmapped
+    size = len(WAYS) * speeds * rows + 1
+    matrix, enter = np.zeros((size, size)), start(rows)
+    for (number, way), before, row in itertools.product(
+        enumerate(WAYS), range(speeds), range(rows)
+    ):
+        here = (number * speeds + before) * rows + row
+        for after, (chance, steps) in enumerate(SPEEDS):
+            turned = motion.change * chance + (1 - motion.change) * (after == before)
+            for step, part in steps.items():
+                there = row + way * step
+                if 0 <= there < rows and sequences[there] == sequences[row]:
+                    target = (number * speeds + after) * rows + there
+                    matrix[here, target] += (1 - motion.jump) * turned * part
+        lost = 1 - matrix[here].sum()
+        matrix[here] += lost * (1 - motion.unmapped) * enter
+        matrix[here, -1] += lost * motion.unmapped
     matrix[-1] = (1 - motion.stay) * enter
     matrix[-1, -1] += motion.stay
     return matrix
 
 
-def plain(scores: Tensor, sequences: list[str], motion: Motion, future: int) -> np.ndarray:
-    """``(Q, R + 1)`` probabilities, each query in the light of ``future`` later ones."""
-    rows, speeds = len(sequences), len(SPEEDS)
+def start(rows: int) -> np.ndarray:
+    """The probabilities of all mapped states, and 0 for the unmapped one."""
     prior = np.array([chance for chance, _ in SPEEDS])
+    return np.append(np.tile(np.repeat(prior, rows), len(WAYS)) / (len(WAYS) * rows), 0.0)
+
+
+def plain(scores: Tensor, sequences: list[str], motion: Motion, future: int) -> np.ndarray:
+    """``(Q, R + 2)`` probabilities of the rows, of all rows of the decoy and of no row, each query
+    in the light of ``future`` later ones."""
+    rows, states = len(sequences), len(WAYS) * len(SPEEDS)
     matrix = transitions(sequences, motion)
-    told = [np.append(np.tile(likelihoods(row, motion).numpy(), speeds), 1.0) for row in scores]
-    start = np.append(np.repeat(prior, rows) / rows * (1 - motion.unmapped), motion.unmapped)
-    forward = [start * told[0]]
+    told = [np.append(np.tile(likelihoods(row, motion).numpy(), states), 1.0) for row in scores]
+    first = start(rows) * (1 - motion.unmapped)
+    first[-1] = motion.unmapped
+    forward = [first * told[0]]
     for each in told[1:]:
         forward.append((forward[-1] / forward[-1].sum()) @ matrix * each)
     found = []
     for query, belief in enumerate(forward):
-        back = np.ones(len(start))
+        back = np.ones(len(first))
         for later in reversed(told[query + 1 : query + 1 + future]):
             back = matrix @ (later * back)
             back /= back.max()
         both = belief * back / (belief * back).sum()
-        found.append(np.append(both[:-1].reshape(speeds, rows).sum(0), both[-1]))
+        by_way = both[:-1].reshape(len(WAYS), -1, rows).sum(1)
+        found.append([*by_way[0], by_way[1].sum(), both[-1]])
     return np.array(found)
 
 
@@ -73,7 +85,8 @@ def test_equals_the_plain_model(seed, lengths, queries, future):
     top = len(sequences)
     found = follow(scores, sequences, mode=mode, delay=future % 100, top=top, motion=motion)
     got = torch.zeros(queries, top).scatter(1, found.indices, found.scores)
-    np.testing.assert_allclose(got.numpy(), expected[:, :-1], atol=2e-5)
+    np.testing.assert_allclose(got.numpy(), expected[:, :-2], atol=2e-5)
+    np.testing.assert_allclose(found.backward.numpy(), expected[:, -2], atol=2e-5)
     np.testing.assert_allclose(found.unmapped.numpy(), expected[:, -1], atol=2e-5)
 
 
@@ -89,7 +102,6 @@ TRACKS = {
     "as fast": list(range(20, 80)),
     "three times as fast": list(range(10, 160, 3)),
     "half as fast": [20 + i // 2 for i in range(80)],
-    "backwards": list(range(120, 60, -1)),
     "with a stop": [*range(20, 50), *[50] * 20, *range(51, 80)],
     "with a jump": [*range(20, 60), *range(130, 170)],
 }
@@ -102,6 +114,40 @@ def test_follows_where_single_frames_do_not(name):
     single = ((scores.argmax(1) - track).abs() <= NEAR).float().mean()
     followed = follow(scores, ["map"] * 200).indices[:, 0]
     assert ((followed - track).abs() <= NEAR).float().mean() > max(0.9, single + 0.1)
+
+
+def test_queries_may_run_the_map_backwards():
+    track = torch.arange(120, 60, -1)
+    scores = noisy(track.tolist(), 200)
+    found = follow(scores, ["map"] * 200, way=BACKWARDS)
+    assert ((found.indices[:, 0] - track).abs() <= NEAR).float().mean() > 0.9
+    ahead = follow(scores, ["map"] * 200)
+    assert found.backward.mean() < 0.1
+    assert ahead.backward.mean() > 0.5
+
+
+QUERIES = {
+    **dict.fromkeys(TRACKS, FORWARDS),
+    "backwards": BACKWARDS,
+    "shuffled": 0,
+    "every sixth row": 0,
+    "standing still": 0,
+    "a single one": 0,
+}
+
+
+@pytest.mark.parametrize("name", QUERIES)
+def test_the_lead_of_the_map_tells_whether_and_how_queries_follow_it(name):
+    tracks = {
+        **TRACKS,
+        "backwards": range(120, 60, -1),
+        "shuffled": np.random.default_rng(0).permutation(60) + 20,
+        "every sixth row": range(5, 200, 6),
+        "standing still": [70] * 40,
+        "a single one": [70],
+    }
+    scores = noisy([*tracks[name]], 200, strength=0.5)
+    assert way_of(lead_of_map(scores, ["map"] * 200)) == QUERIES[name]
 
 
 def test_a_branch_leads_from_one_sequence_into_another():

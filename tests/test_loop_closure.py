@@ -65,10 +65,10 @@ def test_the_first_frames_have_nothing_to_compare_with():
 
 @pytest.mark.parametrize(
     ("second", "step"),
-    [(range(20, 80), 1), (range(80, 20, -1), -1), (range(20, 80, 2), 2), ([30] * 40, 0)],
+    [(range(20, 80), 1), (range(20, 80, 2), 2), ([30] * 40, 0)],
 )
 def test_places_seen_again_close_loops(second, step):
-    """In the same order, backwards, at twice the speed, and standing still at one."""
+    """In the same order, at twice the speed, and standing still at one."""
     results = drive(detector(), views([*range(150), *second]))
     loops = accepted(results)
     assert min(loops) <= 165

@@ -4,23 +4,37 @@ import pytest
 import torch
 from torch import Tensor
 
-from ssrvlad_torch.recognition.motion import CELLS, GAP, SPEEDS, Motion, moments, moved, nearness
+from ssrvlad_torch.recognition.motion import (
+    BACKWARDS,
+    CELLS,
+    FORWARDS,
+    SPEEDS,
+    Motion,
+    moments,
+    moved,
+    nearness,
+)
 
+WAYS = (FORWARDS, BACKWARDS)
 MOTION = Motion(change=0.1, jump=0.05)
+GAP = MOTION.gap
 
 
 def belief(cells: int, seed: int = 0) -> Tensor:
-    drawn = torch.rand(len(SPEEDS), cells, generator=torch.Generator().manual_seed(seed))
-    drawn[:, :GAP] = drawn[:, -GAP:] = 0
+    shape = len(WAYS), len(SPEEDS), cells
+    drawn = torch.rand(shape, generator=torch.Generator().manual_seed(seed))
+    drawn[:, :, :GAP] = drawn[:, :, -GAP:] = 0
     return drawn
 
 
 def step_by_step(before: Tensor) -> Tensor:
     after = torch.zeros_like(before)
-    for speed, (chance, steps) in enumerate(SPEEDS):
-        turned = MOTION.change * chance * before.sum(0) + (1 - MOTION.change) * before[speed]
-        for step, part in steps.items():
-            after[speed] += (1 - MOTION.jump) * part * turned.roll(step)
+    for way, sign in enumerate(WAYS):
+        for speed, (chance, steps) in enumerate(SPEEDS):
+            kept = (1 - MOTION.change) * before[way, speed]
+            turned = MOTION.change * chance * before[way].sum(0) + kept
+            for step, part in steps.items():
+                after[way, speed] += (1 - MOTION.jump) * part * turned.roll(sign * step)
     return after
 
 
@@ -28,16 +42,16 @@ def step_by_step(before: Tensor) -> Tensor:
 def test_a_belief_moves_by_every_step(cells):
     before = belief(cells)
     inside = slice(GAP, cells - GAP)
-    got = moved(before, MOTION)
-    torch.testing.assert_close(got[:, inside], step_by_step(before)[:, inside])
-    assert not got[:, :GAP].any() and not got[:, cells - GAP :].any()
+    got = moved(before, MOTION, WAYS)
+    torch.testing.assert_close(got[:, :, inside], step_by_step(before)[:, :, inside])
+    assert not got[:, :, :GAP].any() and not got[:, :, cells - GAP :].any()
 
 
 @pytest.mark.parametrize("cells", [30, CELLS + 30])
 def test_back_is_the_transpose(cells):
     one, other = belief(cells), belief(cells, 1)
-    there = (moved(one, MOTION) * other).double().sum()
-    back = (one * moved(other, MOTION, back=True)).double().sum()
+    there = (moved(one, MOTION, WAYS) * other).double().sum()
+    back = (one * moved(other, MOTION, WAYS, back=True)).double().sum()
     torch.testing.assert_close(there, back, rtol=1e-6, atol=0)
 
 

@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 
 from ssrvlad_torch.recognition.confidence import confidence_of_places, confidence_of_scores
-from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps, recognise
+from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -56,7 +56,7 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one():
     order = torch.randperm(80, generator=torch.Generator().manual_seed(0))
     found = recognise(queries[order], references, ["q"] * 80, ["r"] * 80)
     alone = recognise(queries[order], references, ["q"] * 80, ["r"] * 80, Steps(follow=None))
-    assert found.used["follow"] == {"q": "no"}
+    assert found.used["follow"] == {"q": NO_SEQUENCE}
     assert torch.equal(found.matches.indices, alone.matches.indices)
     kept = recognise(queries, references, ["q"] * 80, ["r"] * 80)
     assert kept.used["follow"] == {"q": "offline"}
@@ -66,7 +66,7 @@ def test_a_single_query_is_never_followed():
     queries, references = two_traverses(80, 0.8)
     for query in queries:
         found = recognise(query[None], references, ["q"], ["r"] * 80)
-        assert found.used["follow"] == {"q": "no"}
+        assert found.used["follow"] == {"q": NO_SEQUENCE}
         assert found.matches.scores[0, 0] == pytest.approx(float((references @ query).max()))
 
 

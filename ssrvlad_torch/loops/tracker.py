@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ..recognition.filter import Filter
 from ..recognition.fusion import fused, weights_of, z_lead
-from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
+from ..recognition.motion import FORWARDS, MIN_SPREAD, Motion, likelihoods, moments, nearness
 from .config import LoopConfig
 from .memory import Floats, GrowingArray, Memory, Vectors
 from .result import LoopResult, Reason
@@ -49,7 +49,7 @@ class Tracker:
     def __init__(self, config: LoopConfig, memory: Memory, others: Mapping[str, Vectors]) -> None:
         self._config, self._memory, self._others = config, memory, others
         self._leads = [0.0] * (1 + len(others))
-        self._filter = Filter(motion=MOTION)
+        self._filter = Filter(motion=MOTION, ways=[FORWARDS])
         self.start_sequence()
 
     @property

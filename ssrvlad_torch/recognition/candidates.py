@@ -17,9 +17,15 @@ import torch
 from torch import Tensor
 
 from .follow import NEAR, Mode, Places, ranked, runs, stacked, windows
-from .motion import GAP, SPEEDS, Motion, likelihoods, prior_of_speeds, transitions
-
-STEPS = tuple(range(min(s for _, steps in SPEEDS for s in steps), GAP + 1))
+from .motion import (
+    BACKWARDS,
+    FORWARDS,
+    SPEEDS,
+    Motion,
+    likelihoods,
+    prior_of_speeds,
+    transitions,
+)
 
 _MAX_BELIEVED, _MIN_BELIEF = 64, 1e-4
 """The track may go on from the most probable rows, up to this number and down to this belief."""
@@ -52,8 +58,8 @@ class State(NamedTuple):
         scores: ``(N,)`` float32, of the query.
         likelihood: ``(N,)`` float64, of the query, see `motion.likelihoods`.
         likelihood_elsewhere: its mean over the other rows.
-        mapped: ``(8, N)`` float64, probabilities by speed and row.
-        elsewhere: probability of all other rows.
+        mapped: ``(W, 7, N)`` float64, probabilities by way, speed and row.
+        elsewhere: probability of all other rows, of all ways alike.
         unmapped: probability of a place that the map lacks.
     """
 
@@ -83,6 +89,7 @@ def follow_candidates(
     delay: int = 0,
     top: int = 5,
     motion: Motion | None = None,
+    way: int = FORWARDS,
 ) -> Places:
     """The place of each query of one sequence, given the others; see `follow`.
 
@@ -92,9 +99,9 @@ def follow_candidates(
         search: finds candidates and scores rows.
         sequences: the sequence of each row of the map; the rows of one stand together and in order.
         part: numbers of the queries; without, all.
-        mode, delay, top, motion: as for `follow`.
+        mode, delay, top, motion, way: as for `follow`.
     """
-    track = CandidateFilter(sequences, motion)
+    track = CandidateFilter(sequences, motion, (way, -way))
     states = (state for state, _ in track.states(search, part))
     if mode == "offline":
         smoothed = _smoothed(track, [*states])
@@ -103,22 +110,30 @@ def follow_candidates(
     return stacked([track.places(state, top) for state in smoothed], top)
 
 
-def gain(
-    search: Search, sequences: Sequence[str], motion: Motion, part: range | None = None
+def lead_of_candidates(
+    search: Search, sequences: Sequence[str], part: range | None = None
 ) -> float:
-    """How much likelier the queries are as a sequence than each alone, as a logarithm."""
-    return sum(gain for _, gain in CandidateFilter(sequences, motion).states(search, part))
+    """As `follow.lead_of_map`."""
+    tracks = (
+        CandidateFilter(sequences, Motion(unmapped=0.0), [way]) for way in (FORWARDS, BACKWARDS)
+    )
+    there, back = (sum(gain for _, gain in track.states(search, part)) for track in tracks)
+    return there - back
 
 
 class CandidateFilter:
     """The hidden Markov model of `Filter` over candidates."""
 
-    def __init__(self, sequences: Sequence[str], motion: Motion | None = None) -> None:
+    def __init__(
+        self,
+        sequences: Sequence[str],
+        motion: Motion | None = None,
+        ways: Sequence[int] = (FORWARDS, BACKWARDS),
+    ) -> None:
         self.motion = motion or Motion()
-        taps = [GAP - step for step in STEPS]
-        self._steps = torch.tensor(STEPS)[:, None]
-        self._weights = transitions(self.motion).double()[:, :, taps].permute(2, 0, 1).contiguous()
-        self._prior = prior_of_speeds().double()
+        self._steps = [torch.tensor(self.motion.steps)[:, None] * way for way in ways]
+        self._weights = transitions(self.motion).double()
+        self._prior = prior_of_speeds().double().expand(len(ways), -1, -1) / len(ways)
         self._starts = torch.tensor([part.start for part in runs(sequences)], dtype=torch.int64)
         self._length = len(sequences)
 
@@ -157,13 +172,16 @@ class CandidateFilter:
         any_row = float((self._prior * weighted).sum()) + others * elsewhere
         any_row /= max(1, self._length)
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
-        places, listed, inside = self._targets(state.rows, later.rows)
-        reached = torch.where(listed, weighted[:, places], elsewhere) * inside
-        mapped = torch.einsum("tvu,vtn->un", self._weights, reached)
-        on_track = self._weights.sum(1).T @ inside.double()
-        mapped += (1 - on_track) * lost
+        mapped = torch.empty_like(state.mapped)
+        for way, steps in enumerate(self._steps):
+            places, listed, inside = self._targets(state.rows, steps, later.rows)
+            reached = torch.where(listed, weighted[way][:, places], elsewhere) * inside
+            on_track = self._weights.sum(1).T @ inside.double()
+            mapped[way] = torch.einsum("tvu,vtn->un", self._weights, reached)
+            mapped[way] += (1 - on_track) * lost
         fresh, known = self._fresh(state.rows, later.rows)
-        come = fresh * float((self._prior * weighted[:, ~known]).sum(0).mean()) if fresh else 0.0
+        at_fresh = (self._prior * weighted[:, :, ~known]).sum((0, 1))
+        come = fresh * float(at_fresh.mean()) if fresh else 0.0
         jump = self.motion.jump
         elsewhere = (1 - jump) * (come + (1 - fresh) * elsewhere) + jump * lost
         highest = max(unmapped, elsewhere, float(mapped.max()) if mapped.numel() else 0.0)
@@ -171,33 +189,38 @@ class CandidateFilter:
 
     def places(self, state: State, top: int) -> Places:
         """The places of one query."""
-        beliefs = state.mapped.sum(0)
+        by_way = state.mapped.sum(1)
+        beliefs = by_way[0]
         scores, indices = ranked(beliefs, state.scores, top, state.rows)
         near = torch.tensor(0.0)
         if indices[0] >= 0:
             same = self._sequence(state.rows) == self._sequence(indices[:1])
             near = beliefs[same & ((state.rows - indices[0]).abs() <= NEAR)].sum().float()
-        return Places(scores, indices, near, torch.tensor(state.unmapped))
+        apart = state.elsewhere * (len(by_way) - 1) / len(by_way)
+        decoys = torch.tensor(float(by_way[1:].sum()) + apart)
+        return Places(scores, indices, near, torch.tensor(state.unmapped), decoys)
 
     def _anywhere(self, rows: Tensor) -> tuple[Tensor, float, float]:
         """The belief in rows, in the other rows and in no row, before the first query."""
         unmapped = self.motion.unmapped_at_start(self._length)
         each = (1 - unmapped) / max(1, self._length)
-        mapped = (self._prior * each).expand(-1, len(rows))
+        mapped = (self._prior * each).expand(-1, -1, len(rows))
         return mapped, each * (self._length - len(rows)), unmapped
 
     def _predicted(self, state: State, rows: Tensor) -> tuple[Tensor, float, float]:
         """The belief in rows, in the other rows and in no row, one query after a state."""
-        places, listed, inside = self._targets(state.rows, rows)
-        come = (self._weights @ state.mapped).transpose(0, 1)
-        mapped = torch.zeros(len(SPEEDS), len(rows), dtype=torch.double)
-        mapped.index_add_(1, places[listed], come[:, listed])
-        left = float((come.sum(0) * (inside & ~listed)).sum())
+        mapped = torch.zeros(len(self._steps), len(SPEEDS), len(rows), dtype=torch.double)
+        left = 0.0
+        for way, steps in enumerate(self._steps):
+            places, listed, inside = self._targets(state.rows, steps, rows)
+            come = (self._weights @ state.mapped[way]).transpose(0, 1)
+            mapped[way].index_add_(1, places[listed], come[:, listed])
+            left += float((come.sum(0) * (inside & ~listed)).sum())
         fresh, known = self._fresh(state.rows, rows)
         stayed = state.elsewhere * (1 - self.motion.jump)
         if fresh:
             each = stayed * fresh / int((~known).sum())
-            mapped[:, ~known] += self._prior * each
+            mapped[:, :, ~known] += self._prior * each
         elsewhere = left + stayed * (1 - fresh)
         lost = max(0.0, 1 - state.unmapped - float(mapped.sum()) - elsewhere)
         any_row, unmapped = self.motion.off_track(lost, state.unmapped)
@@ -207,16 +230,18 @@ class CandidateFilter:
 
     def _reached(self, state: State) -> Tensor:
         """Rows to which the track may have moved."""
-        beliefs = state.mapped.sum(0)
+        beliefs = state.mapped.sum((0, 1))
         most = beliefs.topk(min(_MAX_BELIEVED, len(beliefs)))
         rows = state.rows[most.indices[most.values >= _MIN_BELIEF]]
-        targets = rows + self._steps
+        targets = rows + torch.cat(self._steps)
         return targets[self._inside(rows, targets)]
 
-    def _targets(self, rows: Tensor, listed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    def _targets(
+        self, rows: Tensor, steps: Tensor, listed: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """``(steps, N)``, for the target of each step from each row: its place among the listed
         rows, whether it is among them, and whether it is in the sequence of its row."""
-        targets = rows + self._steps
+        targets = rows + steps
         inside = self._inside(rows, targets)
         places = torch.searchsorted(listed, targets).clamp_(max=max(0, len(listed) - 1))
         return places, inside & (listed[places] == targets), inside

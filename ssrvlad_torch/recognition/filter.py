@@ -10,7 +10,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from .motion import CELLS, GAP, SPEEDS, Motion, likelihoods, moved, prior_of_speeds
+from .motion import (
+    BACKWARDS,
+    CELLS,
+    FORWARDS,
+    SPEEDS,
+    Motion,
+    likelihoods,
+    moved,
+    prior_of_speeds,
+)
 
 _HIGHEST = 1.001
 """The highest cosine that rounding can give."""
@@ -20,13 +29,15 @@ class Belief(NamedTuple):
     """Probabilities of the places of a frame.
 
     Attributes:
-        mapped: ``(8, cells)`` float32, by speed and cell.
-        cells: ``(cells,)`` float32, the sum of ``mapped`` over the speeds.
+        mapped: ``(W, 7, cells)`` float32, by way, speed and cell.
+        cells: ``(cells,)`` float32, the sum of ``mapped`` over the speeds of the first way.
+        decoys: of the second way, the sum over all cells; 0 without one.
         unmapped: of a place that the map lacks.
     """
 
     mapped: Tensor
     cells: Tensor
+    decoys: float
     unmapped: float
 
 
@@ -46,11 +57,13 @@ class Filter:
     Args:
         sequences: the sequence of each row; the rows of one stand together and in order.
         motion: how sequences move.
+        ways: in which the map is run, one or two of `FORWARDS` and `BACKWARDS`. The second is the
+            decoy: it is as likely as the first where frames and rows only happen to be alike.
 
     Attributes:
         belief: after the last frame.
         gain: how much likelier the frames since `restart` are as a sequence than each alone, as a
-            logarithm; not above 0 for frames that do not follow one another.
+            logarithm.
 
     Example:
         >>> track = Filter(["drive"] * 30)
@@ -60,13 +73,19 @@ class Filter:
         tensor(19)
     """
 
-    def __init__(self, sequences: Sequence[str] = (), motion: Motion | None = None) -> None:
-        self.motion = motion or Motion()
+    def __init__(
+        self,
+        sequences: Sequence[str] = (),
+        motion: Motion | None = None,
+        ways: Sequence[int] = (FORWARDS, BACKWARDS),
+    ) -> None:
+        self.motion, self._ways = motion or Motion(), ways
         self._cells = torch.zeros(0, dtype=torch.int64)
-        self._inside = torch.zeros(GAP)
+        self._inside = torch.zeros(self.motion.gap)
         self._sequence: str | None = None
         self._lost: Tensor | None = None
-        self.belief = Belief(torch.zeros(len(SPEEDS), GAP), torch.zeros(GAP), 1.0)
+        nothing = torch.zeros(len(ways), len(SPEEDS), self.motion.gap)
+        self.belief = Belief(nothing, nothing[0, 0], 0.0, 1.0)
         self.extend(sequences)
         self.restart()
 
@@ -77,14 +96,15 @@ class Filter:
         """Adds rows at the end of the map; the belief in them is 0."""
         if not sequences:
             return
+        gap = self.motion.gap
         changes = [a != b for a, b in zip(sequences, [self._sequence, *sequences], strict=False)]
-        gaps = torch.tensor(changes).cumsum(0) * GAP
-        end = len(self._inside) - (0 if self._sequence is None else GAP)
-        start = end - (GAP if self._sequence is None else 0)
+        gaps = torch.tensor(changes).cumsum(0) * gap
+        end = len(self._inside) - (0 if self._sequence is None else gap)
+        start = end - (gap if self._sequence is None else 0)
         cells = start + gaps + torch.arange(len(sequences))
         self._sequence = sequences[-1]
         self._cells = torch.cat((self._cells, cells))
-        length = int(cells[-1]) + 1 + GAP
+        length = int(cells[-1]) + 1 + gap
         self._inside = torch.zeros(length)
         self._inside[self._cells] = 1
         self._lost = None
@@ -95,9 +115,10 @@ class Filter:
     def restart(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
         unmapped = self.motion.unmapped_at_start(len(self))
-        each = (1 - unmapped) / max(1, len(self))
-        cells = self._inside * each
-        self.belief = Belief(prior_of_speeds() * cells, cells, unmapped)
+        cells = self._inside * self._each(1 - unmapped)
+        mapped = (prior_of_speeds() * cells).repeat(len(self._ways), 1, 1)
+        decoys = (1 - unmapped) * (1 - 1 / len(self._ways))
+        self.belief = Belief(mapped, cells, decoys, unmapped)
         self._starting, self.gain = True, 0.0
 
     def step(self, scores: Tensor) -> None:
@@ -106,7 +127,7 @@ class Filter:
 
     def update(self, likelihood: Tensor) -> None:
         """Updates the belief by the likelihood ``(cells,)`` of the next frame."""
-        update = _updated if self._starting else self.after
+        update = self._first if self._starting else self.after
         self.belief, total = update(self.belief, likelihood)
         unmapped = self.motion.unmapped_at_start(len(self))
         alone = (1 - unmapped) * float(likelihood.sum()) / max(1, len(self)) + unmapped
@@ -136,41 +157,50 @@ class Filter:
         """The belief one frame later, by the likelihood ``(cells,)`` of the later frame, and how
         likely that frame was."""
         if not len(self):
-            return belief._replace(unmapped=1.0), 1.0
-        mapped = moved(belief.mapped, self.motion)
-        cells = mapped.sum(0)
-        lost = max(0.0, 1 - belief.unmapped - float((cells * self._inside).sum()))
+            return belief._replace(decoys=0.0, unmapped=1.0), 1.0
+        mapped = moved(belief.mapped, self.motion, self._ways)
+        cells = mapped.sum(1)
+        lost = max(0.0, 1 - belief.unmapped - float((cells @ self._inside).sum()))
         any_row, unmapped = self.motion.off_track(lost, belief.unmapped)
-        each = any_row / len(self)
+        each = self._each(any_row)
         cells.add_(each).mul_(likelihood)
-        total = float(cells.sum()) + unmapped
+        by_way = cells.sum(1).tolist()
+        total = sum(by_way) + unmapped
         factors = (likelihood / total).split(CELLS)
-        for block, factor in zip(mapped.split(CELLS, 1), factors, strict=True):
+        for block, factor in zip(mapped.split(CELLS, 2), factors, strict=True):
             block.add_(prior_of_speeds() * each).mul_(factor)
-        return Belief(mapped, cells.div_(total), unmapped / total), total
+        decoys = sum(by_way[1:]) / total
+        return Belief(mapped, cells[0].div_(total), decoys, unmapped / total), total
 
     def before(self, likelihood: Tensor, future: Future) -> Future:
         """The future one frame earlier, by the likelihood ``(cells,)`` of the later frame: the
         backward algorithm."""
         weighted = future.mapped * likelihood
-        any_row = float((prior_of_speeds() * weighted).sum()) / max(1, len(self))
+        any_row = float((prior_of_speeds() * weighted).sum()) * self._each(1.0)
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
         if self._lost is None:
-            inside = self._inside.expand(len(SPEEDS), -1)
-            self._lost = 1 - moved(inside, self.motion, back=True)
-        mapped = moved(weighted, self.motion, back=True)
+            self._lost = 1 - moved(self._anywhere(), self.motion, self._ways, back=True)
+        mapped = moved(weighted, self.motion, self._ways, back=True)
         mapped.add_(self._lost, alpha=lost).mul_(self._inside)
         highest = max(unmapped, float(mapped.max()))
         return Future(mapped.div_(highest), unmapped / highest)
 
     def no_future(self) -> Future:
         """The future from the last frame, with which the backward algorithm starts."""
-        return Future(self._inside.expand(len(SPEEDS), -1), 1.0)
+        return Future(self._anywhere(), 1.0)
 
+    def _anywhere(self) -> Tensor:
+        """``(W, 7, cells)``, 1 in each cell of a row."""
+        return self._inside.expand(len(self._ways), len(SPEEDS), -1)
 
-def _updated(belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
-    """The belief after the first frame, and how likely the frame was."""
-    cells = belief.cells * likelihood
-    total = float(cells.sum()) + belief.unmapped
-    mapped = belief.mapped * (likelihood / total)
-    return Belief(mapped, cells.div_(total), belief.unmapped / total), total
+    def _each(self, any_row: float) -> float:
+        """The probability of each row and way, by that of any."""
+        return any_row / (max(1, len(self)) * len(self._ways))
+
+    def _first(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
+        """The belief after the first frame, and how likely the frame was."""
+        mapped, cells = belief.mapped * likelihood, belief.cells * likelihood
+        by_way = float(cells.sum())
+        total = by_way * len(self._ways) + belief.unmapped
+        decoys = by_way * (len(self._ways) - 1) / total
+        return Belief(mapped / total, cells / total, decoys, belief.unmapped / total), total

@@ -3,6 +3,11 @@
 One frame is often ambiguous, a sequence of frames seldom. The hidden state is the row of the map
 where the camera is, and its speed in rows a frame (see `motion.SPEEDS`). The speed seldom changes,
 and the camera seldom jumps. One more state is a place that the map lacks. Not in the paper.
+
+The map run backwards is a decoy: the same rows with the opposite speeds. It is as likely as the map
+where queries and rows only happen to be alike, and unlikely where a drive follows the map. So what
+it holds shows how much of the belief in the map is chance: the target-decoy competition of Elias
+and Gygi (Nature Methods 2007).
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ from torch import Tensor
 from .display import candidates_table
 from .filter import Belief, Filter, Future
 from .matching import Matches, best_of
-from .motion import Motion
+from .motion import BACKWARDS, FORWARDS, Motion
 
 NEAR = 3
 """Rows on each side of a row that show the same place."""
@@ -37,15 +42,19 @@ class Places(NamedTuple):
         indices: ``(Q, top)`` int64, rows of the map; -1 for none.
         near: ``(Q,)`` float32, the probability of the rows within `NEAR` of the first candidate.
         unmapped: ``(Q,)`` float32, the probability of a place that the map lacks.
+        backward: ``(Q,)`` float32, the probability of all rows of the decoy. The sum of all rows of
+            the map, ``unmapped`` and ``backward`` is 1.
     """
 
     scores: Tensor
     indices: Tensor
     near: Tensor
     unmapped: Tensor
+    backward: Tensor
 
     def _repr_html_(self) -> str:
-        return candidates_table(self.scores, self.indices, near=self.near, unmapped=self.unmapped)
+        columns = {name: getattr(self, name) for name in ("near", "unmapped", "backward")}
+        return candidates_table(self.scores, self.indices, **columns)
 
 
 class Scores(Protocol):
@@ -66,12 +75,13 @@ def follow(
     delay: int = 0,
     top: int = 5,
     motion: Motion | None = None,
+    way: int = FORWARDS,
 ) -> Places:
     """The place of each query, given the other queries of its sequence.
 
     Online, a query is placed by itself, the queries before it and ``delay`` queries after it
     (forward algorithm); offline, by its whole sequence (forward-backward). Time for each query is
-    linear in the map; memory holds ``2 * sqrt(Q)`` beliefs of 8 numbers a row.
+    linear in the map; memory holds ``2 * sqrt(Q)`` beliefs of 14 numbers a row.
 
     Args:
         scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference and for
@@ -84,6 +94,7 @@ def follow(
         delay: number of later queries that an online answer waits for.
         top: number of candidates of each query.
         motion: how sequences move.
+        way: in which the queries run the map, `motion.FORWARDS` or `BACKWARDS`, see `lead_of_map`.
 
     Raises:
         ValueError: the scores do not fit the sequences, are NaN or above 1; the frames of a
@@ -103,15 +114,43 @@ def follow(
         raise ValueError(
             f"expected a sequence for each of {len(scores)} queries, got {len(drives)}"
         )
-    track = Filter(sequences, motion)
+    track = Filter(sequences, motion, (way, -way))
     parts = list(runs(sequences))
     places: dict[int, Places] = {}
     for part in runs(drives):
         offline = mode == "offline"
         beliefs = _offline(track, scores, part) if offline else _online(track, scores, part, delay)
         for query, belief in beliefs:
-            places[query] = _places(track.rows(belief), belief.unmapped, top, scores[query], parts)
+            places[query] = _places(track.rows(belief), belief, top, scores[query], parts)
     return stacked([places[query] for query in range(len(drives))], top)
+
+
+@torch.no_grad()
+def lead_of_map(scores: Tensor | Scores, sequences: Sequence[str]) -> float:
+    """How much likelier the queries of one sequence follow the map than the map run backwards.
+
+    A natural logarithm, positive where they follow the map, negative where they follow it
+    backwards, and near 0 where they are no sequence or the map is none.
+
+    Args:
+        scores, sequences: as for `follow`.
+    """
+    motion = Motion(unmapped=0.0)
+    map_, decoy = (Filter(sequences, motion, [way]) for way in (FORWARDS, BACKWARDS))
+    for query in range(len(scores)):
+        likelihood = map_.likelihood(scores[query])
+        map_.update(likelihood)
+        decoy.update(likelihood)
+    return map_.gain - decoy.gain
+
+
+MIN_LEAD = 1.0
+"""Lead of the map above which queries follow it, see `lead_of_map`."""
+
+
+def way_of(lead: float) -> int:
+    """The way in which queries run the map, by the lead of the map; 0 if it is undecided."""
+    return 0 if abs(lead) <= MIN_LEAD else FORWARDS if lead > 0 else BACKWARDS
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:
@@ -134,7 +173,7 @@ def stacked(places: Sequence[Places], top: int) -> Places:
     """The places of all queries, from those of each."""
     if not places:
         none = torch.zeros(0)
-        return Places(none.view(0, top), none.view(0, top).long(), none, none)
+        return Places(none.view(0, top), none.view(0, top).long(), none, none, none)
     return Places(*(torch.stack(values) for values in zip(*places, strict=True)))
 
 
@@ -161,7 +200,7 @@ def windows(items: Iterable[Item], delay: int) -> Iterator[Sequence[Item]]:
 
 
 def _places(
-    rows: Tensor, unmapped: float, top: int, scores: Tensor, sequences: Sequence[range]
+    rows: Tensor, belief: Belief, top: int, scores: Tensor, sequences: Sequence[range]
 ) -> Places:
     """The places of one query, by the probability of each row."""
     best = ranked(rows, scores, top)
@@ -169,7 +208,7 @@ def _places(
     if row >= 0:
         own = sequences[bisect_right(sequences, row, key=lambda part: part.start) - 1]
         near = rows[max(row - NEAR, own.start) : min(row + NEAR + 1, own.stop)].sum()
-    return Places(*best, near, torch.tensor(unmapped))
+    return Places(*best, near, torch.tensor(belief.unmapped), torch.tensor(belief.decoys))
 
 
 def _forward(
@@ -220,6 +259,8 @@ def _offline(track: Filter, scores: Tensor | Scores, part: range) -> Iterator[tu
 def _smoothed(belief: Belief, future: Future) -> Belief:
     """A belief, given the later queries."""
     mapped, unmapped = belief.mapped * future.mapped, belief.unmapped * future.unmapped
-    cells = mapped.sum(0)
-    total = float(cells.sum()) + unmapped
-    return Belief(mapped.div_(total), cells.div_(total), unmapped / total)
+    cells = mapped.sum(1)
+    by_way = cells.sum(1).tolist()
+    total = sum(by_way) + unmapped
+    decoys = sum(by_way[1:]) / total
+    return Belief(mapped.div_(total), cells[0].div_(total), decoys, unmapped / total)

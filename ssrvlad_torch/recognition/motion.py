@@ -3,32 +3,33 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import product
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
-    (0.04, {-2: 0.1, -1: 0.8, 0: 0.1}),
     (0.08, {-1: 0.05, 0: 0.9, 1: 0.05}),
-    (0.15, {0: 0.5, 1: 0.5}),
-    (0.33, {0: 0.1, 1: 0.8, 2: 0.1}),
-    (0.15, {1: 0.5, 2: 0.5}),
-    (0.13, {1: 0.1, 2: 0.8, 3: 0.1}),
+    (0.16, {0: 0.5, 1: 0.5}),
+    (0.34, {0: 0.1, 1: 0.8, 2: 0.1}),
+    (0.16, {1: 0.5, 2: 0.5}),
+    (0.14, {1: 0.1, 2: 0.8, 3: 0.1}),
     (0.07, {2: 0.1, 3: 0.8, 4: 0.1}),
     (0.05, {3: 0.15, 4: 0.7, 5: 0.15}),
 )
-"""Probability of each speed, and of its steps in rows: -1, 0, 1/2, 1, 3/2, 2, 3, 4 rows a frame."""
+"""Probability of each speed, and of its steps in rows: 0, 1/2, 1, 3/2, 2, 3, 4 rows a frame."""
 
-GAP = 5
-"""The longest step in rows, and the number of empty cells between two sequences."""
+FORWARDS, BACKWARDS = 1, -1
+"""Ways to run a map."""
 
 ELSEWHERE = 5
 """Rows farther apart than this show different places."""
 
-_MIN_STEP = min(step for _, steps in SPEEDS for step in steps)
+_MIN_STEP, _MAX_STEP = -1, 5
 MIN_SPREAD = 1e-6
 _MAX_LOG = 50.0
 """Largest logarithm of a likelihood: frames that equal their rows must not overflow float32."""
@@ -51,6 +52,7 @@ class Motion:
         weight: factor of a z-score in the logarithm of the likelihood. Errors of neighbouring
             frames are correlated, so it is less than for independent frames, where it is 1 or more.
         level: the z-score above which a frame is more likely at the row than at a new place.
+        rate: number of steps of `SPEEDS` from one frame to the next, 1 or more.
 
     Raises:
         ValueError: a probability is not from 0 to 1, the weight not above 0, or a number not
@@ -63,6 +65,17 @@ class Motion:
     stay: float = 0.97
     weight: float = 0.3
     level: float = 0.5
+    rate: int = 1
+
+    @property
+    def gap(self) -> int:
+        """The longest step in rows, and the number of empty cells between two sequences."""
+        return _MAX_STEP * self.rate
+
+    @property
+    def steps(self) -> range:
+        """All steps in rows."""
+        return range(_MIN_STEP * self.rate, self.gap + 1)
 
     def __post_init__(self) -> None:
         for name in ("change", "jump", "unmapped", "stay"):
@@ -75,6 +88,8 @@ class Motion:
                 "expected a finite weight above 0 and a finite level, "
                 f"got {self.weight} and {self.level}"
             )
+        if self.rate < 1:
+            raise ValueError(f"rate: expected an integer from 1, got {self.rate}")
 
     def unmapped_at_start(self, rows: int) -> float:
         """Probability that a map of so many rows lacks the place of the first frame."""
@@ -146,21 +161,23 @@ def likelihoods(
     return z.clamp_(max=_MAX_LOG).exp_()
 
 
-def moved(belief: Tensor, motion: Motion, back: bool = False) -> Tensor:
-    """A belief ``(8, cells)`` float32 by speed and cell, one frame later, without jumps; with
-    ``back`` by the transpose, for the backward algorithm. The first and last `GAP` cells stay 0. A
-    track that leaves its sequence is in the gap beside it."""
-    after, end = torch.empty_like(belief), belief.shape[1] - GAP
-    after[:, :GAP] = after[:, end:] = 0
-    for first in range(GAP, end, CELLS):
+def moved(belief: Tensor, motion: Motion, ways: Sequence[int], back: bool = False) -> Tensor:
+    """A belief ``(W, 7, cells)`` float32 by way, speed and cell, one frame later, without jumps;
+    with ``back`` by the transpose, for the backward algorithm. The first and last `Motion.gap`
+    cells stay 0. A track that leaves its sequence is in the gap beside it."""
+    after, start, end = torch.empty_like(belief), motion.gap, belief.shape[2] - motion.gap
+    after[:, :, :start] = after[:, :, end:] = 0
+    for first in range(start, end, CELLS):
         last = min(first + CELLS, end)
-        after[:, first:last] = 0
-        for step, to, source, weights in _shifts(motion, back):
-            after[to, first:last].addmm_(weights, belief[source, first - step : last - step])
+        after[:, :, first:last] = 0
+        for number, way in enumerate(ways):
+            for step, to, source, weights in _shifts(motion, back):
+                here = slice(first - way * step, last - way * step)
+                after[number, to, first:last].addmm_(weights, belief[number, source, here])
     return after
 
 
-CELLS = 1 << 15
+CELLS = 1 << 14
 """Cells that are moved at once: their beliefs before and after fit into the cache of a core."""
 
 
@@ -176,28 +193,41 @@ class _Shift(NamedTuple):
 @cache
 def _shifts(motion: Motion, back: bool) -> tuple[_Shift, ...]:
     shifts, any_speed = [], slice(0, len(SPEEDS))
-    for step in range(_MIN_STEP, GAP + 1):
-        speeds = [speed for speed, (_, steps) in enumerate(SPEEDS) if step in steps]
+    for step, by_speed in zip(motion.steps, transitions(motion), strict=True):
+        speeds = by_speed.any(1).nonzero().flatten().tolist()
         to = slice(speeds[0], speeds[-1] + 1)
-        weights = transitions(motion)[to, :, GAP - step]
-        shift = (-step, any_speed, to, weights.T) if back else (step, to, any_speed, weights)
-        shifts.append(_Shift(*shift[:3], shift[3].contiguous()))
+        if back:
+            shifts.append(_Shift(-step, any_speed, to, by_speed[to].T.contiguous()))
+        else:
+            shifts.append(_Shift(step, to, any_speed, by_speed[to].contiguous()))
     return tuple(shifts)
 
 
 @cache
 def transitions(motion: Motion) -> Tensor:
-    """``(8, 8, steps)`` float32: the probability of each speed after each speed with each step, the
-    longest step first; without jumps."""
-    probabilities = torch.zeros(len(SPEEDS), len(SPEEDS), GAP - _MIN_STEP + 1)
-    for speed, (prior, steps) in enumerate(SPEEDS):
+    """``(steps, 7, 7)`` float32: for each of `Motion.steps` the probability of each speed after
+    each speed; without jumps."""
+    probabilities = torch.zeros(len(motion.steps), len(SPEEDS), len(SPEEDS))
+    for speed, (prior, _) in enumerate(SPEEDS):
         by_speed = motion.change * prior * torch.ones(len(SPEEDS))
         by_speed[speed] += 1 - motion.change
-        for step, probability in steps.items():
-            probabilities[speed, :, GAP - step] = by_speed * probability * (1 - motion.jump)
+        for step, probability in steps_of(speed, motion.rate).items():
+            index = motion.steps.index(step)
+            probabilities[index, speed] = by_speed * probability * (1 - motion.jump)
     return probabilities
 
 
+def steps_of(speed: int, rate: int) -> dict[int, float]:
+    """The probability of each step in rows at a speed, by its number in `SPEEDS`."""
+    steps = {0: 1.0}
+    for _ in range(rate):
+        after = dict[int, float]()
+        for (far, chance), (step, part) in product(steps.items(), SPEEDS[speed][1].items()):
+            after[far + step] = after.get(far + step, 0.0) + chance * part
+        steps = after
+    return steps
+
+
 def prior_of_speeds() -> Tensor:
-    """``(8, 1)`` float32, the probability of each speed."""
+    """``(7, 1)`` float32, the probability of each speed."""
     return torch.tensor([probability for probability, _ in SPEEDS])[:, None]

@@ -10,24 +10,23 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from .candidates import Search, follow_candidates, gain
+from .candidates import Search, follow_candidates, lead_of_candidates
 from .confidence import confidence_of_places, confidence_of_scores
 from .display import candidates_table
-from .filter import Filter
-from .follow import Mode, Places, Scores, follow, runs
+from .follow import Mode, Places, Scores, follow, lead_of_map, runs, way_of
 from .fusion import FusedScores
 from .matching import Matches, Rows, Vectors, best_of
-from .motion import Motion
+from .motion import BACKWARDS
 from .standardise import MIN_FRAMES, standardise
 from .sweep import COLUMNS, narrowed, score
 
 SSR_VLAD = "ssr-vlad"
 """The name of the descriptor among fused methods."""
 
+NO_SEQUENCE = "no, no sequence"
+"""How queries are followed of which the data do not show that they follow the map."""
+
 _SCORES_IN_MEMORY = 1 << 26
-_MIN_GAIN = 0.01
-"""Gain above which frames count as a sequence, see `Filter.gain`. Rounding gave 2e-7 for single
-queries and 4e-6 for 2000 equal ones; the drives of docs/fusion.md gain 18 and more."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,8 @@ class Steps:
         standardise: subtract the mean of each traverse, see `standardise`. A traverse of fewer
             than `standardise.MIN_FRAMES` queries and the references for it stay raw.
         sweep: use all anchors of queries that have several, see `sweep.narrowed`.
-        follow: see `follow.follow`; ``None`` judges each query alone.
+        follow: see `follow.follow`; ``None`` judges each query alone. So are sequences of which
+            the data do not show that they follow the map, see `follow.lead_of_map`.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -75,8 +75,8 @@ class Recognised(NamedTuple):
             `confidence`; 0 without a candidate, and 0 for all queries of fewer than
             `standardise.MIN_FRAMES` references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
-            it was standardised, the width of its sweep, how it was followed, and the weights of
-            fused methods.
+            it was standardised, the width of its sweep, how it was followed (a mode, ``MODE,
+            backwards``, ``no``, or `NO_SEQUENCE`), and the weights of fused methods.
     """
 
     matches: Matches
@@ -181,12 +181,13 @@ def recognise_by_search(
         standardised = steps.standardise and len(run) >= MIN_FRAMES
         found = search(standardised)
         sequences, mode = reference_sequences, steps.follow
-        if mode and gain(found, sequences, Motion(unmapped=0.0), run) > _MIN_GAIN:
-            places = follow_candidates(found, sequences, run, mode, steps.delay, top)
+        way = way_of(lead_of_candidates(found, sequences, run)) if mode else 0
+        if mode and way:
+            places = follow_candidates(found, sequences, run, mode, steps.delay, top, way=way)
             empty = torch.tensor([not len(found.candidates(query)) for query in run])
-            decision = _followed(places, empty, mode)
+            decision = _followed(places, empty, mode, way)
         else:
-            decision = _alone([_best_candidates(found, query, top) for query in run])
+            decision = _alone([_best_candidates(found, query, top) for query in run], mode)
         return replace(decision, standardise=standardised)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -275,29 +276,31 @@ def _decided(
 ) -> _Decision:
     """Follows one sequence of queries by the scores of all rows, or judges each alone."""
     mode = steps.follow
-    if mode and _is_sequence(scores, sequences):
-        places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top)
+    way = way_of(lead_of_map(scores, sequences)) if mode else 0
+    if mode and way:
+        places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top, way=way)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
-        return _followed(places, empty, mode)
+        return _followed(places, empty, mode, way)
     rows = (scores[query] for query in range(len(scores)))
-    return _alone([(best_of(row, top), confidence_of_scores(row)) for row in rows])
+    return _alone([(best_of(row, top), confidence_of_scores(row)) for row in rows], mode)
 
 
-def _followed(places: Places, empty: Tensor, mode: Mode) -> _Decision:
+def _followed(places: Places, empty: Tensor, mode: Mode, way: int) -> _Decision:
     """The decision about queries that were followed; an empty query has no candidate. For the
     scores, see `Recognised`."""
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
     confidence = confidence_of_places(places.near, mode).masked_fill(empty, 0)
-    return _Decision(matches, confidence, follow=mode)
+    how = f"{mode}, backwards" if way == BACKWARDS else mode
+    return _Decision(matches, confidence, follow=how)
 
 
-def _alone(judged: Sequence[tuple[Matches, Tensor]]) -> _Decision:
+def _alone(judged: Sequence[tuple[Matches, Tensor]], mode: Mode | None) -> _Decision:
     """The decision about queries that were judged one by one."""
     matches, confidence = zip(*judged, strict=True)
     matches = Matches(*map(torch.stack, zip(*matches, strict=True)))
-    return _Decision(matches, torch.stack(confidence))
+    return _Decision(matches, torch.stack(confidence), follow=NO_SEQUENCE if mode else "no")
 
 
 def _best_candidates(search: Search, query: int, top: int) -> tuple[Matches, Tensor]:
@@ -305,11 +308,3 @@ def _best_candidates(search: Search, query: int, top: int) -> tuple[Matches, Ten
     rows = search.candidates(query).sort().values
     scores = search.scores(query, rows)
     return best_of(scores, top, rows), confidence_of_scores(scores, rows, search.spread(query))
-
-
-def _is_sequence(scores: Tensor | Scores, sequences: Sequence[str]) -> bool:
-    """Whether the frames are likelier as a sequence than each alone, if the map has all places."""
-    track = Filter(sequences, Motion(unmapped=0.0))
-    for query in range(len(scores)):
-        track.step(scores[query])
-    return track.gain > _MIN_GAIN
