@@ -61,8 +61,8 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     sums = population * torch.bincount(references.group, minlength=groups)
     dense = sums > MOST_PAIRS * bins.table.numel()
     for group in dense.nonzero()[:, 0].tolist():
-        layers = [_chosen(points, points.group == group) for points in (references, context)]
-        counts[group * stride : (group + 1) * stride] = _correlated(*layers, bins)
+        around, among = (_chosen(each, each.group == group) for each in (references, context))
+        counts[group * stride : (group + 1) * stride] = _correlated(around, among, bins)
     references = _chosen(references, ~dense[references.group])
     reference_position = references.y * pitch + references.x - bins.table.numel() // 2
     pairs = population[references.group]
