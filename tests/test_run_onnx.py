@@ -23,9 +23,10 @@ from helpers import (
     write_palette,
     write_png,
 )
-from networks import PLAIN, photo, write_graph
+from networks import PLAIN, colour_network, photo, write_graph
 from onnx import TensorProto, helper
 from PIL import Image
+from torch import nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 from ssrvlad_torch.deployment.fuse import fuse
@@ -356,6 +357,30 @@ def test_a_photograph_needs_no_option(fused, tmp_path, run):
     Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
     code, _, err = run(place, tmp_path / "map.png")
     assert code == 3 and "expected a photograph, got a label map" in err[0]
+
+
+class Ids(nn.Module):
+    """A network that gives ids, and to one colour one that no label space has."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = colour_network()
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        strange = (images[:, 0] * 255).round() == 254
+        return torch.where(strange, 300, self.network(images).argmax(1))
+
+
+def test_unknown_ids_of_a_network_are_counted_and_skipped(tmp_path, run):
+    fuse(Segmenter(Ids(), CONFIG.labels_as, PLAIN), CONFIG, tmp_path / "place.onnx")
+    pixels = photo(street(3, 60, 90))
+    np.save(tmp_path / "plain.npy", pixels)
+    pixels[7, :11] = 254, 0, 0
+    np.save(tmp_path / "strange.npy", pixels)
+    frames = (tmp_path / "plain.npy", tmp_path / "strange.npy")
+    code, out, err = run(tmp_path / "place.onnx", *frames)
+    assert (code, out.count("\n"), "plain" in out) == (3, 1, True)
+    assert err[0].endswith("11 of 5400 pixels have an id outside label space camvid-11")
 
 
 def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
