@@ -2,7 +2,8 @@
 
 The core is one C++ file that needs a compiler and nothing else. Without one the package is built
 as well: it then describes label maps by torch, more slowly, with the same numbers.
-``python hatch_build.py`` builds the core of a checkout where it lies.
+``python hatch_build.py`` builds the core of a checkout where it lies. `scripts/wheels` builds it
+for the platforms of `WHEELS` with the compiler of ``ziglang``, and names one in ``SSRVLAD_WHEEL``.
 """
 
 from __future__ import annotations
@@ -14,25 +15,58 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 FOLDER = Path("ssrvlad_torch/native")
 SOURCES = ("ssrvlad.cpp", "ssrvlad.h")
-LIBRARY = "libssrvlad.so"
-FLAGS = ["-std=c++17", "-O3", "-fPIC", "-shared", "-fvisibility=hidden", "-pthread"]
+LIBRARY = f"libssrvlad{'.dylib' if sys.platform == 'darwin' else '.so'}"
+FLAGS = [
+    *("-std=c++17", "-O3", "-ffp-contract=off"),  # fused sums would differ between processors
+    *("-fPIC", "-shared", "-fvisibility=hidden", "-pthread"),
+]
 WITHOUT_RUNTIME = ["-static-libstdc++", "-static-libgcc"]
 
 
+class Platform(NamedTuple):
+    """What a wheel is built for: zig's name of it, the tag of the wheel, and the library's name."""
+
+    target: str
+    tag: str
+    library: str
+
+
+WHEELS = {
+    "linux_x86_64": Platform(
+        "x86_64-linux-gnu.2.17", "manylinux_2_17_x86_64.manylinux2014_x86_64", "libssrvlad.so"
+    ),
+    "linux_aarch64": Platform(
+        "aarch64-linux-gnu.2.17", "manylinux_2_17_aarch64.manylinux2014_aarch64", "libssrvlad.so"
+    ),
+    "macos_arm64": Platform("aarch64-macos.11.0", "macosx_11_0_arm64", "libssrvlad.dylib"),
+    "macos_x86_64": Platform("x86_64-macos.11.0", "macosx_11_0_x86_64", "libssrvlad.dylib"),
+    "windows_x86_64": Platform("x86_64-windows-gnu", "win_amd64", "libssrvlad.dll"),
+}
+PURE = "pure"
+
+
 class NativeCore(BuildHookInterface):
-    """Adds the compiled core to a wheel, which is then one for this platform."""
+    """Adds the compiled core to a wheel, which is then one for this platform or the named one."""
 
     PLUGIN_NAME = "custom"
 
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         """Called by hatchling before it collects the files."""
+        name = os.environ.get("SSRVLAD_WHEEL")
+        if name == PURE:
+            return
+        if name:
+            self._add_for(WHEELS[name], build_data)
+            return
         problem = build(Path(self.root))
         if problem:
             self.app.display_warning(f"native core not built: {problem}; torch does its work")
@@ -41,30 +75,59 @@ class NativeCore(BuildHookInterface):
         build_data.update(pure_python=False, tag=f"py3-none-{platform}")
         build_data["artifacts"].append(str(FOLDER / LIBRARY))
 
+    def _add_for(self, platform: Platform, build_data: dict[str, Any]) -> None:
+        """Adds the core of another platform; a compiler that fails is an error here."""
+        with_zig = [sys.executable, "-m", "ziglang", "c++", "-target", platform.target, "-s"]
+        self._built = tempfile.TemporaryDirectory()
+        library = Path(self._built.name) / platform.library
+        if platform.library.endswith(".so"):  # else operators of the C++ library are exported too
+            exports = library.with_suffix(".map")
+            exports.write_text("{ global: ssrvlad_*; local: *; };")
+            with_zig.append(f"-Wl,--version-script={exports}")
+        problem = compile_core(Path(self.root) / FOLDER, with_zig, library)
+        if problem:
+            raise RuntimeError(problem)
+        build_data.update(pure_python=False, tag=f"py3-none-{platform.tag}")
+        build_data["force_include"][str(library)] = str(FOLDER / platform.library)
+
+    def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
+        """Called by hatchling after it wrote the wheel."""
+        if hasattr(self, "_built"):
+            self._built.cleanup()
+
 
 def build(root: Path) -> str:
     """Compiles the core into its folder; returns why not, or nothing."""
     folder = root / FOLDER
-    library, fresh = folder / LIBRARY, folder / f"{LIBRARY}.{os.getpid()}"
+    fresh = folder / f"{LIBRARY}.{os.getpid()}"
     if os.name == "nt":
-        return "not on Windows"
+        return "on Windows it is built by scripts/wheels only"
     named = shlex.split(os.environ.get("CXX", ""))
     found = [[path] for path in map(shutil.which, ("c++", "g++", "clang++")) if path]
     compilers = [named] if named else found
     if not compilers:
         return "no C++ compiler"
+    problem = ""
+    for runtime in (WITHOUT_RUNTIME, []):
+        problem = compile_core(folder, [*compilers[0], *runtime], fresh)
+        if not problem:
+            fresh.replace(folder / LIBRARY)
+            break
+    return problem
+
+
+def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
+    """Compiles the sources of a folder to a library; returns why not, or nothing."""
     source = b"".join((folder / name).read_bytes() for name in SOURCES)
     digest = f'-DSSRVLAD_SOURCE="{hashlib.sha256(source).hexdigest()}"'
-    for runtime in (WITHOUT_RUNTIME, []):
-        command = [*compilers[0], *FLAGS, *runtime, digest, folder / SOURCES[0], "-o", fresh]
-        try:
-            done = subprocess.run(command, check=False, capture_output=True, text=True)
-        except OSError as error:
-            return f"{compilers[0][0]}: {error.strerror}"
-        if done.returncode == 0:
-            fresh.replace(library)
-            return ""
-    return f"{compilers[0][0]} failed: {(done.stderr.strip().splitlines() or ['?'])[0]}"
+    command = [*compiler, *FLAGS, digest, folder / SOURCES[0], "-o", library]
+    try:
+        done = subprocess.run(command, check=False, capture_output=True, text=True)
+    except OSError as error:
+        return f"{compiler[0]}: {error.strerror}"
+    if done.returncode:
+        return f"{compiler[0]} failed: {(done.stderr.strip().splitlines() or ['?'])[0]}"
+    return ""
 
 
 if __name__ == "__main__":

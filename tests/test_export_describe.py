@@ -1,22 +1,52 @@
-"""The C++ library and its program against the reference; needs a C++ compiler only."""
+"""The C++ library and its program against the reference; needs a C++ compiler only. On other
+processors, emulated, and on Windows (Wine) it gives the same bits."""
 
 import shutil
 import subprocess
+import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
+from cases import camvid_labels, degenerate, hand_drawn
 from drives import write_maps
 from PIL import Image
+from test_export import hundreds_of_label_maps, noise
 
-from ssrvlad_torch import SSRVLADConfig, reference
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 from ssrvlad_torch.config import PRESETS
+from ssrvlad_torch.deployment.golden import golden_pair
 from ssrvlad_torch.taxonomy import label_space
 
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "export" / "cpp" / "describe"
 CORE = ROOT / "ssrvlad_torch" / "native"
 SPACE = "camvid-11"
+
+
+ZIG = f"{sys.executable} -m ziglang c++ -s -fPIC -fvisibility=hidden"
+OTHERS = {
+    "aarch64": ("aarch64-linux-gnu-g++ -static", "qemu-aarch64", ""),
+    "32-bit ARM": ("arm-linux-gnueabihf-g++ -static -Wno-psabi", "qemu-arm", ""),
+    "aarch64 as in the wheel": (
+        f"{ZIG} -target aarch64-linux-gnu.2.17",
+        "qemu-aarch64 -L /usr/aarch64-linux-gnu",
+        "",
+    ),
+    "Windows as in the wheel": (
+        f"{ZIG} -target x86_64-windows-gnu",
+        "/usr/lib/wine/wine64",
+        ".exe",
+    ),
+}
+"""Compiler, what runs its programs, and their suffix."""
+
+
+def run(command, *arguments):
+    command = [*command, *map(str, arguments)]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
+    return ran.returncode, ran.stdout.splitlines(), ran.stderr.splitlines()
 
 
 @pytest.fixture(scope="module")
@@ -26,25 +56,72 @@ def describe(core, tmp_path_factory):
     flags = ["-std=c++17", "-O0", "-pthread", "-Wall", "-Wextra", "-Werror", f"-I{CORE}"]
     given = [SOURCE / "describe.cpp", library, f"-Wl,-rpath,{library.parent}"]
     subprocess.run(["g++", *flags, *given, "-o", program], check=True)
+    return partial(run, [program])
 
-    def run(*arguments):
-        command = [program, *map(str, arguments)]
-        ran = subprocess.run(command, capture_output=True, text=True, check=False)
-        return ran.returncode, ran.stdout.splitlines(), ran.stderr.splitlines()
 
-    return run
+def others():
+    """Those of zig are slow: it compiles the C++ library first."""
+    for name in OTHERS:
+        yield pytest.param(name, marks=pytest.mark.slow if "wheel" in name else ())
+
+
+@pytest.fixture(scope="module", params=others())
+def other(request, tmp_path_factory):
+    """The program and the library, compiled for another platform."""
+    compiler, runner, suffix = OTHERS[request.param]
+    for program in (compiler.split()[0], runner.split()[0]):
+        if not shutil.which(program):
+            pytest.skip(f"{program} is not installed")
+    program = tmp_path_factory.mktemp("build") / f"describe{suffix}"
+    sources = [SOURCE / "describe.cpp", CORE / "ssrvlad.cpp"]
+    flags = ["-std=c++17", "-O3", "-ffp-contract=off", "-pthread", f"-I{CORE}"]
+    subprocess.run([*compiler.split(), *flags, *sources, "-o", program], check=True)
+    return partial(run, [*runner.split(), program])
+
+
+def write_categories(path, space):
+    categories = np.full(256, 255, np.uint8)
+    for label in label_space(space).classes:
+        categories[label.id] = label.category_index
+    np.save(path, categories)
+    return path
 
 
 @pytest.fixture
 def inputs(tmp_path):
     """The categories of CamVid's ids, and a label map."""
-    categories = np.full(256, 255, np.uint8)
-    for label in label_space(SPACE).classes:
-        categories[label.id] = label.category_index
-    np.save(tmp_path / "categories.npy", categories)
     file = next(iter(sorted(write_maps(tmp_path / "maps", range(1)).iterdir())))
     np.save(tmp_path / "map.npy", np.asarray(Image.open(file)))
-    return tmp_path / "categories.npy", tmp_path / "map.npy"
+    return write_categories(tmp_path / "categories.npy", SPACE), tmp_path / "map.npy"
+
+
+def golden_maps(preset):
+    head = SSRVLAD.from_preset(preset, labels_as=SPACE)
+    first, *_ = golden_pair(head, "labels", "uint8")["labels"]
+    return first
+
+
+def assert_the_same_bits(describe, other, preset, space, maps, folder):
+    """Nine digits tell all numbers of float32 apart."""
+    categories = write_categories(folder / "categories.npy", space)
+    for labels in maps:
+        np.save(folder / "map.npy", labels)
+        here, there = (f(preset, categories, folder / "map.npy") for f in (describe, other))
+        assert here[0] == 0 and here == there
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_other_platforms(describe, other, preset, tmp_path):
+    drawn = {**degenerate(), **hand_drawn()}
+    maps = [*drawn.values(), golden_maps(preset), noise(3), *camvid_labels(300)]
+    assert_the_same_bits(describe, other, preset, SPACE, maps, tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("preset", PRESETS)
+def test_hundreds_of_label_maps_on_other_platforms(describe, other, preset, tmp_path):
+    for space, maps in hundreds_of_label_maps().items():
+        assert_the_same_bits(describe, other, preset, space, maps, tmp_path)
 
 
 @pytest.mark.parametrize("dtype", [np.uint8, np.int64])

@@ -1,7 +1,6 @@
-"""What a user installs: the wheel, built from the source distribution, away from the repository."""
+"""What a user installs: wheels, built from the source archive, away from the repository."""
 
 import os
-import shlex
 import shutil
 import subprocess
 import sys
@@ -12,25 +11,23 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "scripts"))
 
+from _wheels import FOLDER, PURE, WHEELS, problems_of, wheels  # noqa: E402 - of no package
 
-COPIER = "import shutil, sys; shutil.copy(sys.argv[1], sys.argv[-1])"
-"""Stands for a compiler that has compiled the core before."""
+THIS = "linux_x86_64"
+pytest.importorskip("ziglang", reason="the package ziglang is not installed")
 
 
 @pytest.fixture(scope="module")
-def dist(core, tmp_path_factory):
-    """What `python -m build` writes."""
-    out = tmp_path_factory.mktemp("dist")
-    compiler = shlex.join([sys.executable, "-c", COPIER, core.library._name])
-    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT]
-    subprocess.run(command, check=True, capture_output=True, env={**os.environ, "CXX": compiler})
-    return out
+def dist(tmp_path_factory):
+    """The source archive and the wheel for Linux, as `scripts/wheels` builds them."""
+    return dict(zip(("source", THIS), wheels([THIS], tmp_path_factory.mktemp("dist")), strict=True))
 
 
 @pytest.fixture(scope="module")
 def wheel(dist):
-    return next(dist.glob("*.whl"))
+    return dist[THIS][0]
 
 
 def test_it_holds_all_that_the_package_needs(wheel):
@@ -45,19 +42,64 @@ def test_it_holds_all_that_the_package_needs(wheel):
     assert not [name for name in names if name.startswith(("tests", "scripts"))]
 
 
-def test_it_runs_the_demo_away_from_the_repository(wheel, tmp_path):
-    site = tmp_path / "site"
-    zipfile.ZipFile(wheel).extractall(site)
-    done = subprocess.run(
-        [sys.executable, "-m", "ssrvlad_torch", "demo", "--frames", "8"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(site)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
+DESCRIBE = """
+import shutil, torch
+from ssrvlad_torch import SSRVLAD, native
+head = SSRVLAD.from_preset("paper", labels_as="camvid-11")
+labels = torch.arange(12, dtype=torch.uint8).repeat_interleave(400).view(1, 60, 80)
+same = torch.allclose(head(labels), head.explain(labels).descriptor, rtol=0, atol=1e-6)
+print(native.FOLDER.parents[1], native.core().status, same, [*map(shutil.which, ("c++", "cc"))])
+"""
+
+
+def test_it_runs_in_an_empty_environment_without_a_compiler(wheel, tmp_path):
+    """The environment is new, but for a link to the dependencies, which are those of the tests."""
+    venv.create(tmp_path / "venv")
+    python = tmp_path / "venv" / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet", "--no-deps"]
+    subprocess.run([*pip, "--no-index", wheel], check=True)
+    [site] = (tmp_path / "venv").glob("lib/*/site-packages")
+    (site / "dependencies.pth").write_text("\n".join(p for p in sys.path if "site-packages" in p))
+    empty = {"PATH": str(tmp_path / "venv" / "bin"), "HOME": str(tmp_path)}
+    for arguments in (["-c", DESCRIBE], ["-m", "ssrvlad_torch", "demo", "--frames", "8"]):
+        done = subprocess.run(
+            [python, *arguments],
+            cwd=tmp_path,
+            env=empty,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        if "demo" not in arguments:
+            assert done.stdout == f"{site} the native core True [None, None]\n"
     assert "RecallRate@1" in done.stdout
     assert (tmp_path / "ssrvlad-demo" / "demo.png").exists()
+
+
+def test_a_library_that_would_not_run_everywhere_is_refused(core):
+    """This machine's own compiler made it: with symbols of its glibc, for its processor."""
+    import lief
+
+    own = lief.parse(core.library._name)
+    assert next(iter(problems_of(own, "linux", "aarch64"))) == "is for X86_64"
+    assert any("needs GLIBC_2." in problem for problem in problems_of(own, "linux", "x86_64"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*WHEELS, PURE])
+def test_every_wheel(name, tmp_path):
+    (_, source), (built, content) = wheels([name], tmp_path)
+    held = [
+        Path(n).name for n in zipfile.ZipFile(built).namelist() if n.startswith(f"{FOLDER}/lib")
+    ]
+    assert source == "source"
+    if name == PURE:
+        assert (held, content) == ([], "without the native core")
+        assert built.name.endswith("-py3-none-any.whl")
+    else:
+        assert held == [WHEELS[name].library] and "native core of" in content
+        assert built.name.endswith(f"-py3-none-{WHEELS[name].tag}.whl")
 
 
 def version_of(folder):

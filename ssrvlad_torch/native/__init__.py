@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
+import sys
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 FOLDER = Path(__file__).parent
+LIBRARY = "libssrvlad" + {"darwin": ".dylib", "win32": ".dll"}.get(sys.platform, ".so")
 
 
 class Settings(ctypes.Structure):
@@ -62,7 +64,7 @@ class Core(NamedTuple):
 @cache
 def core() -> Core:
     """Loads the native core, unless it was built from another version of the C++ files."""
-    path = FOLDER / "libssrvlad.so"
+    path = FOLDER / LIBRARY
     if not path.exists():
         return Core(None, "torch, for the native core was not built")
     source = b"".join((FOLDER / name).read_bytes() for name in ("ssrvlad.cpp", "ssrvlad.h"))

@@ -4,6 +4,9 @@
 // bit. Every row ends with at least one background bit, so the bit before a row's first pixel, the
 // last bit of the previous row, is off. Thinning works on tiles, 8 x 8 pixels in a word, because a
 // boundary of any direction then touches few words.
+//
+// Compile it with -ffp-contract=off: where multiplication and addition are fused, sums are rounded
+// differently.
 
 #include "ssrvlad.h"
 
@@ -46,6 +49,7 @@ constexpr int KINDS = LAYERS + 1;  // the categories and no layer
 constexpr Word ALL = ~Word{0};
 constexpr Word LEFT = 0x0101010101010101, RIGHT = LEFT << 7, TOP = 0xff, BOTTOM = TOP << 56;
 constexpr Size MOST_PIXELS = Size{1} << 31;
+constexpr double PI = 3.14159265358979323846;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
 constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
@@ -851,7 +855,7 @@ struct Bins {
   // Sector m begins at the angle 2 pi m / M, from +x towards +y. Integer offsets lie on a boundary
   // only at multiples of 45 degrees; all others are farther from one than the added 1e-12.
   static int sector_of(Size dy, Size dx, int sectors) {
-    const double turn = std::atan2(static_cast<double>(dy), static_cast<double>(dx)) / (2 * M_PI);
+    const double turn = std::atan2(static_cast<double>(dy), static_cast<double>(dx)) / (2 * PI);
     const int sector = static_cast<int>(std::floor(turn * sectors + 1e-12));
     return (sector % sectors + sectors) % sectors;
   }
@@ -1007,6 +1011,13 @@ void add_boundaries(const Word *plane, const Grid &grid, Word *found) {
     }
 }
 
+// A number of a table. The last bits of <cmath> differ between platforms, and coefficients that are
+// zero but for them would differ visibly; numbers of 40 binary places are the same everywhere.
+double steady(double number) {
+  constexpr double UNIT = 1.0 / (Size{1} << 40);
+  return std::nearbyint(number / UNIT) * UNIT;
+}
+
 // Soft bins, as the weights of each cell in the bins it counts in. Ring n is centred on
 // radius * inner_radius ** (1 - n / (N - 1)) of the diagonal, sector m on the angle 2 pi m / M; each of
 // 4 x 4 samples of a cell is shared linearly by the two nearest rings and the two nearest sectors.
@@ -1032,7 +1043,7 @@ struct SoftBins {
                                  ? std::log(distance / s.radius) / std::log(1 / s.inner_radius)
                                  : -1;
         const double ring = std::max(0.0, std::min<double>(s.rings - 1, (s.rings - 1) * (1 + steps)));
-        const double turn = std::atan2(y, x) / (2 * M_PI);
+        const double turn = std::atan2(y, x) / (2 * PI);
         const double sector = (turn - std::floor(turn)) * s.sectors;
         for (int n = 0; n < s.rings; ++n)
           for (int m = 0; m < s.sectors; ++m) {
@@ -1049,7 +1060,7 @@ struct SoftBins {
       for (const double weight : weights[bin]) sum += weight;
       for (std::size_t cell = 0; cell < CELLS; ++cell)
         if (weights[bin][cell] > 0)
-          entries[cell].push_back({bin, weights[bin][cell] / std::max(sum, 1e-12)});
+          entries[cell].push_back({bin, steady(weights[bin][cell] / std::max(sum, 1e-12))});
     }
   }
 
@@ -1078,13 +1089,13 @@ std::vector<double> harmonic_basis(const ssrvlad_settings &s) {
     wave.clear();
     for (int n = 0; n < s.rings; ++n)
       for (int m = 0; m < s.sectors; ++m) {
-        const double angle = v * (m * (2 * M_PI / s.sectors)) - (sine ? M_PI / 2 : 0.0);
-        wave.push_back(std::cos(M_PI * u * (n + 0.5) / s.rings) * std::cos(angle));
+        const double angle = v * (m * (2 * PI / s.sectors)) - (sine ? PI / 2 : 0.0);
+        wave.push_back(std::cos(PI * u * (n + 0.5) / s.rings) * std::cos(angle));
       }
     normalise(wave.data(), static_cast<Size>(wave.size()));
     const double length = std::pow(1.0 + squared, s.spectral_weight / 2);
     for (std::size_t bin = 0; bin < total; ++bin)
-      basis[bin * waves.size() + i] = wave[bin] * length;
+      basis[bin * waves.size() + i] = steady(wave[bin] * length);
   }
   return basis;
 }
