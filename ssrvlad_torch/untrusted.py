@@ -181,6 +181,14 @@ def check_pixels(height: int, width: int) -> None:
         )
 
 
+def parse_number(text: str) -> float:
+    """The number that a text is, also ``nan`` and ``inf``. Unlike `float`, it refuses ``1_000`` and
+    digits of other scripts; both are a ValueError."""
+    if "_" in text or not text.isascii():
+        raise ValueError(f"could not convert string to float: {text!r}")
+    return float(text)
+
+
 def _limit(name: str, default: int) -> int:
     """The value of an environment variable, or a default."""
     text = os.environ.get(name) or str(default)

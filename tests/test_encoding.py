@@ -297,6 +297,13 @@ def test_a_changed_pose_is_stored(maps):
     summary = maps.encode()
     assert (summary.anew, summary.already_there) == ({"pose changed": 1}, 2)
     assert maps.database().load().poses[1, :2].tolist() == [3, 5]
+    (maps.folder / "poses.csv").unlink()
+    (maps.folder / "a" / "1.png").touch()
+    assert maps.encode().anew.total() == 1
+    assert maps.database().load().poses[1, :2].tolist() == [3, 5], "no table says anything else"
+    (maps.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\n")
+    assert maps.encode().anew == {"pose changed": 1}
+    assert np.isnan(maps.database().load().poses[:, 0]).tolist() == [False, True, True]
 
 
 def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(maps):

@@ -1,11 +1,10 @@
 """Poses from ``poses.csv``."""
 
 import math
-from pathlib import Path
 
 import pytest
 
-from ssrvlad_torch.datasets.poses import Pose, find_poses, read_poses
+from ssrvlad_torch.datasets.poses import Pose, read_poses
 
 
 def write(folder, text, encoding="utf-8"):
@@ -49,6 +48,8 @@ def test_a_table_without_rows_has_no_poses(tmp_path):
         ("frame,x,y,x\n0,1,1,2\n", "line 1: two columns 'x'"),
         ("frame,x,y\n1,2\n", "line 2: could not convert string to float: ''"),
         ("frame,x,y,heading\n1,2,3,north\n", "line 2: .*'north'"),
+        ("frame,x,y\n0,1_000,1\n", "line 2: .*'1_000'"),
+        ("frame,x,y\n0,1,nan\n", "line 2: x is 1 and y is nan; expected two numbers, or nan twice"),
         ("frame,x,y\n" + "1" * 200_000 + ",2,3\n", "field larger"),
     ],
 )
@@ -64,23 +65,3 @@ def test_another_encoding_is_refused_by_name(tmp_path):
     path = write(tmp_path, "frame,x,y\nstraße,2,3\n", "latin-1")
     with pytest.raises(ValueError, match=r"poses\.csv.*utf-8"):
         read_poses(path)
-
-
-def test_poses_lie_in_the_folder_or_beside_it(tmp_path):
-    folder = tmp_path / "maps" / "monday"
-    folder.mkdir(parents=True)
-    assert find_poses(folder) == {}
-    write(tmp_path, "frame,x,y\n1,1,0\n")
-    assert find_poses(folder) == {}, "two folders up is too far"
-    write(folder.parent, "frame,x,y\n1,2,0\n")
-    assert find_poses(folder)["1"].x == 2
-    write(folder, "frame,x,y\n1,3,0\n")
-    assert find_poses(folder)["1"].x == 3
-
-
-@pytest.mark.parametrize("folder", [".", "../monday", "tuesday/.."])
-def test_poses_beside_a_relative_folder(tmp_path, monkeypatch, folder):
-    (tmp_path / "monday" / "tuesday").mkdir(parents=True)
-    write(tmp_path, "frame,x,y\n1,2,0\n")
-    monkeypatch.chdir(tmp_path / "monday")
-    assert find_poses(Path(folder))["1"].x == 2

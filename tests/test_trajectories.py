@@ -57,6 +57,17 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
     files = find_image_files([folder], poses=str(tmp_path / "groundtruth.txt"))
     expected = [[1, 2, math.pi / 2], UNKNOWN, [3, 4, 0]]
     np.testing.assert_allclose(poses(files), expected, atol=1e-12)
+    for digits in (3, 6, 9):
+        names = [f"{time}{'0' * (digits - 3)}" for time in (10015, 10050, 10095)]
+        whole = pictures(tmp_path / f"rgb{digits}", names)
+        files = find_image_files([whole], poses=str(tmp_path / "groundtruth.txt"))
+        np.testing.assert_allclose(poses(files), expected, atol=1e-12)
+    for names, message in (["99.1"], "no pose is near"), (["0", "10"], "several units"):
+        far = pictures(tmp_path / names[0], names)
+        (tmp_path / "near.txt").write_text("0 1 2 9 0 0 0 1\n0.01 3 4 9 0 0 0 1")
+        table = "near.txt" if len(names) > 1 else "groundtruth.txt"
+        with pytest.raises(ValueError, match=rf"{table}: {message}.* '{names[0]}'; expected names"):
+            find_image_files([far], poses=str(tmp_path / table))
     pictures(tmp_path / "rgb", ["a"])
     with pytest.raises(ValueError, match="named by their time in seconds, got 'a'"):
         find_image_files([folder], poses=str(tmp_path / "groundtruth.txt"))

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..untrusted import read_bytes
+from ..untrusted import parse_number, read_bytes
 from .poses import Pose
 
 
@@ -70,4 +70,4 @@ def parse_numbers(words: Sequence[str], count: int) -> list[float]:
     """Exactly ``count`` numbers; other words or another count are a ValueError."""
     if len(words) != count:
         raise ValueError(f"expected {count} numbers, got {len(words)}")
-    return [float(word) for word in words]
+    return [parse_number(word) for word in words]

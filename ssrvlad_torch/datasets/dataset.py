@@ -228,8 +228,9 @@ class Dataset:
             raise ValueError(f"{self.root} ({self.layout}) has {missing}")
         selected = []
         for traverse in self.traverses:
+            placed = any(frame.has_pose for frame in traverse.frames)
             files = [
-                FrameFile(frame.sequence, frame.name, path, None, frame.pose)
+                FrameFile(frame.sequence, frame.name, path, None, frame.pose, placed=placed)
                 for frame in traverse.frames
                 if (path := path_of(frame)) is not None
             ]

@@ -12,9 +12,11 @@ from pathlib import Path
 
 from ..files import absolute_folder
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
+from .frame_file import FrameFile
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
-from .poses import find_poses
+from .names import absolute
+from .pose_tables import PoseTable
 
 _ROLES: dict[str, Role] = {
     "reference": "reference",
@@ -55,12 +57,11 @@ def _frames(folder: Path) -> tuple[dict[str, Path], dict[str, Path]]:
 def _traverse(folder: Path) -> Traverse:
     name = absolute_folder(folder).name
     images, labels = _frames(folder)
-    by_key = find_poses(folder)
+    table, where = PoseTable.of_folder(folder), absolute(folder)
     poses = {
-        frame: by_key[key]
-        for frame in {*images, *labels}
-        for key in (frame, f"{name}/{frame}")
-        if key in by_key
+        frame: pose
+        for frame, path in (labels | images).items()
+        if table and (pose := table.pose_of(FrameFile(name, frame, path, folder=where)))
     }
     return Traverse.of(name, images, labels, poses, _ROLES.get(name.lower()))
 

@@ -31,6 +31,8 @@ class FrameFile:
         named: whether the user chose the name of the sequence.
         folder: absolute path of the sequence's folder, or of a stack without its suffix.
         stamp: time in seconds, NaN if unknown.
+        placed: whether a file of poses, or a name, says the pose: an unknown one is then none, and
+            else may be known elsewhere.
     """
 
     sequence: str
@@ -41,6 +43,7 @@ class FrameFile:
     named: bool = False
     folder: str = ""
     stamp: float = float("nan")
+    placed: bool = False
 
     def __post_init__(self) -> None:
         if not self.folder:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import glob
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import islice
@@ -17,7 +17,8 @@ from .bags import bag_files, is_bag
 from .frame_file import FrameFile
 from .gps import read_exif
 from .names import KnownFolders, absolute, is_uri, sequence_names
-from .poses import UNKNOWN, Pose, find_poses, poses_of_fixes, read_poses
+from .pose_tables import PoseTable
+from .poses import UNKNOWN, Pose, poses_of_fixes, read_poses
 from .remote_files import remote_files
 from .trajectories import read_trajectory
 from .utm_names import read_name
@@ -127,8 +128,8 @@ def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[li
     if not path.is_file():
         raise ValueError(f"{source} is no file; expected a file of poses, or exif")
     if path.suffix.lower() == ".csv":
-        table = read_poses(path)
-        found = [[_listed_pose(f, table, f.sequence) or UNKNOWN for f in d] for d in drives]
+        table = PoseTable(path, read_poses(path))
+        found = [[table.pose_of(file) or UNKNOWN for file in drive] for drive in drives]
         if all(pose is UNKNOWN for poses in found for pose in poses):
             raise ValueError(f"{source} has none of the frames, for example {drives[0][0].frame}")
         return list(map(_posed, drives, found))
@@ -141,16 +142,8 @@ def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[li
         raise ValueError(f"{source}: {error}") from error
 
 
-def _listed_pose(file: FrameFile, poses: Mapping[str, Pose], folder: str) -> Pose | None:
-    """The pose of a file by its id, by ``<folder>/<name>`` or by its name, each with or without
-    the suffix of the file."""
-    names = (file.frame, f"{folder}/{file.name}", file.name)
-    keys = (name + suffix for suffix in ("", file.path.suffix) for name in names)
-    return next((poses[key] for key in keys if key in poses), None)
-
-
 def _posed(drive: Sequence[FrameFile], poses: Sequence[Pose]) -> list[FrameFile]:
-    return [replace(file, pose=pose) for file, pose in zip(drive, poses, strict=True)]
+    return [replace(file, pose=pose, placed=True) for file, pose in zip(drive, poses, strict=True)]
 
 
 def _poses_of_exif(drive: Sequence[FrameFile]) -> list[Pose]:
@@ -251,24 +244,26 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
 
 
 def with_poses(
-    files: Sequence[FrameFile], find: Callable[[Path], dict[str, Pose]] = find_poses
+    files: Sequence[FrameFile], find: Callable[[Path], PoseTable | None] = PoseTable.of_folder
 ) -> Iterator[FrameFile]:
-    """Files with their poses, see `_listed_pose`, or parsed from the file name, see `utm_names`.
+    """Files with their poses, see `PoseTable`, or parsed from the file name, see `utm_names`.
 
     Args:
         files: files of any folders.
-        find: function from a folder to its poses.
+        find: function from a folder to its table of poses.
 
     Raises:
-        ValueError: a file of poses is damaged.
+        ValueError: a file of poses is damaged, or can mean two frames.
     """
     folders = {file.local_folder for file in files} - {None}
-    poses = {folder: find(folder) for folder in folders if folder}
-    names = {folder: Path(absolute(folder)).name for folder in poses}
+    tables = {folder: find(folder) for folder in folders if folder}
     for file in files:
         if (folder := file.local_folder) is None:
             yield file
             continue
         pose, stamp = read_name(file.name)
-        pose = _listed_pose(file, poses[folder], names[folder]) or pose
-        yield replace(file, pose=pose, stamp=stamp if math.isnan(file.stamp) else file.stamp)
+        table = tables[folder]
+        pose = (table and table.pose_of(file)) or pose
+        stamp = stamp if math.isnan(file.stamp) else file.stamp
+        placed = table is not None or not math.isnan(pose.x)
+        yield replace(file, pose=pose, stamp=stamp, placed=placed)

@@ -35,7 +35,7 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
     """
     known_names = _grouped((_real(folder), name) for folder, name in known if folder)
     owners = _grouped((name, folder) for folder, name in known)
-    ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in _ends(path))
+    ends = Counter(end for path in {*folders, *(f for f, _ in known)} for end in path_ends(path))
 
     def name(folder: str) -> str:
         if names := sorted(known_names.get(_real(folder), ())):
@@ -45,7 +45,7 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
                     "choose one with --sequence"
                 )
             return names[0]
-        for end in _ends(folder):
+        for end in path_ends(folder):
             if end in owners:
                 _require_existing(owners[end], folder, end)
             elif ends[end] == 1:
@@ -88,8 +88,8 @@ def _real(folder: str) -> str:
     return os.path.realpath(folder) if folder and not is_uri(folder) else folder
 
 
-def _ends(folder: str) -> list[str]:
-    """The ends of a path, the shortest first."""
+def path_ends(folder: str) -> list[str]:
+    """The ends of a path or a URI, the shortest first."""
     if is_uri(folder):
         parts = [part for part in unquote(folder.partition("://")[2]).split("/") if part]
     else:

@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from ..files import absolute_folder, replacing
-from ..untrusted import read_text
+from ..files import replacing
+from ..untrusted import parse_number, read_text
 from .gps import Fix, eastings_northings, heading_of_course
 
 FILE_NAME = "poses.csv"
 
-Position = TypeVar("Position")
+Position = TypeVar("Position", bound=tuple[float, ...])
 
 
 class Pose(NamedTuple):
@@ -29,18 +29,6 @@ class Pose(NamedTuple):
 UNKNOWN = Pose(float("nan"), float("nan"), float("nan"))
 
 
-def find_poses(folder: Path) -> dict[str, Pose]:
-    """Poses of a folder of frames from the ``poses.csv`` in it or beside it; empty without one.
-
-    Raises:
-        ValueError: the file is damaged; see `read_poses`.
-    """
-    for parent in (folder, absolute_folder(folder).parent):
-        if (parent / FILE_NAME).is_file():
-            return read_poses(parent / FILE_NAME)
-    return {}
-
-
 def read_poses(path: Path) -> dict[str, Pose]:
     """Poses by frame; a frame is an id ``<sequence>/<name>`` or only a name.
 
@@ -48,7 +36,8 @@ def read_poses(path: Path) -> dict[str, Pose]:
     and ``longitude`` in degrees and optionally ``course``, in degrees clockwise from north.
 
     Raises:
-        ValueError: a column is missing or a value is no number; the message names file and line.
+        ValueError: a column is missing, a value is no number, or one of two coordinates is NaN; the
+            message names file and line.
     """
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
     try:
@@ -92,6 +81,9 @@ def _by_frame(
     positions: dict[str, Position] = {}
     for row in rows:
         position = kind(*(_number(row, column) for column in columns))
+        if math.isnan(position[0]) != math.isnan(position[1]):
+            x, y = (f"{column} is {row[column]}" for column in columns[:2])
+            raise ValueError(f"{x} and {y}; expected two numbers, or nan twice")
         earlier = positions.setdefault(row["frame"], position)
         if repr(earlier) != repr(position):  # as text, NaN equals NaN
             raise ValueError(f"frame {row['frame']!r} has two positions")
@@ -101,7 +93,8 @@ def _by_frame(
 def _number(row: dict[str, str], column: str) -> float:
     """The number in a column; only the heading or course may be missing."""
     text = row.get(column) or ""
-    value = float(text or "nan") if column in ("heading", "course") else float(text)
+    optional = not text and column in ("heading", "course")
+    value = math.nan if optional else parse_number(text)
     if math.isinf(value):
         raise ValueError(f"{column} is {text}; expected a finite number")
     return value

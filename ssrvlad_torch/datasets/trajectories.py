@@ -7,12 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..untrusted import read_text
+from ..untrusted import parse_number, read_text
 from .camera_poses import Y_DOWN, Z_UP, optical_axis
 from .poses import UNKNOWN, Pose
 
 _KITTI, _TUM = 12, 8
 _MOST_SECONDS = 0.02
+_UNITS = (1, 1e-3, 1e-6, 1e-9)
+"""Seconds, milliseconds, microseconds and nanoseconds."""
 
 
 class Trajectory(NamedTuple):
@@ -33,16 +35,36 @@ class Trajectory(NamedTuple):
         The nearest pose is used if it is at most 0.02 s away, as in TUM's own tools.
 
         Args:
-            names: names of all frames of the drive, in order; with stamps, times in seconds.
+            names: names of all frames of the drive, in order; with stamps, times in seconds, or
+                whole numbers of milliseconds, microseconds or nanoseconds.
 
         Raises:
-            ValueError: the numbers of frames and poses differ, or a name is no time.
+            ValueError: the numbers of frames and poses differ, a name is no time, or no unit, or
+                several, give the frames poses.
         """
         if self.stamps:
-            return [self._at(_seconds(name)) for name in names]
+            return self._at_times(names)
         if len(names) != len(self.poses):
             raise ValueError(f"expected {len(self.poses)} frames, one per pose, got {len(names)}")
         return self.poses
+
+    def _at_times(self, names: Sequence[str]) -> list[Pose]:
+        """The poses at the times that are names, in the unit in which the most frames have one."""
+        whole = all(name.isdecimal() for name in names)
+        found = {
+            unit: [self._at(_time(name) * unit) for name in names]
+            for unit in (_UNITS if whole else _UNITS[:1])
+        }
+        counts = {unit: sum(pose is not UNKNOWN for pose in found[unit]) for unit in found}
+        most = max(counts.values())
+        best = [poses for unit, poses in found.items() if counts[unit] == most]
+        if not most or any(poses != best[0] for poses in best):
+            problem = "several units of time fit" if most else "no pose is near in time to"
+            raise ValueError(
+                f"{problem} the {len(names)} frames, for example {names[0]!r}; expected names in "
+                f"seconds between {self.stamps[0]} and {self.stamps[-1]}, or in ms, us or ns"
+            )
+        return best[0]
 
     def _at(self, time: float) -> Pose:
         index = bisect_left(self.stamps, time)
@@ -68,7 +90,7 @@ def read_trajectory(path: Path) -> Trajectory:
         if not words or words[0].startswith("#"):
             continue
         try:
-            numbers = [float(word) for word in words]
+            numbers = [parse_number(word) for word in words]
             if len(numbers) == _KITTI:
                 poses.append(Y_DOWN.pose(numbers[3::4], numbers[2::4]))
             elif len(numbers) == _TUM:
@@ -87,9 +109,8 @@ def read_trajectory(path: Path) -> Trajectory:
     return Trajectory(poses, stamps)
 
 
-def _seconds(name: str) -> float:
-    """The time in a name: seconds, or nanoseconds of at least 16 digits, as in a bag."""
+def _time(name: str) -> float:
     try:
-        return float(name) * (1e-9 if name.isdigit() and len(name) >= 16 else 1)
+        return parse_number(name)
     except ValueError:
         raise ValueError(f"expected frames named by their time in seconds, got {name!r}") from None

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from datetime import UTC, datetime
 
+from ..untrusted import parse_number
 from .gps import heading_of_course
 from .poses import UNKNOWN, Pose
 
@@ -55,7 +56,7 @@ def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
 
 def _number(text: str) -> float:
     try:
-        return float(text)
+        return parse_number(text)
     except ValueError:
         return math.nan
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from ..database.metadata import Origin
 from ..database.rows import StoredRecords
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import check_sequences, is_same_folder
+from ..datasets.poses import Pose
 
 NEW = "new"
 LABEL_SPACE, SEGMENTER = "label space changed", "segmenter changed"
@@ -27,7 +27,8 @@ class Plan:
     """The frames that an encoding run must encode, and why.
 
     A row of the database is up to date if its frame has the same file (by its signature), label
-    space, segmenter and pose. All other frames are encoded.
+    space, segmenter and pose. All other frames are encoded. A frame keeps its pose where no source
+    of poses is given.
 
     Attributes:
         files: files of the frames to encode.
@@ -62,7 +63,8 @@ class Plan:
                 if record.origin not in current:
                     reason = _why_origin(origin, origins.get(record.origin)) or reason
             if reason is not None:
-                todo.append(file)
+                kept = None if file.placed else record
+                todo.append(replace(file, pose=_pose(kept)) if kept else file)
                 reasons[file.frame] = reason
                 if record is not None:
                     digests[file.frame] = record.digest
@@ -81,9 +83,12 @@ def _why_file(file: FrameFile, record: FrameRecord) -> str | None:
     if record.signature != signature:
         state = record.signature.rpartition("|")[2]
         return FILE if state != signature.rpartition("|")[2] else MOVED
-    stored = (record.x, record.y, record.heading)
-    same = math.isnan(file.pose.x) or np.array_equal(file.pose, stored, equal_nan=True)
-    return None if same else POSE
+    same = np.array_equal(file.pose, _pose(record), equal_nan=True)
+    return POSE if file.placed and not same else None
+
+
+def _pose(record: FrameRecord) -> Pose:
+    return Pose(record.x, record.y, record.heading)
 
 
 def _why_origin(origin: Origin, stored: Origin | None) -> str | None:

@@ -17,7 +17,7 @@ from ..database.database import Database
 from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile, with_poses
 from ..datasets.names import absolute, sequence_names
-from ..datasets.poses import find_poses
+from ..datasets.pose_tables import PoseTable
 from ..descriptor import SSRVLAD
 from ..encoding.encoder import encode
 from ..encoding.plan import check_folder
@@ -94,7 +94,7 @@ def encode_as_they_come(
     """
     at_start, encoder = frozenset(detector.frames), detector.encoder()
     records, folders = (database.known(), database.folders()) if database else ({}, set())
-    find = functools.cache(find_poses)
+    find = functools.cache(PoseTable.of_folder)
 
     @functools.cache
     def sequence_of(folder: str) -> str:

@@ -1,0 +1,99 @@
+"""Tables of poses, and which row of them is the pose of a frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..files import absolute_folder
+from .frame_file import FrameFile
+from .names import is_same_folder, path_ends
+from .poses import FILE_NAME, Pose, read_poses
+
+
+@dataclass(frozen=True)
+class PoseTable:
+    """Poses of frames, and the file that holds them.
+
+    A row is an id ``<folder>/<name>``, where the folder is any end of the path of the frame's
+    folder or the name of its sequence, or only a name; with or without the suffix of the file. An
+    id that names another folder beside the table is not the frame's.
+
+    Attributes:
+        path: the file.
+        poses: by frame.
+        folder: the folder for which the table was found, ``None`` if the user named the table.
+    """
+
+    path: Path
+    poses: Mapping[str, Pose]
+    folder: Path | None = None
+    _users: dict[str, str] = field(default_factory=dict)
+    _listed: dict[Path, frozenset[str]] = field(default_factory=dict)
+
+    @classmethod
+    def of_folder(cls, folder: Path) -> PoseTable | None:
+        """The ``poses.csv`` in a folder of frames or beside it; ``None`` without one.
+
+        Raises:
+            ValueError: the file is damaged; see `read_poses`.
+        """
+        for parent in (folder, absolute_folder(folder).parent):
+            if (parent / FILE_NAME).is_file():
+                return cls(parent / FILE_NAME, read_poses(parent / FILE_NAME), folder)
+        return None
+
+    def pose_of(self, file: FrameFile) -> Pose | None:
+        """The pose of a frame; ``None`` if it has no row.
+
+        Raises:
+            ValueError: the frame has rows that differ, or its row can be that of another folder.
+        """
+        suffixes = ("", file.path.suffix)
+        ids = (f"{folder}/{file.name}{s}" for folder in self._folders(file) for s in suffixes)
+        rows = [key for key in ids if key in self.poses]
+        if len({repr(self.poses[row]) for row in rows}) > 1:  # as text, NaN equals NaN
+            raise ValueError(
+                f"{self.path} has {rows[0]!r} and {rows[-1]!r} for {file.location}; expected one "
+                "pose of a frame"
+            )
+        bare = [file.name + suffix for suffix in suffixes if file.name + suffix in self.poses]
+        if bare and not rows:
+            self._require_one_folder(file, bare[0])
+        return self.poses[(rows or bare)[0]] if rows or bare else None
+
+    def _folders(self, file: FrameFile) -> list[str]:
+        """The folders that the frame's id may have, the longest path first."""
+        ends = path_ends(file.folder)[::-1]
+        other = self.path.parent / file.sequence
+        if file.sequence in ends or (
+            other.is_dir() and not is_same_folder(str(other), file.folder)
+        ):
+            return ends
+        return [*ends, file.sequence]
+
+    def _require_one_folder(self, file: FrameFile, row: str) -> None:
+        other = self._users.setdefault(row, file.folder)
+        if other == file.folder and self.folder and self.path.parent != self.folder:
+            other = next(self._folders_with(file), other)
+        if other != file.folder:
+            raise ValueError(
+                f"row {row!r} of {self.path} can be a frame of {file.folder} and of {other}; "
+                "expected <folder>/<name>, or the table of one folder by --poses"
+            )
+
+    def _folders_with(self, file: FrameFile) -> Iterator[str]:
+        """Folders beside that of the frame with a file of the same name, but without an id of it
+        in the table."""
+        assert self.folder is not None
+        home, place = absolute_folder(self.folder), file.path.relative_to(self.folder)
+        if not self._listed:
+            for folder in (home.parent, *home.parent.iterdir()):
+                if folder.is_dir() and folder != home:
+                    files = (folder / place.parent).glob("*")
+                    self._listed[folder] = frozenset(path.name for path in files)
+        for folder, names in self._listed.items():
+            ids = (f"{folder.name}/{file.name}{suffix}" for suffix in ("", file.path.suffix))
+            if place.name in names and not any(each in self.poses for each in ids):
+                yield str(folder)
