@@ -17,6 +17,7 @@ from .explanation import Explanation
 from .front_end import FrontEnd, as_tensor, label_map
 from .native.operator import UnknownIdError, describe, is_built, method_of, operator
 from .soft.descriptor import SoftSSRVLAD
+from .stages import harmonics, residuals
 from .stages.centroid import centre_table, centroids
 from .stages.harmonics import Harmonics
 from .stages.keypoints import end_points, intersections
@@ -203,6 +204,15 @@ class SSRVLAD(nn.Module):
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""
         return ", ".join((self.config.preset, self.config.labels_name, self.config.fingerprint))
+
+
+def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
+    """The descriptors ``(..., D)`` of mirrored label maps, by those of the label maps, see
+    `recognition.decoys`."""
+    return _MIRRORS[config.aggregation](descriptors, config)
+
+
+_MIRRORS = {"residuals": residuals.mirrored, "harmonics": harmonics.mirrored}
 
 
 def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:

@@ -71,3 +71,15 @@ def test_a_batch_equals_one_by_one_whatever_the_sizes():
 
 def test_the_grid_is_a_setting():
     assert make("hog", rows=3, columns=4).encode_query(frames([noise(0)])).shape == (1, 96)
+
+
+def test_mirrored_histograms_are_near_those_of_mirrored_pictures():
+    """Not equal: a level gradient counts in the first bin in both."""
+    pictures = [
+        np.random.default_rng(seed).integers(0, 256, (96, 160, 3), np.uint8) for seed in (0, 1)
+    ]
+    method = make("hog")
+    found = method.encode_query(frames(pictures))
+    expected = method.encode_query(frames([each[:, ::-1].copy() for each in pictures]))
+    alike = (method.mirrored(found) * expected).sum(1)
+    assert alike.min() > 0.98 and alike.min() > (found * expected).sum(1).max() + 0.01

@@ -1,7 +1,11 @@
 import numpy as np
+import pytest
 import torch
+import torch.nn.functional as F
+from drawings import SPACE, blobs
 from graphs import run
 
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment.stages.residuals import aggregate_in_graph
 from ssrvlad_torch.stages import residuals
 
@@ -57,3 +61,23 @@ def test_zero_layers_stay_exactly_zero():
     assert not descriptor[1].any()
     assert not descriptor[2, 5].any()
     assert descriptor.isfinite().all()
+
+
+def test_mirrored_histograms_exchange_sectors():
+    """Points beside the axes, so that no point lies between two sectors."""
+    config = SSRVLADConfig.from_preset("paper", labels_as=SPACE)
+    bins = torch.arange(8 * 60.0).view(8, 5, 12)
+    exchanged = residuals.mirrored(bins.flatten(), config).view(8, 5, 12)
+    assert torch.equal(exchanged[..., :6], bins[..., :6].flip(-1))
+    assert torch.equal(exchanged[..., 6:], bins[..., 6:].flip(-1))
+
+
+@pytest.mark.parametrize("sectors", [12, 9])
+def test_mirrored_descriptors_are_near_those_of_mirrored_label_maps(sectors):
+    config = SSRVLADConfig.from_preset("paper", labels_as=SPACE, sectors=sectors)
+    head = SSRVLAD(config)
+    labels = torch.from_numpy(np.stack([blobs(seed, 90, 120, 15) for seed in range(8)]))
+    found, expected = head(labels), head(labels.flip(-1).contiguous())
+    alike = F.cosine_similarity(residuals.mirrored(found, config), expected)
+    assert alike.min() > F.cosine_similarity(found, expected).mean() + 0.1
+    assert torch.equal(residuals.mirrored(residuals.mirrored(found, config), config), found)

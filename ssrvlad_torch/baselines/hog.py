@@ -46,6 +46,11 @@ class HOG(Grid):
         cells = cell_histograms(bins, torch.hypot(along_x, along_y), ORIENTATIONS)
         return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
 
+    def mirrored(self, vectors: Tensor) -> Tensor:
+        """See `Grid`. Not exact: a gradient between two bins counts in the first of them, and so
+        does its mirror image."""
+        return vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS)).flip(-2, -1).flatten(-3)
+
 
 def central_differences(pictures: Tensor) -> tuple[Tensor, Tensor]:
     """Differences of the neighbours along x and along y of ``(B, H, W)`` float pictures; zero at

@@ -35,3 +35,7 @@ class LabelGrid(Grid):
         layers = categories[:, None] == torch.arange(len(CATEGORIES))[:, None, None]
         fractions = F.adaptive_avg_pool2d(layers.float(), (self.rows, self.columns))
         return F.normalize(fractions.sqrt().flatten(1), dim=1)
+
+    def mirrored(self, vectors: Tensor) -> Tensor:
+        """See `Grid`; exact."""
+        return vectors.unflatten(-1, (-1, self.columns)).flip(-1).flatten(-2)

@@ -57,3 +57,7 @@ class Grid(Vectors):
                 f"method {self.name}: the grid must be 1 x 1 or more, got {rows} x {columns}"
             )
         self.rows, self.columns, self.length = rows, columns, 8 * rows * columns
+
+    def mirrored(self, vectors: Tensor) -> Tensor:
+        """The vectors ``(..., length)`` of mirrored frames, by those of the frames."""
+        raise NotImplementedError

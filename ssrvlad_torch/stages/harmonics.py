@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig
-from .boundaries import WIDTH, boundaries
+from .boundaries import DIRECTIONS, WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
 from .layers import merge
 from .vanishing_column import vanishing_columns
@@ -197,6 +197,31 @@ def waves(rings: int, sectors: int) -> list[tuple[int, int, float]]:
     around = [(v, phase) for v in range((sectors + 1) // 2) for phase in (0.0, math.pi / 2)]
     every = [(u, v, phase) for u in range(rings) for v, phase in around[:1] + around[2:]]
     return sorted(every, key=lambda wave: (wave[0] ** 2 + wave[1] ** 2, *wave))
+
+
+def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
+    """The descriptors ``(..., D)`` of mirrored label maps, by those of the label maps.
+
+    A wave over the sectors keeps or changes its sign, and rising and falling boundaries change
+    places. Exact where the working grid, the anchor and the sectors have a mirror image: not where
+    the label map is reduced by a factor that is no integer, where the vanishing column lies halfway
+    between two columns, or with an odd number of sectors.
+    """
+    signs = torch.tensor(
+        [math.cos(math.pi * v - 2 * phase) for _, v, phase in waves(config.rings, config.sectors)],
+        device=descriptors.device,
+    ).round()
+    middle = AREA_LAYERS * config.harmonics
+    area = descriptors[..., :middle].unflatten(-1, (AREA_LAYERS, -1))
+    length = descriptors[..., middle:].unflatten(-1, (BOUNDARY_DIRECTIONS, -1))
+    rising, falling = DIRECTIONS.index("rising"), DIRECTIONS.index("falling")
+    order = [*range(BOUNDARY_DIRECTIONS)]
+    order[rising], order[falling] = falling, rising
+    parts = (
+        area * signs[: config.harmonics],
+        length[..., order, :] * signs[: config.boundary_harmonics],
+    )
+    return torch.cat([part.flatten(-2) for part in parts], -1)
 
 
 def _tents(position: Tensor, count: int, around: bool) -> Tensor:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
@@ -95,3 +96,16 @@ def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:
     residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
     layers = F.normalize(residuals.double(), dim=-1)  # Eq. 2; zeros stay zeros
     return F.normalize(layers.flatten(1), dim=-1).float()
+
+
+def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
+    """The descriptors ``(..., D)`` of mirrored label maps, by those of the label maps: sectors
+    change places.
+
+    Not exact: thinning prefers one side, a centre between two columns is rounded to one side, and
+    points between two sectors count in one. With an odd number of sectors, no sector is the mirror
+    image of another, and the next one is taken.
+    """
+    bins = descriptors.unflatten(-1, (-1, config.sectors))
+    sectors = torch.arange(config.sectors, device=descriptors.device)
+    return bins[..., (config.sectors // 2 - 1 - sectors) % config.sectors].flatten(-2)
