@@ -29,8 +29,8 @@ Floats = npt.NDArray[np.float64]
 CELLS = (24, 32)
 """Rows and columns of the grid of cells."""
 
-FEATURE_CELLS, SIGNS = (12, 16), 85
-"""Rows and columns of the cells of features, and signs of each."""
+FEATURE_CELLS, FEATURE_SIGNS = 16, 64
+"""Rows, and columns, of the cells of features, and signs of each."""
 
 
 @dataclass(frozen=True)
@@ -414,21 +414,21 @@ def normalise(vector: Floats) -> Floats:
 
 def features(activations: list[Floats]) -> npt.NDArray[np.uint8]:
     """The signs of one picture, `stages.features.Features`, from ``(C, h, w)`` activations."""
-    rows, columns = FEATURE_CELLS
-    cells = np.zeros((rows, columns, 0))
+    side, signs = FEATURE_CELLS, FEATURE_SIGNS
+    parts = []
     for activation in activations:
         height, width = activation.shape[1:]
-        down, across = overlaps(height, rows, 0) / height, overlaps(width, columns, 0) / width
-        means = np.array([down.T @ channel @ across for channel in activation])
-        means = np.array([(m - m.mean()) / max(m.std(), 1e-6) for m in means])
-        for cell in np.ndindex(rows, columns):
-            means[:, *cell] /= max(np.linalg.norm(means[:, *cell]), 1e-6)
-        cells = np.concatenate((cells, means.transpose(1, 2, 0)), 2)
-    side = [
-        [random_side(channel * SIGNS + sign) for sign in range(SIGNS)]
-        for channel in range(cells.shape[2])
-    ]
-    return np.packbits(cells @ np.array(side) > 0, bitorder="little")
+        down, across = overlaps(height, side, 0) / height, overlaps(width, side, 0) / width
+        means = [down.T @ channel @ across for channel in activation]
+        cells = np.array([(each - each.mean()) / math.sqrt(each.var() + 1e-5) for each in means])
+        parts.append(cells / np.maximum(np.linalg.norm(cells, axis=0), 1e-12))
+    cells = np.concatenate(parts)
+    positive = np.zeros((side, side, signs), bool)
+    for row, sign in np.ndindex(side, signs):
+        first = (row * signs + sign) * len(cells)
+        projection = [random_side(first + channel) for channel in range(len(cells))]
+        positive[:, row, sign] = projection @ cells[:, row] > 0
+    return np.packbits(positive, axis=2, bitorder="little")
 
 
 def random_side(number: int) -> int:
@@ -436,4 +436,4 @@ def random_side(number: int) -> int:
     state = (number + 1) * 0x9E3779B97F4A7C15 % 2**64
     state = (state ^ state >> 30) * 0xBF58476D1CE4E5B9 % 2**64
     state = (state ^ state >> 27) * 0x94D049BB133111EB % 2**64
-    return 1 if (state ^ state >> 31) >> 63 else -1
+    return -1 if (state ^ state >> 31) >> 63 else 1

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pyarrow as pa
 import pytest
 import torch
 from drawings import SPACE
@@ -60,6 +61,40 @@ def test_every_frame_has_all_descriptors(made):
     assert len(made) == 3
 
 
+def test_signs_are_bytes_on_a_grid(tmp_path):
+    grid = ExtraDescriptor("features", 48, "signs of a network", (4, 6, 2))
+    signs = torch.randint(0, 256, (300, 4, 6, 2), dtype=torch.uint8)
+    names = [f"day/{row}" for row in reversed(range(300))]
+    database = Database.create(tmp_path / "town", CONFIG, beside=[grid])
+    database.append(names, descriptors(0, 300), {"features": signs})
+    opened = Database.open(tmp_path / "town")
+    assert opened.beside == (grid,)
+    assert torch.equal(opened.load().beside["features"], signs.flip(0))
+    assert opened.verify() == []
+    assert opened.table().to_table()["features"].type.value_type == pa.uint8()
+    assert not intact(_changed(opened.table().to_table(), "features")).all()
+    for wrong, message in (
+        (signs[:1].float(), "features: expected uint8, got float32"),
+        (signs[:1, 1:], r"features: expected \(1, 4, 6, 2\) for 1 frames, got \(1, 3, 6, 2\)"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            database.append(["day/x"], descriptors(0, 1), {"features": wrong})
+    with pytest.raises(ValueError, match="descriptor: expected float32, got uint8"):
+        zeros = torch.zeros(1, 480, dtype=torch.uint8)
+        database.append(["day/x"], zeros, {"features": signs[:1]})
+    export_database(opened, "npy", tmp_path / "out.npy")
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npy.features.npy"), signs.flip(0))
+
+
+def _changed(table, name):
+    """The table with one number of a column of lists changed."""
+    numbers = table[name].combine_chunks().flatten().to_numpy().copy()
+    numbers[8] += 1
+    place, lists = table.schema.get_field_index(name), table[name].combine_chunks()
+    column = type(lists).from_arrays(numbers, lists.type.list_size)
+    return table.set_column(place, table.schema.field(place), column)
+
+
 @pytest.mark.parametrize("names", [["frame"], ["descriptor"], ["own", "own"]])
 def test_names_of_columns_are_unique(tmp_path, names):
     beside = [OWN._replace(name=name) for name in names]
@@ -70,13 +105,7 @@ def test_names_of_columns_are_unique(tmp_path, names):
 def test_the_checksum_covers_extra_descriptors(made):
     table = made.table().to_table()
     assert intact(table).all()
-    numbers = table["own"].combine_chunks().flatten().to_numpy().copy()
-    numbers[8] += 1
-    place = table.schema.get_field_index("own")
-    column = type(table["own"].combine_chunks()).from_arrays(numbers, 7)
-    assert intact(table.set_column(place, table.schema.field(place), column)).tolist() == [
-        True, False, True,
-    ]  # fmt: skip
+    assert intact(_changed(table, "own")).tolist() == [True, False, True]
 
 
 def test_exports_hold_extra_descriptors(made, tmp_path):

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from torch import nn
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.stages.features import BYTES, COLUMNS, ROWS, SIGNS, Features, projections
+from ssrvlad_torch.stages.features import ROWS, SHAPE, SIGNS, Features, projections
 
 SIZES = [(24, 32), (13, 40), (5, 3), (72, 96)]
 
@@ -27,14 +27,20 @@ def bits(signs):
 def test_has_the_signs_of_the_reference(size, seed):
     first, second = activations(seed, 20, size), activations(seed + 1, 7, (9, 9))
     signs = Features([20, 7])(first, second)
-    assert signs.shape == (1, BYTES) and signs.dtype == torch.uint8
+    assert signs.shape == (1, *SHAPE) and signs.dtype == torch.uint8
     expected = reference.features([first[0].double().numpy(), second[0].double().numpy()])
     assert (bits(signs[0]) != bits(expected)).mean() < 1e-3
 
 
 def test_projections_are_those_of_the_reference():
-    expected = [[reference.random_side(c * SIGNS + k) for k in range(SIGNS)] for c in range(30)]
-    assert torch.equal(projections(30), torch.tensor(expected, dtype=torch.float32))
+    expected = [
+        [[reference.random_side((r * SIGNS + k) * 5 + c) for k in range(SIGNS)] for c in range(5)]
+        for r in range(ROWS)
+    ]
+    assert torch.equal(projections(5), torch.tensor(expected, dtype=torch.float32))
+    published = (0xE220A8397B1DCDAF, 0x6E789E6AA1B965F4, 0x06C45D188009454F, 0xF88BB8A8724C81EC)
+    sides = [-1 if each >> 63 else 1 for each in published]  # from seed 0
+    assert [reference.random_side(n) for n in range(4)] == sides
 
 
 def test_light_and_contrast_of_a_channel_change_nothing():
@@ -46,9 +52,16 @@ def test_light_and_contrast_of_a_channel_change_nothing():
 
 def test_a_mirrored_picture_has_mirrored_cells():
     raw = activations(0)
-    cells = bits(Features([20])(raw)).reshape(ROWS, COLUMNS, SIGNS)
-    mirrored = bits(Features([20])(raw.flip(3))).reshape(ROWS, COLUMNS, SIGNS)
+    cells, mirrored = bits(Features([20])(raw)), bits(Features([20])(raw.flip(3)))
     assert (mirrored != cells[:, ::-1]).mean() < 1e-3
+
+
+def test_a_picture_moved_by_a_column_has_moved_cells():
+    """Signs change a little: channels are normalised over other cells."""
+    wide = activations(0, size=(32, 68))
+    left, right = (bits(Features([20])(wide[..., first : first + 64])) for first in (0, 4))
+    assert (left[:, 1:] != right[:, :-1]).mean() < 0.1
+    assert (left[:, :, 1:] != right[:, :, :-1]).mean() > 0.3
 
 
 def test_near_activations_share_more_signs_than_others():

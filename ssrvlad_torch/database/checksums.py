@@ -33,11 +33,12 @@ def checksums(table: pa.Table | pa.RecordBatch) -> Words:
     return total
 
 
-def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[np.float32]:
-    """A column of descriptors as ``(N, D)`` float32, not copied if the column is one chunk."""
+def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
+    """A column of descriptors as ``(N, D)`` float32 numbers or uint8 signs, not copied if the
+    column is one chunk."""
     if isinstance(column, pa.ChunkedArray):
         column = column.combine_chunks()
-    values: npt.NDArray[np.float32] = column.flatten().to_numpy(zero_copy_only=False)
+    values: npt.NDArray[Any] = column.flatten().to_numpy(zero_copy_only=False)
     return values.reshape(len(column), column.type.list_size)
 
 

@@ -32,6 +32,7 @@ from .reading import Damage, read_rows, replacement_of_damaged
 from .rows import (
     DESCRIPTOR,
     RECORD_COLUMNS,
+    Shape,
     StoredRecords,
     check_records,
     folders_of,
@@ -160,8 +161,8 @@ class Database:
             raise ValueError(f"{text} exists and is not a database; expected a new or empty folder")
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
-        widths = {DESCRIPTOR: config.length if config else width or 0}
-        columns = schema(widths | {extra.name: extra.width for extra in beside})
+        shapes = {DESCRIPTOR: (config.length if config else width or 0,)}
+        columns = schema({**shapes, **{extra.name: extra.shape for extra in beside}})
         table = engine.create(text, columns.with_metadata(Meta.to_dict(config, beside)))
         return cls(text, table, read_only=False)
 
@@ -257,8 +258,8 @@ class Database:
         return self._meta.beside
 
     @property
-    def _widths(self) -> dict[str, int]:
-        return {DESCRIPTOR: self.width, **{extra.name: extra.width for extra in self.beside}}
+    def _shapes(self) -> dict[str, Shape]:
+        return {DESCRIPTOR: (self.width,), **{extra.name: extra.shape for extra in self.beside}}
 
     @property
     def origins(self) -> dict[str, Origin]:
@@ -334,7 +335,8 @@ class Database:
             frames: N records, or only ids: ``<sequence>/<name>``, or a name without ``/``. Neither
                 part is empty or starts or ends with white space.
             descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
-            beside: ``(N, D')`` float32 for each extra descriptor, by name.
+            beside: for each extra descriptor by name ``(N, D')`` float32, or uint8 signs ``(N,
+                *cells)``.
 
         Raises:
             ValueError: a shape is wrong; a row is not finite, or its length overflows or underflows
@@ -381,10 +383,10 @@ class Database:
         self._require_writable()
         records = _records(frames)
         arrays = {DESCRIPTOR: descriptors, **(beside or {})}
-        if arrays.keys() != self._widths.keys():
-            names, got = ", ".join(self._widths), ", ".join(arrays)
+        if arrays.keys() != self._shapes.keys():
+            names, got = ", ".join(self._shapes), ", ".join(arrays)
             raise ValueError(f"{self.path} holds {names} of every frame, got {got}")
-        rows = to_table(records, arrays, self._widths)
+        rows = to_table(records, arrays, self._shapes)
         check_records(records, self._meta.origins)
         with engine.writing(self.path):
             fragments = engine.write_fragments(self._table, rows) if records else []
@@ -464,7 +466,7 @@ class Database:
         Raises:
             ValueError: a row or a file is missing or damaged; the message names it.
         """
-        return load_frame_set(self._table, self._widths, damage)
+        return load_frame_set(self._table, self._shapes, damage)
 
     def _columns(self, names: list[str]) -> pa.Table:
         try:

@@ -107,7 +107,7 @@ def _reserve_space(file: Path, frames: FrameSet) -> None:
     names = sum(len(frame.encode()) for frame in frames.frames)
     arrays = [frames.descriptors, *frames.beside.values()]
     groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
-    expected = 4 * sum(values.numel() for values in arrays) + groups + names
+    expected = sum(values.nbytes for values in arrays) + groups + names
     if shutil.disk_usage(file.parent).free < expected:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with file.open("wb") as stream:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ import pyarrow.compute as pc
 from .checksums import matrix
 from .frames import FrameSet, natural_key
 from .reading import Damage, read_rows
-from .rows import DESCRIPTOR, POSE, schema
+from .rows import DESCRIPTOR, POSE, Shape, dtype_of, schema
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -21,19 +22,21 @@ if TYPE_CHECKING:
 FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 """The columns that a `FrameSet` holds beside descriptors."""
 
-_COLUMNS_AT_ONCE = 16
+_BYTES_AT_ONCE = 64
 
 
 def load_frame_set(
-    table: LanceDataset, widths: Mapping[str, int], damage: list[Damage] | None
+    table: LanceDataset, shapes: Mapping[str, Shape], damage: list[Damage] | None
 ) -> FrameSet:
     """Loads all frames of a table and verifies them; arguments and errors as for `Database.load`.
 
     Args:
-        widths: of the columns of descriptors.
+        shapes: of descriptors by column.
     """
     rows = table.count_rows()
-    arrays = {name: np.empty((rows, width), np.float32) for name, width in widths.items()}
+    arrays = {
+        name: np.empty((rows, math.prod(shape)), dtype_of(shape)) for name, shape in shapes.items()
+    }
     tables, done = [schema({}).empty_table().select(FRAME_SET_COLUMNS)], 0
     for batch in read_rows(table, damage):
         for name, values in arrays.items():
@@ -46,7 +49,10 @@ def load_frame_set(
     if twice:
         raise ValueError(f"{table.uri} is damaged: it holds {twice} frames twice")
     order = order_of(others)
-    arrays = {name: _sort_rows(values[:done], order) for name, values in arrays.items()}
+    arrays = {
+        name: _sort_rows(values[:done], order).reshape(-1, *shapes[name])
+        for name, values in arrays.items()
+    }
     return frame_set(others.take(order), arrays)
 
 
@@ -68,19 +74,18 @@ def _order_of_names(names: pa.ChunkedArray) -> npt.NDArray[np.int64]:
     return np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
 
 
-def _sort_rows(
-    descriptors: npt.NDArray[np.float32], order: npt.NDArray[np.int64]
-) -> npt.NDArray[np.float32]:
+def _sort_rows(descriptors: npt.NDArray[Any], order: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
     """Brings rows into an order in place, some columns at a time to save memory."""
     if (order[1:] > order[:-1]).all():
         return descriptors
-    for first in range(0, descriptors.shape[1], _COLUMNS_AT_ONCE):
-        columns = slice(first, first + _COLUMNS_AT_ONCE)
+    at_once = _BYTES_AT_ONCE // descriptors.itemsize
+    for first in range(0, descriptors.shape[1], at_once):
+        columns = slice(first, first + at_once)
         descriptors[:, columns] = descriptors[order, columns]
     return descriptors
 
 
-def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[np.float32]]) -> FrameSet:
+def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[Any]]) -> FrameSet:
     """The frames of a table with `FRAME_SET_COLUMNS`, and their descriptors by column."""
     import torch
 

@@ -15,7 +15,7 @@ from natsort import natsort_keygen
 if TYPE_CHECKING:
     from torch import Tensor
 
-Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32]"
+Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]"
 
 _NAN = float("nan")
 
@@ -90,7 +90,8 @@ class FrameSet:
         poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN if unknown.
         stamps: ``(R,)`` float64, seconds, NaN if unknown.
         empty: ``(R,)`` bool, frames whose descriptor is zero; they match nothing.
-        beside: ``(R, D')`` float32 of each extra descriptor by name, see `Database.beside`.
+        beside: each extra descriptor by name, see `Database.beside`: ``(R, D')`` float32, or uint8
+            signs ``(R, *cells)``.
     """
 
     frames: tuple[str, ...]

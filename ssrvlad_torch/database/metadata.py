@@ -15,24 +15,26 @@ FORMAT = "ssrvlad-database-5"
 _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 
 
-FLOATS, SIGNS = "float32", "signs"
-"""Kinds of descriptors: float32 numbers, or signs, eight in a uint8."""
-
-
 class ExtraDescriptor(NamedTuple):
     """A descriptor that every frame has beside that of the method, made from its picture.
 
     Attributes:
         name: name of its method, and of its column.
-        width: its length.
+        width: its length, in numbers or bytes.
         fingerprint: descriptors are comparable only if their fingerprints are equal.
-        kind: `FLOATS` or `SIGNS`.
+        cells: for signs, eight in a uint8: columns and rows of cells, and bytes of each; empty for
+            float32 numbers.
     """
 
     name: str
     width: int
     fingerprint: str
-    kind: str = FLOATS
+    cells: tuple[int, ...] = ()
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Of the descriptor in memory."""
+        return self.cells or (self.width,)
 
 
 class Origin(NamedTuple):
@@ -118,7 +120,10 @@ class Meta(NamedTuple):
             if origin.key != key:
                 raise ValueError(f"{path} is damaged: origin {key} does not match its content")
         content = json.loads(text)
-        beside = tuple(ExtraDescriptor(**extra) for extra in content.get("beside", ()))
+        beside = tuple(
+            ExtraDescriptor(**{**extra, "cells": tuple(extra.get("cells", ()))})
+            for extra in content.get("beside", ())
+        )
         return cls(_config(content, path), beside, origins)
 
 

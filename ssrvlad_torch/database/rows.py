@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
@@ -22,18 +23,30 @@ RECORD_COLUMNS = ["frame", "sequence", *POSE, "stamp", "signature", "digest", "h
 RECORD_COLUMNS += ["origin", "arrival"]
 
 
-def schema(widths: Mapping[str, int]) -> pa.Schema:
-    """The columns of a database, with those of descriptors by name and width."""
+Shape = tuple[int, ...]
+"""Of a descriptor: one length for float32 numbers; columns, rows and bytes for uint8 signs."""
+
+
+def dtype_of(shape: Shape) -> type[np.float32 | np.uint8]:
+    """The dtype of descriptors of a shape."""
+    return np.float32 if len(shape) == 1 else np.uint8
+
+
+def schema(shapes: Mapping[str, Shape]) -> pa.Schema:
+    """The columns of a database, with those of descriptors by name and shape."""
     kinds = dict.fromkeys(RECORD_COLUMNS, pa.string())
     kinds |= dict.fromkeys([*POSE, "stamp"], pa.float64())
     kinds |= {"height": pa.int32(), "width": pa.int32(), "arrival": pa.int64(), "empty": pa.bool_()}
-    kinds |= {name: pa.list_(pa.float32(), width) for name, width in widths.items()}
+    kinds |= {
+        name: pa.list_(pa.from_numpy_dtype(dtype_of(shape)), math.prod(shape))
+        for name, shape in shapes.items()
+    }
     kinds["checksum"] = pa.uint64()
     return pa.schema([pa.field(name, kind, nullable=False) for name, kind in kinds.items()])
 
 
 def to_table(
-    records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], widths: Mapping[str, int]
+    records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], shapes: Mapping[str, Shape]
 ) -> pa.Table:
     """N records and their descriptors as rows.
 
@@ -43,14 +56,14 @@ def to_table(
     columns: dict[str, Any] = {
         name: [getattr(record, name) for record in records] for name in RECORD_COLUMNS
     }
-    for name, width in widths.items():
-        values = _checked(name, descriptors[name], (len(records), width))
+    for name, shape in shapes.items():
+        values = _checked(name, descriptors[name], (len(records), *shape))
         if name == DESCRIPTOR:
             columns["empty"] = ~values.any(axis=1)
         flat = pa.array(np.ascontiguousarray(values).ravel())
-        columns[name] = pa.FixedSizeListArray.from_arrays(flat, width)
+        columns[name] = pa.FixedSizeListArray.from_arrays(flat, math.prod(shape))
     columns["checksum"] = np.zeros(len(records), np.uint64)
-    table = pa.table(columns, schema=schema(widths))
+    table = pa.table(columns, schema=schema(shapes))
     index = table.schema.get_field_index("checksum")
     return table.set_column(index, table.schema.field(index), pa.array(checksums(table)))
 
@@ -116,17 +129,23 @@ def folders_of(table: pa.Table) -> set[tuple[str, str]]:
     return set(zip(*found.to_pydict().values(), strict=True))
 
 
-def _checked(name: str, descriptors: Vectors, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
-    """Descriptors as a float32 array.
+def _checked(name: str, descriptors: Vectors, shape: Shape) -> npt.NDArray[Any]:
+    """Descriptors as an array: float32 ``(N, D)``, or uint8 signs of another shape.
 
     Raises:
-        ValueError: they have another shape, values that are not finite, or rows whose length
-            overflows or underflows float32.
+        ValueError: they have another shape, signs are not uint8, or numbers are not finite or have
+            rows whose length overflows or underflows float32.
     """
     detach = getattr(descriptors, "detach", None)
-    values = np.asarray(detach().cpu() if detach else descriptors, np.float32)
+    values = np.asarray(detach().cpu() if detach else descriptors)
+    kind = dtype_of(shape[1:])
     if values.shape != shape:
         raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
+    if (kind == np.uint8) != (values.dtype == np.uint8):
+        raise ValueError(f"{name}: expected {kind.__name__}, got {values.dtype}")
+    values = values.astype(kind, copy=False)
+    if kind == np.uint8:
+        return values
     if not np.isfinite(values).all():
         raise ValueError(f"{name}: values that are not finite")
     with np.errstate(over="ignore"):

@@ -1202,6 +1202,52 @@ bool in_parallel(Size count, int threads, Job job) {
   return !failed;
 }
 
+constexpr Size ROWS_AT_ONCE = 64;
+
+SSRVLAD_INLINE int ones(Word word) {
+#if defined(__GNUC__)
+  return __builtin_popcountll(word);
+#else
+  int bits = 0;
+  for (; word; word &= word - 1) ++bits;
+  return bits;
+#endif
+}
+
+// The bits under a mask in which a query differs from a row.
+SSRVLAD_INLINE Word differing_bits(const Word *query, const Word *mask, const Word *row, Size words) {
+  Word bits = 0;
+  for (Size i = 0; i < words; ++i) bits += static_cast<Word>(ones((query[i] ^ row[i]) & mask[i]));
+  return bits;
+}
+
+using BitCounter = Word (*)(const Word *, const Word *, const Word *, Size);
+
+Word count_plain(const Word *query, const Word *mask, const Word *row, Size words) {
+  return differing_bits(query, mask, row, words);
+}
+
+#if defined(__x86_64__) && defined(__GNUC__)
+__attribute__((target("popcnt")))
+Word count_by_word(const Word *query, const Word *mask, const Word *row, Size words) {
+  return differing_bits(query, mask, row, words);
+}
+
+__attribute__((target("avx512f,avx512vpopcntdq")))
+Word count_by_vector(const Word *query, const Word *mask, const Word *row, Size words) {
+  return differing_bits(query, mask, row, words);
+}
+
+BitCounter bit_counter() {
+  __builtin_cpu_init();
+  if (__builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512vpopcntdq"))
+    return count_by_vector;
+  return __builtin_cpu_supports("popcnt") ? count_by_word : count_plain;
+}
+#else
+BitCounter bit_counter() { return count_plain; }
+#endif
+
 }  // namespace
 
 struct ssrvlad_head {
@@ -1557,4 +1603,23 @@ int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int64_t height, 
     pack(bits.data(), grid, end_points + offset);
     pack(other.data(), grid, intersections + offset);
   });
+}
+
+int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t count,
+                      const uint64_t *rows, int64_t references, int64_t words, int threads,
+                      int32_t *differing) {
+  if (!queries || !masks || !rows || !differing || count < 0 || references < 0 || words < 1)
+    return SSRVLAD_WRONG_ARGUMENT;
+  const BitCounter count_bits = bit_counter();
+  const Size blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
+  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+    for (Size block; (block = next++) < blocks;) {
+      const Size last = std::min<Size>(references, (block + 1) * ROWS_AT_ONCE);
+      for (Size row = block * ROWS_AT_ONCE; row < last; ++row)
+        for (Size query = 0; query < count; ++query)
+          differing[query * references + row] = static_cast<std::int32_t>(count_bits(
+              queries + query * words, masks + query * words, rows + row * words, words));
+    }
+  });
+  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
 }

@@ -96,6 +96,12 @@ SSRVLAD_API int ssrvlad_keypoints(const uint8_t *skeletons, int64_t images, int6
 SSRVLAD_API int64_t ssrvlad_vote(const ssrvlad_labels *labels, const ssrvlad_table *table,
                                  int64_t rows, int64_t columns, uint8_t *categories);
 
+/* Counts, for each of `count` queries and each of `references` rows of `words` words, the bits under
+ * the query's mask in which they differ: (count, references). `threads` threads share the rows. */
+SSRVLAD_API int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t count,
+                                  const uint64_t *rows, int64_t references, int64_t words,
+                                  int threads, int32_t *differing);
+
 #ifdef __cplusplus
 }
 #endif

@@ -17,6 +17,7 @@ from .follow import Mode, Places, Scores, follow, lead_of_map, runs, way_of
 from .fusion import FusedScores
 from .matching import Matches, Rows, Vectors, best_of
 from .motion import BACKWARDS
+from .signs import REACH, SignQueries, SignRows, are_signs
 from .standardise import MIN_FRAMES, standardise
 from .sweep import COLUMNS, narrowed, score
 
@@ -108,8 +109,8 @@ def recognise(
         steps: what is done; without, all steps.
         top: number of candidates of each query.
         excluded: ``(Q, R)`` bool, references that are no candidates.
-        beside: queries ``(Q, D')`` and references ``(R, D')`` of further methods by their names;
-            the scores of all methods are fused, see `FusedScores`.
+        beside: queries ``(Q, D')`` and references ``(R, D')`` of further methods by their names,
+            or signs, see `signs`; the scores of all methods are fused, see `FusedScores`.
 
     Raises:
         ValueError: shapes do not fit.
@@ -128,8 +129,11 @@ def recognise(
             raise ValueError(f"expected a sequence for each of {len(vectors)} queries, got {got}")
 
     @cache
-    def rows_of(name: str, standardised: bool) -> Rows:
-        vectors = torch.as_tensor(pairs[name][1]).float()
+    def rows_of(name: str, standardised: bool) -> Rows | SignRows:
+        vectors = torch.as_tensor(pairs[name][1])
+        if are_signs(vectors):
+            return SignRows(vectors, reference_sequences if standardised else None)
+        vectors = vectors.float()
         return Rows.of(standardise(vectors, reference_sequences) if standardised else vectors)
 
     def decide(run: range) -> _Decision:
@@ -139,8 +143,15 @@ def recognise(
         width, members = 0, list[Scores]()
         for name, vectors in queries_of.items():
             rows = rows_of(name, standardised)
+            if isinstance(rows, SignRows):
+                reach = REACH if steps.sweep else 0
+                signs = SignQueries(vectors[part], rows, standardised, reach)
+                members.append(
+                    _BlockScores(signs.scores, len(run), len(rows), signs.moves, without)
+                )
+                continue
             compared, reach = _prepared(vectors[part], rows, steps.sweep, standardised)
-            members.append(_BlockScores(compared, rows, without))
+            members.append(_of_vectors(compared, rows, without))
             width = max(width, reach)
         scores, weights = _fused(members, list(pairs))
         decision = _decided(scores, reference_sequences, steps, top)
@@ -239,24 +250,41 @@ def _prepared(
 class _BlockScores(Scores):
     """Scores of one sequence of queries, computed in blocks of queries that fit in memory."""
 
-    def __init__(self, queries: Tensor, references: Rows, excluded: Tensor | None) -> None:
-        self._queries, self._references, self._excluded = queries, references, excluded
-        anchors = queries.shape[1] if queries.ndim == 3 else 1
-        fits = len(queries) * len(references) <= _SCORES_IN_MEMORY
-        room = _SCORES_IN_MEMORY // (4 * anchors * max(1, len(references)))
-        self._size = len(queries) if fits else max(1, room)
+    def __init__(
+        self,
+        compute: Callable[[slice], Tensor],
+        queries: int,
+        references: int,
+        anchors: int,
+        excluded: Tensor | None,
+    ) -> None:
+        self._compute, self._queries, self._excluded = compute, queries, excluded
+        fits = anchors * queries * references <= _SCORES_IN_MEMORY
+        room = _SCORES_IN_MEMORY // (4 * anchors * max(1, references))
+        self._size = queries if fits else max(1, room)
         self._first, self._block = 0, torch.empty(0)
 
     def __len__(self) -> int:
-        return len(self._queries)
+        return self._queries
 
     def __getitem__(self, query: int, /) -> Tensor:
         if not self._first <= query < self._first + len(self._block):
             self._first = query - query % self._size
-            part = slice(self._first, self._first + self._size)
-            self._block = score(self._queries[part], self._references)
+            self._block = self._compute(slice(self._first, self._first + self._size))
         row = self._block[query - self._first]
         return row if self._excluded is None else row.masked_fill(self._excluded[query], -torch.inf)
+
+
+def _of_vectors(queries: Tensor, references: Rows, excluded: Tensor | None) -> _BlockScores:
+    """The scores of queries ``(Q, D)`` or ``(Q, S, D)``."""
+    anchors = queries.shape[1] if queries.ndim == 3 else 1
+    return _BlockScores(
+        lambda part: score(queries[part], references),
+        len(queries),
+        len(references),
+        anchors,
+        excluded,
+    )
 
 
 def _fused(

@@ -1,7 +1,8 @@
 """Activations inside a network: which of them are features, and taking them while it runs.
 
-The features of a network are the last activation of its encoder at stride 8, or at the stride
-nearest to it, before the encoder goes on to a coarser stride. The encoder is all that does not
+The features of a network are the last activation of its encoder at stride 8, or at half the
+coarsest stride if that is finer, or at the stride nearest to it, before the encoder goes on to a
+coarser stride. The encoder is all that does not
 depend on an operator that raised the resolution. Activations with at most half the channels of the
 widest belong to the step to the next stride and do not count.
 """
@@ -26,7 +27,7 @@ from torch.utils.weak import WeakTensorKeyDictionary
 from .onnx_network import OnnxNetwork
 
 STRIDE, STRIDES = 8, (4, 32)
-"""The stride of the features, and the smallest and the largest that are near enough."""
+"""The coarsest stride that is sought, and the smallest and the largest that are near enough."""
 
 HIDDEN = "hidden_states"
 """What the names of the activations of a transformer begin with."""
@@ -108,7 +109,8 @@ def _chosen(found: Sequence[Activation]) -> Activation | None:
     if not encoder:
         return None
     octaves = [octave for octave, _ in encoder]
-    best = min(octaves, key=lambda octave: (abs(octave), -octave))
+    target = min(0, max(octaves) - 1)
+    best = min(octaves, key=lambda octave: (abs(octave - target), -octave))
     first = octaves.index(best)
     later = itertools.takewhile(lambda pair: pair[0] <= best, encoder[first:])
     members = [each for octave, each in later if octave == best]

@@ -14,6 +14,7 @@ from PIL.PngImagePlugin import PngInfo
 from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, read_label_map
 from ..files import replacing
+from ..stages.features import SHAPE
 from ..taxonomy import LabelSpace
 
 LARGEST = 10 * 10**9
@@ -96,7 +97,7 @@ class SegmentedCache:
         key, _, content = chunks.get(_CHUNK, b"").partition(_END)
         if key != self.features:
             raise ValueError(f"{entry} holds no features {self.features.decode()}")
-        return np.frombuffer(content, np.uint8)
+        return np.frombuffer(content, np.uint8).reshape(SHAPE)
 
     def _entry(self, picture: str) -> Path:
         return self.folder / self.key / picture[:2] / f"{picture}.png"

@@ -5,16 +5,16 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import math
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..database.metadata import SIGNS as KIND
 from ..database.metadata import ExtraDescriptor
 from ..files import one_line
-from ..stages.features import BYTES, COLUMNS, ROWS, SIGNS, Features
+from ..stages.features import COLUMNS, ROWS, SHAPE, SIGNS, Features
 from .activations import Activation, find_activations
 from .label_network import LabelNetwork
 from .onnx_network import OnnxNetwork
@@ -59,10 +59,10 @@ class NetworkFeatures(nn.Module):
         content = [_REVISION, digest, settings, self.names, ROWS, COLUMNS, SIGNS]
         self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()
         text = f"{ROWS} x {COLUMNS} cells, {SIGNS} signs of {', '.join(self.names)}, {self.key}"
-        self.descriptor = ExtraDescriptor(NAME, BYTES, text, KIND)
+        self.descriptor = ExtraDescriptor(NAME, math.prod(SHAPE), text, SHAPE)
 
     def forward(self, activations: Sequence[Tensor]) -> Tensor:
-        """``(B, BYTES)`` uint8, the signs of the activations of pictures."""
+        """``(B, *SHAPE)`` uint8, the signs of the activations of pictures."""
         signs: Tensor = self.signs.to(activations[0].device)(*activations)
         return signs
 

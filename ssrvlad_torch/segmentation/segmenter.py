@@ -48,7 +48,7 @@ class Segmented(NamedTuple):
 
     Attributes:
         labels: ``(H, W)`` label map: uint8, or uint16 or int64 for ids that need it.
-        features: ``(D,)`` uint8 signs, see `NetworkFeatures`, if they were asked for.
+        features: uint8 signs of `stages.features.SHAPE`, if they were asked for.
     """
 
     labels: LabelMap

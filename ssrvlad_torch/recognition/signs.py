@@ -1,0 +1,191 @@
+"""Signs: descriptors of bits on a grid of cells, compared by how many agree.
+
+A descriptor is ``(columns, rows, bytes)`` uint8; a bit is 1 for plus and 0 for minus. The score is
+the cosine of the numbers 1 and -1, or of these without the mean of each traverse. A query is also
+moved by columns to each side; the columns that overlap count, and the best move. Not in the paper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..native import core
+from .follow import runs
+
+REACH = 2
+"""Columns by which a query is moved to each side."""
+
+_ROWS_AT_ONCE = 256
+_LEAST = 1e-3
+
+
+def are_signs(vectors: Tensor) -> bool:
+    """Whether descriptors are signs and not numbers."""
+    return vectors.dtype == torch.uint8
+
+
+def mirrored(signs: Tensor) -> Tensor:
+    """The signs ``(N, columns, rows, bytes)`` of mirrored pictures."""
+    return signs.flip(1)
+
+
+def moved(grids: Tensor, columns: int) -> Tensor:
+    """``(N, columns, ...)`` moved to the right by some columns, or to the left; zero comes in from
+    outside."""
+    after, kept = torch.zeros_like(grids), max(0, grids.shape[1] - abs(columns))
+    to, source = max(0, columns), max(0, -columns)
+    after[:, to : to + kept] = grids[:, source : source + kept]
+    return after
+
+
+def numbers(signs: Tensor) -> Tensor:
+    """Signs ``(..., bytes)`` as 1 and -1, ``(..., 8 * bytes)`` float32."""
+    bits = np.unpackbits(signs.numpy(force=True), axis=-1, bitorder="little")
+    return torch.from_numpy(bits).float().mul_(2).sub_(1)
+
+
+def products(queries: Tensor, masks: Tensor, references: Tensor) -> Tensor:
+    """``(Q, R)`` int32 products of the numbers 1 and -1, over the bits that are set in the masks.
+
+    Args:
+        queries, masks: ``(Q, B)`` uint8.
+        references: ``(R, B)`` uint8; B is a multiple of 8 for the native core to compute them.
+    """
+    counted = numbers(masks).add_(1).div_(2)
+    library = core().library
+    if library is None or queries.shape[1] % 8:
+        signed = numbers(queries) * counted
+        parts = [signed @ numbers(part).T for part in references.split(_ROWS_AT_ONCE)]
+        return torch.cat([signed[:, :0], *parts], 1).int()
+    queries, masks, references = (each.contiguous() for each in (queries, masks, references))
+    different = torch.empty((len(queries), len(references)), dtype=torch.int32)
+    library.ssrvlad_differing(
+        queries.data_ptr(), masks.data_ptr(), len(queries), references.data_ptr(), len(references),
+        queries.shape[1] // 8, torch.get_num_threads(), different.data_ptr(),
+    )  # fmt: skip
+    return counted.sum(1, dtype=torch.int32)[:, None] - 2 * different
+
+
+class SignRows:
+    """References for many queries.
+
+    Args:
+        signs: ``(R, columns, rows, bytes)`` uint8.
+        sequences: the traverse of each, the frames of one together, to subtract the mean of each
+            traverse; without, nothing is subtracted.
+
+    Attributes:
+        signs: as given.
+        means: ``(T, columns, D)`` float32, what is subtracted from the numbers 1 and -1 of each
+            traverse.
+        traverse: ``(R,)`` int64, the number of each row's traverse.
+        squares: ``(R, columns)`` float32, squared lengths of the columns without their means.
+    """
+
+    def __init__(self, signs: Tensor, sequences: Sequence[str] | None = None) -> None:
+        self.signs = signs
+        self.traverse = torch.zeros(len(signs), dtype=torch.int64)
+        self.means = numbers(torch.zeros(1, *signs.shape[1:], dtype=torch.uint8)).flatten(2).zero_()
+        if sequences is not None and len(signs):
+            parts = [*runs(sequences)]
+            self.means = torch.stack([mean_of(signs[part.start : part.stop]) for part in parts])
+            lengths = torch.tensor([len(part) for part in parts])
+            self.traverse = torch.arange(len(parts)).repeat_interleave(lengths)
+        self.squares = squares(signs, self.means, self.traverse)
+
+    def __len__(self) -> int:
+        return len(self.signs)
+
+    def dot(self, vectors: Tensor) -> Tensor:
+        """``(N, R)`` float32 products of ``(N, columns, D)`` with the numbers 1 and -1."""
+        if not vectors.any():
+            return torch.zeros(len(vectors), len(self))
+        flat = vectors.flatten(1)
+        return torch.cat([flat @ part.flatten(1).T for part in _parts(self.signs)], 1)
+
+
+class SignQueries:
+    """The queries of one traverse, to be compared with rows.
+
+    Args:
+        signs: ``(Q, columns, rows, bytes)`` uint8.
+        references: what they are compared with.
+        standardised: subtract the mean of the queries.
+        reach: columns by which queries are moved to each side.
+
+    Attributes:
+        moves: number of moves of each query.
+
+    Example:
+        >>> signs = torch.arange(96, dtype=torch.uint8).view(3, 4, 2, 4)
+        >>> SignQueries(signs[1:2], SignRows(signs)).scores().argmax(1)
+        tensor([1])
+    """
+
+    def __init__(
+        self,
+        signs: Tensor,
+        references: SignRows,
+        standardised: bool = False,
+        reach: int = REACH,
+    ) -> None:
+        steps = range(-reach, reach + 1)
+        whole = torch.full((1, *signs.shape[1:]), 255, dtype=torch.uint8)
+        mean = torch.zeros_like(references.means[:1])
+        if standardised and len(signs):
+            mean = mean_of(signs)[None]
+        self.moves, self._references = len(steps), references
+        self._moved = torch.stack([moved(signs, step) for step in steps], 1)
+        self._masks = torch.cat([moved(whole, step) for step in steps])
+        self._means = torch.cat([moved(mean, step) for step in steps])
+        own = squares(signs, mean, torch.zeros(len(signs), dtype=torch.int64))
+        self._lengths = torch.stack([moved(own, step).sum(1).sqrt() for step in steps], 1)
+        self._of_rows = references.dot(self._means)
+        kept = self._masks.flatten(2).any(2).float()
+        self._row_lengths = (kept @ references.squares.T).sqrt()
+
+    def __len__(self) -> int:
+        return len(self._moved)
+
+    def scores(self, part: slice = slice(None)) -> Tensor:
+        """``(Q, R)`` float32 cosines of some of the queries, each for its best move."""
+        queries, rows = self._moved[part], self._references
+        known = (queries, self._masks.expand_as(queries))
+        packed, masks = (each.flatten(0, 1).flatten(1) for each in known)
+        flat = products(packed, masks, rows.signs.flatten(1))
+        best = torch.full((len(queries), len(rows)), -torch.inf)
+        means = rows.means.flatten(1)
+        for move, product in enumerate(flat.view(len(queries), self.moves, len(rows)).unbind(1)):
+            counted = numbers(self._masks[move]).flatten().add_(1).div_(2)
+            signed = numbers(queries[:, move]).flatten(1).mul_(counted)
+            offset = (self._means[move].flatten() - signed) @ means.T
+            score = offset[:, rows.traverse].add_(product).sub_(self._of_rows[move])
+            length = self._lengths[part, move, None] * self._row_lengths[move]
+            torch.maximum(best, score.div_(length.clamp_(min=_LEAST)), out=best)
+        return best.clamp_(max=1)
+
+
+def squares(signs: Tensor, means: Tensor, traverse: Tensor) -> Tensor:
+    """``(N, columns)`` float32, squared lengths of the columns of the numbers 1 and -1 without the
+    mean of the traverse of each."""
+    if not means.any():
+        return torch.full(signs.shape[:2], float(means.shape[2]))
+    parts = zip(_parts(signs), traverse.split(_ROWS_AT_ONCE), strict=True)
+    return torch.cat([(part - means[numbers]).square_().sum(2) for part, numbers in parts])
+
+
+def mean_of(signs: Tensor) -> Tensor:
+    """``(columns, D)`` float32, the mean of the numbers 1 and -1 of a traverse; zero if all its
+    frames are equal, which the mean would leave nothing of."""
+    total = torch.stack([part.sum(0, dtype=torch.double) for part in _parts(signs)]).sum(0)
+    mean = total.div(len(signs)).float()
+    return mean.zero_() if bool((mean.abs() == 1).all()) else mean
+
+
+def _parts(signs: Tensor) -> Iterator[Tensor]:
+    """The numbers of many rows ``(N, columns, D)``, a few at a time."""
+    return (numbers(part).flatten(2) for part in signs.split(_ROWS_AT_ONCE))

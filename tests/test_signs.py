@@ -1,0 +1,138 @@
+"""Signs, compared by products of packed bits, against plain matrices of 1 and -1."""
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from hypothesis import given
+from hypothesis import strategies as st
+
+from ssrvlad_torch import native
+from ssrvlad_torch.recognition import signs as module
+from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.recognition.signs import (
+    REACH,
+    SignQueries,
+    SignRows,
+    mirrored,
+    moved,
+    numbers,
+    products,
+)
+from ssrvlad_torch.recognition.standardise import standardise
+
+SHAPE = (8, 3, 4)
+
+
+def grids(count, seed=0, shape=SHAPE):
+    rng = np.random.default_rng(seed)
+    return torch.from_numpy(rng.integers(0, 256, (count, *shape), np.uint8))
+
+
+def drive(count, seed=0):
+    """Signs of a drive, most of which all its frames share."""
+    rng = np.random.default_rng(seed)
+    same, own = rng.integers(0, 256, SHAPE, np.uint8), rng.integers(0, 256, (count, *SHAPE))
+    few = rng.integers(0, 256, (count, *SHAPE)) & rng.integers(0, 256, (count, *SHAPE))
+    return torch.from_numpy(same ^ (own & few).astype(np.uint8))
+
+
+@pytest.fixture(params=["native", "torch"])
+def library(request, monkeypatch):
+    if request.param == "torch":
+        monkeypatch.setattr(module, "core", lambda: native.Core(None, "none"))
+    elif native.core().library is None:
+        pytest.skip("needs the native core")
+
+
+@pytest.mark.parametrize("count", [0, 1, 70])
+@pytest.mark.parametrize("width", [8, 24, 30])
+def test_products_are_exact(library, count, width):
+    queries, masks, references = (grids(n, s, (width,)) for n, s in ((4, 0), (4, 1), (count, 2)))
+    masked = numbers(queries) * (numbers(masks) == 1)
+    expected = masked @ numbers(references).T
+    got = products(queries, masks, references)
+    assert got.dtype == torch.int32
+    assert torch.equal(got.float(), expected)
+
+
+@given(st.integers(-3, 3))
+def test_moved_columns_leave_zeros(columns):
+    grid = grids(2)
+    after = moved(grid, columns)
+    for column in range(SHAPE[0]):
+        source = column - columns
+        inside = 0 <= source < SHAPE[0]
+        expected = grid[:, source] if inside else torch.zeros_like(grid[:, 0])
+        assert torch.equal(after[:, column], expected)
+
+
+def test_a_mirrored_grid():
+    grid = grids(2)
+    assert torch.equal(mirrored(grid)[:, 0], grid[:, -1])
+    assert torch.equal(mirrored(mirrored(grid)), grid)
+
+
+def plain(queries, references, sequences=None, reach=REACH):
+    """The scores by matrices of numbers."""
+    q, r = numbers(queries), numbers(references)
+    if sequences is not None:
+        q = q - q.mean(0)
+        for name in dict.fromkeys(sequences):
+            rows = torch.tensor([name == each for each in sequences])
+            r[rows] -= r[rows].mean(0)
+    scores = []
+    for move in range(-reach, reach + 1):
+        kept = [c for c in range(SHAPE[0]) if 0 <= c - move < SHAPE[0]]
+        here, there = (each[:, kept].flatten(1) for each in (moved(q, move), r))
+        scores.append(F.normalize(here, dim=1) @ F.normalize(there, dim=1).T)
+    return torch.stack(scores).amax(0)
+
+
+@pytest.mark.parametrize("reach", [0, REACH])
+def test_scores_are_cosines_of_the_best_move(library, reach):
+    queries, references = grids(7), grids(40, 1)
+    references[3] = moved(queries, reach)[2]
+    got = SignQueries(queries, SignRows(references), reach=reach).scores()
+    torch.testing.assert_close(got, plain(queries, references, reach=reach), atol=1e-5, rtol=0)
+    assert got[2].argmax() == 3
+
+
+def test_standardised_scores_are_those_of_means_off(library):
+    queries, sequences = drive(50), ["a"] * 30 + ["b"] * 45
+    references = torch.cat((drive(30, 1), drive(45, 2)))
+    got = SignQueries(queries, SignRows(references, sequences), standardised=True)
+    expected = plain(queries, references, sequences)
+    torch.testing.assert_close(got.scores(), expected, atol=1e-5, rtol=0)
+    part = got.scores(slice(10, 13))
+    torch.testing.assert_close(part, expected[10:13], atol=1e-5, rtol=0)
+
+
+def test_without_moves_standardise_gives_the_same():
+    queries, references = drive(40), drive(60, 1)
+    rows, sequences = SignRows(references, ["a"] * 60), ["a"] * 60
+    got = SignQueries(queries, rows, standardised=True, reach=0).scores()
+    flat = standardise(numbers(references).flatten(1), sequences)
+    expected = standardise(numbers(queries).flatten(1)) @ flat.T
+    torch.testing.assert_close(got, expected, atol=1e-5, rtol=0)
+
+
+def test_a_traverse_of_equal_frames_stays_as_it_is():
+    frame, references = grids(1), grids(20, 1)
+    rows = SignRows(torch.cat((frame, references)), ["one"] + ["many"] * 20)
+    score = SignQueries(frame.expand(40, *SHAPE), rows, standardised=True, reach=0).scores()
+    assert score.shape == (40, 21)
+    torch.testing.assert_close(score[:, 0], torch.ones(40))
+
+
+@pytest.mark.parametrize("follow", [None, "offline"])
+def test_recognise_takes_signs(follow, monkeypatch):
+    frames = drive(60)
+    noise = grids(40, 5) & grids(40, 6) & grids(40, 7)
+    seen = frames[10:50] ^ noise
+    numbers_only = torch.nn.functional.normalize(torch.rand(60, 16), dim=1)
+    names, steps = (["q"] * 40, ["r"] * 60), Steps(follow=follow)
+    beside = {"features": (seen, frames)}
+    found = recognise(numbers_only[10:50], numbers_only, *names, steps, beside=beside)
+    assert found.matches.indices[:, 0].tolist() == list(range(10, 50))
+    assert set(found.used["weights"]["q"]) == {"ssr-vlad", "features"}
