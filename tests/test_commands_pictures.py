@@ -7,9 +7,10 @@ import onnx
 import pytest
 from cases import REAL, needs_real
 from drawings import SPACE
-from networks import write_street
+from helpers import street
+from networks import photo, write_street
 from PIL import Image
-from segmenting import write_photos, write_settings
+from segmenting import write_image, write_photos, write_settings
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.cli import sources
@@ -81,6 +82,48 @@ def test_locate_takes_no_network_from_label_maps_or_of_code(ssrvlad, database, t
     Database.open(database).add_origin(None, "key", "mynets:mine")
     (line,) = ssrvlad("locate", tmp_path, "--in", database)[2]
     assert line.endswith("was made by code: say --segmenter mynets:mine")
+
+
+def camera(folder, seeds):
+    """Photographs with noise, which are no label maps in colours."""
+    noise = np.random.default_rng(0)
+    for seed in seeds:
+        pixels = photo(street(seed, 60, 80)).astype(int) + noise.integers(-2, 3, (60, 80, 3))
+        write_image(folder / f"{seed}.png", pixels.clip(0, 255).astype(np.uint8))
+    return folder
+
+
+def test_every_command_takes_the_network_of_the_database(
+    network, ssrvlad, maps, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monday, tuesday = (camera(tmp_path / name, range(4)) for name in ("first", "second"))
+    town, named = tmp_path / "drives", ("--segmenter", network)
+    assert ssrvlad("encode", monday, "-o", town, *named)[0] == 0
+
+    def clear():
+        after = Database.open(town)
+        after.remove([frame for frame in after.load().frames if not frame.startswith("first/")])
+
+    for command in (
+        ("query", town, tuesday, "--json"),
+        ("evaluate", town, tuesday, "--tolerance-frames", 0, "--json"),
+        ("loops", tuesday, "--memory", town, "--json"),
+        ("encode", tuesday, "-o", town, "--json"),
+    ):
+        expected = ssrvlad(*command, *named)[1]
+        clear()
+        code, out, err = ssrvlad(*command)
+        assert (code, without_version(out)) == (0, without_version(expected)), command
+        clear()
+        assert err[0] == f"ssrvlad: {network}, the network of {town}, labels the pictures"
+    code, _, err = ssrvlad("query", town, maps)
+    assert (code, len(err)) == (0, 1), "label maps need no network"
+
+
+def without_version(out):
+    lines = [json.loads(line) for line in out.splitlines()]
+    return [{key: line[key] for key in line.keys() - {"version"}} for line in lines]
 
 
 def test_labels_lists_what_is_left_out(network, ssrvlad):

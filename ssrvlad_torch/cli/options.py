@@ -129,7 +129,10 @@ class SourceOptions:
     topic: str | None = option("Image topic of a ROS bag; needed only if the bag has several.")
     every: int = option("Use every N-th frame of a sequence.", default=1, min=1)
     start: int = option("Number of the first frame of a sequence to use.", default=0, min=0)
-    segmenter: Segmenter = None
+    segmenter: str | None = option(
+        f"Segmentation network that labels images: {NETWORK} Default: the network that made the "
+        "database."
+    )
     classes: Classes = None
     segmenter_cache: Path | None = option(
         "Folder that caches the segmenter's label maps. Default: ~/.cache/ssrvlad."

@@ -10,15 +10,18 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import numpy as np
+
 from ..database.database import Database
 from ..database.metadata import ExtraDescriptor
 from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile
-from ..datasets.image_files import find_image_files
-from ..datasets.label_files import find_label_files
+from ..datasets.image_files import find_image_files, read_image
+from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
 from ..encoding.extra_descriptors import extra_descriptor
+from ..localiser import origin_of, require_network
 from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace
@@ -64,6 +67,41 @@ class Source:
         """The database that the source is; ``None`` if it is none."""
         paths = self.options.paths
         return Database.open(paths[0]) if len(paths) == 1 and Database.exists(paths[0]) else None
+
+    def with_network_of(self, database: Database | None, pictures: bool = False) -> Source:
+        """The source with the network that made a database, if it is pictures and the user names
+        no network and no label space; notes the network.
+
+        Args:
+            database: with which the frames are compared, if there is one.
+            pictures: whether the source can only be pictures.
+
+        Raises:
+            ValueError: the network cannot be opened or has changed.
+        """
+        if database is None or self.options.segmenter or self.database():
+            return self
+        if not pictures and (self.labels_as or not self._holds_pictures(database)):
+            return self
+        origin = origin_of(database)
+        options = dataclasses.replace(self.options, segmenter=origin.network)
+        source = dataclasses.replace(self, options=options, labels_as=origin.label_space)
+        segmenter = source.segmenter(origin.label_space or database.config.labels_as)
+        assert segmenter
+        require_network(database, segmenter)
+        note(f"{origin.network}, the network of {database.path}, labels the pictures")
+        return source
+
+    def _holds_pictures(self, database: Database) -> bool:
+        """Whether a network made the database, and the first frame that can be read is a picture:
+        not all its pixels are ids, or colours, of the label space."""
+        spaces = [o.label_space for o in database.origins.values() if o.segmenter]
+        for file in try_find(self.image_files) if spaces else []:
+            if any(reads(_known_ids, file, space) for space in spaces if space):
+                return False
+            if reads(read_image, file):
+                return True
+        return False
 
     def posed(self) -> Source:
         """The source without the frames of its data set that have no pose."""
@@ -137,6 +175,21 @@ def only_label_space(database: Database) -> LabelSpace | None:
         names = " and ".join(space.name for space in spaces)
         raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
     return spaces[0] if spaces else None
+
+
+def reads(read: Callable[..., object], *arguments: object) -> bool:
+    """Whether a function raises no ValueError."""
+    with suppress(ValueError):
+        read(*arguments)
+        return True
+    return False
+
+
+def _known_ids(file: FrameFile, space: LabelSpace) -> None:
+    """Raises a ValueError unless a frame is a label map in a label space."""
+    ids = np.unique(read_label_map(file, space))
+    if unknown := {*ids.tolist()} - {each.id for each in space.classes}:
+        raise ValueError(f"{space.name} has no ids {unknown}")
 
 
 def try_find(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:

@@ -74,9 +74,10 @@ def _encode(
 
     if prune and not _is_complete(source):
         raise ValueError("--prune needs whole folders as SOURCE, without --every and --start")
+    database = Database.open(output) if Database.exists(output) else None
+    source = source.with_network_of(database)
     if engine == "ray" and source.options.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
-    database = Database.open(output) if Database.exists(output) else None
     extra = source.extra_descriptors(beside)
     labels_as = source.label_space(database)
     if preset is None and database:

@@ -48,7 +48,7 @@ def evaluate(
     if report:
         check_output(report)
     stored = Database.open(database, as_of)
-    opened = Source.open(source, stored.folders())
+    opened = Source.open(source, stored.folders()).with_network_of(stored)
     true = TrueMatches.of(truth, opened.dataset.truth if opened.dataset else None)
     opened = opened.posed() if true.metres is not None else opened
     found = by_database(stored, opened, recognition, truth.convention)

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
-from typing import TYPE_CHECKING
 
 from ..options import Json, RecognitionOptions, SourceOptions, option
 from ..output import finish, note, print_json, say
-
-if TYPE_CHECKING:
-    from ...database.database import Database
-    from ..sources import Source
 
 
 def locate(
@@ -32,9 +26,7 @@ def locate(
     from ..sources import Source
 
     opened = Database.open(database)
-    frames = Source.open(source, opened.folders())
-    if source.segmenter is None:
-        frames = _with_network(opened, frames)
+    frames = Source.open(source, opened.folders()).with_network_of(opened, pictures=True)
     queries, references, found, t, skipped, _ = search(opened, frames, recognition, top=1)
     scores, rows = confident(found, recognition.min_confidence)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
@@ -53,19 +45,6 @@ def locate(
     if not as_json:
         note(steps_in_words(found.used, t))
     finish(skipped, len(queries))
-
-
-def _with_network(database: Database, source: Source) -> Source:
-    """The source with the network that made a database; a ValueError if the network has changed."""
-    from ...localiser import origin_of, require_network
-
-    origin = origin_of(database)
-    options = dataclasses.replace(source.options, segmenter=origin.network)
-    source = dataclasses.replace(source, options=options, labels_as=origin.label_space)
-    segmenter = source.segmenter(origin.label_space or database.config.labels_as)
-    if segmenter:
-        require_network(database, segmenter)
-    return source
 
 
 def _where(x: float, y: float, heading: float) -> str:

@@ -59,8 +59,8 @@ def loops(
     from ..sources import Source
 
     config = LoopConfig(exclude, threshold, sweep)
-    opened = Source.open(source)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
+    opened = Source.open(source).with_network_of(stored)
     labels_as = opened.label_space(stored)
     if picture:
         require_picture(picture)
