@@ -3,6 +3,7 @@ Property tests try the same examples in every run; test_random_run.py tries othe
 What the tests of the command line share: the command line itself, six frames, a database of them.
 """
 
+import os
 import shutil
 import subprocess
 import sys
@@ -28,6 +29,32 @@ LONG = (
     "test_memory test_notebook test_wheel test_cli test_extra_descriptors test_commands_report "
     "test_native test_commands_compare test_export test_loop_closure test_export_cpp test_cohog"
 )
+
+
+ALLOWED_SKIPS = ("CUDA", "SSRVLAD_LITERT", "../shared")
+"""What the reason of a skip must mention where CI is true: what a machine of CI cannot have."""
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport():
+    """Where CI is true, a test that is skipped fails, unless it may be."""
+    outcome = yield
+    _refuse_skip(outcome.get_result())
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report():
+    """The same for the tests of a whole file."""
+    outcome = yield
+    _refuse_skip(outcome.get_result())
+
+
+def _refuse_skip(report):
+    if os.environ.get("CI") != "true" or not report.skipped or hasattr(report, "wasxfail"):
+        return
+    *_, reason = report.longrepr
+    if not any(allowed in reason for allowed in ALLOWED_SKIPS):
+        report.outcome, report.longrepr = "failed", f"skipped, which CI does not allow: {reason}"
 
 
 def pytest_collection_modifyitems(items):

@@ -190,7 +190,7 @@ def test_one_part_alone_writes_no_page(run, capsys, tmp_path):
     assert not (tmp_path / "docs").exists()
 
 
-@pytest.mark.skipif(not PAPER.is_file(), reason="the source of the paper is not on this machine")
+@pytest.mark.skipif(not PAPER.is_file(), reason="the paper of ../shared is not on this machine")
 def test_the_papers_numbers_are_those_of_its_source(monkeypatch):
     paper = load("_paper", monkeypatch)
     text = PAPER.read_text()

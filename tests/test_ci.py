@@ -1,0 +1,83 @@
+"""The workflows and scripts with which tests run and releases are made."""
+
+import os
+import re
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+ROOT = Path(__file__).parents[1]
+WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
+NOTES = ROOT / "scripts" / "notes"
+
+
+def check_workflows(*files):
+    """check-jsonschema, with the schema that it carries."""
+    command = [sys.executable, "-m", "check_jsonschema"]
+    given = ["--builtin-schema", "vendor.github-workflows", *files]
+    return subprocess.run([*command, *given], capture_output=True, text=True, check=False)
+
+
+def test_workflows_follow_the_published_schema(tmp_path):
+    done = check_workflows(*WORKFLOWS)
+    assert done.returncode == 0, done.stdout
+    wrong = tmp_path / "wrong.yml"
+    wrong.write_text(WORKFLOWS[0].read_text().replace("runs-on", "run-on"))
+    assert check_workflows(wrong).returncode == 1
+
+
+def test_workflows_call_scripts_that_exist():
+    called = {
+        program
+        for file in WORKFLOWS
+        for job in yaml.safe_load(file.read_text())["jobs"].values()
+        for step in job["steps"]
+        for program in re.findall(r"^(?:scripts|\.ci)/\w+", step.get("run", ""), re.MULTILINE)
+    }
+    assert called == {".ci/run", "scripts/docs", "scripts/notes", "scripts/wheels"}
+    assert all(os.access(ROOT / program, os.X_OK) for program in called)
+
+
+def test_the_section_of_a_version():
+    section = runpy.run_path(str(NOTES))["section"]
+    text = "# C\n\n## Unreleased\n\n## 1.2.3, 2027-01-31\n\nNew.\n\n### Parts\n- a\n\n## 1.2\nOld\n"
+    assert section(text, "v1.2.3") == "New.\n\n### Parts\n- a\n"
+    assert section(text, "1.2") == "Old\n"
+    for version in ("v1.2.4", "Unreleased"):
+        with pytest.raises(ValueError, match=r"expected a section .*, got Unreleased, 1.2.3, 1.2$"):
+            section(text, version)
+
+
+def test_a_release_without_a_section_is_refused():
+    done = subprocess.run([NOTES, "v0.0.0"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith("CHANGELOG.md: expected a section 0.0.0, got ")
+
+
+@pytest.mark.parametrize(("ci", "failed"), [("true", 2), ("", 0)])
+def test_ci_refuses_skips_that_are_not_allowed(tmp_path, ci, failed):
+    (tmp_path / "test_skips.py").write_text(
+        "import pytest\n"
+        "def test_allowed(): pytest.skip('there is no CUDA device')\n"
+        "def test_program(): pytest.skip('npm is not installed')\n"
+        "def test_package(): pytest.importorskip('no_such_package')\n"
+        "@pytest.mark.xfail\n"
+        "def test_known(): assert 0\n"
+    )
+    environment = {**os.environ, "CI": ci, "PYTHONPATH": str(ROOT / "tests")}
+    command = [sys.executable, "-m", "pytest", "-p", "conftest", "--rootdir", tmp_path, tmp_path]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
+    assert done.returncode == (1 if failed else 0), done.stdout
+    counts = {word: int(number) for number, word in re.findall(r"(\d+) (\w+)", done.stdout)}
+    assert (counts.get("failed", 0), counts["skipped"], counts["xfailed"]) == (
+        failed,
+        3 - failed,
+        1,
+    )
+    assert (
+        "skipped, which CI does not allow: Skipped: npm is not installed" in done.stdout
+    ) == bool(ci)
