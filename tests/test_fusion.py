@@ -12,46 +12,49 @@ def noisy(seed: int, noise: float, queries: int = 40, references: int = 60) -> t
     return 0.5 + 0.2 * torch.eye(*shape) + noise * torch.randn(shape, generator=generator)
 
 
+def fuse(*members: torch.Tensor) -> FusedScores:
+    """Fused by methods that are trusted alike."""
+    return FusedScores({str(number): scores for number, scores in enumerate(members)})
+
+
 def recall(scores: torch.Tensor) -> float:
     return float((scores.argmax(1) == torch.arange(len(scores))).float().mean())
 
 
 def test_two_methods_that_err_apart_are_better_together():
     one, other = noisy(0, 0.08), noisy(1, 0.08)
-    fused = FusedScores([one, other])
+    fused = fuse(one, other)
     assert recall(fused.whole()) > max(recall(one), recall(other)) + 0.1
-    assert sum(fused.weights) == pytest.approx(1)
+    assert sum(fused.weights.values()) == pytest.approx(1)
 
 
 def test_what_knows_nothing_hardly_weighs():
     good, bad = noisy(0, 0.03), noisy(1, 10.0).clamp(max=0.99)
-    fused = FusedScores([good, bad])
-    assert fused.weights[0] > 3 * fused.weights[1]
+    fused = fuse(good, bad)
+    assert fused.weights["0"] > 3 * fused.weights["1"]
     assert recall(fused.whole()) == recall(good) == 1
 
 
 def test_one_method_alone_keeps_its_scores():
     scores = noisy(2, 0.05)
-    fused = FusedScores([scores])
+    fused = fuse(scores)
     torch.testing.assert_close(fused.whole(), scores)
-    assert fused.weights == (1.0,)
+    assert fused.weights == {"0": 1.0}
 
 
 def test_the_unit_of_scores_does_not_matter():
     one, other = noisy(3, 0.05), noisy(4, 0.05)
     stretched = 1 - torch.exp(-(3 * nearness(other) - 1))
-    torch.testing.assert_close(
-        FusedScores([one, stretched]).weights, FusedScores([one, other]).weights
-    )
-    ranks = FusedScores([one, stretched]).whole().argmax(1)
-    assert torch.equal(ranks, FusedScores([one, other]).whole().argmax(1))
+    assert fuse(one, stretched).weights == pytest.approx(fuse(one, other).weights)
+    ranks = fuse(one, stretched).whole().argmax(1)
+    assert torch.equal(ranks, fuse(one, other).whole().argmax(1))
 
 
 def test_a_frame_that_one_method_cannot_describe_is_left_to_the_other():
     one, other = noisy(5, 0.02), noisy(6, 0.02)
     one[3], one[:, 7], other[:, 8] = -torch.inf, -torch.inf, -torch.inf
     one[:, 9] = other[:, 9] = -torch.inf
-    found = FusedScores([one, other]).whole()
+    found = fuse(one, other).whole()
     assert found[3].argmax() == 3
     assert found[7].argmax() == 7
     assert (found[:, 9] == -torch.inf).all()
@@ -60,13 +63,22 @@ def test_a_frame_that_one_method_cannot_describe_is_left_to_the_other():
 
 @pytest.mark.parametrize("shape", [(4, 5), (5, 0), (3, 11), (29, 40)])
 def test_few_frames_weigh_alike(shape):
-    fused = FusedScores([torch.rand(shape), torch.rand(shape)])
+    fused = fuse(torch.rand(shape), torch.rand(shape))
     assert fused.whole().shape == shape
-    assert fused.weights == (0.5, 0.5)
+    assert fused.weights == {"0": 0.5, "1": 0.5}
+
+
+def test_trust_decides_until_frames_show_which_method_leads():
+    names, alike = ("ssr-vlad", "hog", "features"), noisy(7, 0.05)
+    few = FusedScores(dict.fromkeys(names, torch.rand(3, 20)))
+    assert few.weights == pytest.approx({"ssr-vlad": 1 / 9, "hog": 2 / 9, "features": 6 / 9})
+    assert FusedScores(dict.fromkeys(names, alike)).weights == pytest.approx(few.weights)
+    blind = FusedScores({"features": noisy(8, 10.0).clamp(max=0.99), "hog": noisy(9, 0.01)})
+    assert blind.weights["hog"] > 3 * blind.weights["features"]
 
 
 def test_equal_scores_say_nothing():
-    fused = FusedScores([torch.full((3, 20), 0.25), torch.full((3, 20), 0.75)])
+    fused = fuse(torch.full((3, 20), 0.25), torch.full((3, 20), 0.75))
     assert fused.whole().isfinite().all()
     assert (fused.whole() == fused.whole()[:, :1]).all()
 
@@ -76,4 +88,4 @@ def test_equal_scores_say_nothing():
 )
 def test_shapes_that_do_not_fit_are_refused(scores):
     with pytest.raises(ValueError, match=r"expected scores \(Q, R\) of one shape, got"):
-        FusedScores(scores)
+        fuse(*scores)

@@ -31,17 +31,17 @@ def fused(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
     methods, names = [each["method"] for each in details], _sequences(first.queries.frames)
     scores = [_scores(member) for member in members]
     parts = {
-        run: FusedScores([values[run.start : run.stop] for values in scores]) for run in runs(names)
+        run: FusedScores(
+            {name: m[run.start : run.stop] for name, m in zip(methods, scores, strict=True)}
+        )
+        for run in runs(names)
     }
     sums = torch.cat([part.whole() for part in parts.values()])
     costs = {
         cost: {key: sum(each[cost][key] for each in details) for key in ("average", "min", "max")}
         for cost in ("encode_ms", "match_ms")
     }
-    weights = {
-        names[run.start]: dict(zip(methods, part.weights, strict=True))
-        for run, part in parts.items()
-    }
+    weights = {names[run.start]: part.weights for run, part in parts.items()}
     fusion = {
         **{"method": " + ".join(methods), "temporal": None, "weights": weights},
         **{"bytes_a_reference": sum(each["bytes_a_reference"] for each in details), **costs},

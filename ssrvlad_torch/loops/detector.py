@@ -19,7 +19,6 @@ from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.extra_descriptors import extra_methods
 from ..front_end import as_tensor
-from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
 from .memory import Floats, Memory, Vectors, checked_vectors
 from .result import LoopResult
@@ -112,8 +111,7 @@ class LoopDetector:
     @property
     def weights(self) -> dict[str, float]:
         """The present weight of each method; empty without further methods."""
-        names = [SSR_VLAD, *self._others] if self._others else []
-        return dict(zip(names, self._tracker.weights, strict=False))
+        return self._tracker.weights if self._others else {}
 
     def encoder(self) -> SSRVLAD:
         """A head that describes frames for `observe`, from all `columns`."""

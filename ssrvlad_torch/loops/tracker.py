@@ -13,6 +13,7 @@ from torch import Tensor
 from ..recognition.filter import Filter
 from ..recognition.fusion import fused, weights_of, z_lead
 from ..recognition.motion import FORWARDS, MIN_SPREAD, Motion, likelihoods, moments, nearness
+from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
 from .memory import Floats, GrowingArray, Memory, Vectors
 from .result import LoopResult, Reason
@@ -48,13 +49,13 @@ class Tracker:
 
     def __init__(self, config: LoopConfig, memory: Memory, others: Mapping[str, Vectors]) -> None:
         self._config, self._memory, self._others = config, memory, others
-        self._leads = [0.0] * (1 + len(others))
+        self._leads = dict.fromkeys([SSR_VLAD, *others], 0.0)
         self._filter = Filter(motion=MOTION, ways=[FORWARDS])
         self.start_sequence()
 
     @property
-    def weights(self) -> tuple[float, ...]:
-        """The present weights of the methods, see `fusion.weights_of`."""
+    def weights(self) -> dict[str, float]:
+        """The present weights of the methods by their names, see `fusion.weights_of`."""
         return weights_of(self._leads)
 
     def start_sequence(self) -> None:
@@ -104,9 +105,9 @@ class Tracker:
         if not others:
             return scores[0]
         scores += [torch.from_numpy(self._others[name].scores(v)) for name, v in others.items()]
-        for method, each in enumerate(scores):
+        for method, each in zip(self._leads, scores, strict=True):
             self._leads[method] += max(0.0, z_lead(each[:old]))
-        return fused(scores, self.weights, old)
+        return fused(scores, [*self.weights.values()], old)
 
     def _likelihood(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
         """``(N,)``, see `motion.likelihoods`. Frames of the same sequence share light and network:

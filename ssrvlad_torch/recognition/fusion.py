@@ -1,13 +1,13 @@
 """Fusion: the scores of several methods as one, without labels.
 
-Label maps and pictures err at different places. The scores of each method for a query become
-z-scores over all references. The weight of a method grows with the lead of its first candidates on
-the traverse. Not in the paper.
+Label maps, features and pictures err at different places. The scores of each method for a query
+become z-scores over all references. The weight of a method is its trust, times the lead of its
+first candidates on the traverse. Not in the paper.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import torch
@@ -17,6 +17,10 @@ from .follow import Scores
 from .motion import ELSEWHERE, lead, nearness
 from .standardise import MIN_FRAMES
 
+TRUST = {"features": 6.0, "hog": 2.0}
+"""How much a method counts before anything is known of a traverse; others count 1, among them
+`SSRVLAD`. See docs/fusion.md."""
+
 _SAMPLE = 200
 _MIN_SPREAD = 1e-6
 
@@ -25,38 +29,38 @@ class FusedScores(Scores):
     """The scores of one traverse of queries by several methods as one, computed on demand.
 
     They have the form of cosines, for `follow` and `recognise_by_scores`. Where a method has no
-    score of a pair, the others decide. The weights are equal for fewer queries than
-    `standardise.MIN_FRAMES`: so few do not show which method to trust.
+    score of a pair, the others decide. Queries fewer than `standardise.MIN_FRAMES` do not show
+    which method leads, so trust alone weighs them.
 
     Args:
-        members: for each method ``(Q, R)`` float scores, at most 1, higher for what is more alike;
-            -inf where there can be no match.
+        members: by the name of each method ``(Q, R)`` float scores, at most 1, higher for what is
+            more alike; -inf where there can be no match.
 
     Attributes:
-        weights: of the methods; their sum is 1.
+        weights: by the names of the methods; their sum is 1.
 
     Raises:
         ValueError: there is no method, or the shapes differ.
 
     Example:
         >>> here, there = torch.eye(20), torch.eye(20).roll(1, 0)
-        >>> FusedScores([here, here, there]).whole().argmax(1).equal(torch.arange(20))
+        >>> FusedScores({"hog": here, "ssr-vlad": there}).whole().argmax(1).equal(torch.arange(20))
         True
     """
 
-    def __init__(self, members: Sequence[Scores]) -> None:
-        shapes = {(len(each), *each[0].shape) if len(each) else (0,) for each in members}
+    def __init__(self, members: Mapping[str, Scores]) -> None:
+        shapes = {(len(m), *m[0].shape) if len(m) else (0,) for m in members.values()}
         if len(shapes) != 1 or len(next(iter(shapes))) != 2:
             got = ", ".join(map(str, shapes)) or "none"
             raise ValueError(f"expected scores (Q, R) of one shape, got {got}")
-        self._members = members
-        self.weights = weights_of([self._mean_lead(each) for each in members])
+        self._members = list(members.values())
+        self.weights = weights_of({name: self._mean_lead(m) for name, m in members.items()})
 
     def __len__(self) -> int:
         return len(self._members[0])
 
     def __getitem__(self, query: int, /) -> Tensor:
-        return fused([each[query] for each in self._members], self.weights)
+        return fused([each[query] for each in self._members], [*self.weights.values()])
 
     def whole(self) -> Tensor:
         """``(Q, R)`` float32."""
@@ -70,11 +74,13 @@ class FusedScores(Scores):
         return sum(z_lead(scores[query]) for query in sample) / len(sample)
 
 
-def weights_of(leads: Sequence[float]) -> tuple[float, ...]:
-    """The weights of methods by the leads of their first candidates; their sum is 1."""
-    positive = [max(0.0, each) for each in leads]
-    total = sum(positive)
-    return tuple(each / total if total > 0 else 1 / len(positive) for each in positive)
+def weights_of(leads: Mapping[str, float]) -> dict[str, float]:
+    """The weights of methods by their names and the leads of their first candidates; their sum
+    is 1. Where no method leads, trust decides."""
+    trust = {name: TRUST.get(name, 1.0) for name in leads}
+    known = {name: trust[name] * max(0.0, lead) for name, lead in leads.items()}
+    weights = known if sum(known.values()) > 0 else trust
+    return {name: weight / sum(weights.values()) for name, weight in weights.items()}
 
 
 def z_lead(scores: Tensor) -> float:

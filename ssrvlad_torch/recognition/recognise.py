@@ -293,10 +293,9 @@ def _fused(
     """The scores of all methods as one, and the weights of several methods."""
     if len(members) == 1:
         return members[0], {}
-    fused = FusedScores(members)
+    fused = FusedScores(dict(zip(names, members, strict=True)))
     fits = len(fused) * len(fused[0]) <= _SCORES_IN_MEMORY
-    weights = dict(zip(names, fused.weights, strict=True))
-    return fused.whole() if fits else fused, weights
+    return fused.whole() if fits else fused, fused.weights
 
 
 def _decided(

@@ -61,8 +61,8 @@ def compare(
     method is measured twice: by the scores of single frames, and with the steps below.
     --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad. Methods without
     their images, label maps or weights are left out. The others are compared on the frames that
-    all of them can use. --fuse adds the scores of methods, each weighted by how far its first
-    candidates are ahead on these queries.
+    all of them can use. --fuse adds the scores of methods; features count more than HOG, HOG more
+    than label maps, and each the more, the farther its first candidates are ahead.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 
@@ -81,7 +81,7 @@ def compare(
 
     names = [name.strip() for name in method.split(",")]
     fused = [name.strip() for name in fuse.split(",")] if fuse else []
-    if fuse and (len(set(fused)) < 2 or not set(fused) <= set(names)):
+    if fuse and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
     methods = _make(names, parse_settings(settings or ()), random_weights)
     drives = Drives.open(options)
