@@ -141,6 +141,21 @@ def test_a_threshold_is_suggested_though_no_loop_is_found(loops, drive):
     assert out.splitlines()[-1].startswith("no threshold to suggest: no candidate is right")
 
 
+def test_without_a_loop_the_likeliest_pair_is_told(loops, drive):
+    _, out, _ = loops(drive, settings=(*SETTINGS, "--threshold", 1))
+    lines = objects(loops(drive, "--json")[1])
+    best = max(lines, key=lambda line: line["probability"] or 0)
+    told = f"no loop: the likeliest is {best['frame']}: {best['candidate']} with probability "
+    assert out.splitlines()[-2] == f"{told}{best['probability']:.4f}, --threshold 1"
+    assert out.splitlines()[-1].endswith("a street driven the other way is never found")
+    (drive / "50.png").unlink()
+    _, out, _ = loops(*(drive / f"{n:02d}.png" for n in range(12)))
+    assert "with probability 0.0" in out and ", more likely wrong than right, " in out
+    _, out, _ = loops(drive, settings=())
+    assert "no loop: no frame comes more than --exclude 50 frames after another" in out
+    assert "no loop" not in loops(drive)[1]
+
+
 def test_a_picture_that_cannot_be_is_refused_before_the_first_frame(loops, drive, monkeypatch):
     code, out, (error,) = loops(drive, "--picture", drive / "loops.xyz")
     assert (code, out) == (2, "")

@@ -25,6 +25,7 @@ def draw_loops(
     title: str,
     metres: float | None = None,
     sequences: Sequence[str] | None = None,
+    candidates: Rows | None = None,
 ) -> Figure:
     """Draws a stream.
 
@@ -39,6 +40,8 @@ def draw_loops(
         metres: largest distance of a right loop; right loops are green, wrong ones red. Without,
             all are blue.
         sequences: the sequence of each frame; without, all are of one.
+        candidates: ``(N,)`` int64, the row of each frame's candidate, -1 for none; those that are
+            no loop are drawn faintly.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -47,7 +50,7 @@ def draw_loops(
     there = loops[here]
     placed = bool(np.isfinite(poses[:, :2]).all(axis=1).any())
     figure = new_figure(10 if placed else 5, 5)
-    figure.suptitle(f"{title}: {len(here)} of {len(loops)} frames close a loop")
+    figure.suptitle(f"{title}\n{len(here)} of {len(loops)} frames close a loop", wrap=True)
     axes = figure.subplots(1, 2 if placed else 1, squeeze=False)[0]
     if placed:
         _draw_trajectory(axes[0], poses, sequences or [""] * len(poses))
@@ -56,6 +59,10 @@ def draw_loops(
             _draw_loops_from_above(axes[0], poses, here[chosen], there[chosen], colour)
         label = f"{name}: {np.count_nonzero(chosen)}"
         axes[-1].plot(here[chosen], there[chosen], ".", ms=4, color=colour, label=label)
+    if candidates is not None:
+        faint = np.flatnonzero((candidates >= 0) & (loops < 0))
+        label = f"candidates below the threshold: {len(faint)}"
+        axes[-1].plot(faint, candidates[faint], ".", ms=2, color=_GRAY, zorder=1, label=label)
     ends = (0, max(1, len(loops)))
     axes[-1].plot(ends, ends, color=_GRAY, lw=0.8, zorder=0, label="the frame itself")
     axes[-1].set(xlabel="number of the frame", ylabel="number of its candidate")

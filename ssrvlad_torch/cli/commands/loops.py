@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ...evaluation.loops import EVEN
 from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
 from ..options import Json, MaybePreset, SourceOptions, With, option
@@ -54,7 +55,7 @@ def loops(
     from ...database.database import Database
     from ...encoding.results import Skipped
     from ...loops.picture import draw_loops
-    from ...loops.stream import detect_loops, loops_of, open_detector, report
+    from ...loops.stream import candidates_of, detect_loops, loops_of, open_detector, report
     from ...picture import require_picture, write_picture
     from ..sources import Source
 
@@ -76,11 +77,12 @@ def loops(
             else:
                 results.append(result)
                 _print_result(result, as_json)
-    _print_report(report(detector, results, tolerance_metres), as_json)
+    _print_report(report(detector, results, tolerance_metres), results, config, as_json)
     if picture:
-        pairs = loops_of(detector, results)
-        title, drives = " ".join(source.paths), [f.rpartition("/")[0] for f in detector.frames]
-        figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives)
+        pairs, candidates = loops_of(detector, results), candidates_of(detector, results)
+        drives = [frame.rpartition("/")[0] for frame in detector.frames]
+        title = ", ".join(dict.fromkeys(drives))
+        figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives, candidates)
         write_picture(figure, picture)
     finish(skipped, len(results))
 
@@ -115,7 +117,26 @@ def _print_result(result: LoopResult, as_json: bool) -> None:
         say(f"{result.frame}: {result.candidate} {result.probability:.4f}{ahead}")
 
 
-def _print_report(summary: Mapping[str, Any], as_json: bool) -> None:
+def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
+    """Where no frame closes a loop: the likeliest pair, and what could be changed."""
+    best = max(results, key=lambda result: result.probability or 0.0, default=None)
+    if best is None or best.probability is None:
+        say(f"no loop: no frame comes more than --exclude {config.exclude} frames after another")
+        return
+    unlikely = "" if best.probability >= EVEN else ", more likely wrong than right"
+    say(
+        f"no loop: the likeliest is {best.frame}: {best.candidate} with probability "
+        f"{best.probability:.4f}{unlikely}, --threshold {config.threshold:g}"
+    )
+    say(
+        "pictures and --with, or frames nearer to each other, may find more; a street driven the "
+        "other way is never found"
+    )
+
+
+def _print_report(
+    summary: Mapping[str, Any], results: Sequence[LoopResult], config: LoopConfig, as_json: bool
+) -> None:
     """Prints the summary; as JSON only if it has precision and recall, for all other lines are
     frames."""
     if as_json:
@@ -127,6 +148,8 @@ def _print_report(summary: Mapping[str, Any], as_json: bool) -> None:
     columns = ", ".join(map(str, summary["steps"]["sweep"])) or "0"
     steps = ["standardised", f"anchors {columns}", "no temporal sum", "followed online"]
     say(f"steps: {', '.join([*steps, *weights_in_words([summary['steps']['weights']])])}")
+    if not any(result.accepted for result in results):
+        _print_likeliest(results, config)
     if "precision" not in summary:
         return
     say(
