@@ -358,8 +358,36 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(map
     files = maps.files("01/labels", known=maps.database().folders())
     assert {file.sequence for file in files} == {"01/labels"}
     assert encode_to_database(HEAD, files, maps.database()).encoded == 3
-    files = maps.files("01/labels", sequence="labels")[1:]
+    maps.add("02/labels", range(3, 5))
+    files = maps.files("02/labels", sequence="labels")
     assert encode_to_database(HEAD, files, maps.database()).encoded == 2, "the user gave the name"
+
+
+def test_a_file_is_not_stored_under_two_names(maps):
+    maps.add("a", range(3))
+    maps.encode()
+    files = maps.files("a", sequence="new")
+    options = EncodeOptions(complete=True, prune=True)
+    expected = r"a/0\.png is frame 'a/0' of the database: expected --sequence a, got new"
+    with pytest.raises(ValueError, match=expected):
+        encode_to_database(HEAD, files, maps.database(), options)
+    assert len(maps.database()) == 3
+    maps.add("a", range(3, 5))
+    files = [file for file in maps.files("a", sequence="new") if file.name in "34"]
+    assert encode_to_database(HEAD, files, maps.database()).encoded == 2
+
+
+def test_a_stack_beside_a_folder_of_its_name_is_another_sequence(maps):
+    maps.add("day", range(3))
+    maps.encode("day")
+    np.save(maps.folder / "day.npy", np.stack([street(seed) for seed in range(4)]))
+    with pytest.raises(ValueError, match="needs a name"):
+        maps.files("day", "day.npy")
+    files = maps.files("day.npy", sequence="stack")
+    options = EncodeOptions(complete=True, prune=True)
+    assert encode_to_database(HEAD, files, maps.database(), options).encoded == 4
+    assert maps.encode("day", complete=True, prune=True).pruned == 0
+    assert len(maps.database()) == 7
 
 
 def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(maps):

@@ -1,7 +1,5 @@
 """Names of sequences: short, and never two alike."""
 
-from pathlib import Path
-
 import pytest
 
 from ssrvlad_torch.datasets.label_files import find_label_files
@@ -35,12 +33,18 @@ def test_names_that_are_taken_stay(tmp_path):
         "/other/labels": "other/labels",
         str(tmp_path): "labels",
     }
-    for folder in (f"{tmp_path}.npy", f"{tmp_path}.v2.bag"):
-        Path(folder).touch()
-        stack = Path(folder).with_suffix("")
-        assert sequence_names(["/other/labels"], [(str(stack), "labels")]) == {
-            "/other/labels": "other/labels"
-        }
+
+
+def test_a_stack_or_a_bag_is_named_without_its_suffix_and_is_not_the_folder_beside_it(tmp_path):
+    assert sequence_names(["/d/day.npy", "/d/run.v2.bag"]) == {
+        "/d/day.npy": "day",
+        "/d/run.v2.bag": "run.v2",
+    }
+    for suffix in (".npy", ".bag"):
+        with pytest.raises(ValueError, match="needs a name that no sequence has"):
+            sequence_names(["/d/day", f"/d/day{suffix}"])
+        with pytest.raises(ValueError, match=rf"'day' of the database is /d/day, not .*{suffix}"):
+            check_sequences([(f"/d/day{suffix}", "day")], [("/d/day", "day")])
 
 
 def test_a_known_folder_has_its_name_by_a_link_too(tmp_path):

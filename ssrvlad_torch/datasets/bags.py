@@ -16,9 +16,8 @@ import numpy.typing as npt
 from ..files import one_line
 from ..untrusted import check_pixels
 from .frame_file import FrameFile
-from .names import absolute
+from .names import BAG_SUFFIXES, absolute
 
-_SUFFIXES = (".bag", ".mcap", ".db3")
 _MESSAGE_TYPES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 _CHANNELS = {
     "rgb8": (0, 1, 2),
@@ -55,7 +54,7 @@ class BagFile(FrameFile):
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a ROS 1 bag, a file of a ROS 2 bag, or the folder of a ROS 2 bag."""
-    return path.suffix.lower() in _SUFFIXES or (path / "metadata.yaml").is_file()
+    return path.suffix.lower() in BAG_SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
@@ -72,10 +71,7 @@ def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
         ImportError: the extra ``rosbag`` is not installed.
     """
     opened = _Topic(path, topic)
-    name, folder = (
-        opened.connection.topic,
-        absolute(path if path.is_dir() else path.with_suffix("")),
-    )
+    name, folder = opened.connection.topic, absolute(path)
     return [
         BagFile("", str(time), path, row, folder=folder, stamp=time * 1e-9, topic=name)
         for row, (time, _) in enumerate(opened.messages())

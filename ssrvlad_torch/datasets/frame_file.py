@@ -29,7 +29,7 @@ class FrameFile:
         row: number of the frame in a ``.npy`` stack or a bag, ``None`` for a file of one frame.
         pose: pose of the camera, NaN where unknown.
         named: whether the user chose the name of the sequence.
-        folder: absolute path of the sequence's folder, or of a stack without its suffix.
+        folder: absolute path of the sequence's folder, or of a stack or bag that is a sequence.
         stamp: time in seconds, NaN if unknown.
         placed: whether a file of poses, or a name, says the pose: an unknown one is then none, and
             else may be known elsewhere.
@@ -47,7 +47,7 @@ class FrameFile:
 
     def __post_init__(self) -> None:
         if not self.folder:
-            folder = self.path.parent if self.row is None else self.path.with_suffix("")
+            folder = self.path.parent if self.row is None else self.path
             object.__setattr__(self, "folder", absolute(folder))
 
     readers: ClassVar[int] = 1

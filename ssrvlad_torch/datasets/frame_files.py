@@ -224,7 +224,7 @@ def _frames(path: Path, kind: FileKind, folder: str, alone: bool) -> Iterator[Fr
     if length is None:
         yield FrameFile("", path.stem, path, folder=folder)
         return
-    folder = absolute(path.with_suffix("")) if alone else folder
+    folder = absolute(path) if alone else folder
     for row in range(length):
         yield FrameFile("", f"{path.stem}-{row:06d}", path, row, folder=folder)
 

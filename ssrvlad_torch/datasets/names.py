@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import glob
 import os
 from collections import Counter
 from collections.abc import Collection, Iterable
 from pathlib import Path, PurePath
 from urllib.parse import unquote
 
+BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+
 KnownFolders = Collection[tuple[str, str]]
-"""Named folders, ``(folder, sequence)``; the folder is empty if it is unknown."""
+"""Named folders, stacks and bags, ``(folder, sequence)``; the folder is empty if it is unknown."""
 
 
 def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
@@ -89,11 +90,13 @@ def _real(folder: str) -> str:
 
 
 def path_ends(folder: str) -> list[str]:
-    """The ends of a path or a URI, the shortest first."""
+    """The ends of a path or a URI, the shortest first; of a stack or a bag without the suffix."""
     if is_uri(folder):
         parts = [part for part in unquote(folder.partition("://")[2]).split("/") if part]
     else:
         path = PurePath(folder)
+        if path.suffix.lower() in (".npy", *BAG_SUFFIXES):
+            path = path.with_suffix("")
         parts = [part for part in path.parts if part != path.anchor] or [path.anchor]
     return ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
 
@@ -117,10 +120,7 @@ def _require_existing(owners: Collection[str], folder: str, name: str) -> None:
 
 
 def _exists(folder: str) -> bool:
-    """Whether a folder exists, or a stack or bag of this path without its suffix."""
-    return is_uri(folder) or bool(
-        folder and (Path(folder).exists() or glob.glob(f"{glob.escape(folder)}.*"))
-    )
+    return is_uri(folder) or bool(folder and Path(folder).exists())
 
 
 def absolute(path: Path) -> str:

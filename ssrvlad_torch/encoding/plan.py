@@ -49,11 +49,12 @@ class Plan:
         """The plan for files whose label maps have an origin.
 
         Raises:
-            ValueError: as for `check_folders`.
+            ValueError: as for `check_folders`, or a file is a frame of another sequence.
         """
         known, origins = database.known(), database.origins
         current = {key for key, stored in origins.items() if _why_origin(origin, stored) is None}
         check_folders(files, known)
+        _check_names(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         for file in files:
             record = known.get(file.frame)
@@ -127,6 +128,20 @@ def check_folder(file: FrameFile, record: FrameRecord) -> None:
             f"frame {file.frame!r} of the database is of {folder}, not of {file.folder}: give "
             "another name with --sequence"
         )
+
+
+def _check_names(files: Sequence[FrameFile], known: StoredRecords) -> None:
+    """Requires that no file is stored already as a frame of another sequence."""
+    stored = known.folders()
+    for folder, name in {(file.folder, file.sequence) for file in files if file.named}:
+        others = {other for of, other in stored if of and is_same_folder(of, folder)} - {name}
+        for file in files if others else ():
+            frames = [f"{other}/{file.name}" for other in others]
+            if file.folder == folder and (there := next((f for f in frames if f in known), "")):
+                raise ValueError(
+                    f"{file.location} is frame {there!r} of the database: expected --sequence "
+                    f"{there.removesuffix(f'/{file.name}')}, got {name}"
+                )
 
 
 def _gone(files: Sequence[FrameFile], known: StoredRecords) -> Iterator[str]:
