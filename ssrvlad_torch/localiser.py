@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
+import math
 import os
 from pathlib import Path
 from typing import NamedTuple
@@ -36,16 +38,17 @@ class Place(NamedTuple):
 
     Attributes:
         frame: id of the best frame of the database.
-        score: its cosine (Eq. 4), see `recognise`.
+        score: its cosine (Eq. 4), at most 1; with further methods the fused score of all.
         confidence: probability that the place is right, 0 to 1; 0 if the database has too few
             frames to estimate it.
-        pose: of the frame, in metres and radians, NaN where unknown.
+        pose: of the frame, in metres and radians, with a heading of NaN if only that is unknown;
+            ``None`` if it is unknown.
     """
 
     frame: str
     score: float
     confidence: float
-    pose: Pose
+    pose: Pose | None
 
 
 class Localiser:
@@ -149,6 +152,7 @@ class Localiser:
             The best place, even at low confidence; ``None`` if the picture or every frame is empty.
 
         Raises:
+            FileNotFoundError: the file does not exist.
             ValueError: it is no picture, the network fails, or the database is empty or damaged.
         """
         if isinstance(picture, (str, os.PathLike)):
@@ -176,9 +180,10 @@ class Localiser:
         row = int(found.matches.indices[0, 0])
         if row < 0:
             return None
-        score, confidence = float(found.matches.scores[0, 0]), float(found.confidence[0])
+        score = min(1.0, float(found.matches.scores[0, 0]))
         pose = Pose(*references.poses[row].tolist())
-        return Place(references.frames[row], score, confidence, pose)
+        known = None if math.isnan(pose.x) else pose
+        return Place(references.frames[row], score, float(found.confidence[0]), known)
 
     def _references(self) -> FrameSet:
         if self._loaded is None or self._version != self.database.version:
@@ -223,6 +228,8 @@ def require_network(database: Database, segmenter: Segmenter) -> None:
 
 
 def _read(path: Path) -> Pixels:
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
     try:
         return read_image(FrameFile("", "", path))
     except ValueError as error:

@@ -61,11 +61,12 @@ def test_locate_takes_the_network_of_the_database(town, network, ssrvlad, tmp_pa
     code, out, _ = ssrvlad("locate", *photos, "--in", town)
     first, second = out.splitlines()
     assert code == 0
-    assert first.startswith("photos/1: photos/1, score ")
+    assert first.startswith("photos/1: photos/1, cosine ")
     assert first.endswith("x 1.0 m, y 0.0 m, heading 29 degrees")
     assert second.endswith("pose unknown")
     found = json.loads(ssrvlad("locate", photos[0], "--in", town, "--json")[1])
     assert (found["picture"], found["place"], found["x"]) == ("photos/1", "photos/1", 1)
+    assert found["score_is"] == "cosine" and found["score"] <= 1
     unsure = ssrvlad("locate", photos[0], "--in", town, "--min-confidence", 1)[1]
     assert unsure.startswith("photos/1: no place (confidence 0.")
     network.write_text("network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 2]\n")

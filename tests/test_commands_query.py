@@ -14,20 +14,22 @@ REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
 def test_a_query_finds_itself(ssrvlad, database, maps):
     code, out, _ = ssrvlad("query", database, maps, "--top", 1)
     assert code == 0
-    found = [line.split(" (confidence")[0].rpartition(" ")[0] for line in out.splitlines()]
+    found = [line.split(" (")[0].rpartition(" ")[0] for line in out.splitlines()]
     assert found == [f"monday/{n:03d}: monday/{n:03d}" for n in range(6)]
 
 
 def test_steps_are_told_and_taken(ssrvlad, database, maps):
     steps = ("--no-standardise", "--no-sweep", "--follow", "no")
     _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)
-    assert [line.split(" (")[0].split()[-1] for line in out.splitlines()] == ["1.0000"] * 6
+    ends = [line.split()[-4:] for line in out.splitlines()]
+    assert ends == [["1.0000", "(cosine,", "confidence", "0.00)"]] * 6
     assert "not standardised, no sweep, followed: no, no temporal sum" in err[-1]
     sure = json.loads(ssrvlad("query", database, maps, "--json")[1].splitlines()[0])
     assert sure["confidence"] == 0 and sure["steps"]["standardise"] == {"monday": False}
     assert "6 references are too few" in err[-1]
-    followed = ssrvlad("query", database, maps)[2][-1]
-    assert "followed: offline" in followed and "scores: first the probability" in followed
+    _, followed, err = ssrvlad("query", database, maps)
+    assert "followed: offline" in err[-1] and "(probability, confidence" in followed
+    assert sure["score_is"] == "probability"
     nothing = ssrvlad("query", database, maps, "--min-confidence", 1)[1].splitlines()
     assert all("no candidate" in line for line in nothing)
     assert "temporal sum t = 3" in ssrvlad("query", database, maps, "--as-paper")[2][-1]

@@ -215,7 +215,7 @@ def test_queries_are_fused_by_default(town, photos, ssrvlad):
 def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
     code, out, err = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
     assert code == 0
-    assert out.startswith("today/7: monday/7, score ")
+    assert out.startswith("today/7: monday/7, fused score ")
     assert "fused: ssr-vlad 0.50 + hog 0.50" in err[-1]
     by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", beside="hog")
     assert by_name.add(photos / "monday").encoded == 31

@@ -74,7 +74,7 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
             read_label_map(query_files[n], space),
             read_label_map(reference_files[best[n]], space),
             query_files[n].frame,
-            f"{reference_files[best[n]].frame}, score {scores[n, 0]:.2f}",
+            f"{reference_files[best[n]].frame}, cosine {scores[n, 0]:.2f}",
             right[n],
         )
         for n in chosen(right, [row >= 0 for row in best], PICTURED)

@@ -19,6 +19,7 @@ from ..evaluation.outcomes import judge
 from ..evaluation.report import Pictures
 from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
 from ..recognition.matching import Matches
+from ..recognition.recognise import NO_SEQUENCE
 from ..recognition.standardise import MIN_FRAMES
 from .output import fraction, interval, print_table, weights_in_words
 from .truth import Places
@@ -109,13 +110,14 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
     return proven if low >= SURE_PRECISION else f"{proven}; {missing}"
 
 
-def score_name(used: Mapping[str, Any]) -> str:
-    """What the scores of candidates are, by the steps that were taken: cosines of queries that were
-    judged alone, probabilities of those that were followed."""
-    followed, weights = used["follow"].values(), used["weights"].values()
-    alone = "fused score" if any(weights) else "cosine"
-    names = {alone if mode == "no" else "probability" for mode in followed}
-    return " or ".join(sorted(names)) or "score"
+def score_name(used: Mapping[str, Any], sequence: str | None = None) -> str:
+    """What the scores of candidates are, by the steps that were taken for one sequence or for all:
+    cosines of queries that were judged alone, fused scores if several methods judged them,
+    probabilities of queries that were followed."""
+    alone = "fused score" if any(used["weights"].values()) else "cosine"
+    modes = used["follow"].values() if sequence is None else [used["follow"][sequence]]
+    names = {alone if mode in ("no", NO_SEQUENCE) else "probability" for mode in modes}
+    return " or ".join(sorted(names))
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
@@ -144,7 +146,7 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
 
 
 def _thresholds(points: Mapping[str, Any], used: Mapping[str, Any] | None) -> Table:
-    score = score_name(used) if used else "score"
+    score = (used and score_name(used)) or "score"
     table = Table("threshold for", score, "precision", "lower end", "recall", "accepted")
     for kind in ("precision", "recall"):
         for value, point in points[f"at_{kind}"].items():

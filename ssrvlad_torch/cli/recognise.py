@@ -8,7 +8,7 @@ from ..database.database import Database
 from ..evaluation.metrics import Convention
 from ..recognition.recognise import AS_PAPER
 from ..recognition.sweep import COLUMNS, score
-from .measure import TOP, Recognition, needs_similarity
+from .measure import TOP, Recognition, needs_similarity, score_name
 from .options import RecognitionOptions
 from .pictures import pictures_of_queries, pictures_of_references
 from .search import confident, search, settings_of
@@ -48,6 +48,7 @@ def by_database(
             "fingerprint": config.fingerprint,
             "temporal": t,
             "steps": recognised.used,
+            "score_is": score_name(recognised.used),
             "mean_confidence": float(recognised.confidence.mean()),
         },
     )

@@ -54,7 +54,7 @@ def write_page(
         cosines=lambda rows, columns: score(
             queries[torch.from_numpy(rows)], references[torch.from_numpy(columns)]
         ).numpy(),
-        score=score_name(recognition.details["steps"]),
+        score=score_name(recognition.details["steps"]) or "score",
         pictures=recognition.pictures,
         settings=_settings(settings, recognition),
         notes=[*_notes(recognition, truth), proof(metrics["thresholds"]["suggested"])],

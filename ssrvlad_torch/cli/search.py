@@ -139,10 +139,13 @@ def search_index(
 
 
 def confident(recognised: Recognised, least: float) -> Matches:
-    """The candidates, without those of queries whose confidence is below ``least``."""
+    """The candidates, without those of queries whose confidence is below ``least``. Scores that
+    are rounded above 1 are 1."""
     unsure = (recognised.confidence < least)[:, None]
     scores, indices = recognised.matches
-    return Matches(scores.masked_fill(unsure, -torch.inf), indices.masked_fill(unsure, -1))
+    return Matches(
+        scores.clamp(max=1).masked_fill(unsure, -torch.inf), indices.masked_fill(unsure, -1)
+    )
 
 
 def excluded_pairs(

@@ -15,13 +15,14 @@ def locate(
     recognition: RecognitionOptions,
     as_json: Json = False,
 ) -> None:
-    """Print where pictures were taken: the best frame of a database, its score, confidence and
-    pose. Without --segmenter, the network that made the database labels the pictures.
+    """Print where pictures were taken: the best frame of a database, its cosine, fused score or
+    probability (score and score_is with --json), confidence and pose. Without --segmenter, the
+    network that made the database labels the pictures.
 
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
     from ...database.database import Database
-    from ..measure import steps_in_words
+    from ..measure import score_name, steps_in_words
     from ..search import confident, search
     from ..sources import Source
 
@@ -30,17 +31,19 @@ def locate(
     queries, references, found, t, skipped, _ = search(opened, frames, recognition, top=1)
     scores, rows = confident(found, recognition.min_confidence)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
-    for picture, score, row, confidence in zip(queries.frames, *columns, strict=True):
+    names = queries.frames, queries.sequences
+    for picture, sequence, score, row, confidence in zip(*names, *columns, strict=True):
+        kind = score_name(found.used, sequence)
         place = references.frames[row] if row >= 0 else None
         pose = references.poses[row].tolist() if row >= 0 else [math.nan] * 3
         if as_json:
-            match = {"picture": picture, "place": place, "score": score if place else None}
             where = dict(zip(("x", "y", "heading"), pose, strict=True))
-            print_json({**match, "confidence": confidence, **where})
+            match = {"picture": picture, "place": place, "score": score if place else None}
+            print_json({**match, "score_is": kind, "confidence": confidence, **where})
         elif place is None:
             say(f"{picture}: no place (confidence {confidence:.2f})")
         else:
-            sure = f"score {score:.4f}, confidence {confidence:.2f}"
+            sure = f"{kind} {score:.4f}, confidence {confidence:.2f}"
             say(f"{picture}: {place}, {sure}, {_where(*pose)}")
     if not as_json:
         note(steps_in_words(found.used, t))

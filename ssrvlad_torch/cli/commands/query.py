@@ -21,9 +21,10 @@ def query(
     recognition: RecognitionOptions,
     top: int = option("Number of candidates of each query.", default=5, min=1),
     threshold: float | None = option(
-        "Leave out candidates whose score is not above this. The score of a single frame is a "
-        "cosine. For a followed query, the score of the first candidate is the probability of that "
-        "place (a few frames around it), and every other score is the probability of one frame.",
+        "Leave out candidates whose score is not above this: a cosine for queries that are judged "
+        "alone (a fused score of the same range if several methods judge them), a probability for "
+        "followed ones: of the first candidate that of the place (a few frames around it), of "
+        "others that of one frame.",
         max=1,
     ),
     from_sequence: list[str] | None = option(
@@ -51,7 +52,9 @@ def query(
     ),
     as_json: Json = False,
 ) -> None:
-    """Recognise places: print candidate frames with their scores for each query, best first.
+    """Recognise places: print candidate frames with their scores for each query, best first, and
+    what the scores are. With --json they are score, and score_is is cosine, fused score or
+    probability.
 
     Example: ssrvlad query town.ssrdb maps/today --top 3
     """
@@ -92,13 +95,15 @@ def query(
 
 def _print(found: Found, min_confidence: float, least: float, way: str, as_json: bool) -> None:
     """Prints a line for each query, with its candidates of a score above ``least``."""
-    from ..measure import steps_in_words
+    from ..measure import score_name, steps_in_words
     from ..search import confident
 
     used, t = found.recognised.used, found.temporal
     matches = confident(found.recognised, min_confidence)
     columns = *(part.tolist() for part in matches), found.recognised.confidence.tolist()
-    for frame, scores, rows, confidence in zip(found.queries.frames, *columns, strict=True):
+    names = found.queries.frames, found.queries.sequences
+    for frame, sequence, scores, rows, confidence in zip(*names, *columns, strict=True):
+        kind = score_name(used, sequence)
         ranked = [
             (found.references.frames[row], score)
             for row, score in zip(rows, scores, strict=True)
@@ -107,14 +112,12 @@ def _print(found: Found, min_confidence: float, least: float, way: str, as_json:
         if as_json:
             candidates = [{"frame": name, "score": score} for name, score in ranked]
             details = {"confidence": confidence, "temporal": t, "steps": used}
-            print_json({"query": frame, "candidates": candidates, **details})
+            print_json({"query": frame, "candidates": candidates, "score_is": kind, **details})
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
-            say(f"{frame}: {listed or 'no candidate'} (confidence {confidence:.2f})")
+            say(f"{frame}: {listed or 'no candidate'} ({kind}, confidence {confidence:.2f})")
     if not as_json:
-        scores = "; scores: first the probability of the place, then those of single frames"
-        followed = any(mode != "no" for mode in used["follow"].values())
-        note(way + steps_in_words(used, t) + scores * followed)
+        note(way + steps_in_words(used, t))
 
 
 def _window(text: str | None) -> tuple[int | None, int | None]:
