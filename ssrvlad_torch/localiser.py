@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import math
 import os
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,11 +21,11 @@ from .database.metadata import Origin
 from .datasets.frame_file import FrameFile
 from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
-from .descriptor import SSRVLAD, query_head
+from .descriptor import SSRVLAD, mirrored, query_head
 from .encoding.encoder import encode_to_database
 from .encoding.extra_descriptors import extra_descriptor, extra_methods
 from .encoding.results import Summary
-from .recognition.recognise import Steps, recognise
+from .recognition.recognise import SSR_VLAD, Steps, recognise
 from .recognition.sweep import COLUMNS
 from .segmentation.networks import AUTO, runs_code
 from .segmentation.segmenter import Segmenter
@@ -175,6 +176,10 @@ class Localiser:
             beside={
                 each.name: (each.encode_query([frame]), references.beside[each.name])
                 for each in self._methods
+            },
+            mirrors={
+                SSR_VLAD: partial(mirrored, config=self.database.config),
+                **{each.name: each.mirrored for each in self._methods},
             },
         )
         row = int(found.matches.indices[0, 0])

@@ -4,7 +4,9 @@ import json
 
 import numpy as np
 import pytest
+from drawings import SPACE
 from drives import write_maps
+from helpers import street
 
 from ssrvlad_torch import SSRVLADConfig
 
@@ -183,3 +185,29 @@ def test_a_map_that_was_moved_is_asked_for_its_name(ssrvlad, database, maps):
 def _first(out: str) -> dict[str, str]:
     """The first candidate of each query."""
     return {line.split(": ")[0]: line.split()[1] for line in out.splitlines()}
+
+
+def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
+    """The mirrored map is asked, so that no answer is right; then the map itself."""
+    streets = [street(seed) for seed in range(60)]
+    for name, maps in (("town", streets), ("mirrored", [each[:, ::-1] for each in streets])):
+        (tmp_path / name).mkdir()
+        for number, labels in enumerate(maps):
+            np.save(tmp_path / name / f"{number:03}.npy", labels)
+    town = tmp_path / "town.ssrdb"
+    assert ssrvlad("encode", tmp_path / "town", "-o", town, "--labels-as", SPACE)[0] == 0
+    ask = "query", town, tmp_path / "town", "--follow", "no", "--max-wrong", 0.1
+    code, out, err = ssrvlad(*ask)
+    assert code == 0 and all("no candidate" not in line for line in out.splitlines())
+    assert "; accepted 60 answers of confidence " in err[0]
+    assert "; 1.7% estimated to be wrong (95 % interval 0.0% to " in err[0]
+    code, out, _ = ssrvlad(*ask, "--json")
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert lines[0]["estimate"] == lines[-1]["estimate"]
+    assert lines[0]["estimate"]["accepted"] == 60 and lines[0]["estimate"]["low"] == 0
+    ask = "query", town, tmp_path / "mirrored", "--follow", "no", "--max-wrong", 0.1
+    code, out, err = ssrvlad(*ask)
+    assert all("no candidate" in line for line in out.splitlines())
+    assert err[0].endswith("; no answer is accepted")
+    both = "query", town, tmp_path / "town", "--max-wrong", 0.1, "--min-confidence", 0.5
+    assert ssrvlad(*both)[0] == 2

@@ -9,7 +9,7 @@ from ssrvlad_torch import Database, match, standardise
 from ssrvlad_torch.database import index_search
 from ssrvlad_torch.database.index import build_index, search_index
 from ssrvlad_torch.database.index_search import IndexSearch
-from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_search
+from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise, recognise_by_search
 from ssrvlad_torch.recognition.sweep import score
 
 
@@ -102,6 +102,11 @@ def test_a_damaged_row_is_refused(tmp_path):
         search_index(Database.open(tmp_path / "db"), numbers[5][None], 1)
 
 
+def exchange(vectors):
+    """A mirror: it changes the sign of every second number."""
+    return vectors * torch.tensor([1.0, -1]).repeat(vectors.shape[-1] // 2)
+
+
 @pytest.mark.parametrize("follow", ["offline", "online", None])
 @pytest.mark.parametrize("off", [True, False])
 def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypatch, follow, off):
@@ -112,10 +117,19 @@ def test_with_all_frames_as_candidates_results_equal_exact_search(town, monkeypa
     queries[11] = 0
     steps = Steps(standardise=off, sweep=False, follow=follow)
     names = ["q"] * 40
-    expected = recognise(queries, frames.descriptors, names, frames.sequences, steps, 3)
-    got = recognise_by_search(
-        lambda own: IndexSearch(database, queries, names, own), names, frames.sequences, steps, 3
+    mirrors = {SSR_VLAD: exchange} if off else None
+    expected = recognise(
+        queries, frames.descriptors, names, frames.sequences, steps, 3, mirrors=mirrors
     )
+
+    def search(own: bool) -> IndexSearch:
+        return IndexSearch(database, queries, names, own)
+
+    def decoys(own: bool) -> IndexSearch:
+        return search(own).mirrored(exchange)
+
+    sequences = names, frames.sequences
+    got = recognise_by_search(search, *sequences, steps, 3, decoys if off else None)
     assert got.used == {**expected.used, "sweep": {"q": 0}}
     assert torch.equal(got.matches.indices, expected.matches.indices)
     torch.testing.assert_close(got.matches.scores, expected.matches.scores, atol=1e-4, rtol=0)

@@ -1,11 +1,9 @@
-"""`recognition.recognise` and `recognition.confidence`."""
-
 import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.recognition.confidence import confidence_of_places, confidence_of_scores
-from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, Steps, recognise
+from ssrvlad_torch.recognition.confidence import accept
+from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, SSR_VLAD, Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -98,19 +96,65 @@ def test_what_is_barred_is_no_candidate():
         assert right(found, 30) == 0
 
 
-def test_confidence_rises_with_what_it_rests_on():
-    for mode in ("online", "offline"):
-        sure = confidence_of_places(torch.linspace(0, 1, 9), mode)
-        assert (sure.diff() > 0).all() and 0 < sure[0] < 0.6 < sure[-1] < 1
-    clear, unclear = torch.full((50,), 0.1), torch.full((50,), 0.1)
-    clear[3], unclear[3], unclear[30] = 0.9, 0.9, 0.89
-    assert confidence_of_scores(clear) > confidence_of_scores(unclear)
-    assert confidence_of_scores(torch.full((4,), -torch.inf)) == 0
+def exchange(vectors: torch.Tensor) -> torch.Tensor:
+    """A mirror: it changes the sign of every second number."""
+    return vectors * torch.tensor([1.0, -1]).repeat(vectors.shape[-1] // 2)
+
+
+@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("steps", [Steps(follow=None), AS_PAPER])
+def test_decoys_tell_right_answers_from_wrong_ones(steps, beside):
+    queries, references = two_traverses(120, 1.3 if steps.standardise else 0.8)
+    foreign = two_traverses(240, 1.3)[0][120:]
+    pairs = {"own": (queries, references)} if beside else None
+    mirrors = {SSR_VLAD: exchange, "own": exchange}
+    names = ["q"] * 120, ["r"] * 120
+    found = recognise(queries, references, *names, steps, 1, None, pairs, mirrors)
+    wrong = found.matches.indices[:, 0] != torch.arange(120)
+    sure = found.confidence
+    assert sure[wrong].mean() < 0.7 * sure[~wrong].mean() and wrong.float().mean() > 0.05
+    kept = accept(found.sure, 0.1)
+    assert kept.accepted > 30
+    assert wrong[sure >= kept.confidence].float().mean() <= kept.high
+    pairs = {"own": (foreign, references)} if beside else None
+    lost = recognise(foreign, references, *names, steps, 1, None, pairs, mirrors)
+    assert accept(lost.sure, 0.1).accepted == 0
+    assert 40 <= (lost.sure.decoy > 0).sum() <= 80
+
+
+def test_a_few_pictures_with_much_in_common_have_fair_decoys():
+    """Mirroring what all frames share would leave decoys that are never near."""
+    queries, references = two_traverses(240, 3.0, common=8.0)
+    alone = [
+        recognise(
+            query[None], references[:120], ["q"], ["r"] * 120, mirrors={SSR_VLAD: exchange}
+        ).sure
+        for query in queries[120:]
+    ]
+    assert 40 <= sum(bool(each.decoy > 0) for each in alone) <= 80
+
+
+def test_without_decoys_confidence_is_the_prior():
+    queries, references = two_traverses(80, 0.8)
+    names = ["q"] * 80, ["r"] * 80
+    found = recognise(queries, references, *names, Steps(follow=None))
+    assert found.sure.decoy.isnan().all() and 0 < found.confidence.min() < 0.7
+    alone = recognise(queries[:1], references, ["q"], ["r"] * 80, Steps(False, follow=None))
+    whole = recognise(queries, references, *names, Steps(False, follow=None))
+    torch.testing.assert_close(alone.confidence, whole.confidence[:1])
+
+
+def test_few_references_give_no_confidence():
+    queries, references = two_traverses(29, 0.3)
+    found = recognise(queries, references, ["q"] * 29, ["r"] * 29, Steps(follow=None))
+    assert right(found, 29) > 0.9 and not found.confidence.any()
 
 
 def test_refuses():
     with pytest.raises(ValueError, match="each of 4 queries, got 1"):
         recognise(torch.eye(4), torch.eye(4), ["a"], ["b"] * 4)
+    with pytest.raises(ValueError, match="expected mirrors of ssr-vlad, got hog"):
+        recognise(torch.eye(4), torch.eye(4), ["a"] * 4, ["b"] * 4, mirrors={"hog": exchange})
 
 
 def test_no_queries_give_no_candidates():

@@ -49,7 +49,8 @@ class HOG(Grid):
     def mirrored(self, vectors: Tensor) -> Tensor:
         """See `Grid`. Not exact: a gradient between two bins counts in the first of them, and so
         does its mirror image."""
-        return vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS)).flip(-2, -1).flatten(-3)
+        cells: Tensor = vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS))
+        return cells.flip(-2, -1).flatten(-3)
 
 
 def central_differences(pictures: Tensor) -> tuple[Tensor, Tensor]:

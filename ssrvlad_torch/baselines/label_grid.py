@@ -38,4 +38,5 @@ class LabelGrid(Grid):
 
     def mirrored(self, vectors: Tensor) -> Tensor:
         """See `Grid`; exact."""
-        return vectors.unflatten(-1, (-1, self.columns)).flip(-1).flatten(-2)
+        rows: Tensor = vectors.unflatten(-1, (-1, self.columns))
+        return rows.flip(-1).flatten(-2)

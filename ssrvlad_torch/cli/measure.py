@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,8 +18,9 @@ from ..evaluation.metrics import Convention, evaluate, figure_rows, precision_re
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Pictures
 from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
+from ..recognition.confidence import Estimate
 from ..recognition.matching import Matches
-from ..recognition.recognise import NO_SEQUENCE
+from ..recognition.recognise import NO_SEQUENCE, Recognised
 from ..recognition.standardise import MIN_FRAMES
 from .output import fraction, interval, print_table, weights_in_words
 from .truth import Places
@@ -41,6 +42,8 @@ class Recognition:
         descriptors: of single frames, of the queries and of the references, for the report.
         pictures: of the queries and of the references, by their ids, for the report.
         skipped: queries that could not be encoded.
+        recognised: all candidates and how sure they are, if they are from a database.
+        estimates: how many of some of them are wrong, without ground truth, by names.
         details: the method, its steps and its costs, for the report.
     """
 
@@ -51,6 +54,8 @@ class Recognition:
     descriptors: tuple[Tensor, Tensor] = (torch.zeros(0), torch.zeros(0))
     pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
     skipped: Sequence[Skipped] = ()
+    recognised: Recognised | None = None
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
     details: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -74,6 +79,14 @@ def measure(
     curve = precision_recall_curve(judge(scores, rows, true_rows), true_rows)
     metrics["thresholds"] = operating_points(curve, [at_recall])
     metrics["references"] = len(recognition.references.frames)
+    if recognition.recognised:
+        sure = recognition.recognised.confidence.numpy()[known]
+        answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
+        right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
+        metrics["estimates"] = {
+            name: {**estimate_in_json(each), "truly_wrong": _wrong(right, sure, each)}
+            for name, each in recognition.estimates.items()
+        }
     return {**metrics, **recognition.details}
 
 
@@ -85,6 +98,8 @@ def print_metrics(metrics: Mapping[str, Any]) -> None:
     print_table(table)
     print_table(_thresholds(metrics["thresholds"], metrics.get("steps")))
     print(proof(metrics["thresholds"]["suggested"]))
+    for line in without_truth(metrics):
+        print(line)
     print(counts(metrics))
 
 
@@ -118,6 +133,46 @@ def score_name(used: Mapping[str, Any], sequence: str | None = None) -> str:
     modes = used["follow"].values() if sequence is None else [used["follow"][sequence]]
     names = {alone if mode in ("no", NO_SEQUENCE) else "probability" for mode in modes}
     return " or ".join(sorted(names))
+
+
+def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
+    """What decoys say about the accepted answers, beside the truth; nothing for other methods."""
+    for name, found in metrics.get("estimates", {}).items():
+        truth = found["truly_wrong"]
+        true = "" if truth is None else f"; in truth {truth:.1%}"
+        guess = Estimate(*(found[field] for field in Estimate._fields))
+        yield f"{name.replace('_', ' ')}: {estimate_in_words(guess)}{true}"
+
+
+def decided_in_words(
+    used: Mapping[str, Any], temporal: int | Mapping[str, int], found: Estimate
+) -> str:
+    """The steps to a decision, and how many answers are accepted, in a line."""
+    steps = steps_in_words(used, temporal)
+    return f"{steps}; {estimate_in_words(found)}" if used["follow"] else steps
+
+
+def estimate_in_words(found: Estimate) -> str:
+    """How many answers are accepted, and how many of them are wrong without ground truth."""
+    if not found.accepted:
+        return "no answer is accepted"
+    answers = f"{found.accepted} answer{'s' * (found.accepted != 1)}"
+    sure = f" of confidence {found.confidence:.2f} and more" if found.confidence else ""
+    wrong = f"{found.wrong:.1%} estimated to be wrong (95 % interval {found.low:.1%} to"
+    return f"accepted {answers}{sure}; {wrong} {found.high:.1%})"
+
+
+def estimate_in_json(found: Estimate) -> dict[str, Any]:
+    """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
+    return {**found._asdict(), "confidence": found.confidence if found.accepted else None}
+
+
+def _wrong(
+    right: npt.NDArray[np.bool_], sure: npt.NDArray[np.float32], found: Estimate
+) -> float | None:
+    """The fraction of the accepted answers that is wrong by the ground truth."""
+    accepted = (sure >= found.confidence) & (sure > 0)
+    return float(1 - right[accepted].mean()) if accepted.any() else None
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:

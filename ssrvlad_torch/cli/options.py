@@ -262,9 +262,15 @@ class RecognitionOptions(StepOptions):
         min=0,
         max=1,
     )
+    max_wrong: float | None = option(
+        "Print candidates of as many queries as possible while at most this fraction of them is "
+        "estimated to be wrong, such as 0.05. Decoys show how many are, without ground truth.",
+        min=0,
+        max=1,
+    )
 
     def check(self, typed: Collection[str]) -> None:
-        """Refuses options that contradict ``--as-paper``.
+        """Refuses options that contradict each other.
 
         Args:
             typed: names of the options on the command line.
@@ -272,6 +278,8 @@ class RecognitionOptions(StepOptions):
         Raises:
             ValueError: names the contradicting options.
         """
+        if "max_wrong" in typed and "min_confidence" in typed:
+            raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
         paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "fuse": False}
         contradicting = [
             name for name, value in paper.items() if name in typed and getattr(self, name) != value

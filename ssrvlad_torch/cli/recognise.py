@@ -6,12 +6,14 @@ import dataclasses
 
 from ..database.database import Database
 from ..evaluation.metrics import Convention
+from ..evaluation.thresholds import SURE_PRECISION
+from ..recognition.confidence import accept
 from ..recognition.recognise import AS_PAPER
 from ..recognition.sweep import COLUMNS, score
 from .measure import TOP, Recognition, needs_similarity, score_name
 from .options import RecognitionOptions
 from .pictures import pictures_of_queries, pictures_of_references
-from .search import confident, search, settings_of
+from .search import accepted, search, settings_of
 from .sources import Source
 from .truth import Places
 
@@ -29,13 +31,19 @@ def by_database(
         middle = queries.descriptors[:, COLUMNS.index(0)].contiguous()
         queries = dataclasses.replace(queries, descriptors=middle)
     config = settings_of(database, source.labels_as)
+    matches, estimate = accepted(recognised, options)
     similarity = None
     if pairs:
         similarity = score(queries.descriptors, references.descriptors).numpy()
     return Recognition(
         references=Places.of_set(references, source.whole, source.known),
         queries=Places.of_set(queries, source.whole, folders, [f.frame for f in skipped]),
-        matches=confident(recognised, options.min_confidence),
+        matches=matches,
+        recognised=recognised,
+        estimates={
+            "accepted": estimate,
+            "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
+        },
         similarity=similarity,
         descriptors=(queries.descriptors, references.descriptors),
         pictures=(

@@ -16,7 +16,7 @@ from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
 from ..recognition.sweep import score
-from .measure import Recognition, proof, score_name, steps_in_words
+from .measure import Recognition, proof, score_name, steps_in_words, without_truth
 from .truth import Places, TrueMatches
 
 
@@ -57,7 +57,11 @@ def write_page(
         score=score_name(recognition.details["steps"]) or "score",
         pictures=recognition.pictures,
         settings=_settings(settings, recognition),
-        notes=[*_notes(recognition, truth), proof(metrics["thresholds"]["suggested"])],
+        notes=[
+            *_notes(recognition, truth),
+            proof(metrics["thresholds"]["suggested"]),
+            *without_truth(metrics),
+        ],
     )
     write_report(path, report)
 

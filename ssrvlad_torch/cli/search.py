@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from functools import cache
+from functools import cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -19,12 +19,21 @@ from ..database.index_search import IndexSearch
 from ..database.metadata import ExtraDescriptor
 from ..database.reading import Damage
 from ..datasets.names import KnownFolders, check_sequences
-from ..descriptor import query_head
+from ..descriptor import mirrored, query_head
 from ..encoding.encoder import encode_to_memory
+from ..encoding.extra_descriptors import extra_methods
 from ..encoding.results import Skipped
+from ..recognition.confidence import Estimate, accept, estimate
 from ..recognition.follow import runs
 from ..recognition.matching import Matches
-from ..recognition.recognise import AS_PAPER, Recognised, Steps, recognise, recognise_by_search
+from ..recognition.recognise import (
+    AS_PAPER,
+    SSR_VLAD,
+    Recognised,
+    Steps,
+    recognise,
+    recognise_by_search,
+)
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import frames_within, temporal_sum
@@ -103,6 +112,10 @@ def search(
         top,
         excluded(queries, references),
         {name: (values, references.beside[name]) for name, values in queries.beside.items()},
+        {
+            SSR_VLAD: partial(mirrored, config=database.config),
+            **{method.name: method.mirrored for method in extra_methods(extra)},
+        },
     )
     return Found(queries, references, recognised, t, skipped, folders)
 
@@ -132,20 +145,29 @@ def search_index(
             database, queries.descriptors, names, standardised, sequences, (ids, exclude)
         )
 
+    @cache
+    def decoys(standardised: bool) -> IndexSearch:
+        return index(standardised).mirrored(partial(mirrored, config=database.config))
+
     long = names.count(names[0]) >= MIN_FRAMES if names else False
     references = index(steps.standardise and long).frames
-    recognised = recognise_by_search(index, names, references.sequences, steps, top)
+    recognised = recognise_by_search(index, names, references.sequences, steps, top, decoys)
     return Found(queries, references, recognised, 0, skipped, folders)
 
 
-def confident(recognised: Recognised, least: float) -> Matches:
-    """The candidates, without those of queries whose confidence is below ``least``. Scores that
-    are rounded above 1 are 1."""
+def accepted(recognised: Recognised, options: RecognitionOptions) -> tuple[Matches, Estimate]:
+    """The candidates of the queries that the options accept, and how many of them are
+    wrong. Scores that are rounded above 1 are 1."""
+    if options.max_wrong is None:
+        found = estimate(recognised.sure, options.min_confidence)
+        least = options.min_confidence
+    else:
+        found = accept(recognised.sure, options.max_wrong)
+        least = found.confidence
     unsure = (recognised.confidence < least)[:, None]
     scores, indices = recognised.matches
-    return Matches(
-        scores.clamp(max=1).masked_fill(unsure, -torch.inf), indices.masked_fill(unsure, -1)
-    )
+    scores = scores.clamp(max=1).masked_fill(unsure, -torch.inf)
+    return Matches(scores, indices.masked_fill(unsure, -1)), found
 
 
 def excluded_pairs(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from copy import copy
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     from lance import LanceDataset
     from torch import Tensor
 
+    from ..recognition.decoys import Mirror
     from .database import Database
 
 _SAMPLE_ROWS = 1000
@@ -98,6 +100,14 @@ class IndexSearch:
 
     def __len__(self) -> int:
         return len(self._queries)
+
+    def mirrored(self, mirror: Mirror) -> IndexSearch:
+        """The search of mirrored queries, whose candidates are decoys, in the same rows."""
+        other = copy(self)
+        other._queries = mirror(self._queries)
+        other._candidates, other._pending = {}, {}
+        other._scores, other._sample_scores = {}, {}
+        return other
 
     def candidates(self, query: int) -> Tensor:
         """See `recognition.candidates.Search`."""

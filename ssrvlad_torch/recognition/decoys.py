@@ -122,4 +122,8 @@ def _lengths(references: Rows, mirror: Mirror, mean: Tensor) -> Tensor:
         references.vectors.float() @ torch.stack((mean, turned)).T / references.lengths[:, None]
     ).T
     square = 1 + 2 * squared - 2 * along + 2 * across - 2 * float(mean @ turned)
-    return square.clamp(min=1e-12).sqrt().nan_to_num(1.0)
+    lengths: Tensor = square.clamp(min=_ROUNDING).sqrt().nan_to_num(1.0)
+    return lengths
+
+
+_ROUNDING = 1e-12

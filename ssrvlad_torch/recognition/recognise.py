@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
 from .candidates import Search, follow_candidates, lead_of_candidates
-from .confidence import confidence_of_places, confidence_of_scores
+from .confidence import ALONE, Confidence, answers_together
+from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
 from .follow import Mode, Places, Scores, follow, lead_of_map, runs, way_of
-from .fusion import FusedScores
+from .fusion import FusedScores, fused
 from .matching import Matches, Rows, Vectors, best_of
 from .motion import BACKWARDS
 from .signs import REACH, SignQueries, SignRows, are_signs
+from .signs import mirrored as mirrored_signs
 from .standardise import MIN_FRAMES, standardise
 from .sweep import COLUMNS, narrowed, score
 
@@ -72,17 +75,21 @@ class Recognised(NamedTuple):
         matches: ``(Q, top)``. Scores of a query that is judged alone are cosines. Scores of a query
             that is followed are probabilities: for the first candidate that of its neighbourhood
             (`Places.near`), for the others that of the row alone. An empty query has no candidate.
-        confidence: ``(Q,)`` float32, the probability that the first candidate is right, see
-            `confidence`; 0 without a candidate, and 0 for all queries of fewer than
-            `standardise.MIN_FRAMES` references.
+        sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
+            references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
             it was standardised, the width of its sweep, how it was followed (a mode, ``MODE,
             backwards``, ``no``, or `NO_SEQUENCE`), and the weights of fused methods.
     """
 
     matches: Matches
-    confidence: Tensor
+    sure: Confidence
     used: dict[str, Any]
+
+    @property
+    def confidence(self) -> Tensor:
+        """``(Q,)`` float32, the probability that the first candidate is right; see `Confidence`."""
+        return self.sure.right
 
     def _repr_html_(self) -> str:
         return candidates_table(*self.matches, confidence=self.confidence)
@@ -98,6 +105,7 @@ def recognise(
     top: int = 5,
     excluded: Tensor | None = None,
     beside: Mapping[str, tuple[Vectors, Vectors]] | None = None,
+    mirrors: Mapping[str, Mirror] | None = None,
 ) -> Recognised:
     """Candidates of each query, and the confidence in the first.
 
@@ -111,9 +119,12 @@ def recognise(
         excluded: ``(Q, R)`` bool, references that are no candidates.
         beside: queries ``(Q, D')`` and references ``(R, D')`` of further methods by their names,
             or signs, see `signs`; the scores of all methods are fused, see `FusedScores`.
+        mirrors: of all methods but signs by their names, `SSR_VLAD` for the descriptors: the decoys
+            by which queries that are judged alone are calibrated. Without, by their lead over other
+            places.
 
     Raises:
-        ValueError: shapes do not fit.
+        ValueError: shapes do not fit, or a method has no mirror.
 
     Example:
         >>> frames = torch.eye(20)
@@ -127,6 +138,10 @@ def recognise(
         if len(query_sequences) != len(vectors):
             got = len(query_sequences)
             raise ValueError(f"expected a sequence for each of {len(vectors)} queries, got {got}")
+    mirrored = {name for name, vectors in queries_of.items() if not are_signs(vectors)}
+    if mirrors is not None and not mirrored <= set(mirrors):
+        named = ", ".join(mirrors) or "none"
+        raise ValueError(f"expected mirrors of {', '.join(sorted(mirrored))}, got {named}")
 
     @cache
     def rows_of(name: str, standardised: bool) -> Rows | SignRows:
@@ -140,21 +155,28 @@ def recognise(
         part = slice(run.start, run.stop)
         standardised = steps.standardise and len(run) >= MIN_FRAMES
         without = None if excluded is None else excluded[part]
-        width, members = 0, list[Scores]()
+        width, members, decoys = 0, list[Scores](), list[Scores]()
         for name, vectors in queries_of.items():
             rows = rows_of(name, standardised)
             if isinstance(rows, SignRows):
                 reach = REACH if steps.sweep else 0
                 signs = SignQueries(vectors[part], rows, standardised, reach)
-                members.append(
-                    _BlockScores(signs.scores, len(run), len(rows), signs.moves, without)
-                )
+                turned = SignQueries(mirrored_signs(vectors[part]), rows, standardised, reach)
+                for found, each in ((members, signs), (decoys, turned)):
+                    size = len(run), len(rows), each.moves
+                    found.append(_BlockScores(each.scores, *size, without))
                 continue
             compared, reach = _prepared(vectors[part], rows, steps.sweep, standardised)
             members.append(_of_vectors(compared, rows, without))
+            if mirrors is not None:
+                mean = None if standardised else rows.mean()
+                against = partial(decoy_scores, mirror=mirrors[name], mean=mean)
+                decoys.append(_of_vectors(compared, rows, without, against))
             width = max(width, reach)
         scores, weights = _fused(members, list(pairs))
-        decision = _decided(scores, reference_sequences, steps, top)
+        whole = len(decoys) == len(members)
+        against_decoys = _FusedDecoys(members, decoys, list(weights.values())) if whole else None
+        decision = _decided(scores, reference_sequences, steps, top, against_decoys)
         return replace(decision, standardise=standardised, sweep=width, weights=weights)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -183,9 +205,11 @@ def recognise_by_search(
     reference_sequences: Sequence[str],
     steps: Steps | None = None,
     top: int = 5,
+    decoys: Callable[[bool], Search] | None = None,
 ) -> Recognised:
     """As `recognise`, for maps that are too large to score every row; without a sweep. ``search``
-    returns what finds candidates, by standardised descriptors if its argument is true."""
+    returns what finds candidates, by standardised descriptors if its argument is true; ``decoys``
+    the same for mirrored queries."""
     steps = replace(steps or Steps(), sweep=False)
 
     def decide(run: range) -> _Decision:
@@ -198,7 +222,9 @@ def recognise_by_search(
             empty = torch.tensor([not len(found.candidates(query)) for query in run])
             decision = _followed(places, empty, mode, way)
         else:
-            decision = _alone([_best_candidates(found, query, top) for query in run], mode)
+            against = decoys(standardised) if decoys else None
+            judged = [_best_candidates(found, against, query, top) for query in run]
+            decision = _alone(judged, mode)
         return replace(decision, standardise=standardised)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -209,7 +235,7 @@ class _Decision:
     """The candidates of one sequence of queries, and the steps that were taken."""
 
     matches: Matches
-    confidence: Tensor
+    sure: Confidence
     standardise: bool = False
     sweep: int = 0
     follow: str = "no"
@@ -232,8 +258,11 @@ def _by_sequence(
     matches = [decision.matches for decision in decisions.values()]
     scores = torch.cat([none, *(each.scores for each in matches)])
     indices = torch.cat([none.long(), *(each.indices for each in matches)])
-    confidence = torch.cat([none.sum(1), *(each.confidence for each in decisions.values())])
-    return Recognised(Matches(scores, indices), confidence * (references >= MIN_FRAMES), used)
+    each_sure = [Confidence(*[none.sum(1)] * 3), *(each.sure for each in decisions.values())]
+    sure = Confidence(*map(torch.cat, zip(*each_sure, strict=True)))
+    if references < MIN_FRAMES:
+        sure = sure._replace(right=torch.zeros_like(sure.right))
+    return Recognised(Matches(scores, indices), sure, used)
 
 
 def _prepared(
@@ -275,11 +304,16 @@ class _BlockScores(Scores):
         return row if self._excluded is None else row.masked_fill(self._excluded[query], -torch.inf)
 
 
-def _of_vectors(queries: Tensor, references: Rows, excluded: Tensor | None) -> _BlockScores:
+def _of_vectors(
+    queries: Tensor,
+    references: Rows,
+    excluded: Tensor | None,
+    compare: Callable[[Tensor, Rows], Tensor] = score,
+) -> _BlockScores:
     """The scores of queries ``(Q, D)`` or ``(Q, S, D)``."""
     anchors = queries.shape[1] if queries.ndim == 3 else 1
     return _BlockScores(
-        lambda part: score(queries[part], references),
+        lambda part: compare(queries[part], references),
         len(queries),
         len(references),
         anchors,
@@ -298,8 +332,32 @@ def _fused(
     return fused.whole() if fits else fused, fused.weights
 
 
+class _FusedDecoys(Scores):
+    """Scores of the decoys by all methods as one, as the scores of the map are fused."""
+
+    def __init__(
+        self, members: Sequence[Scores], decoys: Sequence[Scores], weights: Sequence[float]
+    ) -> None:
+        self._members, self._decoys, self._weights = members, decoys, weights
+
+    def __len__(self) -> int:
+        return len(self._decoys[0])
+
+    def __getitem__(self, query: int, /) -> Tensor:
+        if len(self._decoys) == 1:
+            return self._decoys[0][query]
+        pairs = zip(self._members, self._decoys, strict=True)
+        both = [torch.cat((own[query], decoys[query])) for own, decoys in pairs]
+        first = len(both[0]) // 2
+        return fused(both, self._weights, first)[first:]
+
+
 def _decided(
-    scores: Tensor | Scores, sequences: Sequence[str], steps: Steps, top: int
+    scores: Tensor | Scores,
+    sequences: Sequence[str],
+    steps: Steps,
+    top: int,
+    decoys: Scores | None = None,
 ) -> _Decision:
     """Follows one sequence of queries by the scores of all rows, or judges each alone."""
     mode = steps.follow
@@ -308,8 +366,14 @@ def _decided(
         places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top, way=way)
         empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
         return _followed(places, empty, mode, way)
-    rows = (scores[query] for query in range(len(scores)))
-    return _alone([(best_of(row, top), confidence_of_scores(row)) for row in rows], mode)
+    judged = [
+        (
+            best_of(scores[query], top),
+            lead_over_decoys(scores[query], None if decoys is None else decoys[query]),
+        )
+        for query in range(len(scores))
+    ]
+    return _alone(judged, mode)
 
 
 def _followed(places: Places, empty: Tensor, mode: Mode, way: int) -> _Decision:
@@ -318,20 +382,34 @@ def _followed(places: Places, empty: Tensor, mode: Mode, way: int) -> _Decision:
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-    confidence = confidence_of_places(places.near, mode).masked_fill(empty, 0)
+    near = places.near.masked_fill(empty, torch.nan)
+    sure = Confidence.of_places(near, places.backward, mode)
     how = f"{mode}, backwards" if way == BACKWARDS else mode
-    return _Decision(matches, confidence, follow=how)
+    return _Decision(matches, sure, follow=how)
 
 
-def _alone(judged: Sequence[tuple[Matches, Tensor]], mode: Mode | None) -> _Decision:
+def _alone(judged: Sequence[tuple[Matches, Lead]], mode: Mode | None) -> _Decision:
     """The decision about queries that were judged one by one."""
-    matches, confidence = zip(*judged, strict=True)
-    matches = Matches(*map(torch.stack, zip(*matches, strict=True)))
-    return _Decision(matches, torch.stack(confidence), follow=NO_SEQUENCE if mode else "no")
+    matches = Matches(*map(torch.stack, zip(*(each for each, _ in judged), strict=True)))
+    leads = torch.tensor([lead.value for _, lead in judged])
+    rows = torch.tensor([lead.decoy for _, lead in judged])
+    decoys = bool((rows >= 0).any())
+    sure = Confidence.of_leads(leads, ALONE, answers_together(rows) if decoys else 1.0, decoys)
+    return _Decision(matches, sure, follow=NO_SEQUENCE if mode else "no")
 
 
-def _best_candidates(search: Search, query: int, top: int) -> tuple[Matches, Tensor]:
-    """The candidates of a query alone, and its confidence."""
+def _best_candidates(
+    search: Search, decoys: Search | None, query: int, top: int
+) -> tuple[Matches, Lead]:
+    """The candidates of a query alone, and its lead over the decoys."""
     rows = search.candidates(query).sort().values
     scores = search.scores(query, rows)
-    return best_of(scores, top, rows), confidence_of_scores(scores, rows, search.spread(query))
+    mean, deviation = search.spread(query)
+    found = best_of(scores, top, rows)
+    if decoys is None:
+        return found, lead_over_decoys(scores, rows=rows, deviation=deviation)
+    against = decoys.candidates(query).sort().values
+    mean_of_decoys, of_decoys = decoys.spread(query)
+    apart = (mean - mean_of_decoys) / 2
+    both = math.sqrt((deviation**2 + of_decoys**2) / 2 + apart**2)
+    return found, lead_over_decoys(scores, decoys.scores(query, against), rows, against, both)

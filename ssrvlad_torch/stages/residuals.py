@@ -108,4 +108,5 @@ def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
     """
     bins = descriptors.unflatten(-1, (-1, config.sectors))
     sectors = torch.arange(config.sectors, device=descriptors.device)
-    return bins[..., (config.sectors // 2 - 1 - sectors) % config.sectors].flatten(-2)
+    exchanged: Tensor = bins[..., (config.sectors // 2 - 1 - sectors) % config.sectors]
+    return exchanged.flatten(-2)

@@ -22,14 +22,14 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
     from ...database.database import Database
-    from ..measure import score_name, steps_in_words
-    from ..search import confident, search
+    from ..measure import decided_in_words, estimate_in_json, score_name
+    from ..search import accepted, search
     from ..sources import Source
 
     opened = Database.open(database)
     frames = Source.open(source, opened.folders()).with_network_of(opened, pictures=True)
     queries, references, found, t, skipped, _ = search(opened, frames, recognition, top=1)
-    scores, rows = confident(found, recognition.min_confidence)
+    (scores, rows), estimate = accepted(found, recognition)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
     names = queries.frames, queries.sequences
     for picture, sequence, score, row, confidence in zip(*names, *columns, strict=True):
@@ -39,14 +39,15 @@ def locate(
         if as_json:
             where = dict(zip(("x", "y", "heading"), pose, strict=True))
             match = {"picture": picture, "place": place, "score": score if place else None}
-            print_json({**match, "score_is": kind, "confidence": confidence, **where})
+            match |= {"score_is": kind, "confidence": confidence}
+            print_json({**match, "estimate": estimate_in_json(estimate), **where})
         elif place is None:
             say(f"{picture}: no place (confidence {confidence:.2f})")
         else:
             sure = f"{kind} {score:.4f}, confidence {confidence:.2f}"
             say(f"{picture}: {place}, {sure}, {_where(*pose)}")
     if not as_json:
-        note(steps_in_words(found.used, t))
+        note(decided_in_words(found.used, t, estimate))
     finish(skipped, len(queries))
 
 

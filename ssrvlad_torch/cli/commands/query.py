@@ -89,17 +89,19 @@ def query(
         for entry in damage or ():
             note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
     least = -math.inf if threshold is None else threshold
-    _print(found, recognition.min_confidence, least, "candidates of the index, " * index, as_json)
+    _print(found, recognition, least, "candidates of the index, " * index, as_json)
     finish(found.skipped, len(found.queries))
 
 
-def _print(found: Found, min_confidence: float, least: float, way: str, as_json: bool) -> None:
+def _print(
+    found: Found, options: RecognitionOptions, least: float, way: str, as_json: bool
+) -> None:
     """Prints a line for each query, with its candidates of a score above ``least``."""
-    from ..measure import score_name, steps_in_words
-    from ..search import confident
+    from ..measure import decided_in_words, estimate_in_json, score_name
+    from ..search import accepted
 
     used, t = found.recognised.used, found.temporal
-    matches = confident(found.recognised, min_confidence)
+    matches, estimate = accepted(found.recognised, options)
     columns = *(part.tolist() for part in matches), found.recognised.confidence.tolist()
     names = found.queries.frames, found.queries.sequences
     for frame, sequence, scores, rows, confidence in zip(*names, *columns, strict=True):
@@ -112,12 +114,13 @@ def _print(found: Found, min_confidence: float, least: float, way: str, as_json:
         if as_json:
             candidates = [{"frame": name, "score": score} for name, score in ranked]
             details = {"confidence": confidence, "temporal": t, "steps": used}
+            details["estimate"] = estimate_in_json(estimate)
             print_json({"query": frame, "candidates": candidates, "score_is": kind, **details})
         else:
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
             say(f"{frame}: {listed or 'no candidate'} ({kind}, confidence {confidence:.2f})")
     if not as_json:
-        note(way + steps_in_words(used, t))
+        note(way + decided_in_words(used, t, estimate))
 
 
 def _window(text: str | None) -> tuple[int | None, int | None]:
