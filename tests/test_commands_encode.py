@@ -1,6 +1,9 @@
 """`ssrvlad encode`: label maps, or images and a segmenter, into a database."""
 
 import json
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +30,16 @@ def test_the_preset_of_a_database_is_used_again(ssrvlad, maps, tmp_path):
     assert code == 2
     assert len(err) == 1
     assert "working_size None there and 120 here" in err[0]
+
+
+@pytest.mark.parametrize("pair", range(2))
+def test_runs_that_start_together_make_one_database(maps, tmp_path, pair):
+    shutil.copytree(maps, tmp_path / "other")
+    command = [sys.executable, "-m", "ssrvlad_torch", "encode", "-o", tmp_path / "db"]
+    command += ["--labels-as", "camvid-11"]
+    runs = [subprocess.Popen([*command, folder]) for folder in (maps, tmp_path / "other")]
+    assert [run.wait(120) for run in runs] == [0, 0]
+    assert len(Database.open(tmp_path / "db").load()) == 12
 
 
 def test_an_unreadable_frame_is_listed_and_the_rest_lands(ssrvlad, maps, tmp_path):

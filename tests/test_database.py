@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 import ssrvlad_torch.config as config_module
 from ssrvlad_torch import Database, SSRVLADConfig
+from ssrvlad_torch.database import engine
 from ssrvlad_torch.database.frame_sets import order_of
 from ssrvlad_torch.database.frames import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
@@ -303,6 +304,32 @@ def test_a_reader_keeps_its_version_while_others_write(path):
     writer.compact()
     assert torch.equal(reader.load().descriptors, before.descriptors)
     assert list(reader.known()) == FRAMES
+
+
+def test_compacting_keeps_the_versions_that_someone_uses(path, monkeypatch):
+    """A reader, and a writer whose change is planned on a version that is then superseded."""
+    reader, writer, plan = Database.open(path), Database.open(path), engine.replacement
+    before = reader.load()
+
+    def meanwhile(*arguments):
+        monkeypatch.setattr(engine, "replacement", plan)
+        other = Database.open(path)
+        other.append(["b/1"], descriptors(1, 1))
+        other.compact(keep_days=0)
+        other.add_origin(None, "network")
+        other.compact(keep_days=0)
+        return plan(*arguments)
+
+    monkeypatch.setattr(engine, "replacement", meanwhile)
+    writer.merge(["a/1", "b/1"], descriptors(2, 2))
+    rows = loaded(path)
+    assert set(rows) == {*FRAMES, "a/1", "b/1"}
+    assert rows["b/1"] == descriptors(2, 2)[1].tolist()
+    assert torch.equal(reader.load().descriptors, before.descriptors)
+    reader.merge(["b/2"], descriptors(3, 1))
+    del writer
+    reader.compact(keep_days=0)
+    assert len(reader.history()) == 1
 
 
 def test_compacting_joins_files_and_deletes_old_versions(path):

@@ -14,7 +14,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, cast
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -506,8 +506,8 @@ class Database:
 
     def history(self) -> list[Version]:
         """The versions that are stored, the oldest first."""
-        versions, entries = list[Version](), cast("list[Any]", self._table.versions())
-        for entry in entries:
+        versions = list[Version]()
+        for entry in engine.versions_of(self._table):
             number, frames = entry["version"], int(entry["metadata"]["total_rows"])
             change = engine.change_of(self._table, number)
             versions.append(Version(number, entry["timestamp"], frames, change))
@@ -516,12 +516,17 @@ class Database:
     def compact(self, keep_days: float = 14) -> None:
         """Joins small files, and deletes old versions with the files that only they need.
 
+        A version that a process reads, or is writing on, is not deleted, nor are those after it. In
+        an object store and on Windows, where this cannot be seen, versions are kept until an hour
+        after the next one.
+
         Args:
-            keep_days: keep versions younger than this, for their readers.
+            keep_days: keep versions younger than this.
         """
         self._require_writable()
         with self._lock:
-            self._use(engine.compact(self.path, timedelta(days=keep_days)))
+            self._use(engine.compact(self.path))
+            engine.clean(self.path, timedelta(days=keep_days))
 
     def info(self) -> dict[str, Any]:
         """Counts and settings of the database, ready for JSON; rows are not verified."""

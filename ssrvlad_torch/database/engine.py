@@ -19,7 +19,8 @@ import time
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
-from datetime import timedelta
+from datetime import datetime, timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +28,7 @@ import pyarrow as pa
 
 from ..files import flush
 from .disk import flush_files, flush_fragments, is_local
+from .leases import Lease, has_leases, hold, manifest, seize, version_of
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -34,7 +36,9 @@ if TYPE_CHECKING:
 
 _ATTEMPTS, _PAUSE = 100, 0.02
 _LEAST_OPEN_FILES = 64
-_LAST_VERSION = (1 << 64) - 1
+_OPENINGS = 10
+_GRACE = timedelta(hours=1)
+"""How long after the next one a version is kept where its use cannot be seen."""
 _MESSAGE = "lance.commit.message"
 _CHANGES = {
     "Overwrite": "create",
@@ -73,19 +77,28 @@ def _require_open_files() -> None:
 
 
 def open_table(uri: str, version: int | None = None) -> LanceDataset:
-    """Opens a table at a version, by default the newest; raises OSError if it is not readable."""
-    try:
-        table: LanceDataset = lance().dataset(uri, version=version)
-    except ValueError as error:
-        raise OSError(message_of(error)) from error
-    return table
+    """Opens a table at a version, by default the newest, and holds the version while the object
+    lives; raises OSError if it is not readable."""
+    dataset = lance().dataset
+    for attempts_left in reversed(range(_OPENINGS if version is None else 1)):
+        try:  # the newest version may be an old one, and deleted, before it is opened
+            table: LanceDataset = dataset(uri, version=version)
+        except (OSError, ValueError) as error:
+            if attempts_left and "not found" in str(error).lower():
+                continue
+            if isinstance(error, OSError):
+                raise
+            raise OSError(message_of(error)) from error
+        if hold(table):
+            return table
+    raise OSError(f"version {version or table.version} was deleted")
 
 
 def newest_readable(uri: str) -> tuple[int | None, list[Path]]:
     """The newest version of a local table that can be read, and the manifests of later ones."""
     unreadable: list[Path] = []
     for file in sorted(Path(uri, "_versions").glob("*.manifest")):  # the newest first
-        version = _LAST_VERSION - int(file.stem)
+        version = version_of(file)
         try:
             open_table(uri, version)
         except OSError:
@@ -114,9 +127,11 @@ def message_of(error: BaseException) -> str:
 @contextlib.contextmanager
 def writing(uri: str) -> Iterator[None]:
     """Turns errors of writing into an OSError that names the table."""
+    errors: tuple[type[Exception], ...] = (OSError, RuntimeError)
     try:
+        errors += (lance().commit.CommitConflictError,)
         yield
-    except (OSError, RuntimeError, lance().commit.CommitConflictError) as error:
+    except errors as error:
         raise OSError(f"{uri} cannot be written: {message_of(error)}") from error
 
 
@@ -130,7 +145,8 @@ def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> La
     for attempt in range(_ATTEMPTS):
         try:
             with writing(uri):
-                return change(open_table(uri))
+                table = change(open_table(uri))
+                return table if hold(table) else open_table(uri)
         except OSError as error:
             if not re.search("conflict|concurrent", str(error).replace(uri, ""), re.IGNORECASE):
                 raise
@@ -164,8 +180,8 @@ def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:
     return change_table(uri, change)
 
 
-def compact(uri: str, keep: timedelta) -> LanceDataset:
-    """Joins small files and deletes versions older than ``keep``."""
+def compact(uri: str) -> LanceDataset:
+    """Joins small files."""
 
     def change(table: LanceDataset) -> LanceDataset:
         compaction = lance().optimize.Compaction
@@ -176,10 +192,38 @@ def compact(uri: str, keep: timedelta) -> LanceDataset:
         open_table(uri).optimize.optimize_indices()
         table = open_table(uri)
         _flush_version(table)
-        table.cleanup_old_versions(older_than=keep)
         return table
 
     return change_table(uri, change)
+
+
+def clean(uri: str, keep: timedelta) -> None:
+    """Deletes versions older than ``keep``, up to the first one that is in use. Later ones stay: a
+    writer compares its change with them."""
+    leases, old, now = list[Lease](), list[int](), datetime.now()
+    with writing(uri):
+        table = open_table(uri)
+        for before, after in pairwise(versions_of(table)):
+            if now - before["timestamp"] < keep:
+                break
+            if has_leases(uri):
+                lease = seize(uri, before["version"])
+                if lease is None:
+                    break
+                leases.append(lease)
+            elif now - after["timestamp"] < _GRACE:
+                break
+            old.append(before["version"])
+        if old:
+            table.cleanup_old_versions(versions=old)
+
+
+def versions_of(table: LanceDataset) -> list[Any]:
+    """The versions that are stored, as Lance describes them, the oldest first."""
+    for _ in range(_OPENINGS):
+        with contextlib.suppress(OSError, ValueError):  # one was just deleted
+            return list(table.versions())
+    return list(table.versions())
 
 
 def create_index(uri: str, column: str, kind: str, lists: int, **options: Any) -> LanceDataset:
@@ -252,7 +296,10 @@ def commit(uri: str, plan: Callable[[LanceDataset], Any], message: str) -> Lance
 
 def change_of(table: LanceDataset, version: int) -> str:
     """The message of the commit that made a version."""
-    transaction = table.read_transaction(version)
+    try:
+        transaction = table.read_transaction(version)
+    except (OSError, ValueError):  # just deleted
+        transaction = None
     if transaction is None:
         return ""
     message = (transaction.transaction_properties or {}).get(_MESSAGE)
@@ -280,7 +327,7 @@ def _exclusive(table: LanceDataset, operation: Any) -> Any:
 
 def _flush_version(table: LanceDataset, transaction: Any = None) -> None:
     """Flushes the manifest of a table's version and the file of the transaction that made it."""
-    files = [Path(table.uri, "_versions", f"{_LAST_VERSION - table.version}.manifest")]
+    files = [manifest(table.uri, table.version)]
     if transaction is not None:
         folder = Path(table.uri, "_transactions")  # file name: version before the commit, and uuid
         files += folder.glob(f"*-{transaction.uuid}.txn")

@@ -91,7 +91,7 @@ def _encode(
         source = dataclasses.replace(source, known=database.folders())
     files, segmenter = source.frames(labels_as)
     if not database:
-        database = Database.create(output, config, beside=extra)
+        database = Database.open_or_create(output, config, extra)
     with progress_bar("encoding", len(files)) as bar:
         options = EncodeOptions(
             source.options.workers, _is_complete(source), prune, bar.advance, bar.skip
