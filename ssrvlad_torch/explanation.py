@@ -7,6 +7,8 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+import numpy.typing as npt
 from torch import Tensor
 
 from .stages.harmonics import HarmonicHistograms
@@ -58,7 +60,9 @@ class Explanation:
         """``(B,)`` bool, true where the descriptor is zero: such an image matches nothing."""
         return ~self.descriptor.any(dim=1)
 
-    def show(self, image: int = 0, title: str = "") -> Figure:
+    def show(
+        self, image: int = 0, title: str = "", picture: npt.NDArray[np.uint8] | None = None
+    ) -> Figure:
         """One image of the batch as a matplotlib figure.
 
         At the top is the label map with its classes. Below are, each above its histogram, the clean
@@ -68,6 +72,7 @@ class Explanation:
         Args:
             image: its number in the batch.
             title: of the label map.
+            picture: ``(H, W, 3)`` uint8 of which it is the label map, to be drawn beside it.
 
         Raises:
             ImportError: matplotlib is not installed (extra ``eval``).
@@ -77,7 +82,7 @@ class Explanation:
 
         if not 0 <= image < len(self.labels):
             raise IndexError(f"expected an image from 0 to {len(self.labels) - 1}, got {image}")
-        return draw(self, image, title)
+        return draw(self, image, title, picture)
 
     def __repr__(self) -> str:
         images, (height, width) = len(self.labels), self.layers.shape[2:]

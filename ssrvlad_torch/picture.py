@@ -101,22 +101,32 @@ def new_figure(width: float, height: float) -> Figure:
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def draw(view: Explanation, image: int = 0, title: str = "") -> Figure:
+def draw(
+    view: Explanation,
+    image: int = 0,
+    title: str = "",
+    picture: npt.NDArray[np.uint8] | None = None,
+) -> Figure:
     """See `Explanation.show`."""
     harmonic = isinstance(view.histograms, HarmonicHistograms)
     cells = _areas_and_boundaries(view, image) if harmonic else _layers(view, image)
     columns = len(cells) // 2
+    shown = 2 if picture is None else 3
     tall = view.layers.shape[2] / view.layers.shape[3]
-    row = _WIDTH / columns * (tall + _TARGET) + 0.6
-    figure = new_figure(_WIDTH, _ROW + 2 * row)
+    row = _WIDTH * shown / 2 / columns * (tall + _TARGET) + 0.6
+    figure = new_figure(_WIDTH * shown / 2, _ROW + 2 * row)
     parts: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
     top, *rows = parts
-    left, right = top.subplots(1, 2)
+    *photograph, left, right = top.subplots(1, shown)
+    for axes in photograph:
+        axes.imshow(picture)
+        axes.set_title("the picture", size=11)
+        axes.set_axis_off()
     _draw_labels(left, view, image, title)
     _draw_legend(right, view, image, harmonic)
-    for part, shown in zip(rows, (cells[:columns], cells[columns:]), strict=True):
+    for part, some in zip(rows, (cells[:columns], cells[columns:]), strict=True):
         grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
-        for number, cell in enumerate(shown):
+        for number, cell in enumerate(some):
             axes = part.add_subplot(grid[0, number])
             _draw_mask(axes, cell)
             if isinstance(view.histograms, HarmonicHistograms):

@@ -1,6 +1,7 @@
 """`ssrvlad encode`: label maps, or images and a segmenter, into a database."""
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from networks import photo
 from PIL import Image
 from segmenting import write_image, write_settings
 
+from ssrvlad_torch.cli import output
 from ssrvlad_torch.database.database import Database
 
 
@@ -62,6 +64,26 @@ def test_a_wrong_label_space_is_told_once(ssrvlad, maps, tmp_path):
     assert code == 3 and len(err) == 22
     assert "no frame could be described: is --labels-as the label space" in err[0]
     assert err[-1] == "ssrvlad: skipped 5 more"
+
+
+def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path):
+    town, command = tmp_path / "town", ("encode", maps, "-o", tmp_path / "town", "--json")
+    Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / "000.png")
+    _, *others = sorted(maps.iterdir())
+    for path in others:
+        path.rename(path.with_suffix(".later"))
+    code, out, _ = ssrvlad(*command, "--labels-as", "camvid-11")
+    assert (code, json.loads(out)["encoded"], town.exists()) == (3, 0, False)
+    for path in others:
+        path.with_suffix(".later").rename(path)
+    code, out, _ = ssrvlad(*command, "--labels-as", "camvid-11")
+    assert (code, json.loads(out)["frames"]) == (3, 5)
+
+
+def test_progress_is_told_where_there_is_no_terminal(ssrvlad, maps, tmp_path, monkeypatch):
+    monkeypatch.setattr(output, "_LINE_SECONDS", 0.0)
+    _, _, err = ssrvlad("encode", maps, "-o", tmp_path / "db", "--labels-as", "camvid-11")
+    assert re.fullmatch(r"ssrvlad: encoding: \d of 6 after \d s", err[-1])
 
 
 def test_an_empty_frame_is_counted_and_never_matches(ssrvlad, maps, tmp_path):

@@ -216,7 +216,7 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
     code, out, err = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
     assert code == 0
     assert out.startswith("today/7: monday/7, fused score ")
-    assert "fused: ssr-vlad 0.50 + hog 0.50" in err[-1]
+    assert "fused: ssr-vlad 0.33 + hog 0.67" in err[-1]
     by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", beside="hog")
     assert by_name.add(photos / "monday").encoded == 31
     place = by_name.locate(photos / "today" / "7.png")

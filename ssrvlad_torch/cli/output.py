@@ -27,6 +27,9 @@ _NAMED = 20
 _SECONDS = 0.2
 """Time between two updates of a progress bar. Frames come in batches, so a rate needs several."""
 
+_LINE_SECONDS = 15.0
+"""Time between two lines of progress where there is no terminal."""
+
 
 class Progress(NamedTuple):
     """Updates of a progress bar: the number of further steps that are done, and a skipped
@@ -53,8 +56,8 @@ def printable(text: str) -> str:
 
 @contextmanager
 def progress_bar(what: str, total: int) -> Iterator[Progress]:
-    """Shows a progress bar on stderr, with the rate and the number of skipped frames. It is drawn
-    only on a terminal."""
+    """Shows a progress bar on stderr, with the rate and the number of skipped frames. Where stderr
+    is no terminal, a line appears every `_LINE_SECONDS`."""
     from rich import progress
     from rich.console import Console
 
@@ -66,19 +69,24 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
     console = Console(stderr=True)
     with progress.Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total, rate="")
-        waiting = skipped = 0
-        due = 0.0
+        waiting = done = skipped = 0
+        start = time.monotonic()
+        due = 0.0 if console.is_terminal else start + _LINE_SECONDS
 
         def show() -> None:
             nonlocal waiting, due
-            rate = bar.tasks[task].speed
-            text = (f"{rate:.0f}/s" if rate else "") + (f", {skipped} skipped" if skipped else "")
-            bar.update(task, advance=waiting, rate=text)
-            waiting, due = 0, time.monotonic() + _SECONDS
+            also = f", {skipped} skipped" if skipped else ""
+            if console.is_terminal:
+                rate = bar.tasks[task].speed
+                bar.update(task, advance=waiting, rate=(f"{rate:.0f}/s" if rate else "") + also)
+            else:
+                note(f"{what}: {done} of {total} after {time.monotonic() - start:.0f} s{also}")
+            pause = _SECONDS if console.is_terminal else _LINE_SECONDS
+            waiting, due = 0, time.monotonic() + pause
 
-        def advance(done: int) -> None:
-            nonlocal waiting
-            waiting += done
+        def advance(steps: int) -> None:
+            nonlocal waiting, done
+            waiting, done = waiting + steps, done + steps
             if time.monotonic() > due:
                 show()
 
@@ -89,7 +97,8 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
         try:
             yield Progress(advance, skip)
         finally:
-            show()
+            if console.is_terminal:
+                show()
 
 
 def print_table(table: Table) -> None:

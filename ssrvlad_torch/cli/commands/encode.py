@@ -10,7 +10,13 @@ from ..options import Json, MaybePreset, SourceOptions, With, option
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
-    from ...encoding.results import Summary
+    from collections.abc import Sequence
+
+    from ...database.metadata import ExtraDescriptor
+    from ...datasets.frame_files import FrameFile
+    from ...descriptor import SSRVLAD
+    from ...encoding.results import Skipped, Summary
+    from ...segmentation.segmenter import Segmenter
     from ..sources import Source
 
 Engine = Literal["local", "ray"]
@@ -49,7 +55,8 @@ def encode(
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
-        print_json({"database": output, **report, **Database.open(output).info()})
+        info = Database.open(output).info() if Database.exists(output) else {}
+        print_json({"database": output, **report, **info})
     else:
         say(f"{output}: {summary}")
     for frame in summary.gone:
@@ -70,7 +77,7 @@ def _encode(
     from ...descriptor import SSRVLAD
     from ...encoding.encoder import encode_to_database
     from ...encoding.ray_engine import encode_with_ray
-    from ...encoding.results import EncodeOptions
+    from ...encoding.results import EncodeOptions, Summary
 
     if prune and not _is_complete(source):
         raise ValueError("--prune needs whole folders as SOURCE, without --every and --start")
@@ -91,6 +98,9 @@ def _encode(
         source = dataclasses.replace(source, known=database.folders())
     files, segmenter = source.frames(labels_as)
     if not database:
+        skipped = _skipped_before_the_first(head, files, segmenter, extra)
+        if len(skipped) == len(files):
+            return Summary(skipped=skipped)
         database = Database.open_or_create(output, config, extra)
     with progress_bar("encoding", len(files)) as bar:
         options = EncodeOptions(
@@ -99,6 +109,25 @@ def _encode(
         if engine == "ray":
             return encode_with_ray(head, files, database, options)
         return encode_to_database(head, files, database, options, segmenter)
+
+
+def _skipped_before_the_first(
+    head: SSRVLAD,
+    files: Sequence[FrameFile],
+    segmenter: Segmenter | None,
+    extra: Sequence[ExtraDescriptor],
+) -> list[Skipped]:
+    """The frames before the first that can be encoded: a run that fails makes no database."""
+    from ...encoding.encoder import encode
+    from ...encoding.results import Skipped
+
+    skipped = []
+    for file in files:
+        (result,) = encode(head, [file], 1, segmenter, extra)
+        if not isinstance(result, Skipped):
+            break
+        skipped.append(result)
+    return skipped
 
 
 def _is_complete(source: Source) -> bool:

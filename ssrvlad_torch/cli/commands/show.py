@@ -20,11 +20,12 @@ def show(
     classes: Classes = None,
     preset: Preset = "default",
 ) -> None:
-    """Draw the layers of one frame and their histograms: of boundaries with default, of skeletons
-    with keypoints and centres with paper.
+    """Draw one frame: the image if --segmenter labels it, its label map, the layers and their
+    histograms (of boundaries with default, of skeletons with keypoints and centres with paper).
 
     Example: ssrvlad show maps/monday/000042.png -o frame.png --labels-as camvid-11
     """
+    from ...datasets.image_files import read_image
     from ...datasets.label_files import LabelMap, read_label_map
     from ...descriptor import SSRVLAD
     from ...picture import require_picture, write_picture
@@ -46,5 +47,6 @@ def show(
         view = head.explain(labels[None])
     except ValueError as error:
         raise ValueError(f"{file.location}: {error}") from error
-    write_picture(view.show(title=file.frame), output)
+    picture = None if network is None else read_image(file)
+    write_picture(view.show(title=file.frame, picture=picture), output)
     say(output)
