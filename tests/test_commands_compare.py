@@ -134,7 +134,7 @@ def test_a_member_that_fails_on_a_frame(compare, town):
 def test_the_tables(ssrvlad, town):
     code, out, err = ssrvlad("compare", town, "--method", "label-grid,hog,lost-x", *CAMVID)
     assert (code, len(err)) == (3, 1)
-    assert err[0].startswith("ssrvlad: skipped lost-x: no weights at ")
+    assert err[0].startswith("ssrvlad: skipped lost-x: no network: ")
     for words in ("1.00-1.00", "Recall@100%", "label-grid", "not run", "bytes a reference"):
         assert words in out
     assert "6 queries (6 with a true match) against 6 references, convention exact" in out

@@ -7,11 +7,14 @@ import torch.nn.functional as F
 from scipy.spatial.distance import cosine
 from test_lost import CLASSES as SEEN
 from test_lost import described, mean_feature
-from torch import Tensor
+from torch import Tensor, nn
 
 from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines.dense_network import dense_network
 from ssrvlad_torch.baselines.lost import layout_cost
 from ssrvlad_torch.baselines.lost_x import LoSTX
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CHANNELS, CLASSES = 40, 4
 SPACE = """
@@ -28,6 +31,7 @@ classes:
 def network(images: Tensor) -> tuple[Tensor, Tensor]:
     """Random projections of 8 x 8 blocks; the class probabilities come at twice the resolution."""
     random = torch.Generator().manual_seed(0)
+    images = images.permute(0, 3, 1, 2) / 255
     features = F.conv2d(images - 0.5, torch.randn(CHANNELS, 3, 8, 8, generator=random), stride=8)
     scores = F.conv2d(images - 0.5, torch.randn(CLASSES, 3, 4, 4, generator=random), stride=4)
     return features, scores.softmax(dim=1)
@@ -35,8 +39,9 @@ def network(images: Tensor) -> tuple[Tensor, Tensor]:
 
 def seen(frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Features ``(D, P)``, probabilities ``(4, P)`` and most likely classes, place by place."""
-    pixels = torch.tensor(frame.image).permute(2, 0, 1)[None] / 255
-    features, scores = (part[0].double().numpy() for part in network(pixels))
+    features, scores = (
+        part[0].double().numpy() for part in network(torch.tensor(frame.image)[None])
+    )
     nearest = scores[:, 1::2, 1::2]  # of four places in a square the one after the middle
     probabilities = nearest.reshape(CLASSES, -1)
     return features.reshape(CHANNELS, -1), probabilities, probabilities.argmax(axis=0)
@@ -135,7 +140,7 @@ def test_a_frame_finds_itself_and_its_mirror_image(space):
 
     def symmetric(images: Tensor) -> tuple[Tensor, Tensor]:
         """What it sees in a mirror is the mirror image of what it sees."""
-        (one, scores), (two, mirror) = network(images), network(images.flip(3))
+        (one, scores), (two, mirror) = network(images), network(images.flip(2))
         return one + two.flip(3), (scores + mirror.flip(3)) / 2
 
     for opposite, queries in ((False, drive), (True, mirrored)):
@@ -165,7 +170,7 @@ def test_candidates_without_key_points_stand_behind_the_ranked(space):
     def blind(images: Tensor) -> tuple[Tensor, Tensor]:
         features, scores = network(images)
         shifted = torch.zeros_like(scores)
-        shifted[:, 2 if images.mean() > 0.7 else 0] = 1
+        shifted[:, 2 if images.float().mean() > 178 else 0] = 1
         return features, shifted
 
     bright = [Frame(f.frame, image=(f.image // 4 + 191).astype(np.uint8)) for f in frames(2)]
@@ -230,13 +235,24 @@ def test_frames_that_do_not_do_are_named(method):
         method.encode_query([])
 
 
-def test_no_network(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"lost_x\.onnx"):
-        make("lost-x", weights=tmp_path)
+def test_no_network():
+    with pytest.raises(FileNotFoundError, match="no network: lost-x needs a segmentation network"):
+        make("lost-x")
 
 
-def test_random_weights_say_what_they_are():
-    method = LoSTX(random_weights=True)
-    assert method.name == "lost-x (random weights)"
-    found = method.encode_query([Frame("a/0", image=frames(1)[0].image)])
-    assert found.descriptors.shape == (1, 3 * 2048)
+def test_a_segmentation_network(tmp_path, space):
+    torch.manual_seed(0)
+    trunk = [nn.Conv2d(3, CHANNELS, 8, stride=8), nn.ReLU(), nn.Conv2d(CHANNELS, 2 * CHANNELS, 1)]
+    layers = nn.Sequential(*trunk, nn.Conv2d(2 * CHANNELS, CLASSES, 1), nn.Upsample(scale_factor=8))
+    config = SegmenterConfig(mean=(0, 0, 0), std=(1, 1, 1), features=("0",))
+    segmenter = Segmenter(layers, space, config)
+    picture = torch.tensor(frames(1)[0].image)[None]
+    features, scores = dense_network(segmenter)(picture)
+    numbers = picture.permute(0, 3, 1, 2) / 255
+    torch.testing.assert_close(features, layers[0](numbers))
+    torch.testing.assert_close(scores, layers(numbers).softmax(1))
+    method = LoSTX(network=segmenter)
+    assert method.encode_query(frames(2)).places.shape == (2, CHANNELS)
+    several = SegmenterConfig(features=("0", "2"))
+    with pytest.raises(ValueError, match="expected one activation for LoST-X, got 0, 2"):
+        LoSTX(network=Segmenter(layers, space, several))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import islice
@@ -15,7 +15,7 @@ import numpy as np
 from _costs import ENCODED, Cost, measure
 from _markdown import head_row, largest_mean_smallest, processor, row
 from _problems import IMAGES, LABELS, CityDrive, camvid_problems
-from _trials import TRAINED, Cache, Rival
+from _trials import TRAINED, Cache, Rival, with_costs, with_network
 from PIL import Image
 
 from ssrvlad_torch.baselines import Frame
@@ -49,17 +49,18 @@ INTRODUCTION = f"""Milliseconds for a frame of {SIZE[0]} x {SIZE[1]} pixels, max
   the descriptor. A single number is both together.
 - *Matching a pair* is the time of one query against {REFERENCES} references (as in RobotCar)
   divided by their number; LoST-X and tiny image have {ENCODED} references.
-- The cost of a segmentation network is not included, also not by the paper.
+- The cost of a segmentation network is not included, except in LoST-X, which runs its own; also
+  not by the paper.
 - In some cells of the paper the maximum is below the minimum; they are as printed.
 """
 
 
 def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     """The lines of Table III."""
-    origin = ("costs", _stamp(options.camvid), [rival.stamp(options.weights) for rival in RIVALS])
-    costs = {
-        name: Cost(**cost) for name, cost in cache.get(origin, partial(_records, options)).items()
-    }
+    rivals = with_costs(with_network(RIVALS, options.segmenter))
+    origin = ("costs", _stamp(options.camvid), [rival.stamp(options.weights) for rival in rivals])
+    found = cache.get(origin, partial(_records, rivals, options))
+    costs = {name: Cost(**cost) for name, cost in found.items()}
     frames = (
         "The frames are those of CamVid, enlarged."
         if options.camvid
@@ -69,7 +70,7 @@ def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     yield INTRODUCTION.format(processor=processor(), frames=frames)
     steps = ("extraction", "encoding", "matching a pair")
     yield from head_row("method", *steps, *(f"the paper: {step}" for step in steps))
-    for rival in RIVALS:
+    for rival in rivals:
         cost = costs[rival.name]
         yield row(shown(rival, cost), *_cells(cost), *_paper.TABLE_III.get(rival.name, ("",) * 3))
     embedded = "SSR-VLAD on a TDA4VM"
@@ -77,8 +78,8 @@ def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     yield ""
 
 
-def _records(options: argparse.Namespace) -> dict[str, dict[str, Any]]:
-    costs = measure_all(options.camvid, options.weights)
+def _records(rivals: Sequence[Rival], options: argparse.Namespace) -> dict[str, dict[str, Any]]:
+    costs = measure_all(rivals, options.camvid, options.weights)
     return {name: asdict(cost) for name, cost in costs.items()}
 
 
@@ -87,16 +88,18 @@ def shown(rival: Rival, cost: Cost) -> str:
     return f"{rival.name} (random weights)" if "random" in cost.method else rival.name
 
 
-def measure_all(camvid: Path | None, weights: Path | None) -> dict[str, Cost]:
-    """Costs of each of `RIVALS` by its name; networks without weights get random ones."""
+def measure_all(
+    rivals: Sequence[Rival], camvid: Path | None, weights: Path | None
+) -> dict[str, Cost]:
+    """Costs of rivals by their names; networks without weights get random ones."""
     pictures = {LABELS: [], IMAGES: []}
     for labels, image in islice(_pictures(camvid), PICTURES):
         pictures[LABELS].append(labels)
         pictures[IMAGES].append(image)
-    methods = {rival.name: partial(rival.make, weights, True) for rival in RIVALS}
-    frames = {rival.name: pictures[rival.sees] for rival in RIVALS}
+    methods = {rival.name: partial(rival.make, weights, True) for rival in rivals}
+    frames = {rival.name: pictures[rival.sees] for rival in rivals}
     rounds = {
-        rival.name: ROUNDS_OF_NETWORKS if rival.method in TRAINED else ROUNDS for rival in RIVALS
+        rival.name: ROUNDS_OF_NETWORKS if rival.method in TRAINED else ROUNDS for rival in rivals
     }
     return measure(methods, frames, REFERENCES, rounds)
 

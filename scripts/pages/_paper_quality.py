@@ -23,7 +23,17 @@ from _problems import (
     image_problem,
     label_problem,
 )
-from _trials import RESAMPLES, TRAINED, UNPROCESSED, Cache, Outcome, Outcomes, Rival, try_all
+from _trials import (
+    RESAMPLES,
+    TRAINED,
+    UNPROCESSED,
+    Cache,
+    Outcome,
+    Outcomes,
+    Rival,
+    try_all,
+    with_network,
+)
 
 from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.evaluation.metrics import Convention
@@ -122,7 +132,7 @@ winter, with heavy traffic and the errors of a bad segmenter. The city has no im
 def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     """The lines of Table I; draws the figure beside the page."""
     problems, lacking = open_all(options)
-    outcomes = try_all(problems, RIVALS, cache, options.weights)
+    outcomes = try_all(problems, with_network(RIVALS, options.segmenter), cache, options.weights)
     if options.only is None:
         figure = options.output.parent / "figures" / "paper_pr_curves.png"
         draw(problems, outcomes, DRAWN, CONVENTION, figure)

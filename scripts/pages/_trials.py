@@ -6,7 +6,7 @@ import hashlib
 import json
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import accumulate
 from pathlib import Path
@@ -28,8 +28,11 @@ from ssrvlad_torch.files import replacing
 TOP = 10
 BLOCK = 16
 RESAMPLES = 1000
-TRAINED = ("netvlad", "region-vlad", "lost-x")
+TRAINED = ("netvlad", "region-vlad")
 """Methods whose networks were trained."""
+
+LOST_X = "lost-x"
+"""A method that runs any segmentation network."""
 
 UNPROCESSED = {"opening": 0.0, "closing": 0.0, "hole_area": 0.0, "region_area": 0.0}
 """SSR-VLAD without the paper's pre-processing of the label map."""
@@ -91,6 +94,17 @@ class Rival:
             files = sorted(path for path in folder.rglob("*") if path.is_file())
             parts += [(path.name, *stamp_of(path)) for path in files]
         return repr(parts)
+
+
+def with_network(rivals: Iterable[Rival], network: Path | None) -> tuple[Rival, ...]:
+    """The rivals, LoST-X with a segmentation network if there is one."""
+    settings = {"network": str(network)} if network else {}
+    return tuple(replace(r, settings=settings) if r.method == LOST_X else r for r in rivals)
+
+
+def with_costs(rivals: Iterable[Rival]) -> tuple[Rival, ...]:
+    """The rivals without LoST-X if it has no network: it cannot run with random weights."""
+    return tuple(rival for rival in rivals if rival.method != LOST_X or rival.settings)
 
 
 @dataclass(frozen=True)

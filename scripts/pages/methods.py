@@ -25,7 +25,17 @@ from _costs import ENCODED, Cost, measure
 from _markdown import head_row, interval, paragraph, processor, row, significant, write
 from _problems import IMAGES, LABELS, Drive, Problem, camvid_problems, image_problem
 from _stored import stored_trials
-from _trials import TRAINED, Cache, Outcome, Outcomes, Rival, Trial, try_all
+from _trials import (
+    TRAINED,
+    Cache,
+    Outcome,
+    Outcomes,
+    Rival,
+    Trial,
+    try_all,
+    with_costs,
+    with_network,
+)
 
 from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.cli.bench import threads
@@ -57,7 +67,7 @@ label grid and tiny image are trivial baselines.
   UofA and Gardens Point, without and with the [steps](recognition.md) that `query` takes.
   [Results](results.md) has the other data sets and intervals.
 - *Match* is one query against all references, without ranking.
-- The cost of a segmentation network is not included.
+- The cost of a segmentation network is not included, except in LoST-X, which runs its own.
 """
 
 STORED = """The authors of VPR-Bench publish these results with the data set. Here they go through
@@ -75,6 +85,7 @@ def main() -> None:
     arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
     arguments.add_argument("--corridor", type=Path, help="folder of VPR-Bench's corridor")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
+    arguments.add_argument("--network", type=Path, help="YAML file of a network, for LoST-X")
     arguments.add_argument("--cache", type=Path, default=Path(".cache/trials"))
     arguments.add_argument("--output", type=Path, default=Path("docs/methods.md"))
     options = arguments.parse_args()
@@ -83,8 +94,9 @@ def main() -> None:
     drives = [problem for problem in camvid if "espnetv2" not in problem.name]
     problems = [corridor_problem(options.corridor)] if options.corridor else []
     with threads(1):
-        outcomes = try_all(problems, RIVALS, kept, options.weights)
-        page = [HEAD, *(in_short(drives, kept, options) if drives else ())]
+        rivals = with_network(RIVALS, options.network)
+        outcomes = try_all(problems, rivals, kept, options.weights)
+        page = [HEAD, *(in_short(drives, with_costs(rivals), kept, options) if drives else ())]
         for problem in problems:
             page += [*section(problem, outcomes)]
             page += [*stored_section(options.corridor, problem, outcomes)]
@@ -99,10 +111,10 @@ def corridor_problem(folder: Path) -> Problem:
 
 
 def in_short(
-    problems: Sequence[Problem], kept: Cache, options: argparse.Namespace
+    problems: Sequence[Problem], rivals: Sequence[Rival], kept: Cache, options: argparse.Namespace
 ) -> Iterator[str]:
     """The table with a row for every method."""
-    costs = measured(problems, kept, options.weights)
+    costs = measured(problems, rivals, kept, options.weights)
     found = rates(options.output.parent / "results.csv")
     first = problems[0].searches[0]
     size = "{} x {} pixels".format(*_size(first.queries))
@@ -111,7 +123,7 @@ def in_short(
     yield from head_row(
         "method", "sees", "bytes a place", "encode, ms", "match, ms", "single frames", "steps"
     )
-    for rival in RIVALS:
+    for rival in rivals:
         cost = costs[rival.name]
         name = f"{rival.name} (random weights)" if "random" in cost.method else rival.name
         times = (significant(median(values)) for values in (cost.encode, cost.match))
@@ -182,16 +194,18 @@ def reason(outcome: str) -> str:
     return "weights not here" if outcome.startswith("no weights") else "not run"
 
 
-def measured(problems: Sequence[Problem], kept: Cache, weights: Path | None) -> dict[str, Cost]:
+def measured(
+    problems: Sequence[Problem], rivals: Sequence[Rival], kept: Cache, weights: Path | None
+) -> dict[str, Cost]:
     """Costs of the methods on frames of a data set that has label maps and images."""
     first = {problem.gives: problem.searches[0] for problem in reversed(problems)}
     drives = {kind: search.queries for kind, search in first.items()}
     references = len(next(iter(first.values())).references.places[0])
-    stamps = [*(drive.stamp for drive in drives.values()), *(r.stamp(weights) for r in RIVALS)]
+    stamps = [*(drive.stamp for drive in drives.values()), *(r.stamp(weights) for r in rivals)]
     found = kept.get(
-        ("costs", references, *stamps), partial(measure_all, RIVALS, drives, references, weights)
+        ("costs", references, *stamps), partial(measure_all, rivals, drives, references, weights)
     )
-    return {rival.name: Cost(**found[rival.name]) for rival in RIVALS}
+    return {rival.name: Cost(**found[rival.name]) for rival in rivals}
 
 
 def measure_all(

@@ -13,11 +13,12 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..recognition.sweep import score
-from ..taxonomy import label_space
-from .dense_network import DenseNetwork, TrunkAndClassifier, load_dense_network
+from ..segmentation.networks import AUTO
+from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace, label_space
+from .dense_network import DenseNetwork, dense_network
 from .lost import class_sums, layout_cost, lost_descriptor
 from .protocol import Columns, Frame, Image, image_of
-from .weights import random_network
 
 _REACH = 7
 _CANDIDATES = 10
@@ -52,41 +53,41 @@ class LoSTX:
     references; this is left out, because a query must not depend on other queries.
 
     Args:
-        weights: an ONNX file, see `load_dense_network`.
-        random_weights: only to measure the cost of the method; the name then says so.
-        network: any network with features and class probabilities, in place of a file.
-        labels_as: label space of its classes.
+        network: a segmentation network, or its name, see `open_network`; or any function with
+            features and class probabilities. The setting ``features`` of its YAML file names the
+            activation; the authors took the last of the encoder, conv5 of RefineNet-101.
+        labels_as: label space of its classes; by default that of the segmentation network.
         classes: names of the classes in that space, by default the paper's.
         opposite: the two traverses run in opposite directions, so the keypoints of queries are
             mirrored left to right. The descriptor does not depend on it.
 
     Raises:
-        FileNotFoundError: there is no network and no weights file.
-        ValueError: the label space lacks a class, or the file does not fit.
+        FileNotFoundError: there is no network.
+        ValueError: the network cannot be used, or the label space lacks a class.
     """
 
+    name = "lost-x"
     needs = frozenset({"images", "weights"})
 
     def __init__(
         self,
-        weights: str | Path | None = None,
-        random_weights: bool = False,
-        network: DenseNetwork | None = None,
-        labels_as: str = "cityscapes-trainids",
+        network: DenseNetwork | Segmenter | str | Path | None = None,
+        labels_as: str | LabelSpace | None = None,
         classes: Sequence[str] = ("road", "building", "vegetation"),
         opposite: bool = False,
     ) -> None:
-        self.name = "lost-x (random weights)" if random_weights else "lost-x"
-        self._space = label_space(labels_as)
+        if network is None:
+            raise FileNotFoundError(
+                "no network: lost-x needs a segmentation network, by the setting network"
+            )
+        if isinstance(network, str | Path):
+            network = Segmenter.load(network, labels_as or AUTO)
+        if isinstance(network, Segmenter):
+            labels_as, network = network.label_space, dense_network(network)
+        self._network = network
+        self._space = label_space(labels_as or "cityscapes-trainids")
         self._classes = torch.tensor([self._id(name) for name in classes])
         self._opposite = opposite
-        if network is not None:
-            self._network = network
-        elif random_weights:
-            count = self._space.channel_counts.start
-            self._network = random_network(lambda: TrunkAndClassifier(count))
-        else:
-            self._network = load_dense_network(weights)
 
     def encode_query(self, frames: Iterable[Frame]) -> LoSTEncodings:
         """Descriptors with the mean features of each frame alone. They hold 8 kB per place."""
@@ -144,8 +145,7 @@ class LoSTX:
 
     @torch.no_grad()
     def _view(self, image: Image) -> _View:
-        pixels = torch.tensor(image).permute(2, 0, 1)[None] / 255
-        features, scores = self._network(pixels)
+        features, scores = self._network(torch.tensor(image)[None])
         self._check(features, scores)
         scores = F.interpolate(scores, features.shape[2:], mode="nearest-exact")[0].flatten(1)
         labels, flat = scores.argmax(dim=0), features[0].flatten(1)
