@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch import Tensor
 
-from ssrvlad_torch.recognition.candidates import follow_candidates, lead_of_candidates
-from ssrvlad_torch.recognition.follow import follow, lead_of_map
-from ssrvlad_torch.recognition.motion import Motion, moments
+from ssrvlad_torch.recognition.candidates import follow_candidates, gain_of_candidates
+from ssrvlad_torch.recognition.follow import follow, gain
+from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, Motion, moments
 
 
 class Best:
@@ -87,11 +87,12 @@ def test_the_track_goes_on_where_no_candidate_is_found():
     assert found.indices[20:, 0].tolist() == list(range(1020, 1060))
 
 
-def test_the_lead_of_the_map_is_that_of_all_rows():
-    for scores in (drive(40, 12), drive(40, 12).flip(0)):
-        expected = lead_of_map(scores, ["m"] * 40)
-        got = lead_of_candidates(Best(scores, 40), ["m"] * 40)
-        assert got == pytest.approx(expected, abs=1e-3)
+@pytest.mark.parametrize("way", [FORWARDS, BACKWARDS])
+def test_the_gain_is_that_of_all_rows(way):
+    scores, motion, some = drive(40, 12), Motion(unmapped=0.0, rate=2), range(1, 12, 2)
+    expected = gain(scores, ["m"] * 40, motion, way, some)
+    got = gain_of_candidates(Best(scores, 40), ["m"] * 40, motion, way, some)
+    assert got == pytest.approx(expected, abs=1e-3)
 
 
 def test_an_empty_query_is_placed_by_its_neighbours():

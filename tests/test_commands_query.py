@@ -9,6 +9,7 @@ from drives import write_maps
 from helpers import street
 
 from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch.cli.measure import by_sequence
 
 REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
 
@@ -211,3 +212,9 @@ def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
     assert err[0].endswith("; no answer is accepted")
     both = "query", town, tmp_path / "town", "--max-wrong", 0.1, "--min-confidence", 0.5
     assert ssrvlad(*both)[0] == 2
+
+
+def test_the_line_of_steps_names_the_sequences_that_differ():
+    assert by_sequence({"a": "offline", "b": "offline"}) == "offline"
+    values = {"a": "no", **{name: "offline" for name in "bcdef"}}
+    assert by_sequence(values) == "no (a); offline (b, c, d and 2 more)"

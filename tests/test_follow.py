@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from ssrvlad_torch.recognition.filter import Filter
-from ssrvlad_torch.recognition.follow import NEAR, follow, lead_of_map, way_of
+from ssrvlad_torch.recognition.follow import NEAR, follow
 from ssrvlad_torch.recognition.motion import BACKWARDS, FORWARDS, SPEEDS, Motion, likelihoods
 
 WAYS = (FORWARDS, BACKWARDS)
@@ -124,30 +124,6 @@ def test_queries_may_run_the_map_backwards():
     ahead = follow(scores, ["map"] * 200)
     assert found.backward.mean() < 0.1
     assert ahead.backward.mean() > 0.5
-
-
-QUERIES = {
-    **dict.fromkeys(TRACKS, FORWARDS),
-    "backwards": BACKWARDS,
-    "shuffled": 0,
-    "every sixth row": 0,
-    "standing still": 0,
-    "a single one": 0,
-}
-
-
-@pytest.mark.parametrize("name", QUERIES)
-def test_the_lead_of_the_map_tells_whether_and_how_queries_follow_it(name):
-    tracks = {
-        **TRACKS,
-        "backwards": range(120, 60, -1),
-        "shuffled": np.random.default_rng(0).permutation(60) + 20,
-        "every sixth row": range(5, 200, 6),
-        "standing still": [70] * 40,
-        "a single one": [70],
-    }
-    scores = noisy([*tracks[name]], 200, strength=0.5)
-    assert way_of(lead_of_map(scores, ["map"] * 200)) == QUERIES[name]
 
 
 def test_a_branch_leads_from_one_sequence_into_another():

@@ -13,6 +13,7 @@ from ssrvlad_torch.recognition.motion import (
     moments,
     moved,
     nearness,
+    steps_of,
 )
 
 WAYS = (FORWARDS, BACKWARDS)
@@ -53,6 +54,17 @@ def test_back_is_the_transpose(cells):
     there = (moved(one, MOTION, WAYS) * other).double().sum()
     back = (one * moved(other, MOTION, WAYS, back=True)).double().sum()
     torch.testing.assert_close(there, back, rtol=1e-6, atol=0)
+
+
+@pytest.mark.parametrize("rate", [0.25, 1, 2.5, 3])
+def test_steps_at_a_rate(rate):
+    """They are as many times as long on average, and all are steps of the motion."""
+    for speed, (_, steps) in enumerate(SPEEDS):
+        at_rate = steps_of(speed, rate)
+        assert sum(at_rate.values()) == pytest.approx(1)
+        mean = sum(step * chance for step, chance in steps.items())
+        assert sum(step * chance for step, chance in at_rate.items()) == pytest.approx(rate * mean)
+        assert set(at_rate) <= set(Motion(rate=rate).steps)
 
 
 def test_moments_leave_out_what_has_no_score():

@@ -60,6 +60,30 @@ def test_queries_that_are_no_sequence_are_judged_one_by_one():
     assert kept.used["follow"] == {"q": "offline"}
 
 
+def test_a_map_in_small_folders_is_searched_as_one_that_is_whole():
+    """Folders of two frames would have v and -v after their own means are subtracted."""
+    queries, references = two_traverses(80, 0.8)
+    order, cut = torch.arange(80), [f"{row // 2:02d}" for row in range(80)]
+    for names in (["r"] * 80, cut):
+        found = recognise(queries, references, ["q"] * 80, names, Steps(follow=None))
+        assert (found.matches.indices[:, 0] == order).float().mean() > 0.95
+
+
+def test_two_streams_in_turn_are_followed_each_by_itself():
+    queries, references = two_traverses(80, 1.6)
+    order = torch.arange(80).view(2, 40).T.flatten()
+    found = recognise(queries[order], references, ["q"] * 80, ["r"] * 80)
+    assert found.used["follow"] == {"q": "offline, 2 streams in turn"}
+    assert (found.matches.indices[:, 0] == order).float().mean() > 0.97
+
+
+def test_queries_in_reverse_order_are_followed_backwards():
+    queries, references = two_traverses(80, 1.6)
+    found = recognise(queries.flip(0), references, ["q"] * 80, ["r"] * 80, Steps(follow="online"))
+    assert found.used["follow"] == {"q": "online, backwards"}
+    assert (found.matches.indices[:, 0] == torch.arange(79, -1, -1)).float().mean() > 0.9
+
+
 def test_a_single_query_is_never_followed():
     queries, references = two_traverses(80, 0.8)
     for query in queries:

@@ -4,7 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.recognition.standardise import standardise
+from ssrvlad_torch.recognition.standardise import sharing, standardise
 from ssrvlad_torch.recognition.sweep import narrowed, score
 
 
@@ -25,25 +25,33 @@ def test_each_traverse_loses_its_own_mean():
     torch.testing.assert_close(both.norm(dim=1), torch.ones(80))
 
 
-def test_the_mean_so_far_ends_as_the_mean_of_all():
-    frames = traverse(50, 3, 2.0)
-    running = standardise(frames, running=True)
-    assert torch.equal(running[0], frames[0])
-    torch.testing.assert_close(running[-1], standardise(frames)[-1])
-    torch.testing.assert_close(running[:20], standardise(frames[:20], running=True))
+@pytest.mark.parametrize("frames", [2, 5, 29])
+def test_folders_of_a_drive_have_its_mean(frames):
+    drive, other = traverse(58, 1, 4.0), traverse(40, 2, 4.0)
+    names = [f"a{row // frames}" for row in range(58)] + ["b"] * 40
+    after = standardise(torch.cat((drive, other)), names)
+    torch.testing.assert_close(after, torch.cat((standardise(drive), standardise(other))))
+
+
+def test_a_few_frames_beside_a_drive_have_the_mean_of_all():
+    frames = traverse(44, 1, 4.0)
+    after = standardise(frames, ["a"] * 40 + ["b"] * 4)
+    torch.testing.assert_close(after[40:], standardise(frames)[40:])
+    assert sharing([40, 4]) == {(0,): (0,), (1,): (0, 1)}
+
+
+def test_a_few_frames_alone_stay_as_they_are():
+    frames = traverse(29, 1, 4.0)
+    torch.testing.assert_close(standardise(frames), frames)
+    assert not sharing([2, 27])
 
 
 def test_empty_frames_stay_empty_and_count_in_no_mean():
-    frames = traverse(20, 3, 2.0)
+    frames = traverse(40, 3, 2.0)
     holed = torch.cat((frames[:10], torch.zeros(3, 32), frames[10:]))
     after = standardise(holed)
     assert not after[10:13].any()
     torch.testing.assert_close(after[:10], standardise(frames)[:10])
-
-
-def test_a_frame_alone_keeps_its_descriptor():
-    frame = traverse(1, 1, 1.0)
-    assert torch.equal(standardise(frame), frame)
 
 
 def test_a_reference_scores_its_best_anchor():

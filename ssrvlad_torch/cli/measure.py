@@ -178,15 +178,15 @@ def _wrong(
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
     """The steps between descriptors and a decision, in a line; those of Eq. 3 only if ``temporal``
     is given."""
-    widths, followed = used["sweep"].values(), used["follow"].values()
-    if not followed:
+    widths, standard = used["sweep"].values(), used["standardise"]
+    if not widths:
         return "no query could be described"
     words = [
-        "standardised" if any(used["standardise"].values()) else "not standardised",
+        by_sequence({k: "standardised" if v else "not standardised" for k, v in standard.items()}),
         f"sweep +-{'/'.join(str(width) for width in dict.fromkeys(widths))} columns"
         if any(widths)
         else "no sweep",
-        f"followed: {'/'.join(dict.fromkeys(followed))}",
+        f"followed: {by_sequence(used['follow'])}",
     ]
     words += weights_in_words(list(used["weights"].values()))
     if used["delay"]:
@@ -198,6 +198,21 @@ def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | 
     if used["references"] < MIN_FRAMES:
         words.append(f"no confidence: {used['references']} references are too few")
     return ", ".join(words)
+
+
+def by_sequence(values: Mapping[str, str]) -> str:
+    """What holds for each sequence; the names of the sequences only where they differ."""
+    names: dict[str, list[str]] = {}
+    for name, value in values.items():
+        names.setdefault(value, []).append(name)
+    if len(names) == 1:
+        return next(iter(names))
+    return "; ".join(f"{value} ({_listed(of)})" for value, of in names.items())
+
+
+def _listed(names: Sequence[str], most: int = 3) -> str:
+    more = f" and {len(names) - most} more" * (len(names) > most)
+    return ", ".join(names[:most]) + more
 
 
 def _thresholds(points: Mapping[str, Any], used: Mapping[str, Any] | None) -> Table:

@@ -13,7 +13,7 @@ import torch.nn.functional as F
 
 from ..recognition.matching import Rows
 from ..recognition.motion import moments
-from ..recognition.standardise import standardise, without_mean
+from ..recognition.standardise import sharing, standardise, without_mean
 from ..recognition.sweep import score
 from .checksums import intact, matrix
 from .index import CANDIDATES, condition_of, nearest, require_index
@@ -168,7 +168,8 @@ class IndexSearch:
         return may
 
     def _mean_of_each(self, count: int) -> Tensor:
-        """``(count, D)`` float32, the mean of each sequence, in one pass that verifies all rows."""
+        """``(count, D)`` float32, what is subtracted from each sequence, see
+        `standardise.sharing`, in one pass that verifies all rows."""
         totals = np.zeros((count, int(self._table.schema.field(DESCRIPTOR).type.list_size)))
         counts, first = np.zeros(count), 0
         for batch in read_rows(self._table):
@@ -178,7 +179,10 @@ class IndexSearch:
                 totals[sequence] += vectors[sequences == sequence].sum(0, dtype=np.float64)
             np.add.at(counts, sequences, vectors.any(axis=1))
             first += len(batch)
-        return torch.from_numpy(totals / np.maximum(counts, 1)[:, None]).float()
+        means = np.zeros_like(totals)
+        for group, of in sharing(np.bincount(self._sequences, minlength=count).tolist()).items():
+            means[list(group)] = totals[list(of)].sum(0) / max(1.0, counts[list(of)].sum())
+        return torch.from_numpy(means).float()
 
 
 class _RowCache:

@@ -110,15 +110,12 @@ def follow_candidates(
     return stacked([track.places(state, top) for state in smoothed], top)
 
 
-def lead_of_candidates(
-    search: Search, sequences: Sequence[str], part: range | None = None
+def gain_of_candidates(
+    search: Search, sequences: Sequence[str], motion: Motion, way: int, queries: range
 ) -> float:
-    """As `follow.lead_of_map`."""
-    tracks = (
-        CandidateFilter(sequences, Motion(unmapped=0.0), [way]) for way in (FORWARDS, BACKWARDS)
-    )
-    there, back = (sum(gain for _, gain in track.states(search, part)) for track in tracks)
-    return there - back
+    """As `follow.gain`."""
+    states = CandidateFilter(sequences, motion, [way]).states(search, queries)
+    return sum(gain for _, gain in states)
 
 
 class CandidateFilter:

@@ -25,7 +25,7 @@ from torch import Tensor
 from .display import candidates_table
 from .filter import Belief, Filter, Future
 from .matching import Matches, best_of
-from .motion import BACKWARDS, FORWARDS, Motion
+from .motion import FORWARDS, Motion
 
 NEAR = 3
 """Rows on each side of a row that show the same place."""
@@ -94,7 +94,8 @@ def follow(
         delay: number of later queries that an online answer waits for.
         top: number of candidates of each query.
         motion: how sequences move.
-        way: in which the queries run the map, `motion.FORWARDS` or `BACKWARDS`, see `lead_of_map`.
+        way: in which the queries run the map, `motion.FORWARDS` or `motion.BACKWARDS`, see
+            `courses`.
 
     Raises:
         ValueError: the scores do not fit the sequences, are NaN or above 1; the frames of a
@@ -126,31 +127,15 @@ def follow(
 
 
 @torch.no_grad()
-def lead_of_map(scores: Tensor | Scores, sequences: Sequence[str]) -> float:
-    """How much likelier the queries of one sequence follow the map than the map run backwards.
-
-    A natural logarithm, positive where they follow the map, negative where they follow it
-    backwards, and near 0 where they are no sequence or the map is none.
-
-    Args:
-        scores, sequences: as for `follow`.
-    """
-    motion = Motion(unmapped=0.0)
-    map_, decoy = (Filter(sequences, motion, [way]) for way in (FORWARDS, BACKWARDS))
-    for query in range(len(scores)):
-        likelihood = map_.likelihood(scores[query])
-        map_.update(likelihood)
-        decoy.update(likelihood)
-    return map_.gain - decoy.gain
-
-
-MIN_LEAD = 1.0
-"""Lead of the map above which queries follow it, see `lead_of_map`."""
-
-
-def way_of(lead: float) -> int:
-    """The way in which queries run the map, by the lead of the map; 0 if it is undecided."""
-    return 0 if abs(lead) <= MIN_LEAD else FORWARDS if lead > 0 else BACKWARDS
+def gain(
+    scores: Tensor | Scores, sequences: Sequence[str], motion: Motion, way: int, queries: range
+) -> float:
+    """How much likelier queries are as a sequence that runs the map in a way than each alone, see
+    `Filter.gain`."""
+    track = Filter(sequences, motion, [way])
+    for query in queries:
+        track.step(scores[query])
+    return track.gain
 
 
 def runs(sequences: Sequence[str]) -> Iterator[range]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import product
 from typing import NamedTuple
@@ -52,7 +52,8 @@ class Motion:
         weight: factor of a z-score in the logarithm of the likelihood. Errors of neighbouring
             frames are correlated, so it is less than for independent frames, where it is 1 or more.
         level: the z-score above which a frame is more likely at the row than at a new place.
-        rate: number of steps of `SPEEDS` from one frame to the next, 1 or more.
+        rate: mean number of steps of `SPEEDS` from one frame to the next: 3 for every third frame,
+            0.25 for frames four times as dense.
 
     Raises:
         ValueError: a probability is not from 0 to 1, the weight not above 0, or a number not
@@ -65,17 +66,17 @@ class Motion:
     stay: float = 0.97
     weight: float = 0.3
     level: float = 0.5
-    rate: int = 1
+    rate: float = 1
 
     @property
     def gap(self) -> int:
         """The longest step in rows, and the number of empty cells between two sequences."""
-        return _MAX_STEP * self.rate
+        return _MAX_STEP * math.ceil(self.rate)
 
     @property
     def steps(self) -> range:
         """All steps in rows."""
-        return range(_MIN_STEP * self.rate, self.gap + 1)
+        return range(_MIN_STEP * math.ceil(self.rate), self.gap + 1)
 
     def __post_init__(self) -> None:
         for name in ("change", "jump", "unmapped", "stay"):
@@ -88,8 +89,14 @@ class Motion:
                 "expected a finite weight above 0 and a finite level, "
                 f"got {self.weight} and {self.level}"
             )
-        if self.rate < 1:
-            raise ValueError(f"rate: expected an integer from 1, got {self.rate}")
+        if not 0 < self.rate < math.inf:
+            raise ValueError(f"rate: expected a finite number above 0, got {self.rate}")
+
+    def at(self, rate: float) -> Motion:
+        """The same motion for frames at another rate: what happens and what is learned on the way
+        from one frame to the next are proportional to it."""
+        change, jump = (min(1.0, each * rate) for each in (self.change, self.jump))
+        return replace(self, rate=rate, change=change, jump=jump, weight=self.weight * rate)
 
     def unmapped_at_start(self, rows: int) -> float:
         """Probability that a map of so many rows lacks the place of the first frame."""
@@ -217,14 +224,14 @@ def transitions(motion: Motion) -> Tensor:
     return probabilities
 
 
-def steps_of(speed: int, rate: int) -> dict[int, float]:
+def steps_of(speed: int, rate: float) -> dict[int, float]:
     """The probability of each step in rows at a speed, by its number in `SPEEDS`."""
-    steps = {0: 1.0}
-    for _ in range(rate):
-        after = dict[int, float]()
+    steps, whole = {0: 1.0}, math.floor(rate)
+    for likely in [1.0] * whole + [rate - whole] * (rate > whole):
+        after = {far: (1 - likely) * chance for far, chance in steps.items()}
         for (far, chance), (step, part) in product(steps.items(), SPEEDS[speed][1].items()):
-            after[far + step] = after.get(far + step, 0.0) + chance * part
-        steps = after
+            after[far + step] = after.get(far + step, 0.0) + chance * part * likely
+        steps = {far: chance for far, chance in after.items() if chance > 0}
     return steps
 
 

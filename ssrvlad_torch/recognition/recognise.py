@@ -11,14 +11,15 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from .candidates import Search, follow_candidates, lead_of_candidates
+from .candidates import Search, follow_candidates, gain_of_candidates
 from .confidence import ALONE, Confidence, answers_together
+from .courses import Course, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
-from .follow import Mode, Places, Scores, follow, lead_of_map, runs, way_of
+from .follow import Mode, Places, Scores, follow, gain, runs, stacked
 from .fusion import FusedScores, fused
 from .matching import Matches, Rows, Vectors, best_of
-from .motion import BACKWARDS
+from .motion import Motion
 from .signs import REACH, SignQueries, SignRows, are_signs
 from .signs import mirrored as mirrored_signs
 from .standardise import MIN_FRAMES, standardise
@@ -28,7 +29,7 @@ SSR_VLAD = "ssr-vlad"
 """The name of the descriptor among fused methods."""
 
 NO_SEQUENCE = "no, no sequence"
-"""How queries are followed of which the data do not show that they follow the map."""
+"""How queries are followed of which the data do not show that they run the map."""
 
 _SCORES_IN_MEMORY = 1 << 26
 
@@ -39,10 +40,11 @@ class Steps:
 
     Attributes:
         standardise: subtract the mean of each traverse, see `standardise`. A traverse of fewer
-            than `standardise.MIN_FRAMES` queries and the references for it stay raw.
+            than `standardise.MIN_FRAMES` queries, and the references for it, stay raw; so does all
+            for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep.narrowed`.
         follow: see `follow.follow`; ``None`` judges each query alone. So are sequences of which
-            the data do not show that they follow the map, see `follow.lead_of_map`.
+            the data do not show that they run the map, see `courses.course`.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -78,8 +80,8 @@ class Recognised(NamedTuple):
         sure: how sure the first candidates are; all 0 with fewer than `standardise.MIN_FRAMES`
             references.
         used: the steps as a report: `Steps` and the number of references, and by sequence whether
-            it was standardised, the width of its sweep, how it was followed (a mode, ``MODE,
-            backwards``, ``no``, or `NO_SEQUENCE`), and the weights of fused methods.
+            it was standardised, the width of its sweep, how it was followed (the mode and the
+            `Course`, ``no``, or `NO_SEQUENCE`), and the weights of fused methods.
     """
 
     matches: Matches
@@ -153,7 +155,8 @@ def recognise(
 
     def decide(run: range) -> _Decision:
         part = slice(run.start, run.stop)
-        standardised = steps.standardise and len(run) >= MIN_FRAMES
+        enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
+        standardised = steps.standardise and enough
         without = None if excluded is None else excluded[part]
         width, members, decoys = 0, list[Scores](), list[Scores]()
         for name, vectors in queries_of.items():
@@ -213,18 +216,26 @@ def recognise_by_search(
     steps = replace(steps or Steps(), sweep=False)
 
     def decide(run: range) -> _Decision:
-        standardised = steps.standardise and len(run) >= MIN_FRAMES
+        enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
+        standardised = steps.standardise and enough
         found = search(standardised)
-        sequences, mode = reference_sequences, steps.follow
-        way = way_of(lead_of_candidates(found, sequences, run)) if mode else 0
-        if mode and way:
-            places = follow_candidates(found, sequences, run, mode, steps.delay, top, way=way)
+        sequences = reference_sequences
+
+        def followed(taken: Course, part: range, mode: Mode) -> Places:
+            motion = Motion().at(taken.rate)
+            return follow_candidates(
+                found, sequences, part, mode, steps.delay, top, motion, taken.way
+            )
+
+        taken = steps.follow and course(partial(gain_of_candidates, found, sequences), run)
+        if steps.follow and taken:
+            places = _places(taken, run, partial(followed, mode=steps.follow), top)
             empty = torch.tensor([not len(found.candidates(query)) for query in run])
-            decision = _followed(places, empty, mode, way)
+            decision = _followed(places, empty, steps.follow, taken)
         else:
             against = decoys(standardised) if decoys else None
             judged = [_best_candidates(found, against, query, top) for query in run]
-            decision = _alone(judged, mode)
+            decision = _alone(judged, steps.follow)
         return replace(decision, standardise=standardised)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -361,22 +372,53 @@ def _decided(
 ) -> _Decision:
     """Follows one sequence of queries by the scores of all rows, or judges each alone."""
     mode = steps.follow
-    way = way_of(lead_of_map(scores, sequences)) if mode else 0
-    if mode and way:
-        places = follow(scores, sequences, mode=mode, delay=steps.delay, top=top, way=way)
-        empty = torch.tensor([not scores[query].isfinite().any() for query in range(len(scores))])
-        return _followed(places, empty, mode, way)
-    judged = [
-        (
-            best_of(scores[query], top),
-            lead_over_decoys(scores[query], None if decoys is None else decoys[query]),
-        )
-        for query in range(len(scores))
-    ]
-    return _alone(judged, mode)
+    queries, mode = range(len(scores)), steps.follow
+    taken = course(partial(gain, scores, sequences), queries) if mode else None
+    if not (mode and taken):
+        judged = [
+            (
+                best_of(scores[query], top),
+                lead_over_decoys(scores[query], None if decoys is None else decoys[query]),
+            )
+            for query in queries
+        ]
+        return _alone(judged, mode)
+
+    def followed(taken: Course, part: range) -> Places:
+        motion = Motion().at(taken.rate)
+        some = _Some(scores, part)
+        return follow(some, sequences, None, mode, steps.delay, top, motion, taken.way)
+
+    empty = torch.tensor([not scores[query].isfinite().any() for query in queries])
+    return _followed(_places(taken, queries, followed, top), empty, mode, taken)
 
 
-def _followed(places: Places, empty: Tensor, mode: Mode, way: int) -> _Decision:
+class _Some(Scores):
+    """The scores of some queries."""
+
+    def __init__(self, scores: Tensor | Scores, queries: range) -> None:
+        self._scores, self._queries = scores, queries
+
+    def __len__(self) -> int:
+        return len(self._queries)
+
+    def __getitem__(self, query: int, /) -> Tensor:
+        return self._scores[self._queries[query]]
+
+
+def _places(
+    taken: Course, queries: range, follow: Callable[[Course, range], Places], top: int
+) -> Places:
+    """The places of queries, each stream of the course followed by itself."""
+    parts = taken.parts(queries)
+    found = stacked(
+        [Places(*each) for part in parts for each in zip(*follow(taken, part), strict=True)], top
+    )
+    order = torch.tensor([query for part in parts for query in part]).argsort()
+    return Places(*(values[order] for values in found))
+
+
+def _followed(places: Places, empty: Tensor, mode: Mode, taken: Course) -> _Decision:
     """The decision about queries that were followed; an empty query has no candidate. For the
     scores, see `Recognised`."""
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
@@ -384,7 +426,7 @@ def _followed(places: Places, empty: Tensor, mode: Mode, way: int) -> _Decision:
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
     near = places.near.masked_fill(empty, torch.nan)
     sure = Confidence.of_places(near, places.backward, mode)
-    how = f"{mode}, backwards" if way == BACKWARDS else mode
+    how = ", ".join(part for part in (mode, str(taken)) if part)
     return _Decision(matches, sure, follow=how)
 
 

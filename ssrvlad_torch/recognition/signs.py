@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..native import core
 from .follow import runs
+from .standardise import sharing
 
 REACH = 2
 """Columns by which a query is moved to each side."""
@@ -76,7 +77,7 @@ class SignRows:
     Args:
         signs: ``(R, columns, rows, bytes)`` uint8.
         sequences: the traverse of each, the frames of one together, to subtract the mean of each
-            traverse; without, nothing is subtracted.
+            traverse, see `standardise.sharing`; without, nothing is subtracted.
 
     Attributes:
         signs: as given.
@@ -92,7 +93,11 @@ class SignRows:
         self.means = numbers(torch.zeros(1, *signs.shape[1:], dtype=torch.uint8)).flatten(2).zero_()
         if sequences is not None and len(signs):
             parts = [*runs(sequences)]
-            self.means = torch.stack([mean_of(signs[part.start : part.stop]) for part in parts])
+            self.means = self.means.repeat(len(parts), 1, 1)
+            for group, of in sharing([len(part) for part in parts]).items():
+                self.means[list(group)] = mean_of(
+                    signs[[row for each in of for row in parts[each]]]
+                )
             lengths = torch.tensor([len(part) for part in parts])
             self.traverse = torch.arange(len(parts)).repeat_interleave(lengths)
         self.squares = squares(signs, self.means, self.traverse)

@@ -7,6 +7,7 @@ the place. Schubert, Neubert and Protzel (ICRA 2020) subtract the mean of each t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -21,18 +22,15 @@ place: subtracted, it lowered Recall@1 of single pictures on CamVid, swept, from
 
 
 @torch.no_grad()
-def standardise(
-    descriptors: Vectors, sequences: Sequence[str] | None = None, running: bool = False
-) -> Tensor:
+def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) -> Tensor:
     """Descriptors without the mean of their traverse, normalised again.
 
-    Empty frames, whose descriptors are zero, stay zero and do not count in the mean.
+    Empty frames, whose descriptors are zero, stay zero and do not count in the mean. Traverses of
+    few frames share a mean, see `sharing`; fewer than `MIN_FRAMES` frames in all stay as they are.
 
     Args:
         descriptors: ``(N, D)`` float, or ``(N, S, D)`` of a sweep; the mean is over all anchors.
         sequences: the traverse of each frame; without, all frames are of one.
-        running: whether the mean is over the frames so far, as in a live stream. The first frame of
-            a traverse then stays as it is.
 
     Returns:
         float32 of the same shape, of length 1 or zero.
@@ -41,9 +39,9 @@ def standardise(
         ValueError: the descriptors are of another shape, or there is not one sequence for each.
 
     Example:
-        >>> standardise(torch.tensor([[1.0, 0.0], [0.0, 1.0]]))
-        tensor([[ 0.7071, -0.7071],
-                [-0.7071,  0.7071]])
+        >>> frames = torch.eye(30) + 5  # a large part in common
+        >>> standardise(frames)[0, :3]
+        tensor([ 0.9832, -0.0339, -0.0339])
     """
     single = F.normalize(torch.as_tensor(descriptors).float(), dim=-1)
     if single.ndim not in (2, 3):
@@ -51,24 +49,38 @@ def standardise(
     names = [""] * len(single) if sequences is None else sequences
     if len(names) != len(single):
         raise ValueError(f"expected a sequence for each of {len(single)} frames, got {len(names)}")
-    after = torch.empty_like(single)
     number = {name: place for place, name in enumerate(dict.fromkeys(names))}
     numbers = np.array([number[name] for name in names], np.int64)
-    for each in number.values():
-        rows = torch.from_numpy(np.flatnonzero(numbers == each))
-        after[rows] = _without_own_mean(single[rows], running)
-    return after
-
-
-def _without_own_mean(single: Tensor, running: bool) -> Tensor:
     anchors = single if single.ndim == 3 else single[:, None]
-    counted, totals = anchors.any(dim=2).sum(1), anchors.sum(1, dtype=torch.double)
-    if running:
-        counted, totals = counted.cumsum(0), totals.cumsum(0)
-    else:
-        counted, totals = counted.sum(0, keepdim=True), totals.sum(0, keepdim=True)
-    mean = (totals / counted.clamp(min=1)[:, None]).float()
-    return without_mean(anchors, mean[:, None]).view_as(single)
+    after, shared = anchors.clone(), sharing(np.bincount(numbers).tolist())
+    for group, means in shared.items():
+        rows = torch.from_numpy(np.flatnonzero(np.isin(numbers, group)))
+        of = anchors[torch.from_numpy(np.flatnonzero(np.isin(numbers, means)))]
+        mean = of.sum((0, 1), dtype=torch.double) / of.any(dim=2).sum().clamp(min=1)
+        after[rows] = without_mean(anchors[rows], mean.float())
+    return after.view_as(single)
+
+
+def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
+    """Which traverses have a mean in common, and which ones it is the mean of, by their numbers.
+
+    A traverse of `MIN_FRAMES` frames has its own. Shorter ones that follow one another, such as the
+    folders of a drive that was cut up, have one together, or that of all traverses if they are too
+    few. Without `MIN_FRAMES` frames in all there is no mean.
+
+    Args:
+        frames: number of frames of each traverse, in the order of the map.
+    """
+    every = tuple(range(len(frames)))
+    if sum(frames) < MIN_FRAMES:
+        return {}
+    shared: dict[tuple[int, ...], tuple[int, ...]] = {}
+    for short, run in groupby(every, lambda number: frames[number] < MIN_FRAMES):
+        together = tuple(run)
+        for group in [together] if short else [(number,) for number in together]:
+            enough = sum(frames[number] for number in group) >= MIN_FRAMES
+            shared[group] = group if enough else every
+    return shared
 
 
 def without_mean(vectors: Tensor, mean: Tensor) -> Tensor:

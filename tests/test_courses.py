@@ -1,0 +1,53 @@
+"""`recognition.courses`: whether queries run a map, and how, against sequences that are none."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from test_follow import TRACKS, noisy
+
+from ssrvlad_torch.recognition.courses import Course, course
+from ssrvlad_torch.recognition.follow import gain
+from ssrvlad_torch.recognition.motion import BACKWARDS
+
+ROWS = 240
+RANDOM = np.random.default_rng(0)
+COURSES = {
+    **{name: (track, Course()) for name, track in TRACKS.items()},
+    "in reverse order": (range(120, 60, -1), Course(BACKWARDS)),
+    "every sixth row": (range(5, ROWS, 6), Course(rate=3)),
+    "eight frames a row": (np.repeat(range(20, 60), 8), Course(rate=0.25)),
+    "two streams in turn": (
+        [row for both in zip(range(60), range(140, 200), strict=True) for row in both],
+        Course(streams=2),
+    ),
+    "shuffled": (RANDOM.permutation(60) + 20, None),
+    "ten photographs": (RANDOM.integers(0, ROWS, 10), None),
+    "standing still": ([70] * 40, None),
+    "a single one": ([70], None),
+    "none": ([], None),
+}
+
+
+@pytest.mark.parametrize("name", COURSES)
+def test_how_queries_run_a_map(name):
+    track, expected = COURSES[name]
+    scores = noisy([*track], ROWS, strength=0.5)
+    assert course(partial(gain, scores, ["map"] * ROWS), range(len(scores))) == expected
+
+
+def test_a_map_in_another_order_than_that_of_travel_is_run_by_nothing():
+    scores = noisy([*range(60)], ROWS, strength=0.5)[:, RANDOM.permutation(ROWS)]
+    assert course(partial(gain, scores, ["map"] * ROWS), range(60)) is None
+
+
+def test_folders_of_a_few_frames_are_run_by_nothing():
+    scores = noisy([*range(60)], ROWS, strength=0.5)
+    names = [str(row // 2) for row in range(ROWS)]
+    assert course(partial(gain, scores, names), range(60)) is None
+
+
+def test_a_course_in_words():
+    assert str(Course()) == ""
+    assert str(Course(BACKWARDS, 3, 2)) == "backwards, at rate 3, 2 streams in turn"
+    assert Course(streams=2).parts(range(1, 6)) == [range(1, 6, 2), range(2, 6, 2)]
