@@ -216,5 +216,5 @@ def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
 
 def test_the_line_of_steps_names_the_sequences_that_differ():
     assert by_sequence({"a": "offline", "b": "offline"}) == "offline"
-    values = {"a": "no", **{name: "offline" for name in "bcdef"}}
+    values = {"a": "no", **dict.fromkeys("bcdef", "offline")}
     assert by_sequence(values) == "no (a); offline (b, c, d and 2 more)"
