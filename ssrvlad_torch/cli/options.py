@@ -96,8 +96,8 @@ class SourceOptions:
     """Where frames come from, which of them are used, and how images become label maps."""
 
     paths: list[str] = argument(
-        "Folders, globs, files or ROS bags of label maps, or of images with --segmenter. Each "
-        "folder and each bag is one sequence.",
+        "Folders, globs or files of label maps; with --segmenter also images, videos and ROS bags. "
+        "Each folder, video and bag is one sequence.",
         metavar="SOURCE...",
     )
     labels_as: str | None = option(
@@ -123,10 +123,16 @@ class SourceOptions:
         "shortest end of its path that no other folder has."
     )
     poses: str | None = option(
-        "Poses of the frames: a .csv file, a KITTI or TUM file, or exif. Default: poses.csv in or "
-        "beside the folder, or the @UTM@ fields of file names."
+        "Poses of the frames: a .csv file, a KITTI, TUM, .gpx or .nmea file, or exif. Default: "
+        "poses.csv in or beside the folder, or the @UTM@ fields of file names."
+    )
+    largest_gap: float | None = option(
+        "With poses at times: interpolate between two that are at most this many seconds apart. "
+        "Default: 5 for GPX and NMEA; of a TUM file, the nearest pose within 0.02 s.",
+        min=0,
     )
     topic: str | None = option("Image topic of a ROS bag; needed only if the bag has several.")
+    fps: float | None = option("Use at most this many frames in a second of a video or bag.")
     every: int = option("Use every N-th frame of a sequence.", default=1, min=1)
     start: int = option("Number of the first frame of a sequence to use.", default=0, min=0)
     segmenter: str | None = option(
@@ -144,7 +150,7 @@ class SourceOptions:
     @property
     def takes_all(self) -> bool:
         """Whether all frames of a sequence are used."""
-        return (self.every, self.start) == (1, 0)
+        return (self.fps, self.every, self.start) == (None, 1, 0)
 
 
 @dataclass(frozen=True)

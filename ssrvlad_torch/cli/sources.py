@@ -144,9 +144,9 @@ class Source:
         options = self.options
         if self.dataset:
             return self.dataset.label_files(options.every, options.start)
-        paths, name, every, start = options.paths, options.sequence, options.every, options.start
+        paths = options.paths
         try:
-            return find_label_files(paths, name, every, start, self.known, options.poses)
+            return self._find(find_label_files)
         except ValueError:
             if not try_find(find_label_files, paths) and try_find(find_image_files, paths):
                 raise ValueError(
@@ -160,8 +160,12 @@ class Source:
         options = self.options
         if self.dataset:
             return self.dataset.image_files(options.every, options.start)
-        paths, name, every, start = options.paths, options.sequence, options.every, options.start
-        return find_image_files(paths, name, every, start, self.known, options.poses, options.topic)
+        return self._find(find_image_files)
+
+    def _find(self, find: Callable[..., list[FrameFile]]) -> list[FrameFile]:
+        options, names = self.options, ("sequence", "every", "start", "poses", "topic", "fps")
+        chosen = {name: getattr(options, name) for name in (*names, "largest_gap")}
+        return find(options.paths, known=self.known, **chosen)
 
 
 def only_label_space(database: Database) -> LabelSpace | None:
@@ -200,8 +204,10 @@ def try_find(find: Callable[..., list[FrameFile]], *arguments: object) -> list[F
 
 
 def _open_dataset(options: SourceOptions) -> Dataset | None:
-    if options.layout and (options.poses or options.topic):
-        raise ValueError("--poses and --topic do not go with --layout")
+    if options.layout and (options.poses or options.topic or options.fps):
+        raise ValueError("--poses, --topic and --fps do not go with --layout")
+    if options.largest_gap is not None and not options.poses:
+        raise ValueError("--largest-gap needs --poses")
     if options.layout is None:
         if options.split or options.role or options.labels:
             raise ValueError("--split, --role and --labels need --layout, such as --layout auto")

@@ -1,4 +1,5 @@
-"""Finding frames in folders, globs, stacks and bags, with their poses, and reading them ahead."""
+"""Finding frames in folders, globs, stacks, bags and videos, with their poses, and reading them
+ahead."""
 
 from __future__ import annotations
 
@@ -22,6 +23,7 @@ from .poses import UNKNOWN, Pose, poses_of_fixes, read_poses
 from .remote_files import remote_files
 from .trajectories import read_trajectory
 from .utm_names import read_name
+from .videos import VideoFile, is_video, video_files
 
 __all__ = ["FileKind", "FrameFile", "find_frames", "is_npy", "read_ahead"]
 
@@ -52,13 +54,15 @@ def find_frames(
     known: KnownFolders = (),
     poses: str | None = None,
     topic: str | None = None,
+    fps: float | None = None,
+    largest_gap: float | None = None,
 ) -> list[FrameFile]:
     """The frames of the sources. Sequences have the order of the sources; the sequences of a glob
     and the frames of a sequence have natural order.
 
     Args:
         kind: which files are frames.
-        sources: folders, files, globs, or URIs of folders that pyarrow can reach, as
+        sources: folders, files, videos, bags, globs, or URIs of folders that pyarrow can reach, as
             ``s3://bucket/monday``. The files of a folder are one sequence, named by
             `sequence_names`; hidden files are left out. A glob that matches no frame stands for
             the folders that it matches. A ``.npy`` stack that is a source is a sequence named by
@@ -69,10 +73,12 @@ def find_frames(
         poses: source of the poses, see `_with_given_poses`; if ``None``, the ``poses.csv`` in or
             beside a folder, or file names as in `utm_names`.
         topic: topic of a bag with several topics of images, see `bag_files`.
+        fps: most frames in a second, see `at_rate`; then ``every`` and ``start`` count these.
+        largest_gap: see `Trajectory`.
 
     Raises:
-        ValueError: a source holds no frames, two files are the same frame, ``every`` or ``start``
-            is out of range, or pyarrow does not support the URI's scheme.
+        ValueError: a source holds no frames, two files are the same frame, ``every``, ``start`` or
+            ``fps`` is out of range, or pyarrow does not support the URI's scheme.
         OSError: the folder of a URI cannot be read.
     """
     files = [file for source in sources for file in _expand(source, kind, topic)]
@@ -92,8 +98,8 @@ def find_frames(
     drives = [
         sorted(drive, key=lambda file: natural_key(file.name)) for drive in by_sequence.values()
     ]
-    drives = _with_given_poses(drives, poses) if poses else drives
-    selected = [file for drive in drives for file in every_nth(drive, every, start)]
+    drives = _with_given_poses(drives, poses, largest_gap) if poses else drives
+    selected = [file for drive in drives for file in _selected(drive, every, start, fps)]
     if not selected:
         longest = max(map(len, drives))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
@@ -111,13 +117,40 @@ def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]
     return drive[start::every]
 
 
-def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[list[FrameFile]]:
+def _selected(drive: list[FrameFile], every: int, start: int, fps: float | None) -> list[FrameFile]:
+    """The chosen frames of a sequence, and what stands for frames that are lost."""
+    frames = [file for file in drive if not (isinstance(file, VideoFile) and file.lost)]
+    chosen = frames if fps is None else at_rate(frames, fps)
+    return [*every_nth(chosen, every, start), *drive[len(frames) :]]
+
+
+def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
+    """The first frame in each interval of ``1 / fps`` seconds since the first frame of a sequence.
+
+    Raises:
+        ValueError: ``fps`` is not above 0, or a frame has no time.
+    """
+    if not 0 < fps < math.inf:
+        raise ValueError(f"expected fps above 0, got {fps}")
+    chosen = dict[int, FrameFile]()
+    for file in drive:
+        if math.isnan(file.stamp):
+            raise ValueError(f"fps needs frames of videos or bags; {file.location} has no time")
+        # 1e-5: times lie up to half a microsecond beside a multiple of the interval
+        chosen.setdefault(math.floor((file.stamp - drive[0].stamp) * fps + 1e-5 * fps), file)
+    return [*chosen.values()]
+
+
+def _with_given_poses(
+    drives: Sequence[list[FrameFile]], source: str, largest_gap: float | None
+) -> list[list[FrameFile]]:
     """The frames with their poses.
 
     Args:
         drives: all frames of each sequence, in order.
-        source: a CSV file, see `read_poses`; a file of KITTI or TUM, see `read_trajectory`; or
-            ``exif`` for the EXIF tags of the images.
+        source: a CSV file, see `read_poses`; a file of KITTI, TUM, GPX or NMEA, see
+            `read_trajectory`; or ``exif`` for the EXIF tags of the images.
+        largest_gap: see `Trajectory`.
 
     Raises:
         ValueError: the file is damaged, does not fit the frames, or has no pose of them.
@@ -135,9 +168,10 @@ def _with_given_poses(drives: Sequence[list[FrameFile]], source: str) -> list[li
         return list(map(_posed, drives, found))
     if len(drives) > 1:
         raise ValueError(f"{source} holds the poses of one drive, got {len(drives)} sequences")
-    trajectory = read_trajectory(path)
+    trajectory = read_trajectory(path, largest_gap)
+    names, stamps = zip(*((file.name, file.stamp) for file in drives[0]), strict=True)
     try:
-        return [_posed(drives[0], trajectory.of_frames([file.name for file in drives[0]]))]
+        return [_posed(drives[0], trajectory.of_frames(names, stamps))]
     except ValueError as error:
         raise ValueError(f"{source}: {error}") from error
 
@@ -204,9 +238,11 @@ def _is_same(file: FrameFile, other: FrameFile) -> bool:
 
 
 def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:
-    """The frames of a folder, a file or a bag. A broken link is a frame, skipped when read."""
+    """The frames of a folder, file, bag or video. A broken link is a frame, skipped when read."""
     if kind.name == "images" and is_bag(path):
         yield from bag_files(path, topic)
+    elif kind.name == "images" and is_video(path):
+        yield from video_files(path)
     elif path.is_dir():
         folder = absolute(path)
         for entry in path.iterdir():

@@ -1,7 +1,8 @@
-"""Poses of one drive in files of KITTI and TUM, and the poses of its frames."""
+"""Poses of one drive in files of KITTI, TUM, GPX and NMEA, and the poses of its frames."""
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,10 +10,13 @@ from typing import NamedTuple
 
 from ..untrusted import parse_number, read_text
 from .camera_poses import Y_DOWN, Z_UP, optical_axis
-from .poses import UNKNOWN, Pose
+from .poses import UNKNOWN, Pose, poses_of_fixes
+from .tracks import SUFFIXES, read_track
 
 _KITTI, _TUM = 12, 8
 _MOST_SECONDS = 0.02
+_GAP = 5.0
+"""Seconds between positions of a receiver, which gives one a second, that are bridged."""
 _UNITS = (1, 1e-3, 1e-6, 1e-9)
 """Seconds, milliseconds, microseconds and nanoseconds."""
 
@@ -24,66 +28,103 @@ class Trajectory(NamedTuple):
         poses: in order.
         stamps: time of each pose in seconds, increasing; empty if the n-th pose belongs to the
             n-th frame.
+        largest_gap: between two poses at most this many seconds apart a frame's pose is
+            interpolated, its heading along the shorter arc; elsewhere it is unknown. ``None``: the
+            nearest pose is used if it is at most 0.02 s away, as in TUM's own tools.
     """
 
     poses: list[Pose]
     stamps: list[float]
+    largest_gap: float | None = None
 
-    def of_frames(self, names: Sequence[str]) -> list[Pose]:
-        """The pose of each frame: the n-th pose, or with stamps the pose that is nearest in time.
-
-        The nearest pose is used if it is at most 0.02 s away, as in TUM's own tools.
+    def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
+        """The pose of each frame: the n-th pose, or with stamps the pose at its time.
 
         Args:
             names: names of all frames of the drive, in order; with stamps, times in seconds, or
                 whole numbers of milliseconds, microseconds or nanoseconds.
+            stamps: times of the frames in seconds, if they have any besides their names.
 
         Raises:
             ValueError: the numbers of frames and poses differ, a name is no time, or no unit, or
                 several, give the frames poses.
         """
         if self.stamps:
-            return self._at_times(names)
+            return self._at_times(names, stamps)
         if len(names) != len(self.poses):
             raise ValueError(f"expected {len(self.poses)} frames, one per pose, got {len(names)}")
         return self.poses
 
-    def _at_times(self, names: Sequence[str]) -> list[Pose]:
-        """The poses at the times that are names, in the unit in which the most frames have one."""
+    def _at_times(self, names: Sequence[str], stamps: Sequence[float]) -> list[Pose]:
+        """The poses at the stamps, or at the times that are names, in the unit in which the most
+        frames have one."""
         whole = all(name.isdecimal() for name in names)
-        found = {
-            unit: [self._at(_time(name) * unit) for name in names]
-            for unit in (_UNITS if whole else _UNITS[:1])
-        }
-        counts = {unit: sum(pose is not UNKNOWN for pose in found[unit]) for unit in found}
-        most = max(counts.values())
-        best = [poses for unit, poses in found.items() if counts[unit] == most]
+        timed = bool(stamps) and not any(map(math.isnan, stamps))
+        times = [stamps] if timed else []
+        if whole or not timed:
+            seconds = [_time(name) for name in names]
+            times += [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
+        found = [[self._at(time) for time in each] for each in times]
+        counts = [sum(pose is not UNKNOWN for pose in poses) for poses in found]
+        most = max(counts)
+        best = [poses for poses, count in zip(found, counts, strict=True) if count == most]
         if not most or any(poses != best[0] for poses in best):
             problem = "several units of time fit" if most else "no pose is near in time to"
             raise ValueError(
                 f"{problem} the {len(names)} frames, for example {names[0]!r}; expected names in "
-                f"seconds between {self.stamps[0]} and {self.stamps[-1]}, or in ms, us or ns"
+                f"seconds between {self.stamps[0]} and {self.stamps[-1]}, or in ms, us or ns, or a "
+                "video or bag of that time"
             )
         return best[0]
 
     def _at(self, time: float) -> Pose:
         index = bisect_left(self.stamps, time)
+        if self.largest_gap is not None:
+            return self._between(index, time)
         around = range(max(0, index - 1), min(len(self.stamps), index + 1))
         nearest = min(around, key=lambda n: abs(self.stamps[n] - time))
         near = abs(self.stamps[nearest] - time) <= _MOST_SECONDS
         return self.poses[nearest] if near else UNKNOWN
 
+    def _between(self, after: int, time: float) -> Pose:
+        """The pose at a time, given the first pose that is not before it."""
+        if after < len(self.stamps) and self.stamps[after] == time:
+            return self.poses[after]
+        if not 0 < after < len(self.stamps):
+            return UNKNOWN
+        seconds = self.stamps[after] - self.stamps[after - 1]
+        if self.largest_gap is None or seconds > self.largest_gap:
+            return UNKNOWN
+        one, other = self.poses[after - 1], self.poses[after]
+        part = (time - self.stamps[after - 1]) / seconds
+        turn = math.remainder(other.heading - one.heading, math.tau)
+        return Pose(
+            one.x + part * (other.x - one.x),
+            one.y + part * (other.y - one.y),
+            math.remainder(one.heading + part * turn, math.tau),
+        )
 
-def read_trajectory(path: Path) -> Trajectory:
-    """The trajectory in a file of KITTI or TUM, recognised by the count of numbers in a line.
+
+def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
+    """The trajectory in a GPX or NMEA file, by its suffix, see `tracks`; or in a file of KITTI or
+    TUM, recognised by the count of numbers in a line.
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
-    is up. The heading is the direction of the camera's z axis.
+    is up. The heading is the direction of the camera's z axis. GPX and NMEA: east and north in
+    metres of UTM; the heading is the course, unknown where the file has none.
+
+    Args:
+        path: the file.
+        largest_gap: see `Trajectory`; by default 5 s for GPX and NMEA.
 
     Raises:
         ValueError: the file has another form; the message names the line.
     """
+    if path.suffix.lower() in SUFFIXES:
+        times, fixes = zip(*read_track(path), strict=True)
+        gap = _GAP if largest_gap is None else largest_gap
+        return Trajectory(poses_of_fixes(fixes), list(times), gap)
     poses, stamps = list[Pose](), list[float]()
     for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.replace(",", " ").split()
@@ -106,7 +147,7 @@ def read_trajectory(path: Path) -> Trajectory:
         raise ValueError(f"{path}: expected lines of 8 numbers in order of time")
     if not poses:
         raise ValueError(f"{path} holds no poses")
-    return Trajectory(poses, stamps)
+    return Trajectory(poses, stamps, largest_gap)
 
 
 def _time(name: str) -> float:

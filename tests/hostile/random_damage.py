@@ -122,6 +122,46 @@ def trajectory(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]
     return good, ".txt", read_trajectory
 
 
+def track(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    from ssrvlad_torch.datasets.trajectories import read_trajectory
+
+    point = b'<trkpt lat="48.5" lon="11.5"><time>1994-03-23T12:35:19Z</time></trkpt>'
+    good = [
+        b'<gpx version="1.1"><trk><trkseg>' + 2 * point + b"</trkseg></trk></gpx>",
+        2 * b"$GPRMC,123519,A,4807.038,N,01131.000,E,022.4,084.4,230394,003.1,W*6A\n",
+    ]
+
+    def read(path: Path) -> None:
+        is_gpx = b"gpx" in path.read_bytes()
+        read_trajectory(path.rename(path.with_suffix(".gpx" if is_gpx else ".nmea")))
+
+    return good, ".gpx", read
+
+
+def video(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
+    import av
+
+    from ssrvlad_torch.datasets.image_files import read_image
+    from ssrvlad_torch.datasets.videos import video_files
+
+    good = []
+    for suffix in ("mp4", "mkv", "avi", "ts"):
+        with av.open(str(folder / f"a.{suffix}"), "w") as container:
+            stream = container.add_stream("mpeg4", rate=10)
+            stream.height, stream.width, stream.pix_fmt = 32, 48, "yuv420p"
+            for number in range(5):
+                pixels = np.full((32, 48, 3), 40 * number, np.uint8)
+                container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+            container.mux(stream.encode())
+        good.append((folder / f"a.{suffix}").read_bytes())
+
+    def read(path: Path) -> None:
+        for file in video_files(path):
+            read_image(file)
+
+    return good, ".mp4", read
+
+
 def truth(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     from ssrvlad_torch.evaluation.ground_truth_files import from_file
 
@@ -162,6 +202,8 @@ READERS = {
     "segmenter": segmenter,
     "poses": poses,
     "trajectory": trajectory,
+    "track": track,
+    "video": video,
     "truth": truth,
     "model": model,
 }

@@ -80,7 +80,9 @@ def _encode(
     from ...encoding.results import EncodeOptions, Summary
 
     if prune and not _is_complete(source):
-        raise ValueError("--prune needs whole folders as SOURCE, without --every and --start")
+        raise ValueError(
+            "--prune needs whole folders as SOURCE, without --fps, --every and --start"
+        )
     database = Database.open(output) if Database.exists(output) else None
     source = source.with_network_of(database)
     if engine == "ray" and source.options.segmenter:

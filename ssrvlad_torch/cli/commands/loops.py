@@ -103,7 +103,9 @@ def _frames(
             check_folders(files, database.known())
         return encode_files(detector, files, options.workers, segmenter)
     if len(options.paths) > 1 or not options.takes_all:
-        raise ValueError(f"SOURCE {STDIN} takes no other SOURCE, no --every and no --start")
+        raise ValueError(
+            f"SOURCE {STDIN} takes no other SOURCE, no --fps, no --every and no --start"
+        )
     names = map(os.fsdecode, sys.stdin.buffer)
     segmenter = source.segmenter(labels_as)
     return encode_as_they_come(detector, names, options.sequence, segmenter, database)

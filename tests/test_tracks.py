@@ -1,0 +1,93 @@
+"""GPX and NMEA files, and poses between their points."""
+
+import math
+
+import pytest
+
+from ssrvlad_torch.datasets.poses import Pose
+from ssrvlad_torch.datasets.tracks import read_track
+from ssrvlad_torch.datasets.trajectories import Trajectory, read_trajectory
+
+pytest.importorskip("utm", reason="needs the extra gps")
+
+START = 764_426_119
+"""1994-03-23 12:35:19 UTC, of the usual example of NMEA."""
+
+RMC = "GPRMC,{time},A,4807.038,N,01131.000,E,022.4,{course},230394,003.1,W"
+
+
+def sentence(body):
+    total = 0
+    for character in body:
+        total ^= ord(character)
+    return f"${body}*{total:02X}\n"
+
+
+def gpx(*points, head=""):
+    return (
+        f'{head}<gpx version="1.1">' + "<trk><trkseg>" + "".join(points) + "</trkseg></trk></gpx>"
+    )
+
+
+POINT = '<trkpt lat="48.1173" lon="11.5"><time>1994-03-23T{time}</time></trkpt>'
+
+
+def test_nmea(tmp_path):
+    path = tmp_path / "a.nmea"
+    path.write_text(
+        sentence("GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,")
+        + sentence(RMC.format(time="123519.50", course="084.4"))
+        + sentence("GPRMC,123520,V,,,,,,,230394,,")
+        + sentence(RMC.format(time="123521", course=""))
+    )
+    (first, fix), (second, other) = read_track(path)
+    assert (first, second) == (START + 0.5, START + 2)
+    assert fix == pytest.approx((48 + 7.038 / 60, 11 + 31 / 60, 84.4))
+    assert math.isnan(other.course)
+    trajectory = read_trajectory(path)
+    assert trajectory.poses[0].heading == pytest.approx(math.radians(5.6))
+    assert trajectory.largest_gap == 5
+
+
+def test_gpx(tmp_path):
+    path = tmp_path / "a.gpx"
+    path.write_text(gpx(POINT.format(time="12:35:19Z"), POINT.format(time="14:35:20.25+02:00")))
+    assert [time for time, _ in read_track(path)] == [START, START + 1.25]
+    assert all(math.isnan(pose.heading) for pose in read_trajectory(path).poses)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.gpx", gpx(), "holds no positions; expected track points"),
+        ("a.gpx", gpx('<trkpt lat="48" lon="11"/>'), "point 1 has no time"),
+        ("a.gpx", gpx(POINT.format(time="12:35:19Z"), POINT.format(time="12:35:18Z")),
+         "position 2 is earlier than the one before it"),
+        ("a.gpx", gpx(head='<!DOCTYPE gpx [<!ENTITY a "aaa">]>'), "without a document type"),
+        ("a.gpx", gpx(POINT.format(time="12:35:19Z"))[:-9], "Error parsing XML"),
+        ("a.nmea", "", "holds no positions; expected RMC sentences"),
+        ("a.nmea", sentence(RMC.format(time="123519", course="1")).replace("48", "49"),
+         "line 1: .*checksum"),
+        ("a.nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
+    ],
+)  # fmt: skip
+def test_damaged_files_are_refused(tmp_path, name, content, message):
+    path = tmp_path / name
+    path.write_text(content)
+    with pytest.raises(ValueError, match=f"(?i)^{path}.*{message}") as refusal:
+        read_track(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_poses_between_two():
+    """The heading turns by the shorter way, and is unknown if one of the two is."""
+    poses = [Pose(0, 0, 3), Pose(10, 20, -3), Pose(20, 20, math.nan), Pose(50, 20, 0)]
+    trajectory = Trajectory(poses, [100, 102, 103, 110], 2)
+    quarter, exact, after, gap, before = trajectory.of_frames(
+        list("abcde"), [100.5, 102, 102.5, 105, 99.9]
+    )
+    assert quarter == pytest.approx((2.5, 5, 3 + (math.tau - 6) / 4))
+    assert exact == poses[1]
+    assert after[:2] == (15, 20) and math.isnan(after.heading)
+    assert math.isnan(gap.x) and math.isnan(before.x)
+    assert trajectory.of_frames(["100.5"]) == [quarter]

@@ -1,0 +1,211 @@
+"""Frames of videos, which PyAV wrote."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from helpers import street
+from networks import photo, write_graph
+
+from ssrvlad_torch import Database
+from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+from ssrvlad_torch.datasets.trajectories import read_trajectory
+from ssrvlad_torch.datasets.videos import video_files
+
+av = pytest.importorskip("av", reason="needs the extra video")
+
+STEADY = range(0, 4000, 40)
+UNEVEN = [0, 33, 67, 100, 250, 400, 401, 700, 1000, 1033, 1066, 1100]
+"""Milliseconds."""
+
+H264 = {"codec": "libx264", "b_frames": 2}
+
+
+def picture(number, height=120, width=160):
+    """Red above, and a gray on the left that tells the number."""
+    pixels = np.zeros((height, width, 3), np.uint8)
+    pixels[:, : width // 2] = 20 * (number % 10) + 20
+    pixels[: height // 4] = 200, 0, 0
+    return pixels
+
+
+def number_in(pixels):
+    return round((pixels[80, 20].mean() - 20) / 20)
+
+
+def write_video(
+    path, times, codec="mpeg4", b_frames=0, rotation=0, rate=1000, created="", draw=picture
+):
+    """A video whose frames are shown at times in units of ``1 / rate`` seconds."""
+    with av.open(str(path), "w") as container:
+        if created:
+            container.metadata["creation_time"] = created
+        stream = container.add_stream(codec, rate=rate)
+        stream.height, stream.width, _ = draw(0).shape
+        stream.pix_fmt, stream.codec_context.time_base = "yuv420p", Fraction(1, rate)
+        stream.codec_context.gop_size, stream.codec_context.max_b_frames = 10, b_frames
+        if rotation:
+            stream.set_display_rotation(rotation)
+        for number, time in enumerate(times):
+            frame = av.VideoFrame.from_ndarray(draw(number), format="rgb24")
+            frame.pts, frame.time_base = time, Fraction(1, rate)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "codec"),
+    [("a.mp4", {}), ("a.mp4", H264), ("a.mkv", H264), ("a.ts", H264), ("a.mov", {})],
+)
+def test_frames_at_uneven_times_in_any_order(tmp_path, name, codec):
+    """Forward, backward, across key frames, and twice."""
+    files = video_files(write_video(tmp_path / name, UNEVEN, **codec))
+    assert [file.name for file in files] == [f"{1000 * time:010d}" for time in UNEVEN]
+    assert [file.stamp for file in files] == [time / 1000 for time in UNEVEN]
+    for number in (0, 1, 2, 11, 3, 4, 4, 10, 9, 0, 5, 11):
+        assert number_in(read_image(files[number])) == number % 10
+
+
+def test_an_avi_has_frames_at_its_rate(tmp_path):
+    files = video_files(write_video(tmp_path / "a.avi", range(12), rate=25))
+    assert [file.name for file in files] == [f"{40_000 * n:010d}" for n in range(12)]
+    assert [number_in(read_image(files[n])) for n in (11, 3, 7)] == [1, 3, 7]
+
+
+@pytest.mark.parametrize("rotation", [0, 90, 180, -90])
+def test_it_is_turned_upright(tmp_path, rotation):
+    path = write_video(tmp_path / "a.mp4", [0, 40], rotation=rotation)
+    pixels = read_image(video_files(path)[0])
+    expected = np.rot90(picture(0), rotation // 90)
+    assert pixels.shape == expected.shape
+    assert np.abs(pixels.astype(int) - expected).mean() < 3
+
+
+def test_the_rate_does_not_change_the_ids(tmp_path):
+    path = str(write_video(tmp_path / "a.mp4", UNEVEN, **H264))
+    every = [file.frame for file in find_image_files([path])]
+    for fps, milliseconds in ((1, [0, 1000]), (10, [0, 100, 250, 400, 700, 1000, 1100])):
+        chosen = [file.frame for file in find_image_files([path], fps=fps)]
+        assert chosen == [f"a/{1000 * time:010d}" for time in milliseconds]
+        assert set(chosen) <= set(every)
+    assert len(find_image_files([path], fps=1e6)) == len(every)
+    assert [file.name for file in find_image_files([path], fps=1, every=2)] == ["0000000000"]
+    for fps in (0, -1, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="expected fps above 0"):
+            find_image_files([path], fps=fps)
+
+
+def test_the_creation_time_is_added_to_the_stamps(tmp_path):
+    created = {"created": "2026-05-01T10:00:00Z"}
+    files = video_files(write_video(tmp_path / "a.mp4", [0, 500], **created))
+    assert [file.stamp for file in files] == [1777629600.0, 1777629600.5]
+
+
+def damaged(path, change):
+    content = path.read_bytes()
+    path.write_bytes(change(content, len(content)))
+    return video_files(path)
+
+
+def read(files):
+    """Names of the frames that are read with the right picture, and messages of the others."""
+    names, messages = [], []
+    for place, file in enumerate(files):
+        try:
+            assert number_in(read_image(file)) == place % 10
+            names.append(file.name)
+        except ValueError as error:
+            messages.append(f"{file.location}: {error}")
+    return names, messages
+
+
+def test_a_truncated_video_gives_the_frames_before_its_end(tmp_path):
+    path = write_video(tmp_path / "a.mkv", STEADY, **H264)
+    files = damaged(path, lambda content, size: content[: size * 6 // 10])
+    names, messages = read(files)
+    assert 40 < len(names) == len(files) - 1 < 70
+    lost = (3960 - 40 * len(names) + 1) / 1000
+    expected = f"{path} at {len(names) * 0.04:.6f} s: the video is damaged: its last {lost:.3f} s"
+    assert messages == [f"{expected} cannot be read"]
+    slow = find_image_files([str(path)], fps=1)
+    assert [file.name for file in slow] == [*names[::25], files[-1].name]
+
+
+def test_frames_that_do_not_decode_are_named(tmp_path):
+    path = write_video(tmp_path / "a.mp4", STEADY, **H264)
+    files = damaged(path, lambda c, n: c[: n // 2 - 300] + bytes(400) + c[n // 2 + 100 :])
+    assert len(files) == len(STEADY)
+    good, bad = [], []
+    for place, file in enumerate(files):
+        try:
+            read_image(file)
+            good.append(place)
+        except ValueError as error:
+            assert str(error) == "the frame does not decode"
+            bad.append(place)
+    assert 0 < len(bad) < 30 and {0, 1, 98, 99} <= {*good}
+
+
+@pytest.mark.parametrize("content", [b"", b"no video", b"\0" * 1000, b"#EXTM3U\n/etc/passwd\n"])
+def test_what_is_no_video_is_refused(tmp_path, content):
+    path = tmp_path / "a.mp4"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=r"a\.mp4 is not a readable video: "):
+        video_files(path)
+
+
+def test_a_gps_track_gives_poses_between_its_points(tmp_path):
+    pytest.importorskip("utm")
+    created = "2026-05-01T10:00:00Z"
+    path = write_video(tmp_path / "a.mp4", [0, 500, 1000, 1500, 6000, 9000], created=created)
+    (tmp_path / "a.gpx").write_text(
+        '<gpx xmlns="http://www.topografix.com/GPX/1/1" version="1.1"><trk><trkseg>'
+        + "".join(
+            f'<trkpt lat="{48 + n / 1000}" lon="8.5"><time>2026-05-01T10:00:0{n}Z</time></trkpt>'
+            for n in (0, 1, 2, 8)
+        )
+        + "</trkseg></trk></gpx>"
+    )
+    poses = [file.pose for file in find_image_files([str(path)], poses=str(tmp_path / "a.gpx"))]
+    north = [pose.y - poses[0].y for pose in poses]
+    assert north[:4] == pytest.approx([0, 55.6, 111.2, 166.8], abs=0.1)
+    assert all(np.isnan(north[4:])), "6 s lie between two points; nothing lies after the last one"
+    wide = find_image_files([str(path)], poses=str(tmp_path / "a.gpx"), largest_gap=6)
+    assert wide[4].pose.y - poses[0].y == pytest.approx(6 * 111.2, abs=0.5)
+    assert np.isnan(wide[5].pose.y)
+    assert len(read_trajectory(tmp_path / "a.gpx").stamps) == 4
+
+
+def test_a_track_needs_a_video_that_says_when_it_was_recorded(tmp_path):
+    path = write_video(tmp_path / "a.mp4", [0, 500])
+    (tmp_path / "a.txt").write_text("1777629600 0 0 0 0 0 0 1\n1777629601 1 0 0 0 0 0 1\n")
+    with pytest.raises(ValueError, match=r"no pose is near in time to the 2 frames, .* or a video"):
+        find_image_files([str(path)], poses=str(tmp_path / "a.txt"))
+
+
+def test_commands_take_videos(ssrvlad, tmp_path):
+    photos = [photo(street(seed, 60, 80)) for seed in range(5)]
+    drive = write_video(
+        tmp_path / "drive.mp4", range(0, 1000, 100), draw=lambda number: photos[number // 2]
+    )
+    town = tmp_path / "town.ssrdb"
+    network = ("--segmenter", write_graph(tmp_path / "seg.onnx"), "--labels-as", "camvid-11")
+    network = (*network, "--segmenter-cache", tmp_path / "cache")
+    code, _, err = ssrvlad("encode", drive, "-o", town, *network, "--fps", 5)
+    assert (code, err) == (0, [])
+    assert Database.open(town).load().frames == tuple(f"drive/{200_000 * n:010d}" for n in range(5))
+    assert ssrvlad("encode", drive, "-o", town, *network)[1].startswith(
+        f"{town}: 5 frames encoded (0 of them empty), 5 already there"
+    )
+    code, out, _ = ssrvlad(
+        "locate", drive, "--in", town, "--start", 4, "--every", 9, "--follow", "no"
+    )
+    assert (code, out.split(",")[0]) == (0, "drive/0000400000: drive/0000400000")
+    code, out, _ = ssrvlad("loops", drive, *network, "--exclude", 1)
+    assert (code, out.splitlines()[-2].partition(":")[0]) == (0, "10 frames")
+    code, _, err = ssrvlad("encode", drive, "-o", town, "--labels-as", "camvid-11")
+    assert code == 2 and "holds images and no label maps" in err[0]
+    maps = tmp_path / "maps"
+    code, _, err = ssrvlad("encode", maps, "-o", town, *network, "--largest-gap", 3)
+    assert (code, err) == (2, ["ssrvlad: --largest-gap needs --poses"])
