@@ -6,6 +6,7 @@ import dataclasses
 import errno
 import math
 import os
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -23,10 +24,11 @@ from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
 from .descriptor import SSRVLAD, mirrored, query_head
 from .encoding.encoder import encode_to_database
-from .encoding.extra_descriptors import extra_descriptor, extra_methods
+from .encoding.extra_descriptors import extra_descriptors, extra_methods, require_same
 from .encoding.results import Summary
 from .recognition.recognise import SSR_VLAD, Steps, recognise
 from .recognition.sweep import COLUMNS
+from .segmentation.features import NAME as FEATURES
 from .segmentation.networks import AUTO, runs_code
 from .segmentation.segmenter import Segmenter
 from .taxonomy import LabelSpace
@@ -66,7 +68,7 @@ class Localiser:
         database: of known places.
 
     Raises:
-        ValueError: another network labelled frames of the database.
+        ValueError: another network labelled frames of the database, or made its features.
 
     Example:
         >>> localiser = Localiser.from_pretrained("net.yaml", "town.ssrdb")  # doctest: +SKIP
@@ -80,7 +82,9 @@ class Localiser:
         require_network(database, segmenter)
         config = dataclasses.replace(database.config, labels_as=segmenter.label_space)
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
+        require_same(database.beside, segmenter)
         self._methods = extra_methods(database.beside)
+        self._features = any(each.name == FEATURES for each in database.beside)
         self._loaded: FrameSet | None = None
         self._version = 0
 
@@ -91,7 +95,7 @@ class Localiser:
         database: str | Path,
         labels_as: str | LabelSpace = AUTO,
         preset: str | None = None,
-        beside: str | None = None,
+        beside: Sequence[str] | None = None,
     ) -> Localiser:
         """A localiser with a network by its name.
 
@@ -101,7 +105,8 @@ class Localiser:
             labels_as: label space of the network's classes; with ``"auto"`` the names of the
                 classes decide.
             preset: of a new database; without, ``"default"``.
-            beside: a further method for a new database, ``"hog"``; recognition fuses both.
+            beside: further methods for a new database, ``"features"`` and ``"hog"``, or ``"none"``;
+                recognition fuses all. Without, features if the network has them.
 
         Raises:
             ValueError: as for the class, or the network cannot be used, or an existing database has
@@ -110,9 +115,10 @@ class Localiser:
             ImportError: an extra is not installed.
         """
         segmenter = Segmenter.load(network, labels_as)
-        extra = [extra_descriptor(beside)] if beside else []
-        if Database.exists(database) and preset is None and not extra:
+        exists = Database.exists(database)
+        if exists and preset is None and beside is None:
             return cls(segmenter, Database.open(database))
+        extra = [] if exists and beside is None else extra_descriptors(beside, segmenter)
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=segmenter.label_space)
         return cls(segmenter, Database.open_or_create(database, config, extra))
 
@@ -164,19 +170,19 @@ class Localiser:
                 f"{type(picture).__name__}"
             )
         references = self._references()
-        (labels,) = self.segmenter([picture])
+        (said,) = self.segmenter.segment([picture], features=self._features)
         frame = Frame("picture", image=picture)
+        beside = {each.name: each.encode_query([frame]) for each in self._methods}
+        if said.features is not None:
+            beside[FEATURES] = torch.from_numpy(said.features)[None]
         found = recognise(
-            self._locate(torch.from_numpy(labels)[None]),
+            self._locate(torch.from_numpy(said.labels)[None]),
             references.descriptors,
             ["picture"],
             references.sequences,
             _ALONE,
             top=1,
-            beside={
-                each.name: (each.encode_query([frame]), references.beside[each.name])
-                for each in self._methods
-            },
+            beside={name: (each, references.beside[name]) for name, each in beside.items()},
             mirrors={
                 SSR_VLAD: partial(mirrored, config=self.database.config),
                 **{each.name: each.mirrored for each in self._methods},

@@ -20,11 +20,12 @@ from ssrvlad_torch.database.exporting import export_database
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.index import build_index, search_index
 from ssrvlad_torch.database.metadata import ExtraDescriptor
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptor
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 FRAMES = ["day/10", "day/2", "night/1"]
+[HOG_STORED] = extra_descriptors(["hog"], None)
 OWN = ExtraDescriptor("own", 7, "seven numbers")
 
 
@@ -174,7 +175,7 @@ def town(photos, ssrvlad):
 
 def test_encode_stores_the_descriptor_of_each_picture(town, photos, ssrvlad):
     database = Database.open(town)
-    assert database.beside == (extra_descriptor("hog"),)
+    assert database.beside == (HOG_STORED,)
     frames = database.load()
     images = [np.asarray(Image.open(photos / f"{frame}.png")) for frame in frames.frames]
     expected = HOG().encode_query([Frame("", image=image) for image in images])
@@ -217,7 +218,7 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
     assert code == 0
     assert out.startswith("today/7: monday/7, fused score ")
     assert "fused: ssr-vlad 0.33 + hog 0.67" in err[-1]
-    by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", beside="hog")
+    by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", beside=["hog"])
     assert by_name.add(photos / "monday").encoded == 31
     place = by_name.locate(photos / "today" / "7.png")
     assert place.frame == "monday/7"
@@ -226,13 +227,15 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
     alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone")
     assert alone.database.beside == ()
     with pytest.raises(ValueError, match="has no descriptors by hog"):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside="hog")
-    with pytest.raises(ValueError, match="expected a method of pictures, hog, got 'sift'"):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "other", beside="sift")
+        Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside=["hog"])
+    with pytest.raises(
+        ValueError, match="expected a method of pictures, features, hog, none, got 'sift'"
+    ):
+        Localiser.from_pretrained(photos / "net.yaml", photos / "other", beside=["sift"])
 
 
 def test_descriptors_of_another_version_are_refused(photos):
-    changed = extra_descriptor("hog")._replace(fingerprint="7 x 7 cells")
+    changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
     database = Database.create(photos / "town", CONFIG, beside=[changed])
     with pytest.raises(ValueError, match=r"hog gives other descriptors here \(6 x 10 cells, 8"):
         Localiser.from_pretrained(photos / "net.yaml", database.path)
@@ -257,7 +260,7 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in message
     message = refused("query", plain, photos / "today", *network, "--fuse")
-    assert "holds no descriptors of pictures; encode a new database with --with hog" in message
+    assert "holds no descriptors of pictures; encode a new database with --with features" in message
     for source in (maps, plain):
         message = refused("query", town, source)
         assert "expected images and --segmenter, or --no-fuse" in message
@@ -293,7 +296,7 @@ def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
 def test_a_detector_closes_more_loops_with_both():
     noisy = laps(0, 2.0), laps(1, 2.0)
     alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
-    seen = OWN._replace(name="hog", width=480, fingerprint=extra_descriptor("hog").fingerprint)
+    seen = OWN._replace(name="hog", width=480, fingerprint=HOG_STORED.fingerprint)
     detector = LoopDetector(LoopConfig(exclude=20), beside=[seen])
     assert run(detector, *noisy) > max(alone) + 5
     assert detector.weights.keys() == {"ssr-vlad", "hog"}
@@ -301,7 +304,7 @@ def test_a_detector_closes_more_loops_with_both():
 
 
 def test_a_detector_stores_extra_descriptors(tmp_path):
-    detector = LoopDetector(LoopConfig(exclude=2), beside=[extra_descriptor("hog")])
+    detector = LoopDetector(LoopConfig(exclude=2), beside=[HOG_STORED])
     database = Database.create(tmp_path / "memory", detector.head.config, beside=detector.beside)
     pictures = [photo(street(seed, 60, 80)) for seed in range(6)]
     for row, picture in enumerate(pictures):
@@ -332,7 +335,7 @@ def test_loops_take_pictures(photos, ssrvlad):
     )
     assert code == 0
     assert "followed online, fused: ssr-vlad 0." in out
-    assert Database.open(photos / "memory").beside == (extra_descriptor("hog"),)
+    assert Database.open(photos / "memory").beside == (HOG_STORED,)
     code, out, _ = ssrvlad("loops", photos / "today", *given, "--labels-as", SPACE)
     assert code == 0
     assert "31 frames" in out

@@ -28,7 +28,7 @@ from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
-from ssrvlad_torch.encoding.extra_descriptors import extra_descriptor
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.recognition.fusion import FusedScores
 from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.recognition.sweep import COLUMNS, narrowed, score
@@ -127,7 +127,7 @@ def page(data: Path, cached: Path) -> Iterator[str]:
 
 def loops(search: Search, data: Path, cached: Path, own: str, beside: bool) -> str:
     """Recall and precision of the references and then the queries as one stream."""
-    detector = LoopDetector(beside=[extra_descriptor("hog")] if beside else ())
+    detector = LoopDetector(beside=extra_descriptors(["hog"], None) if beside else ())
     middle = [COLUMNS.index(column) for column in detector.columns]
     right = accepted = 0
     for drive, (folder, rows) in enumerate(

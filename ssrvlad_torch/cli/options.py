@@ -56,11 +56,14 @@ MaybePreset = Annotated[
     ),
 ]
 With = Annotated[
-    Literal["hog"] | None,
+    list[str] | None,
     typer.Option(
         "--with",
-        help="Also describe each image by this method; recognition then uses both. Needs "
-        "--segmenter. A database has these descriptors from its first frame on, or never.",
+        metavar="features|hog|none",
+        help="Also describe each image by this method; recognition then uses all. features: by "
+        "what the encoder of the network sees, in the pass that labels the image. Can be repeated; "
+        "needs --segmenter. Default: features if the network has them. A database has these "
+        "descriptors from its first frame on, or never.",
     ),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]

@@ -99,6 +99,8 @@ def search(
             candidates.
     """
     extra = () if steps else _extra_descriptors(database, options)
+    if options.reach and any(each.cells for each in extra):
+        raise ValueError("features are signs, which have no temporal sum; expected --no-fuse")
     steps = steps or steps_of(options)
     references, t = _references(database, options.reach, damage)
     columns = COLUMNS if steps.sweep else ()
@@ -195,7 +197,7 @@ def _extra_descriptors(
     if options.fuse and not database.beside:
         raise ValueError(
             f"--fuse: {database.path} holds no descriptors of pictures; encode a new database "
-            "with --with hog"
+            "with --with features"
         )
     return () if options.fuse is False or options.as_paper else database.beside
 
@@ -215,7 +217,8 @@ def _references(
         ts = frames_within(frames.poses, frames.sequences, reach.metres)
     for run in runs(frames.sequences):
         names = frames.sequences[run.start : run.stop]
-        for values in (frames.descriptors, *frames.beside.values()):
+        numbers = (each for each in frames.beside.values() if each.is_floating_point())
+        for values in (frames.descriptors, *numbers):
             rows = values[run.start : run.stop]
             temporal_sum(rows, names, ts[names[0]], out=rows)
     return frames, reach.frames if reach.metres is None else ts

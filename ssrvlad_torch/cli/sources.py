@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -20,7 +20,7 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..encoding.extra_descriptors import extra_descriptor
+from ..encoding.extra_descriptors import extra_descriptors, problem_of_features
 from ..localiser import origin_of, require_network
 from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
@@ -133,11 +133,22 @@ class Source:
         classes = channels(self.options.classes)
         return Segmenter.load(_network(network), labels_as, folder or _user_cache(), classes)
 
-    def extra_descriptors(self, name: str | None) -> list[ExtraDescriptor]:
-        """The descriptor of images that ``--with`` names."""
-        if name and not self.options.segmenter:
-            raise ValueError(f"--with {name} needs images as SOURCE and --segmenter")
-        return [extra_descriptor(name)] if name else []
+    def extra_descriptors(
+        self, names: Sequence[str] | None, segmenter: Segmenter | None, new: bool
+    ) -> list[ExtraDescriptor]:
+        """The descriptors of images that ``--with`` names; without, the default of a new database,
+        with a note why a network has no features, and none of an existing one."""
+        if names is None and not new:
+            return []
+        found = extra_descriptors(names, segmenter)
+        if names is None and segmenter and not found:
+            note(f"stored without features: {problem_of_features(segmenter)}")
+        return found
+
+    def check_with(self, names: Sequence[str] | None) -> None:
+        """Refuses ``--with`` for label maps."""
+        if names and not self.options.segmenter:
+            raise ValueError(f"--with {names[0]} needs images as SOURCE and --segmenter")
 
     def label_files(self) -> list[FrameFile]:
         """The frames of a source of label maps."""

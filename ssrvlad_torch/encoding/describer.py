@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from ..baselines.protocol import Frame
@@ -19,6 +20,7 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
 from ..descriptor import SSRVLAD
+from ..segmentation.features import NAME as FEATURES
 from ..taxonomy import LabelSpace
 from .extra_descriptors import extra_methods
 from .results import Encoded, Skipped
@@ -28,11 +30,13 @@ BATCH = 16
 
 
 class Item(NamedTuple):
-    """A frame to describe: its file, the file's signature before reading, and its label map."""
+    """A frame to describe: its file, the file's signature before reading, its label map, and its
+    features if the database stores them."""
 
     file: FrameFile
     signature: str = ""
     labels: LabelMap | ValueError | None = None
+    features: npt.NDArray[np.uint8] | None = None
     digest: str = ""
 
 
@@ -103,6 +107,8 @@ class Describer:
                 for item in (batch if self._methods else ())
             ]
             beside = {m.name: m.encode_query(frames).numpy() for m in self._methods}
+            if any(extra.name == FEATURES for extra in self.beside):
+                beside[FEATURES] = np.stack([np.asarray(item.features) for item in batch])
         except ValueError as error:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]

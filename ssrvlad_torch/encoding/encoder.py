@@ -15,8 +15,10 @@ from ..database.frames import FrameSet
 from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
 from ..descriptor import SSRVLAD
+from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import BATCH, Describer, Item, read
+from .extra_descriptors import require_same
 from .interruption import deferred_interruption
 from .plan import Plan
 from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, do_nothing
@@ -54,7 +56,7 @@ def encode_to_database(
     Raises:
         ValueError: the fingerprints differ, the segmenter has another label space, a sequence of
             the database comes from another folder, or the database stores descriptors of pictures
-            and there is no segmenter.
+            and there is no segmenter, or features of another one.
         OSError: the database cannot be written, or a worker was killed.
 
     Example:
@@ -138,7 +140,8 @@ def encode(
         beside: extra descriptors, made from the pictures that the segmenter reads.
 
     Raises:
-        ValueError: the segmenter has another label space, or extra descriptors lack a segmenter.
+        ValueError: the segmenter has another label space, or extra descriptors lack a segmenter or
+            are of another one.
         ChildProcessError: a worker was killed.
     """
     _check_segmenter(head, segmenter, beside)
@@ -148,8 +151,7 @@ def encode(
 def _check_segmenter(
     head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]
 ) -> None:
-    if beside and not segmenter:
-        raise ValueError(f"{beside[0].name} describes pictures: expected images and a segmenter")
+    require_same(beside, segmenter)
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(
             f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
@@ -164,7 +166,10 @@ def _encode(
     segmenter: Segmenter | None,
 ) -> Generator[Encoded | Skipped]:
     workers = cores() if workers is None else workers
-    items = _segmented(files, segmenter, workers) if segmenter else map(Item, files)
+    items: Iterator[Item] = map(Item, files)
+    if segmenter:
+        features = any(extra.name == FEATURES for extra in describer.beside)
+        items = _segmented(files, segmenter, workers, features)
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = describer.device.type != "cpu"
     lock_free = reads_only or describer.head.native
@@ -179,9 +184,14 @@ def _encode(
     yield from chain.from_iterable(results)
 
 
-def _segmented(files: Sequence[FrameFile], segmenter: Segmenter, workers: int) -> Iterator[Item]:
-    """Frames with label maps; signatures are taken before any file is read."""
+def _segmented(
+    files: Sequence[FrameFile], segmenter: Segmenter, workers: int, features: bool
+) -> Iterator[Item]:
+    """Frames with what the network says of them; signatures are taken before any file is read."""
     signatures = [file.signature() for file in files]
-    maps = segmenter.label_maps(files, workers)
-    for (file, labels), signature in zip(maps, signatures, strict=True):
-        yield Item(file, signature, labels)
+    results = segmenter.segmented(files, workers, features)
+    for (file, said), signature in zip(results, signatures, strict=True):
+        if isinstance(said, ValueError):
+            yield Item(file, signature, said)
+        else:
+            yield Item(file, signature, *said)

@@ -6,29 +6,78 @@ from collections.abc import Sequence
 
 from ..baselines.hog import HOG
 from ..database.metadata import ExtraDescriptor
+from ..segmentation.features import NAME as FEATURES
+from ..segmentation.segmenter import Segmenter
 
 _METHODS = {HOG.name: HOG}
 
-
-def extra_descriptor(name: str) -> ExtraDescriptor:
-    """The descriptor of a method of pictures, ``hog``; raises ValueError for other names."""
-    if name not in _METHODS:
-        raise ValueError(f"expected a method of pictures, {', '.join(_METHODS)}, got {name!r}")
-    method = _METHODS[name]()
-    return ExtraDescriptor(name, method.length, method.fingerprint)
+NONE = "none"
 
 
-def extra_methods(stored: Sequence[ExtraDescriptor]) -> list[HOG]:
-    """The methods that compute the extra descriptors of a database.
+def extra_descriptors(
+    names: Sequence[str] | None, segmenter: Segmenter | None
+) -> list[ExtraDescriptor]:
+    """The descriptors of pictures with these names.
+
+    Args:
+        names: ``features``, of the network that labels the pictures; ``hog``; or ``none`` alone.
+            ``None`` is `FEATURES` if the network has them.
+        segmenter: labels the pictures; without it there are no pictures.
 
     Raises:
-        ValueError: a method is unknown, or computes other descriptors in this version.
+        ValueError: a name is unknown, there are no pictures, or the network has no features.
+    """
+    if isinstance(names, str):
+        raise ValueError(f"expected a list of methods of pictures, got the text {names!r}")
+    if names is None:
+        has_features = segmenter and not problem_of_features(segmenter)
+        return [_of(FEATURES, segmenter)] if has_features else []
+    if NONE in names:
+        if len(names) > 1:
+            raise ValueError(f"expected {NONE} alone, got {', '.join(names)}")
+        return []
+    return [_of(name, segmenter) for name in dict.fromkeys(names)]
+
+
+def problem_of_features(segmenter: Segmenter) -> str:
+    """Why a network has no features, in one line; empty if it has."""
+    try:
+        _ = segmenter.features
+    except ValueError as error:
+        return str(error)
+    return ""
+
+
+def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None) -> None:
+    """Requires that stored descriptors are those that are computed now.
+
+    Raises:
+        ValueError: a method is unknown, or computes other descriptors in this version or by this
+            network, or there are no pictures.
     """
     for extra in stored:
-        current = extra_descriptor(extra.name)
+        if segmenter is None:
+            raise ValueError(f"{extra.name} describes pictures: expected images and a segmenter")
+        current = _of(extra.name, segmenter)
         if current != extra:
             raise ValueError(
                 f"{extra.name} gives other descriptors here ({current.fingerprint}) than there "
                 f"({extra.fingerprint}): encode them again"
             )
-    return [_METHODS[extra.name]() for extra in stored]
+
+
+def extra_methods(stored: Sequence[ExtraDescriptor]) -> list[HOG]:
+    """The methods that describe pictures themselves; features come with the label maps."""
+    return [_METHODS[extra.name]() for extra in stored if extra.name in _METHODS]
+
+
+def _of(name: str, segmenter: Segmenter | None) -> ExtraDescriptor:
+    if name not in (FEATURES, *_METHODS):
+        expected = ", ".join((FEATURES, *_METHODS, NONE))
+        raise ValueError(f"expected a method of pictures, {expected}, got {name!r}")
+    if name == FEATURES:
+        if segmenter is None:
+            raise ValueError(f"{name} are of a network: expected images and a segmenter")
+        return segmenter.features.descriptor
+    method = _METHODS[name]()
+    return ExtraDescriptor(name, method.length, method.fingerprint)

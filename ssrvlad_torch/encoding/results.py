@@ -7,7 +7,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -20,11 +20,11 @@ Progress = Callable[[int], object]
 
 
 class Encoded(NamedTuple):
-    """A frame and its ``(D,)`` float32 descriptors: of the method, and extra ones by name."""
+    """A frame, its ``(D,)`` float32 descriptor, and extra ones by name: float32, or uint8 signs."""
 
     record: FrameRecord
     descriptor: npt.NDArray[np.float32]
-    beside: dict[str, npt.NDArray[np.float32]]
+    beside: dict[str, npt.NDArray[Any]]
 
 
 class Skipped(NamedTuple):

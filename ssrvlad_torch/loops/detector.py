@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from torch import Tensor
 
 from ..baselines.protocol import Frame
@@ -19,9 +20,11 @@ from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.extra_descriptors import extra_methods
 from ..front_end import as_tensor
+from ..segmentation.features import NAME as FEATURES
 from .config import LoopConfig
 from .memory import Floats, Memory, Vectors, checked_vectors
 from .result import LoopResult
+from .sign_memory import SignVectors
 from .tracker import Tracker
 
 COLUMNS = (-4, 0, 4)
@@ -61,7 +64,10 @@ class LoopDetector:
         self.head = head or SSRVLAD()
         self.beside, self._methods = tuple(beside), extra_methods(beside)
         self._memory = Memory(self.head.config.length)
-        self._others = {extra.name: Vectors(extra.width) for extra in beside}
+        self._others = {
+            extra.name: SignVectors(extra.cells) if extra.cells else Vectors(extra.width)
+            for extra in beside
+        }
         self._tracker = Tracker(self.config, self._memory, self._others)
         self._sequence: str | None = None
         self._stamps: dict[str, float] = {}
@@ -124,6 +130,7 @@ class LoopDetector:
         stamp: float | None = None,
         pose: Sequence[float] | None = None,
         picture: npt.NDArray[np.uint8] | None = None,
+        features: npt.NDArray[np.uint8] | None = None,
     ) -> LoopResult:
         """Looks for the place of the next frame among the earlier frames, then stores it.
 
@@ -133,7 +140,8 @@ class LoopDetector:
             frame_id: ``<sequence>/<name>``; the filter starts anew with each sequence.
             stamp: seconds, not less than those of earlier frames of the sequence.
             pose: x and y in metres, and heading in radians if it is known.
-            picture: ``(H, W, 3)`` uint8 in RGB, for the methods `beside`.
+            picture: ``(H, W, 3)`` uint8 in RGB, for the methods `beside` that describe pictures.
+            features: from `Segmenter.segment`, if they are `beside`.
 
         Raises:
             ValueError: the frame cannot be described, its id has another form or was there before,
@@ -146,10 +154,12 @@ class LoopDetector:
         seconds = math.nan if stamp is None else stamp
         record = FrameRecord(sequence, name, *place, seconds)
         tensor = as_tensor(view)
-        if picture is not None and not self.beside:
+        if picture is not None and not self._methods:
             raise ValueError("got a picture, but the detector has no method beside to describe it")
         frame = Frame(frame_id, image=picture)
         others = {each.name: each.encode_query([frame])[0] for each in self._methods}
+        if features is not None:
+            others[FEATURES] = torch.from_numpy(features)
         if tensor.ndim == 1:
             return self.observe(record, tensor, others)
         swept = self.head.sweep(tensor[None], self.columns) if self.columns else None
@@ -171,7 +181,7 @@ class LoopDetector:
             record: the frame as a database stores it.
             descriptor: ``(D,)``, or ``(S, D)`` from S anchors with the usual one in the middle; of
                 length 1 or zero.
-            beside: ``(D',)`` for each name of `beside`.
+            beside: ``(D',)``, or the signs of features, for each name of `beside`.
 
         Raises:
             ValueError: as for `update`.
@@ -181,9 +191,8 @@ class LoopDetector:
         if extra.keys() != self._others.keys():
             names, got = (", ".join(each) or "nothing" for each in (self._others, extra))
             raise ValueError(f"frame {record.frame!r}: expected {names} beside, got {got}")
-        others = {
-            each.name: checked_vectors(extra[each.name], record.frame, each.width)
-            for each in self.beside
+        others: dict[str, npt.NDArray[Any]] = {
+            name: memory.checked(extra[name], record.frame) for name, memory in self._others.items()
         }
         with self._updating:
             self._check(record)
@@ -268,8 +277,8 @@ class LoopDetector:
             detector._memory.append(frames.frames[row], frames.poses[row].tolist(), vectors[row])
             if not np.isnan(frames.stamps[row]):
                 detector._stamps[frames.sequences[row]] = float(frames.stamps[row])
-            for name, others in detector._others.items():
-                others.add(frames.beside[name][row].numpy())
+        for name, others in detector._others.items():
+            others.extend(frames.beside[name][order])
         return detector
 
     def _check(self, record: FrameRecord) -> None:

@@ -63,6 +63,10 @@ class Vectors:
         """``(N,)``, whether the descriptor of each frame is zero; a view."""
         return self._empty.values
 
+    def checked(self, descriptor: Tensor, frame: str) -> Floats:
+        """See `checked_vectors`."""
+        return checked_vectors(descriptor, frame, len(self._total))
+
     def add(self, descriptor: Floats) -> None:
         """Appends a frame by its ``(D,)`` descriptor of length 1 or zero."""
         block, place = divmod(len(self), len(self._blocks[0]))
@@ -73,6 +77,11 @@ class Vectors:
         self._empty.append(empty)
         self._total += descriptor
         self._counted += not empty
+
+    def extend(self, descriptors: Tensor) -> None:
+        """Appends frames by their descriptors ``(N, D)``."""
+        for descriptor in descriptors.numpy():
+            self.add(descriptor)
 
     def descriptors(self, first: int, last: int) -> Floats:
         """``(last - first, D)`` float32, a copy."""

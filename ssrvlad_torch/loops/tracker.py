@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -17,6 +19,7 @@ from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
 from .memory import Floats, GrowingArray, Memory, Vectors
 from .result import LoopResult, Reason
+from .sign_memory import SignVectors
 
 MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.3, level=2.5)
 """A stream comes to new places more often than a query of a map does. These settings and those of
@@ -47,7 +50,9 @@ class Tracker:
         others: their descriptors by further methods.
     """
 
-    def __init__(self, config: LoopConfig, memory: Memory, others: Mapping[str, Vectors]) -> None:
+    def __init__(
+        self, config: LoopConfig, memory: Memory, others: Mapping[str, Vectors | SignVectors]
+    ) -> None:
         self._config, self._memory, self._others = config, memory, others
         self._leads = dict.fromkeys([SSR_VLAD, *others], 0.0)
         self._filter = Filter(motion=MOTION, ways=[FORWARDS])
@@ -63,7 +68,7 @@ class Tracker:
         self._filter.restart()
         self._start, self._neighbours = len(self._memory), GrowingArray(np.float64)
 
-    def step(self, frame: str, swept: Floats, others: Mapping[str, Floats]) -> LoopResult:
+    def step(self, frame: str, swept: Floats, others: Mapping[str, npt.NDArray[Any]]) -> LoopResult:
         """The result of the next frame.
 
         Args:
@@ -99,7 +104,7 @@ class Tracker:
         fresh = self._memory.frames[len(self._filter) : max(0, rows)]
         self._filter.extend([frame.rpartition("/")[0] for frame in fresh])
 
-    def _scores(self, swept: Floats, others: Mapping[str, Floats], old: int) -> Tensor:
+    def _scores(self, swept: Floats, others: Mapping[str, npt.NDArray[Any]], old: int) -> Tensor:
         """``(N,)`` scores of a frame by all methods, scaled by those of the old frames."""
         scores = [torch.from_numpy(self._memory.scores(swept))]
         if not others:

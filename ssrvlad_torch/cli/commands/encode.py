@@ -68,7 +68,7 @@ def _encode(
     source: Source,
     output: str,
     preset: str | None,
-    beside: str | None,
+    beside: Sequence[str] | None,
     engine: Engine,
     prune: bool,
 ) -> Summary:
@@ -87,19 +87,21 @@ def _encode(
     source = source.with_network_of(database)
     if engine == "ray" and source.options.segmenter:
         raise ValueError("--engine ray takes no --segmenter")
-    extra = source.extra_descriptors(beside)
+    source.check_with(beside)
     labels_as = source.label_space(database)
     if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     if database:
-        database.require(config, extra)
-    head = SSRVLAD(config)
-    if database:
+        database.require(config)
         source = dataclasses.replace(source, known=database.folders())
+    head = SSRVLAD(config)
     files, segmenter = source.frames(labels_as)
-    if not database:
+    extra = source.extra_descriptors(beside, segmenter, database is None)
+    if database:
+        database.require(config, extra)
+    else:
         skipped = _skipped_before_the_first(head, files, segmenter, extra)
         if len(skipped) == len(files):
             return Summary(skipped=skipped)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from ...encoding.results import Encoded, Skipped
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
+    from ...segmentation.segmenter import Segmenter
     from ..sources import Source
 
 STDIN = "-"
@@ -65,11 +66,13 @@ def loops(
     labels_as = opened.label_space(stored)
     if picture:
         require_picture(picture)
-    extra = opened.extra_descriptors(beside)
+    opened.check_with(beside)
+    segmenter = opened.segmenter(labels_as)
+    extra = opened.extra_descriptors(beside, segmenter, stored is None)
     detector, database = open_detector(config, memory, preset, labels_as, extra)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    frames = _frames(opened, detector, database)
+    frames = _frames(opened, detector, database, segmenter)
     with closing(detect_loops(detector, frames, database)) as stream:
         for result in stream:
             if isinstance(result, Skipped):
@@ -88,17 +91,20 @@ def loops(
 
 
 def _frames(
-    source: Source, detector: LoopDetector, database: Database | None
+    source: Source,
+    detector: LoopDetector,
+    database: Database | None,
+    segmenter: Segmenter | None,
 ) -> Iterator[Encoded | Skipped]:
     """The frames that a detector does not know yet, of folders or from names on stdin."""
     from ...encoding.plan import check_folders
     from ...loops.stream import encode_as_they_come, encode_files
 
-    labels_as, options = detector.head.config.labels_as, source.options
+    options = source.options
     if STDIN not in options.paths:
         if database:
             source = replace(source, known=database.folders())
-        files, segmenter = source.frames(labels_as)
+        files = source.image_files() if segmenter else source.label_files()
         if database:
             check_folders(files, database.known())
         return encode_files(detector, files, options.workers, segmenter)
@@ -107,7 +113,6 @@ def _frames(
             f"SOURCE {STDIN} takes no other SOURCE, no --fps, no --every and no --start"
         )
     names = map(os.fsdecode, sys.stdin.buffer)
-    segmenter = source.segmenter(labels_as)
     return encode_as_they_come(detector, names, options.sequence, segmenter, database)
 
 

@@ -1,0 +1,263 @@
+"""Features of a network through the commands: stored, fused, cached, refused."""
+
+import json
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from drawings import SPACE
+from networks import Street, write_graph, write_street
+from PIL import Image
+from segmenting import write_photos
+from torch import nn
+
+from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector
+from ssrvlad_torch.cli import sources
+from ssrvlad_torch.datasets.frame_file import FrameFile
+from ssrvlad_torch.datasets.image_files import read_image
+from ssrvlad_torch.descriptor import SSRVLAD
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+from ssrvlad_torch.stages.features import SHAPE
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory):
+    return write_street(tmp_path_factory.mktemp("street") / "net.onnx").read_bytes()
+
+
+@pytest.fixture
+def photos(graph, tmp_path, monkeypatch):
+    """``monday``, 32 photos, ``today``, the same, and ``net.yaml``, a network with features."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    sources._network.cache_clear()
+    (tmp_path / "net.onnx").write_bytes(graph)
+    (tmp_path / "net.yaml").write_text(f"network: net.onnx\nlabels_as: {SPACE}\n")
+    for drive in ("monday", "today"):
+        write_photos(tmp_path / drive, range(32), (96, 128))
+    return tmp_path
+
+
+@pytest.fixture
+def town(photos, ssrvlad):
+    given = ("--segmenter", photos / "net.yaml", "--workers", 1)
+    code, _, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
+    assert (code, err) == (0, [])
+    return photos / "town"
+
+
+@pytest.fixture
+def runs(monkeypatch):
+    """The number of pictures that graphs are given."""
+    pictures, run = [0], OnnxNetwork._run
+
+    def counted(network, images, names):
+        pictures[0] += len(images)
+        return run(network, images, names)
+
+    monkeypatch.setattr(OnnxNetwork, "_run", counted)
+    return pictures
+
+
+def pictures_of(folder):
+    return [read_image(FrameFile("", str(n), folder / f"{n}.png")) for n in range(32)]
+
+
+def refused(ssrvlad, *arguments):
+    code, _, err = ssrvlad(*arguments)
+    assert (code, len(err)) == (2, 1), err
+    return err[0]
+
+
+def test_features_are_stored_by_default(town, photos, ssrvlad):
+    database, segmenter = Database.open(town), Segmenter.load(photos / "net.yaml")
+    assert database.beside == (segmenter.features.descriptor,)
+    assert database.beside[0].cells == SHAPE
+    stored = database.load().beside["features"]
+    said = segmenter.segment(pictures_of(photos / "monday"), features=True)
+    assert torch.equal(stored, torch.from_numpy(np.stack([each.features for each in said])))
+    assert database.verify() == []
+    network = ("--segmenter", photos / "net.yaml")
+    again = ("encode", photos / "monday", photos / "today", "-o", town, *network)
+    code, out, _ = ssrvlad(*again)
+    assert code == 0
+    assert "32 frames encoded" in out and "32 already there" in out
+    for option, names in (("none", set()), ("hog", {"hog"})):
+        given, other = (*network, "--with", option), photos / option
+        assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
+        assert {each.name for each in Database.open(other).beside} == names
+    given = ("--with", "features", "--with", "hog", *network)
+    assert ssrvlad("encode", photos / "monday", "-o", photos / "both", *given)[0] == 0
+    assert [each.name for each in Database.open(photos / "both").beside] == ["features", "hog"]
+
+
+def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs):
+    network = ("--segmenter", photos / "net.yaml", "--workers", 1)
+    ssrvlad("encode", photos / "monday", "-o", photos / "one", *network)
+    probe = runs[0] - 32
+    assert probe <= 1
+    ssrvlad("encode", photos / "monday", "-o", photos / "two", *network)
+    assert runs[0] == 32 + 2 * probe
+    one, two = (Database.open(photos / name).load() for name in ("one", "two"))
+    assert torch.equal(one.beside["features"], two.beside["features"])
+    assert torch.equal(one.descriptors, two.descriptors)
+
+
+def test_queries_use_features(town, photos, ssrvlad):
+    network, found = ("--segmenter", photos / "net.yaml"), {}
+    query = ("query", town, photos / "today", *network)
+    for fuse in ((), ("--no-fuse",)):
+        code, out, _ = ssrvlad(*query, "--follow", "no", *fuse, "--json")
+        assert code == 0
+        lines = [json.loads(line) for line in out.splitlines()]
+        found[fuse] = lines[0]["steps"]["weights"]["today"].keys()
+        if not fuse:
+            firsts = [line["candidates"][0]["frame"] for line in lines]
+            assert firsts == [line["query"].replace("today", "monday") for line in lines]
+    assert found == {(): {"ssr-vlad", "features"}, ("--no-fuse",): set()}
+    code, out, _ = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
+    assert code == 0
+    assert out.startswith("today/7: monday/7, fused score ")
+    _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
+    weights = json.loads(out.splitlines()[0])["steps"]["weights"]["monday"]
+    assert weights.keys() == {"ssr-vlad", "features"}
+    line = refused(ssrvlad, *query, "--temporal", "2")
+    assert "features are signs, which have no temporal sum; expected --no-fuse" in line
+    assert ssrvlad(*query, "--temporal", "2", "--no-fuse")[0] == 0
+
+
+def test_the_localiser_uses_features(photos, runs):
+    localiser = Localiser.from_pretrained(photos / "net.yaml", photos / "town")
+    assert localiser.add(photos / "monday").encoded == 32
+    before = runs[0]
+    assert localiser.locate(photos / "today" / "7.png").frame == "monday/7"
+    assert runs[0] == before + 1
+    again = Localiser.open(photos / "town")
+    assert again.locate(pictures_of(photos / "today")[9]).frame == "monday/9"
+    plain = Localiser.from_pretrained(photos / "net.yaml", photos / "plain", beside=["none"])
+    assert plain.database.beside == ()
+    with pytest.raises(ValueError, match="expected a list of methods of pictures, got the text"):
+        Localiser.from_pretrained(photos / "net.yaml", photos / "x", beside="hog")
+
+
+def test_loops_use_features(photos, ssrvlad):
+    memory = ("--memory", photos / "memory", "--exclude", 5)
+    network = ("--segmenter", photos / "net.yaml")
+    code, out, _ = ssrvlad("loops", photos / "monday", *network, *memory)
+    assert code == 0
+    assert "features" in out
+    database = Database.open(photos / "memory")
+    assert [each.name for each in database.beside] == ["features"]
+    code, out, _ = ssrvlad("loops", photos / "today", *network, *memory, "--json")
+    results = [json.loads(line) for line in out.splitlines()]
+    assert code == 0 and len(results) == 32
+    later = [each for each in results if each["candidate"]]
+    assert sum(each["candidate"].startswith("monday") for each in later) > 20
+    again = LoopDetector.load(Database.open(photos / "memory"), LoopConfig(exclude=5))
+    assert len(again) == 64
+
+
+def test_a_detector_takes_features(photos, tmp_path):
+    segmenter = Segmenter.load(photos / "net.yaml")
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    detector = LoopDetector(LoopConfig(exclude=2), head, [segmenter.features.descriptor])
+    said = segmenter.segment(pictures_of(photos / "monday")[:6], features=True)
+    for row, each in enumerate(said):
+        detector.update(each.labels, f"drive/{row}", features=each.features)
+    database = Database.create(tmp_path / "memory", head.config, beside=detector.beside)
+    detector.save(database)
+    features = torch.from_numpy(np.stack([each.features for each in said]))
+    assert torch.equal(database.load().beside["features"], features)
+    with pytest.raises(ValueError, match="expected features beside, got nothing"):
+        detector.update(said[0].labels, "drive/7")
+    with pytest.raises(ValueError, match="expected signs"):
+        detector.update(said[0].labels, "drive/7", features=said[0].features[1:])
+    with pytest.raises(ValueError, match="no method beside"):
+        detector.update(said[0].labels, "drive/7", picture=np.zeros((9, 9, 3), np.uint8))
+
+
+def test_a_network_without_features(photos, ssrvlad):
+    write_graph(photos / "plain.onnx")
+    settings = "network: plain.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: " + SPACE
+    (photos / "plain.yaml").write_text(settings)
+    given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter")
+    line = refused(ssrvlad, *given, photos / "plain.yaml", "--with", "features")
+    assert "plain.yaml: the encoder has no activation at a stride from 4 to 32" in line
+    assert not (photos / "none").exists()
+    code, _, err = ssrvlad(*given, photos / "plain.yaml")
+    assert code == 0
+    assert len(err) == 1 and "stored without features: " in err[0]
+    assert Database.open(photos / "none").beside == ()
+
+
+@pytest.mark.parametrize(
+    ("features", "message"),
+    [
+        ("[nothing]", "features: no activation 'nothing'; the nearest are "),
+        ("[flat]", "features: expected (B, C, h, w) floats, flat is "),
+        ("relu_2", "features must be a list of names of activations, got 'relu_2'"),
+    ],
+)
+def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
+    settings = photos / "named.yaml"
+    settings.write_text(f"network: net.onnx\nlabels_as: {SPACE}\nfeatures: {features}\n")
+    given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter", settings)
+    if features == "[flat]":
+        flat = photos / "net.onnx"
+        flat.write_bytes(_with_flat_mean(flat.read_bytes()))
+    assert message in refused(ssrvlad, *given, "--with", "features")
+    assert not (photos / "none").exists()
+
+
+def _with_flat_mean(content):
+    """The graph with one more node, the means of a picture."""
+    model = onnx.load_from_string(content)
+    node = onnx.helper.make_node("ReduceMean", ["images"], ["flat"], keepdims=0)
+    model.graph.node.insert(0, node)
+    return model.SerializeToString()
+
+
+def test_features_of_another_network_are_refused(town, photos, ssrvlad):
+    other = photos / "other.yaml"
+    other.write_text(f"network: net.onnx\nlabels_as: {SPACE}\nfeatures: [relu_1]\n")
+    network = ("--segmenter", other)
+    for command in (
+        ("encode", photos / "today", "-o", town, *network),
+        ("query", town, photos / "today", *network),
+        ("locate", photos / "today", "--in", town, *network),
+        ("loops", photos / "today", "--memory", town, *network),
+    ):
+        line = refused(ssrvlad, *command)
+        assert "features gives other descriptors here (" in line
+        assert "signs of relu_1" in line and "signs of relu_2" in line
+    assert len(Database.open(town)) == 32
+    with pytest.raises(ValueError, match="features gives other descriptors"):
+        Localiser(Segmenter.load(other), Database.open(town))
+
+
+class Dark(nn.Module):
+    """Sees nothing in dark pictures."""
+
+    def __init__(self):
+        super().__init__()
+        self.network = Street()
+        self.network.act[2].register_forward_hook(lambda *a: a[2] * self.seen)
+
+    def forward(self, images):
+        self.seen = (images.std((1, 2, 3), keepdim=True) > 0.5).float()
+        return self.network(images)
+
+
+def test_a_picture_without_activations_is_skipped(photos, monkeypatch, ssrvlad):
+    monkeypatch.syspath_prepend(photos)
+    (photos / "dark.py").write_text("from test_commands_features import Dark\n")
+    (photos / "monday" / "3.png").unlink()
+    Image.new("RGB", (128, 96)).save(photos / "monday" / "3.png")
+    given = ("--segmenter", "dark:Dark", "--labels-as", SPACE, "--workers", 1)
+    code, out, err = ssrvlad("encode", photos / "monday", "-o", photos / "dark", *given)
+    assert code == 3
+    assert "31 frames encoded" in out and "1 skipped" in out
+    (line,) = (each for each in err if "3.png" in each)
+    assert "the activations of the network are the same everywhere" in line
+    assert len(Database.open(photos / "dark")) == 31

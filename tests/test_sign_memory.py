@@ -1,0 +1,62 @@
+"""Signs of a live stream, against the mean of all frames so far as numbers."""
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from test_signs import SHAPE, drive
+
+from ssrvlad_torch.loops.sign_memory import SignVectors
+from ssrvlad_torch.recognition.signs import REACH, moved, numbers
+
+
+def plain(frames, new):
+    """The scores of a new frame by matrices of numbers."""
+    every = numbers(torch.cat((frames, new[None]))).double()
+    centred = every - every.mean(0)
+    rows, query = centred[:-1], centred[-1:]
+    scores = []
+    for move in range(-REACH, REACH + 1):
+        kept = [c for c in range(SHAPE[0]) if 0 <= c - move < SHAPE[0]]
+        here, there = (each[:, kept].flatten(1) for each in (moved(query, move), rows))
+        scores.append(F.normalize(there, dim=1) @ F.normalize(here, dim=1)[0])
+    return torch.stack(scores).amax(0).float()
+
+
+def test_scores_are_those_of_numbers_without_the_mean_so_far():
+    frames, memory = drive(50).numpy(), SignVectors(SHAPE)
+    memory.add(frames[0])
+    for row in range(1, 50):
+        got = torch.from_numpy(memory.scores(frames[row : row + 1]))
+        torch.testing.assert_close(
+            got, plain(*map(torch.from_numpy, (frames[:row], frames[row]))), atol=1e-5, rtol=0
+        )
+        memory.add(frames[row])
+    assert len(memory) == 50
+    np.testing.assert_array_equal(memory.descriptors(3, 9), frames[3:9])
+
+
+def test_frames_that_are_loaded_count_as_if_they_had_come():
+    frames, one, both = drive(40).numpy(), SignVectors(SHAPE), SignVectors(SHAPE)
+    for frame in frames[:30]:
+        one.add(frame)
+    both.extend(torch.from_numpy(frames[:30]))
+    for frame in frames[30:]:
+        torch.testing.assert_close(
+            *(torch.from_numpy(each.scores(frame[None])) for each in (one, both))
+        )
+        one.add(frame)
+        both.add(frame)
+
+
+def test_equal_frames_have_finite_scores():
+    frame, memory = drive(1)[0].numpy(), SignVectors(SHAPE)
+    for _ in range(3):
+        memory.add(frame)
+    assert abs(memory.scores(frame[None])).max() <= 1
+
+
+@pytest.mark.parametrize("wrong", [torch.zeros(SHAPE), torch.zeros(SHAPE[1:], dtype=torch.uint8)])
+def test_other_signs_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"frame 'a': expected signs \(8, 3, 4\) uint8, got"):
+        SignVectors(SHAPE).checked(wrong, "a")
