@@ -128,6 +128,15 @@ def without_version(out):
     return [{key: line[key] for key in line.keys() - {"version"}} for line in lines]
 
 
+def test_what_is_assumed_of_a_network_is_told(network, ssrvlad, tmp_path):
+    given = ("--labels-as", SPACE, "--segmenter-cache", tmp_path / "cache", "--segmenter")
+    for name, told in ((network, False), (tmp_path / "net.onnx", True)):
+        town = tmp_path / f"town {told}"
+        _, _, err = ssrvlad("encode", tmp_path / "photos", "-o", town, *given, name)
+        assumed = [line for line in err if "assumed: rgb, 0 to 1, mean (0.485, 0.456" in line]
+        assert len(assumed) == told
+
+
 def test_labels_lists_what_is_left_out(network, ssrvlad):
     code, out, _ = ssrvlad("labels", network)
     assert code == 0

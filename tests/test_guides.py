@@ -1,10 +1,14 @@
 """What docs/ tells a user to type, typed: commands of ssrvlad and Python, page by page."""
 
+import dataclasses
 import re
 from pathlib import Path
 
 import pytest
+import yaml
 from test_readme import maps, photos, run  # noqa: F401 - fixtures
+
+from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "docs" / "index.md", *sorted((ROOT / "docs" / "guides").glob("*.md"))]
@@ -35,3 +39,19 @@ def test_the_pages_name_files_that_are_there():
     for page in (*PAGES, *(ROOT / name for name in others)):
         for target in re.findall(r"\]\((?!https?:)([^)#]+)", page.read_text("utf-8")):
             assert (page.parent / target).exists(), (page.name, target)
+
+
+def test_the_page_of_networks_has_every_setting():
+    page = (ROOT / "docs" / "guides" / "own-network.md").read_text("utf-8")
+    keys = {
+        key
+        for row in re.findall(r"^\| (`.*?) \|", page, re.M)
+        for key in re.findall(r"`(\w+)`", row)
+    }
+    settings = {each.name for each in dataclasses.fields(SegmenterConfig)}
+    assert keys == settings | {"network", "labels_as", "arguments"}
+    (example,) = re.findall(r"```yaml\n(.*?)```", page, re.S)
+    document = yaml.safe_load(example)
+    assert document.keys() <= keys
+    given = {k: tuple(v) if isinstance(v, list) else v for k, v in document.items()}
+    SegmenterConfig(**{key: given[key] for key in given.keys() & settings})

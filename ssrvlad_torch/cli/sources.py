@@ -130,8 +130,10 @@ class Source:
             if folder is not None:
                 raise ValueError("--segmenter-cache needs --segmenter")
             return None
-        classes = channels(self.options.classes)
-        return Segmenter.load(_network(network), labels_as, folder or _user_cache(), classes)
+        classes, opened = channels(self.options.classes), _network(network)
+        if opened.assumed:
+            note(f"{network} does not say how it wants pictures; assumed: {opened.preparation}")
+        return Segmenter.load(opened, labels_as, folder or _user_cache(), classes)
 
     def extra_descriptors(
         self, names: Sequence[str] | None, segmenter: Segmenter | None, new: bool

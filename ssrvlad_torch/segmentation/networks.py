@@ -23,6 +23,8 @@ from .preparation import SegmenterConfig
 AUTO = "auto"
 """The label space that the network's own class names define."""
 
+_GIVEN = {"mean", "std", "white", "colour_order"}
+"""Settings of which one, given, shows that the preparation was thought of."""
 _MASK_NETWORKS = ("maskformer", "mask2former", "oneformer")
 _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/MODEL, MODULE:NAME"
 
@@ -37,6 +39,7 @@ class NamedNetwork:
         config: the preparation of its pictures.
         class_names: the names of its channels, if it declares them.
         labels_as: the label space, if the YAML file declares one.
+        assumed: whether nothing says how pictures are prepared: the defaults are assumed.
     """
 
     name: str
@@ -44,6 +47,14 @@ class NamedNetwork:
     config: SegmenterConfig
     class_names: Mapping[int, str] = field(default_factory=dict)
     labels_as: str | None = None
+    assumed: bool = False
+
+    @property
+    def preparation(self) -> str:
+        """How pictures are prepared, in words."""
+        c = self.config
+        size = "the size of the graph or of the picture" if c.size is None else c.size
+        return f"{c.colour_order}, 0 to {c.white:g}, mean {c.mean}, std {c.std}, size: {size}"
 
 
 def open_network(name: str | Path) -> NamedNetwork:
@@ -88,7 +99,8 @@ def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> Nam
         return _of_file(path)
     if path.suffix.lower() == ".onnx":
         graph = OnnxNetwork(path)
-        return NamedNetwork(name, graph, SegmenterConfig(**settings), graph.class_names())
+        names, assumed = graph.class_names(), not _GIVEN & settings.keys()
+        return NamedNetwork(name, graph, SegmenterConfig(**settings), names, assumed=assumed)
     if name.startswith("hf:") or path.is_dir():
         return _of_hub(name, settings)
     if name.startswith("torchhub:"):
@@ -99,7 +111,8 @@ def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> Nam
         raise ValueError(f"no network {name!r}; expected {_WHERE}")
     if not isinstance(network, nn.Module):
         raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
-    return NamedNetwork(name, network, SegmenterConfig(**settings))
+    assumed = not _GIVEN & settings.keys()
+    return NamedNetwork(name, network, SegmenterConfig(**settings), assumed=assumed)
 
 
 def _of_file(path: Path) -> NamedNetwork:
