@@ -271,3 +271,17 @@ def test_a_runtime_that_is_wrong_or_fails_is_diagnosed(kind, files, ssrvlad, mon
         report = json.loads(out)
         assert (code, report["verdict"], report["passed"]) == (1, verdict, False)
         assert "grid_pooling" in report["fault"]["place"]
+
+
+def test_openvino_is_measured_with_and_without_its_setting(files, ssrvlad):
+    """Without it, a processor that has bfloat16 computes wrong descriptors."""
+    openvino = pytest.importorskip("openvino", reason="the extra openvino is not installed")
+    found = verify(files["labels"], provider="openvino")
+    single = openvino.Core().get_property("CPU", "INFERENCE_PRECISION_HINT") == openvino.Type.f32
+    assert found.passed and found.runtime.endswith(", CPU, in single precision")
+    assert found.by_default.name.endswith(", CPU, as it is by default")
+    assert (found.by_default.problem == "") == (found.by_default.difference < 1e-6) == single
+    code, out, err = ssrvlad("verify", files["labels"], "--provider", "openvino")
+    assert (code, "as it is by default" in out) == (0, True)
+    assert bool(err) != single
+    assert single or "INFERENCE_PRECISION_HINT': 'f32'" in err[0]

@@ -43,7 +43,9 @@ def _in_openvino(file: str) -> Opened:
     names = [output.get_any_name() for output in compiled.outputs]
     version = openvino.get_version().partition("-")[0]
     return Opened(
-        f"OpenVINO {version}, CPU", names, lambda maps: list(compiled({"labels": maps}).values())
+        f"OpenVINO {version}, CPU, single precision",
+        names,
+        lambda maps: list(compiled({"labels": maps}).values()),
     )
 
 

@@ -18,6 +18,7 @@ Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]
 OPENVINO = "openvino"
 """Name of OpenVINO's own runtime; other names are execution providers of ONNX Runtime."""
 
+_SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 _RECORD = {"session.record_ep_graph_assignment_info": "1"}
 
 
@@ -27,10 +28,15 @@ class Runtime(Protocol):
     Attributes:
         name: name, version, and device or execution provider.
         is_reference: whether other runtimes are compared with it.
+        plain: the runtime without the settings that it needs here, as a user may start it; ``None``
+            if it needs none.
+        needs: these settings in words.
     """
 
     name: str
     is_reference: bool
+    plain: Runtime | None
+    needs: str
 
     def open(self, source: Path | bytes) -> Run:
         """A function that runs a file, given by path or content. If this or the function raises
@@ -52,6 +58,9 @@ def runtime_of(provider: str) -> Runtime:
 
 class OnnxRuntime:
     """ONNX Runtime with an execution provider."""
+
+    plain: Runtime | None = None
+    needs = ""
 
     def __init__(self, provider: str = CPU) -> None:
         try:
@@ -86,22 +95,31 @@ class OnnxRuntime:
 
 
 class OpenVino:
-    """OpenVINO's own runtime on the CPU, in single precision."""
+    """OpenVINO's own runtime on the CPU.
 
-    def __init__(self) -> None:
+    Args:
+        settings: of `compile_model`. Without them, OpenVINO computes in bfloat16 on a processor
+            that has it.
+    """
+
+    needs = f"compile_model(model, 'CPU', {_SINGLE})"
+
+    def __init__(self, settings: Mapping[str, str] = _SINGLE) -> None:
         try:
             import openvino
         except ImportError as error:
             raise ImportError("OpenVINO needs: pip install openvino") from error
         version = openvino.get_version().partition("-")[0]
-        self.name, self.is_reference = f"OpenVINO {version}, CPU", False
-        self._core = openvino.Core()
+        precision = ", in single precision" if settings else ", as it is by default"
+        self.name, self.is_reference = f"OpenVINO {version}, CPU{precision}", False
+        self.plain: Runtime | None = OpenVino({}) if settings else None
+        self._core, self._settings = openvino.Core(), dict(settings)
 
     def open(self, source: Path | bytes) -> Run:
         """A function that runs a compiled model."""
         model = self._core.read_model(source)
         names = [output.get_any_name() for output in model.outputs]
-        compiled = self._core.compile_model(model, "CPU", {"INFERENCE_PRECISION_HINT": "f32"})
+        compiled = self._core.compile_model(model, "CPU", self._settings)
 
         def run(inputs: Arrays) -> dict[str, npt.NDArray[Any]]:
             outputs = compiled(dict(inputs))

@@ -60,6 +60,7 @@ class Verification:
         checks: the comparisons.
         skipped: frames that could not be compared, with the reasons.
         fault: where a runtime other than ONNX Runtime on the CPU is wrong or fails.
+        by_default: of OpenVINO, the golden pair without settings; no part of the verdict.
     """
 
     runtime: str
@@ -72,6 +73,7 @@ class Verification:
     checks: list[Check] = field(default_factory=list)
     skipped: list[tuple[str, str]] = field(default_factory=list)
     fault: Fault | None = None
+    by_default: Check | None = None
 
     @property
     def difference(self) -> float:
@@ -168,6 +170,7 @@ def _verify(
         model = _head_of(model)
     runner = _Runner(model, model.SerializeToString(), runtime)
     head = _Head(runner, module, model.graph.input[0])
+    _check_defaults(result, runtime, model.SerializeToString(), head.input, golden)
     result.checks.extend(_check_golden(head, golden))
     result.checks.append(_check_corpus(head))
     for file in labels:
@@ -281,6 +284,26 @@ def _check_golden(head: _Head, golden: dict[str, npt.NDArray[Any]]) -> list[Chec
         head.check("golden pair", array, golden),
         compare("module", outputs_of(head.module, array), golden),
     ]
+
+
+def _check_defaults(
+    result: Verification, runtime: Runtime, source: bytes, name: str, golden: Arrays
+) -> None:
+    """The golden pair on the runtime without settings, with a warning if it differs."""
+    if runtime.plain is None:
+        return
+    given = name if name in golden else LABELS
+    expected = {output: array for output, array in golden.items() if output != given}
+    title = f"golden pair, {runtime.plain.name}"
+    try:
+        check = compare(title, runtime.plain.open(source)({name: golden[given]}), expected)
+    except Exception as error:  # runtimes have no common error type
+        check = Check(title, np.inf, f"cannot run: {one_line(error)}")
+    result.by_default = check
+    if check.problem:
+        result.warnings.append(
+            f"wrong in {runtime.plain.name}: {check.problem}; expected {runtime.needs}"
+        )
 
 
 def _check_corpus(head: _Head) -> Check:

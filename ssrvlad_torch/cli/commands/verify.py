@@ -59,6 +59,7 @@ def _as_json(found: Verification) -> dict[str, Any]:
         "checks": [check._asdict() for check in found.checks],
         "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
         "fault": found.fault and found.fault._asdict(),
+        "by_default": found.by_default and found.by_default._asdict(),
         "difference": found.difference,
         "verdict": found.verdict,
         "passed": found.passed,
@@ -69,7 +70,7 @@ def _print(model: Path, found: Verification) -> None:
     from rich.table import Table
 
     table = Table("compared", "largest difference", "result")
-    for check in found.checks:
+    for check in (*found.checks, *filter(None, [found.by_default])):
         table.add_row(check.name, f"{check.difference:.2g}", check.problem or "equal")
     print_table(table)
     for problem in found.problems:
