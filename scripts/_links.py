@@ -1,29 +1,45 @@
-"""A hook of MkDocs: replaces links to files outside docs/ by the paths of the files."""
+"""Hooks of MkDocs: pages of export/ become part of the site, and links to other files outside docs/
+become the paths of the files."""
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path
 from typing import Any
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
-_LINK = re.compile(r"\[([^\]]*)\]\((\.\./[^)#]+)\)")
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+EXPORT = ("export/README.md", "export/online.md", "export/ros2/README.md")
+_LINK = re.compile(r"(?<!!)\[([^\]]*)\]\((?![a-z]+:|#)([^)#\s]+)(#[^)\s]*)?\)")
+
+
+def on_files(files: Any, config: Any) -> Any:
+    """The files of docs/ and the pages of export/."""
+    from mkdocs.structure.files import File
+
+    for uri in EXPORT:
+        files.append(File.generated(config, uri, abs_src_path=str(ROOT / uri)))
+    return files
 
 
 def on_page_markdown(text: str, page: Any, **_: Any) -> str:
-    """The page without links to files outside docs/, which are not part of the site.
+    """The page with links that lead from page to page, and without links to other files.
 
     Raises:
-        FileNotFoundError: the file of such a link does not exist.
+        FileNotFoundError: the file of a link does not exist.
     """
+    uri = page.file.src_uri
+    folder = (ROOT if uri in EXPORT else DOCS) / posixpath.dirname(uri)
 
-    def outside(link: re.Match[str]) -> str:
-        target = (DOCS / page.file.src_uri).parent.joinpath(link[2]).resolve()
-        if target.is_relative_to(DOCS):
-            return link[0]
+    def inside(link: re.Match[str]) -> str:
+        target = (folder / link[2]).resolve()
         if not target.exists():
-            raise FileNotFoundError(f"{page.file.src_uri} links to {link[2]}, which does not exist")
-        path = target.relative_to(DOCS.parent).as_posix()
-        return f"`{path}`" if link[1] in path else f"{link[1]} (`{path}`)"
+            raise FileNotFoundError(f"{uri} links to {link[2]}, which does not exist")
+        path = target.relative_to(ROOT).as_posix()
+        if target.is_relative_to(DOCS) or path in EXPORT:
+            place = path.removeprefix("docs/")
+            return f"[{link[1]}]({posixpath.relpath(place, posixpath.dirname(uri))}{link[3] or ''})"
+        return f"`{path}`" if link[1].strip("`") in path else f"{link[1]} (`{path}`)"
 
-    return _LINK.sub(outside, text)
+    return _LINK.sub(inside, text)
