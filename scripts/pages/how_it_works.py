@@ -43,14 +43,14 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         write_city(Path(folder) / "city", frames=8)
         frame = sorted((Path(folder) / "city" / "reference").iterdir())[4]
-        draw(np.asarray(Image.open(frame))).savefig(given.output / "stages.png", dpi=100)
+        draw(np.asarray(Image.open(frame))).savefig(given.output / "stages.png", dpi=140)
         shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None).picture
         shutil.copy(shown, given.output / "demo.png")
 
 
 def draw(labels: np.ndarray) -> Figure:
     """Draws the stages of ``paper`` above those of ``default``."""
-    figure = Figure(figsize=(12.8, 6.2), layout="constrained")
+    figure = Figure(figsize=(10, 5.6), layout="constrained")
     rows = figure.subplots(2, 4)
     given = torch.from_numpy(labels.astype(np.int64))[None]
     _paper(rows[0], labels, SSRVLAD.from_preset("paper", labels_as=SPACE), given)
@@ -66,14 +66,14 @@ def _paper(axes: Any, labels: np.ndarray, head: SSRVLAD, given: torch.Tensor) ->
     _show(axes[1], _on_white(clean, (0.75, 0.75, 0.75)), f"{CATEGORIES[LAYER]}, cleaned")
     picture = _on_white(clean, (0.9, 0.9, 0.9))
     picture[skeleton] = _PAPER
-    _show(axes[2], picture, "skeleton, end points, intersections, centre (Eq. 1)")
+    _show(axes[2], picture, "skeleton, end points,\nintersections, centre (Eq. 1)")
     for mask, mark in ((ends, "o"), (crossings, "s")):
         y, x = np.nonzero(mask)
-        axes[2].plot(x, y, mark, color="black", markersize=3)
+        axes[2].plot(x, y, mark, color="black", markersize=4)
     x, y = view.centres[0, LAYER].tolist()
     axes[2].plot(x, y, "+", color=_OURS, markersize=14, markeredgewidth=3)
     vector = view.descriptor[0].view(len(CATEGORIES), -1)
-    _bars(axes[3], vector, "paper: eight vectors of 60 (Eq. 2)", _PAPER)
+    _bars(axes[3], vector, "paper: eight\nvectors of 60 (Eq. 2)", _PAPER)
 
 
 def _default(axes: Any, head: SSRVLAD, given: torch.Tensor) -> None:
@@ -85,23 +85,23 @@ def _default(axes: Any, head: SSRVLAD, given: torch.Tensor) -> None:
     for bit, colour in enumerate(colours):
         picture[runs >> bit & 1 == 1] = colour
         axes[1].plot([], [], color=colour, label=DIRECTIONS[bit])
-    _show(axes[1], picture, "boundaries in four directions")
-    axes[1].legend(fontsize=7, loc="lower left")
+    _show(axes[1], picture, "boundaries in\nfour directions")
+    axes[1].legend(fontsize=10, loc="upper left", bbox_to_anchor=(0, 0), ncols=2, frameon=False)
     _show(axes[2], np.ones((1, 1, 3)), "")
     bins = view.histograms.bins[0].flatten(1)
     axes[2].imshow(bins, aspect="auto", cmap="Greys", interpolation="nearest")
-    axes[2].set_title("soft bins: 6 areas, 4 directions", fontsize=9)
+    axes[2].set_title("soft bins:\n6 areas, 4 directions", fontsize=12)
     vector = view.descriptor[0]
     area = vector[: 6 * head.config.harmonics].view(6, -1)
     lengths = vector[6 * head.config.harmonics :].view(4, -1)
     wide = torch.zeros(10, area.shape[1])
     wide[:6], wide[6:, : lengths.shape[1]] = area, lengths
-    _bars(axes[3], wide, "default: coefficients of the smoothest waves", _OURS)
+    _bars(axes[3], wide, "default: coefficients\nof the smoothest waves", _OURS)
 
 
 def _show(axes: Any, picture: np.ndarray, title: str) -> None:
     axes.imshow(picture, interpolation="nearest")
-    axes.set_title(title, fontsize=9)
+    axes.set_title(title, fontsize=12)
     axes.set_axis_off()
 
 
@@ -115,8 +115,8 @@ def _bars(axes: Any, rows: torch.Tensor, title: str, colour: tuple[float, float,
     """Draws each row of numbers as a curve, the first on top."""
     step = 2.2 * float(rows.abs().max())
     for number, row in enumerate(rows.tolist()):
-        axes.plot(np.array(row) - number * step, color=colour, linewidth=0.8)
-    axes.set_title(title, fontsize=9)
+        axes.plot(np.array(row) - number * step, color=colour, linewidth=1.1)
+    axes.set_title(title, fontsize=12)
     axes.set_axis_off()
 
 

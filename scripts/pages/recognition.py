@@ -42,6 +42,22 @@ BINS = 10
 
 HEAD = f"""# How to get the most out of it
 
+1. Give whole drives: a folder is a sequence, frames in the order of travel, at most a few metres
+   apart. Under other light a drive that is followed is found where single frames are not: compare
+   the first and the last column.
+2. Keep the default steps. Each is taken only where the scores show that it applies, and the last
+   line that a command prints says which were taken.
+3. Take the network whose labels look best on *your* pictures, the same for map and queries.
+4. If you have pictures, let them take part:
+   [with pictures as well](guides/choosing.md#with-pictures-as-well).
+5. Wait if you can: `--follow offline` for recorded drives, `--delay 10` for live ones.
+6. Do not sum over time (`--temporal`) unless frames are far denser than the places that you tell
+   apart.
+7. A camera that is turned by up to 10 degrees or is up to 2 m aside costs little; a street driven
+   the other way is [not recognised](way-back.md).
+
+## How it was measured
+
 Written by `scripts/pages/recognition.py`. The tables show RecallRate@1 with 95 % bootstrap
 intervals over the queries ({RESAMPLES} resamples). Each column adds one step to the column before:
 
