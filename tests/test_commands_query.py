@@ -14,6 +14,13 @@ from ssrvlad_torch.cli.measure import by_sequence
 REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
 
 
+def test_more_candidates_than_references_are_all_of_them(ssrvlad, database, maps):
+    """What would not fit in memory is never allocated."""
+    code, out, _ = ssrvlad("query", database, maps, "--top", 10**12, "--json")
+    assert code == 0
+    assert {len(json.loads(line)["candidates"]) for line in out.splitlines()} == {6}
+
+
 def test_a_query_finds_itself(ssrvlad, database, maps):
     code, out, _ = ssrvlad("query", database, maps, "--top", 1)
     assert code == 0
