@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -172,6 +173,9 @@ WRONG_USES = [
     ("verify folder", "ssrvlad: folder is a folder; expected a file"),
     ("fly", "No such command 'fly'"),
     (f"encode -o none {CAMVID}", "Missing argument"),
+    (f"encode '' -o none {CAMVID}", "the argument after encode is empty; expected a text"),
+    (f"encode monday -o none {CAMVID} --sequence=", "--sequence is empty; expected a text"),
+    ("db compact town.ssrdb --keep-days inf", "--keep-days': Input should be less than or"),
     ("encode monday -o none", "Missing option '--labels-as'"),
     ("query town.ssrdb monday --topp 3", "No such option"),
     (
@@ -236,7 +240,7 @@ def test_wrong_use_is_one_line_and_exit_code_2(
     write_photos(tmp_path, range(1)).joinpath("000.png").rename(tmp_path / "photo.png")
     write_maps(tmp_path / "short", range(1))
     monkeypatch.chdir(tmp_path)
-    code, _, err = ssrvlad(*line.split())
+    code, _, err = ssrvlad(*shlex.split(line))
     assert (code, len(err)) == (2, 1)
     assert message in err[0]
     assert err[0].startswith("ssrvlad: ")

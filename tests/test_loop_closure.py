@@ -203,6 +203,13 @@ BAD_FRAMES = {
         PLACES[0], "drive/a", stamp=3.9
     ),
     "stamp from 4.0 on, got inf": lambda loops: loops.update(PLACES[0], "drive/a", stamp=math.inf),
+    r"stamp in seconds, got '7'": lambda loops: loops.update(PLACES[0], "drive/a", stamp="7"),
+    r"x, y, heading, got \(None, 1\)": lambda loops: loops.update(
+        PLACES[0], "drive/a", 5.0, pose=(None, 1)
+    ),
+    r"x, y, heading, got \(1, nan\)": lambda loops: loops.update(
+        PLACES[0], "drive/a", 5.0, pose=(1, math.nan)
+    ),
     r"expected a pose of finite x, y, heading, got \[1.0\]": lambda loops: loops.update(
         PLACES[0], "drive/a", 5.0, pose=[1.0]
     ),

@@ -111,7 +111,7 @@ def search(
         queries.sequences,
         references.sequences,
         steps,
-        min(top, max(1, len(references))),
+        top,
         excluded(queries, references),
         {name: (values, references.beside[name]) for name, values in queries.beside.items()},
         {
@@ -153,7 +153,6 @@ def search_index(
 
     long = names.count(names[0]) >= MIN_FRAMES if names else False
     references = index(steps.standardise and long).frames
-    top = min(top, max(1, len(references)))
     recognised = recognise_by_search(index, names, references.sequences, steps, top, decoys)
     return Found(queries, references, recognised, 0, skipped, folders)
 

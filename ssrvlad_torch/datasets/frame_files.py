@@ -220,6 +220,8 @@ def is_npy(path: Path) -> bool:
 def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
     if is_uri(source):
         return remote_files(source, kind.name, kind.suffixes)
+    if not source:
+        raise ValueError("a source is empty; expected a folder, a file, a glob or a URI")
     path = Path(source)
     matches = [path] if path.exists() else [Path(m) for m in glob.glob(source, recursive=True)]
     if not matches:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -151,8 +151,7 @@ class LoopDetector:
         if not (sequence and name):
             raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
         place = _pose(pose, frame_id)
-        seconds = math.nan if stamp is None else stamp
-        record = FrameRecord(sequence, name, *place, seconds)
+        record = FrameRecord(sequence, name, *place, _stamp(stamp, frame_id))
         tensor = as_tensor(view)
         if picture is not None and not self._methods:
             raise ValueError("got a picture, but the detector has no method beside to describe it")
@@ -294,8 +293,28 @@ class LoopDetector:
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
     if pose is None:
         return math.nan, math.nan, math.nan
-    numbers = [] if isinstance(pose, str) else [float(number) for number in pose]
-    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)):
+    numbers = _numbers(pose)
+    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)) or _is_half(numbers):
         raise ValueError(f"frame {frame!r}: expected a pose of finite x, y, heading, got {pose!r}")
     x, y, heading = (*numbers, math.nan)[:3]
     return x, y, heading
+
+
+def _stamp(stamp: float | None, frame: str) -> float:
+    numbers = [math.nan] if stamp is None else _numbers([stamp])
+    if not numbers:
+        raise ValueError(f"frame {frame!r}: expected a stamp in seconds, got {stamp!r}")
+    return numbers[0]
+
+
+def _numbers(values: Iterable[object]) -> list[float]:
+    """The numbers; none if a value is another thing, also the text of a number."""
+    try:
+        found: list[Any] = [*values]
+        return [] if any(isinstance(each, str | bytes) for each in found) else [*map(float, found)]
+    except (TypeError, ValueError, OverflowError):
+        return []
+
+
+def _is_half(position: Sequence[float]) -> bool:
+    return math.isnan(position[0]) != math.isnan(position[1])

@@ -63,7 +63,9 @@ def history(database: DatabaseFolder, as_json: Json = False) -> None:
 def compact(
     *,
     database: DatabaseFolder,
-    keep_days: float = option("Largest age in days of versions to keep.", default=14, min=0),
+    keep_days: float = option(
+        "Largest age in days of versions to keep.", default=14, min=0, max=100_000
+    ),
 ) -> None:
     """Join small files, and delete old versions and the files that only they use.
 

@@ -71,6 +71,7 @@ def query(
             "--index does not go with a temporal sum, --window, --skip-damaged or --fuse"
         )
     opened = Database.open(database, as_of)
+    top = min(top, max(1, len(opened)))
     frames = Source.open(source, opened.folders(skip_damaged)).with_network_of(opened)
     if index:
         found = search_index(opened, frames, recognition, top, from_sequence, exclude)
