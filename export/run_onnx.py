@@ -9,8 +9,9 @@ Needs numpy and onnxruntime, and Pillow for pictures; `.npy` arrays do not need 
 a file of `ssrvlad fuse` takes images (H, W, 3). With the two files of `ssrvlad fuse --split` the
 network runs on --provider and the head on the CPU. Every file is run on its golden pair when it is
 loaded, and refused if this runtime gives other outputs. A database is written by `ssrvlad db export
---format npy` or by --save-descriptors. Exit code 0 for success, 1 if --check finds the golden pair
-wrong, 2 for wrong use, 3 for finished with some frames skipped.
+--format npy` or by --save-descriptors. Each frame is judged alone, without the steps of `ssrvlad
+query`; `follow_onnx.py` takes them for drives. Exit code 0 for success, 1 if --check finds the
+golden pair wrong, 2 for wrong use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -534,7 +535,7 @@ def _ids_of_palette(indices: Array, colours: list[int], classes: list[dict[str, 
     known = sorted((each for each in classes if each.get("colour")), key=lambda each: each["id"])
     ids = {tuple(each["colour"]): each["id"] for each in known}
     own = {each["id"]: tuple(each["colour"]) for each in known}
-    shown = {int(i): tuple(colours[3 * i : 3 * i + 3]) for i in np.unique(indices)}
+    shown = {int(i): tuple(colours[3 * i : 3 * i + 3]) for i in np.unique(indices).tolist()}
     others = [i for i, colour in shown.items() if colour != own.get(i, (0, 0, 0))]
     moved = {i: ids[shown[i]] for i in others if shown[i] in ids}
     strays = [i for i in others if i not in moved]

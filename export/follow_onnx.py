@@ -1,0 +1,211 @@
+#!/usr/bin/env python3
+"""Finds a drive along a map with an exported or fused file: `run_onnx.py` for whole sequences.
+
+python export/follow_onnx.py place.onnx photos/today --database photos.npy
+
+Takes the steps of `ssrvlad query` that need no torch. Own mean off: descriptors lose the mean of
+their drive if it has 30 frames, else that of all. Follow: a hidden Markov model over the rows of
+the map finds each folder as a sequence, with its later frames too. It does not ask whether the
+frames are a sequence along the map, which `ssrvlad query` does, and it takes every drive to run at
+0 to 4 rows a frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each
+frame the best rows with their probabilities; the first is that of the place, a few rows wide. Needs
+numpy, onnxruntime, and `run_onnx.py` and `loops_onnx.py` beside it. Memory: 28 bytes for each pair
+of a frame and a row. Exit code 0 for success, 2 for wrong use, 3 for finished with some frames
+skipped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from loops_onnx import CHANGE, GAP, MAX_LOG, NEAR, SPEEDS, STAY, WEIGHT
+from run_onnx import (
+    SOME_SKIPPED,
+    Database,
+    add_model,
+    find_frames,
+    note,
+    one_line,
+    open_model,
+    report,
+)
+
+Floats = npt.NDArray[np.float32]
+
+JUMP, UNMAPPED, LEVEL = 0.01, 0.1, 0.5
+"""As in `loops_onnx`, for a drive along a map."""
+MIN_FRAMES = 30
+"""Least number of frames of a drive whose own mean is subtracted."""
+
+_PRIOR = np.array([probability for probability, _ in SPEEDS], np.float32)[:, None]
+_ROUNDING = 1e-6
+
+
+def without_means(descriptors: Floats, sequences: Sequence[str]) -> Floats:
+    """``(N, D)`` or ``(N, S, D)`` descriptors without the mean of their drive, of length 1 or zero;
+    as they are if there are fewer than `MIN_FRAMES`."""
+    anchors = descriptors.reshape(len(descriptors), -1, descriptors.shape[-1]).astype(np.float32)
+    if len(anchors) < MIN_FRAMES:
+        return anchors
+    after, names = np.zeros_like(anchors), np.array(sequences)
+    for name in dict.fromkeys(sequences):
+        rows = names == name
+        of = anchors[rows] if np.count_nonzero(rows) >= MIN_FRAMES else anchors
+        mean = of[of.any(axis=2)].mean(axis=0, dtype=np.float64).astype(np.float32)
+        after[rows] = np.where(anchors[rows].any(axis=2, keepdims=True), anchors[rows] - mean, 0)
+    return after / np.maximum(np.linalg.norm(after, axis=2, keepdims=True), _ROUNDING)
+
+
+class Track:
+    """A hidden Markov model of a drive along a map; see `ssrvlad_torch.recognition.follow`.
+
+    Args:
+        sequences: the sequence of each row of the map; no step leads from one into the next.
+    """
+
+    def __init__(self, sequences: Sequence[str]) -> None:
+        groups = [len(list(rows)) for _, rows in groupby(sequences)]
+        starts = np.cumsum([GAP, *(rows + GAP for rows in groups)])
+        self.cells = np.concatenate(
+            [np.arange(n) + s for n, s in zip(groups, starts, strict=False)]
+        )
+        self.inside = np.zeros(int(starts[-1]), np.float32)
+        self.inside[self.cells] = 1
+        stayed = self._moved(np.ones((len(SPEEDS), len(self.inside)), np.float32), -1)
+        self._left = 1 - stayed
+
+    def rows(self, scores: Floats) -> Floats:
+        """``(Q, R)`` probabilities of the rows, by ``(Q, R)`` scores; -inf where there is none."""
+        likelihoods = [self._likelihood(row) for row in scores]
+        mapped = _PRIOR * (self.inside * np.float32((1 - UNMAPPED) / len(self.cells)))
+        unmapped, beliefs = UNMAPPED, []
+        for number, likelihood in enumerate(likelihoods):
+            if number:
+                mapped, unmapped = self._after(mapped, unmapped)
+            mapped = mapped * likelihood
+            total = float(mapped.sum()) + unmapped
+            mapped, unmapped = mapped / np.float32(total), unmapped / total
+            beliefs.append(mapped)
+        later, later_unmapped = np.ones_like(mapped), 1.0
+        found = np.zeros_like(scores)
+        for number in reversed(range(len(likelihoods))):
+            each = beliefs[number] * later
+            belief_unmapped = 1 - float(beliefs[number].sum())
+            total = float(each.sum()) + belief_unmapped * later_unmapped
+            found[number] = each.sum(axis=0)[self.cells] / max(total, 1e-30)
+            later, later_unmapped = self._before(later * likelihoods[number], later_unmapped)
+        return found
+
+    def _likelihood(self, scores: Floats) -> Floats:
+        near, known = -np.log(np.maximum(1 - scores, np.float32(_ROUNDING))), np.isfinite(scores)
+        spread = float(near[known].std()) if known.any() else 0.0
+        cells = np.zeros_like(self.inside)
+        if spread <= _ROUNDING:
+            cells[self.cells] = 1
+            return cells
+        z = np.where(known, (near - near[known].mean()) / spread, -np.inf)
+        cells[self.cells] = np.exp(np.minimum(WEIGHT * (z - LEVEL), MAX_LOG))
+        return cells
+
+    def _moved(self, mapped: Floats, way: int) -> Floats:
+        """By the steps of each speed, along the map (1) or, transposed, against it (-1)."""
+        source = mapped if way > 0 else mapped * self.inside
+        moved = np.zeros_like(mapped)
+        for speed, (_, steps) in enumerate(SPEEDS):
+            for step, probability in steps.items():
+                moved[speed] += np.float32(probability * (1 - JUMP)) * np.roll(
+                    source[speed], way * step
+                )
+        return moved * self.inside
+
+    def _after(self, mapped: Floats, unmapped: float) -> tuple[Floats, float]:
+        mixed = mapped * (1 - CHANGE) + CHANGE * _PRIOR * mapped.sum(axis=0)
+        moved = self._moved(mixed, 1)
+        lost = max(0.0, 1 - unmapped - float(moved.sum()))
+        arriving = lost * (1 - UNMAPPED) + unmapped * (1 - STAY)
+        moved += _PRIOR * (self.inside * np.float32(arriving / len(self.cells)))
+        return moved, lost * UNMAPPED + unmapped * STAY
+
+    def _before(self, mapped: Floats, unmapped: float) -> tuple[Floats, float]:
+        """How likely the later frames are from each state one frame earlier; not normalised."""
+        anywhere = float((_PRIOR * mapped * self.inside).sum()) / len(self.cells)
+        elsewhere = UNMAPPED * unmapped + (1 - UNMAPPED) * anywhere
+        before = self._moved(mapped, -1) + self._left * np.float32(elsewhere)
+        before = before * (1 - CHANGE) + CHANGE * (_PRIOR * before).sum(axis=0)
+        before_unmapped = STAY * unmapped + (1 - STAY) * anywhere
+        largest = max(float(before.max()), before_unmapped, 1e-30)
+        return (before / np.float32(largest)).astype(np.float32), before_unmapped / largest
+
+
+def candidates(rows: Floats, frames: Sequence[str], top: int) -> list[tuple[str, float]]:
+    """The likeliest rows of a frame; the probability of the first is that of its place."""
+    best = np.argsort(-rows, kind="stable")[:top]
+    ranked = [(frames[row], float(rows[row])) for row in best]
+    near = rows[max(0, best[0] - NEAR) : best[0] + NEAR + 1].sum()
+    return [(ranked[0][0], min(1.0, float(near))), *ranked[1:]]
+
+
+def run(options: argparse.Namespace) -> int:
+    """Runs the program; the exit code."""
+    model = open_model(options)
+    database = Database(options.database, model.fingerprint)
+    described: dict[str, Any] = {}
+    skipped = 0
+    for frame, path in find_frames(options.source):
+        try:
+            if frame in described:
+                raise ValueError(f"a second frame {frame}")
+            described[frame] = model.describe(path)
+        except ValueError as error:
+            note(f"{path}: {one_line(error)}")
+            skipped += 1
+    names = [frame.rpartition("/")[0] for frame in database.frames]
+    references = without_means(np.asarray(database.descriptors), names)[:, 0]
+    track = Track(names)
+    for sequence, group in groupby(described, lambda frame: frame.rpartition("/")[0]):
+        drive = list(group)
+        queries = np.stack([described[frame] for frame in drive])
+        standardised = len(drive) >= MIN_FRAMES
+        swept = without_means(queries, [sequence] * len(drive))
+        rows = references if standardised else np.asarray(database.descriptors, np.float32)
+        scores = (swept @ rows.T).max(axis=1)
+        scores[:, ~rows.any(axis=1)] = -np.inf
+        scores[~queries.reshape(len(drive), -1).any(axis=1)] = -np.inf
+        for frame, found, row in zip(drive, track.rows(scores), scores, strict=True):
+            empty = not np.isfinite(row).any()
+            ranked = [] if empty else candidates(found, database.frames, options.top)
+            report(frame, empty, ranked, options.json)
+    if skipped:
+        note(f"skipped {skipped} of {skipped + len(described)} frames")
+    return SOME_SKIPPED if skipped else 0
+
+
+def main() -> int:
+    """The command line; errors are one line."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_model(parser)
+    parser.add_argument("source", type=Path, nargs="+", help="folders of frames, each a drive")
+    parser.add_argument("--database", type=Path, required=True, help=".npy file of a map")
+    parser.add_argument("--top", type=int, default=5, help="candidates of each frame")
+    parser.add_argument("--json", action="store_true", help="a JSON object a line")
+    options = parser.parse_args()
+    if options.top < 1:
+        parser.error("expected --top of at least 1")
+    try:
+        return run(options)
+    except (ValueError, OSError, ImportError) as error:
+        note(f"follow_onnx: {one_line(error)}")
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,109 @@
+"""The program that finds drives without torch, against the command line."""
+
+import importlib.util
+import json
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cases import REAL, needs_real
+
+from ssrvlad_torch import SSRVLADConfig, export_head
+from ssrvlad_torch.datasets.synthetic_city import write_city
+from ssrvlad_torch.recognition.standardise import standardise
+
+EXPORT = Path(__file__).parents[1] / "export"
+SPACE = "cityscapes-trainids"
+
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
+
+@pytest.fixture(scope="module")
+def program(patch):
+    patch.syspath_prepend(EXPORT)
+    spec = importlib.util.spec_from_file_location("follow_onnx", EXPORT / "follow_onnx.py")
+    module = importlib.util.module_from_spec(spec)
+    patch.setitem(sys.modules, "follow_onnx", module)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture
+def town(ssrvlad, tmp_path):
+    """A function that stores a map, and its files: of the head, and of the descriptors."""
+
+    def store(maps):
+        database, exported = tmp_path / "town", tmp_path / "town.npy"
+        assert ssrvlad("encode", maps, "-o", database, "--labels-as", SPACE)[0] == 0
+        assert ssrvlad("db", "export", database, "--format", "npy", "-o", exported)[0] == 0
+        export_head(SSRVLADConfig(labels_as=SPACE), tmp_path / "head.onnx")
+        return database, tmp_path / "head.onnx", exported
+
+    return store
+
+
+def first(out):
+    lines = [json.loads(line) for line in out.splitlines()]
+    return {line["query"]: line["candidates"][0] for line in lines}
+
+
+def test_a_drive_is_found_as_by_query(program, main_of, ssrvlad, town, tmp_path):
+    city = write_city(tmp_path / "city", frames=40, size=(60, 80))
+    database, head, exported = town(city.reference)
+    code, out, err = main_of(
+        program.main, "follow_onnx.py", head, city.query, "--database", exported, "--json"
+    )
+    assert (code, err) == (0, [])
+    found = first(out)
+    expected = first(ssrvlad("query", database, city.query, "--no-sweep", "--json")[1])
+    assert found.keys() == expected.keys()
+    alike = [found[query]["frame"] == expected[query]["frame"] for query in found]
+    assert np.mean(alike) > 0.95
+    assert all(0.5 < each["score"] <= 1 for each in found.values())
+
+
+@pytest.mark.parametrize("frames", [(40,), (12, 40), (5, 6), (20, 20)])
+def test_means_are_those_of_standardise(program, frames):
+    rng = np.random.default_rng(0)
+    vectors = rng.normal(size=(sum(frames), 48)).astype(np.float32) + 1
+    vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
+    vectors[1] = 0
+    names = [str(number) for number, count in enumerate(frames) for _ in range(count)]
+    got = program.without_means(vectors, names)[:, 0]
+    np.testing.assert_allclose(got, standardise(vectors, names).numpy(), atol=1e-5)
+
+
+def test_wrong_use_is_one_line(program, main_of, town, tmp_path):
+    city = write_city(tmp_path / "city", frames=2, size=(60, 80))
+    _, head, exported = town(city.reference)
+    follow = partial(main_of, program.main, "follow_onnx.py", head)
+    code, _, err = follow(tmp_path / "none", "--database", exported)
+    assert (code, len(err)) == (2, 1) and "holds no frames" in err[0]
+    (city.query / "torn.png").write_bytes(b"torn")
+    code, out, err = follow(city.query, "--database", exported)
+    assert (code, out.count("\n"), err[-1]) == (3, 2, "skipped 1 of 3 frames")
+
+
+@pytest.mark.slow
+@needs_real
+def test_what_following_is_worth(program, main_of, ssrvlad, town):
+    """The figures of export/README.md: UofA, evening against day, one row to each side."""
+    day, evening = (REAL / "uofa" / each / "predicted_espnetv2" for each in ("day", "evening"))
+    database, head, exported = town(day)
+    import run_onnx
+
+    recalls = []
+    for main in (run_onnx.main, program.main):
+        out = main_of(main, "x", head, evening, "--database", exported, "--json")[1]
+        recalls.append(recall(first(out)))
+    recalls.append(recall(first(ssrvlad("query", database, evening, "--no-sweep", "--json")[1])))
+    assert [f"{each:.2f}" for each in recalls] == ["0.51", "0.99", "0.99"]
+
+
+def recall(found):
+    def number(frame):
+        return int(frame.rpartition("/")[2])
+
+    return np.mean([abs(number(query) - number(f["frame"])) <= 3 for query, f in found.items()])
