@@ -204,13 +204,11 @@ class Decisions(NamedTuple):
     Attributes:
         scores, rows: ``(Q, 5)`` scores and rows of the candidates.
         truth: true matches of each query.
-        confidence: ``(Q,)``.
     """
 
     scores: np.ndarray
     rows: np.ndarray
     truth: list[np.ndarray]
-    confidence: np.ndarray
 
     @property
     def right(self) -> np.ndarray:
@@ -249,7 +247,6 @@ def decide(
         torch.cat([one.matches.scores for one in found]).numpy(),
         torch.cat([one.matches.indices + n * OFFSET for n, one in enumerate(found)]).numpy(),
         truth,
-        torch.cat([one.confidence for one in found]).numpy(),
     )
 
 

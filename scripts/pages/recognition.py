@@ -1,28 +1,24 @@
 #!/usr/bin/env python3
-"""Writes docs/recognition.md: the gain of standardising, sweeping and following, and confidence.
+"""Writes docs/recognition.md: the gain of standardising, sweeping and following.
 
     .venv/bin/python scripts/pages/recognition.py --data ../shared/data
 
 The data sets are those of `_described.py`; descriptors are cached in `--cache`. With them, the page
 takes ten minutes on one thread. The table of filter settings is read from docs/motion.csv, see
-`choose_motion.py`. With ``--fit``, the script prints the coefficients for `recognition.confidence`
-instead, fitted to the real traverses, to CamVid and to cities that the page does not measure.
+`choose_motion.py`.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import torch
-import torch.nn.functional as F
-from _described import NETWORKS, OF_PICTURES, Described, all_conditions, decide
+from _described import OF_PICTURES, Described, all_conditions, decide
 from _markdown import head_row, interval, paragraph, row, write
 from conditions import CITY_SEEDS, METRES, RESAMPLES
-from torch import Tensor
 
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
 
@@ -37,8 +33,6 @@ STEPS = {
 }
 OURS = "SSR-VLAD, default"
 METHODS = (OURS, "label grid", "HOG")
-LEARNED_ON = (10, 11)
-BINS = 10
 
 HEAD = f"""# How to get the most out of it
 
@@ -96,20 +90,15 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--data", type=Path, help="folder of camvid, uofa and gardens_walk")
     arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
-    arguments.add_argument("--fit", action="store_true", help="print coefficients of confidence")
     arguments.add_argument("--output", type=Path, default=Path("docs/recognition.md"))
     options = arguments.parse_args()
     torch.set_num_threads(1)
     described = Described(options.data, options.cache)
-    if options.fit:
-        fit(described)
-        return
     write(options.output, "\n".join(page(described, options.output.parent / "motion.csv")) + "\n")
 
 
 def page(described: Described, motion: Path) -> Iterator[str]:
     yield HEAD
-    confidences: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {name: [] for name in STEPS}
     for method in METHODS:
         yield f"## {method}\n"
         yield from head_row("condition", *STEPS)
@@ -117,12 +106,10 @@ def page(described: Described, motion: Path) -> Iterator[str]:
             if method in OF_PICTURES and not condition.has_pictures:
                 continue
             cells = []
-            for step, steps in STEPS.items():
+            for steps in STEPS.values():
                 found = decide(described, condition, method, steps)
                 value, *ends = found.figures()["RecallRate@1"]
                 cells.append(interval(value, ends))
-                if method == OURS and condition.dataset == "City":
-                    confidences[step].append((found.confidence, found.right))
             yield row(condition.name, *cells)
         yield ""
     if motion.exists():
@@ -130,19 +117,6 @@ def page(described: Described, motion: Path) -> Iterator[str]:
         yield paragraph(CHOICE)
         yield from table(motion)
         yield ""
-    yield "## Confidence\n"
-    yield paragraph(
-        "Confidence is the probability that the first candidate is right. Each cell is the "
-        "fraction of right first candidates among those with a confidence in that range, in the "
-        f"cities above, which were not used to fit it. *Error* is the expected calibration error "
-        f"over the {BINS} bins."
-    )
-    ends = [f"{n / BINS:g} to {(n + 1) / BINS:g}" for n in range(BINS)]
-    yield from head_row("steps", "error", *ends)
-    for step, pairs in confidences.items():
-        if step not in ("single frames", "standardised"):
-            sure, hits = (np.concatenate(column) for column in zip(*pairs, strict=True))
-            yield row(step, *reliability(sure, hits))
 
 
 def table(file: Path) -> Iterator[str]:
@@ -151,44 +125,6 @@ def table(file: Path) -> Iterator[str]:
         names, *rows = csv.reader(lines)
     yield from head_row(*names)
     yield from (row(*cells) for cells in rows)
-
-
-def reliability(sure: np.ndarray, hits: np.ndarray) -> list[str]:
-    """The calibration error, and how often the queries of each bin are right."""
-    bins = np.minimum((sure * BINS).astype(int), BINS - 1)
-    error, cells = 0.0, []
-    for number in range(BINS):
-        inside = bins == number
-        cells.append(f"{hits[inside].mean():.2f} of {inside.sum()}" if inside.any() else "")
-        if inside.any():
-            error += inside.mean() * abs(sure[inside].mean() - hits[inside].mean())
-    return [f"{error:.3f}", *cells]
-
-
-def fit(described: Described) -> None:
-    """Prints offset and slope of the confidence relative to the present one, for each step."""
-    for step in ("and swept", "online", "offline"):
-        conditions: Sequence = list(all_conditions(described, LEARNED_ON, NETWORKS))
-        found = [decide(described, condition, OURS, STEPS[step]) for condition in conditions]
-        sure = torch.from_numpy(np.concatenate([one.confidence for one in found])).double()
-        truth = torch.from_numpy(np.concatenate([one.right for one in found])).double()
-        offset, slope = logistic(torch.logit(sure, 1e-4), truth)
-        print(f"{step}: offset {offset:.2f} and slope {slope:.2f} over the present logit")
-
-
-def logistic(logits: Tensor, truth: Tensor) -> list[float]:
-    """Offset and slope of the logistic regression of the truth on the logits."""
-    weights = torch.tensor([0.0, 1.0], dtype=torch.double, requires_grad=True)
-    search = torch.optim.LBFGS([weights], max_iter=200)
-
-    def loss() -> Tensor:
-        search.zero_grad()
-        value = F.binary_cross_entropy_with_logits(weights[0] + weights[1] * logits, truth)
-        value.backward()
-        return value
-
-    search.step(loss)
-    return weights.tolist()
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from ..evaluation.metrics import Convention, evaluate, figure_rows, precision_re
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Pictures
 from ..evaluation.thresholds import SURE_PRECISION, operating_points, queries_needed
-from ..recognition.confidence import Estimate
+from ..recognition.confidence import Estimate, answered
 from ..recognition.matching import Matches
 from ..recognition.recognise import NO_SEQUENCE, Recognised
 from ..recognition.standardise import MIN_FRAMES
@@ -80,7 +80,8 @@ def measure(
     metrics["thresholds"] = operating_points(curve, [at_recall])
     metrics["references"] = len(recognition.references.frames)
     if recognition.recognised:
-        sure = recognition.recognised.confidence.numpy()[known]
+        beaten = ~answered(recognition.recognised.sure)
+        sure = recognition.recognised.confidence.masked_fill(beaten, 0).numpy()[known]
         answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
         metrics["estimates"] = {
@@ -157,9 +158,12 @@ def estimate_in_words(found: Estimate) -> str:
     if not found.accepted:
         return "no answer is accepted"
     answers = f"{found.accepted} answer{'s' * (found.accepted != 1)}"
-    sure = f" of confidence {found.confidence:.2f} and more" if found.confidence else ""
+    if found.confidence:
+        answers = f"accepted {answers} of confidence {found.confidence:.2f} and more"
+    else:
+        answers = f"no decoy beats {answers}"
     wrong = f"{found.wrong:.1%} estimated to be wrong (95 % interval {found.low:.1%} to"
-    return f"accepted {answers}{sure}; {wrong} {found.high:.1%})"
+    return f"{answers}; {wrong} {found.high:.1%})"
 
 
 def estimate_in_json(found: Estimate) -> dict[str, Any]:

@@ -266,7 +266,7 @@ class RecognitionOptions(StepOptions):
     )
     min_confidence: float = option(
         "Print no candidate of a query with a lower confidence, the probability that its first "
-        "candidate is right.",
+        "candidate is right, or whose first candidate is beaten by a decoy (see --max-wrong).",
         default=0.0,
         min=0,
         max=1,

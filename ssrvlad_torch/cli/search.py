@@ -23,7 +23,7 @@ from ..descriptor import mirrored, query_head
 from ..encoding.encoder import encode_to_memory
 from ..encoding.extra_descriptors import extra_methods
 from ..encoding.results import Skipped
-from ..recognition.confidence import Estimate, accept, estimate
+from ..recognition.confidence import Estimate, accept, answered, estimate
 from ..recognition.follow import runs
 from ..recognition.matching import Matches
 from ..recognition.recognise import (
@@ -166,7 +166,10 @@ def accepted(recognised: Recognised, options: RecognitionOptions) -> tuple[Match
     else:
         found = accept(recognised.sure, options.max_wrong)
         least = found.confidence
-    unsure = (recognised.confidence < least)[:, None]
+    unsure = recognised.confidence < least
+    if least > 0:
+        unsure |= ~answered(recognised.sure)
+    unsure = unsure[:, None]
     scores, indices = recognised.matches
     scores = scores.clamp(max=1).masked_fill(unsure, -torch.inf)
     return Matches(scores, indices.masked_fill(unsure, -1)), found

@@ -143,14 +143,14 @@ class Estimate(NamedTuple):
 
 
 def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
-    """The estimate for answers with a confidence of at least ``least`` and above 0.
+    """The estimate for answers that beat the decoys, with a confidence of at least ``least``.
 
     From `MIN_FRAMES` queries on, the wrong answers are as many as the decoys that win with such a
     confidence, plus one: decoys are counted before the next would come. With fewer queries, or
     without decoys, they are the sum of the doubts. Given the decoys, the wrong answers have a
     negative binomial distribution, counted in clusters of answers that err together.
     """
-    accepted = (sure.right >= least) & (sure.right > 0)
+    accepted = answered(sure) & (sure.right >= least)
     if not accepted.any():
         return Estimate(torch.inf, 0, 0.0, 0.0, 0.0)
     count, clusters = int(accepted.sum()), float(sure.together.mean())
@@ -169,8 +169,7 @@ def estimate(sure: Confidence, least: float = 0.0) -> Estimate:
 
 def accept(sure: Confidence, max_wrong: float) -> Estimate:
     """The estimate that accepts most answers while it is at most ``max_wrong``, 0 to 1."""
-    order = sure.right.sort(descending=True).values
-    order = order[order > 0]
+    order = sure.right[answered(sure)].sort(descending=True).values
     if _counted(sure):
         decoys = sure.decoy[sure.decoy > 0].sort().values
         wrong = 1 + len(decoys) - torch.searchsorted(decoys, order)
@@ -181,6 +180,11 @@ def accept(sure: Confidence, max_wrong: float) -> Estimate:
     last[:-1] = order[1:] < order[:-1]
     chosen = (permitted & last).nonzero()[:, 0]
     return estimate(sure, float(order[chosen[-1]]) if len(chosen) else torch.inf)
+
+
+def answered(sure: Confidence) -> Tensor:
+    """``(Q,)`` bool, whether a query has a candidate and no decoy beats it."""
+    return (sure.right > 0) & ~(sure.decoy > 0)
 
 
 def _counted(sure: Confidence) -> bool:
