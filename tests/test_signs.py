@@ -18,6 +18,7 @@ from ssrvlad_torch.recognition.signs import (
     moved,
     numbers,
     products,
+    weighed,
 )
 from ssrvlad_torch.recognition.standardise import standardise
 
@@ -54,6 +55,13 @@ def test_products_are_exact(library, count, width):
     got = products(queries, masks, references)
     assert got.dtype == torch.int32
     assert torch.equal(got.float(), expected)
+
+
+@pytest.mark.parametrize("count", [0, 1, 300])
+def test_weighed_signs_are_products_by_column(library, count):
+    signs, weights = grids(count), torch.randn(8, 96, generator=torch.Generator().manual_seed(0))
+    expected = torch.einsum("ncd,cd->nc", numbers(signs).flatten(2), weights)
+    torch.testing.assert_close(weighed(signs, weights), expected, atol=1e-4, rtol=0)
 
 
 @given(st.integers(-3, 3))

@@ -90,6 +90,7 @@ def core() -> Core:
     library.ssrvlad_differing.argtypes = [
         *(pointer, pointer, size, pointer, size, size, ctypes.c_int, pointer)
     ]
+    library.ssrvlad_weigh.argtypes = [*(pointer, size, size, size, pointer, ctypes.c_int, pointer)]
     library.ssrvlad_open_and_close.argtypes = [*planes, size, size, pointer]
     library.ssrvlad_fill_holes.argtypes = [*planes, size, pointer]
     library.ssrvlad_drop_regions.argtypes = [*planes, size, pointer]

@@ -1202,7 +1202,7 @@ bool in_parallel(Size count, int threads, Job job) {
   return !failed;
 }
 
-constexpr Size ROWS_AT_ONCE = 64;
+constexpr Size ROWS_AT_ONCE = 64, NIBBLES = 16;
 
 SSRVLAD_INLINE int ones(Word word) {
 #if defined(__GNUC__)
@@ -1619,6 +1619,30 @@ int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks, int64_t co
         for (Size query = 0; query < count; ++query)
           differing[query * references + row] = static_cast<std::int32_t>(count_bits(
               queries + query * words, masks + query * words, rows + row * words, words));
+    }
+  });
+  return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;
+}
+
+int ssrvlad_weigh(const uint8_t *rows, int64_t references, int64_t bytes, int64_t groups,
+                  const float *weights, int threads, float *sums) {
+  if (!rows || !weights || !sums || references < 0 || groups < 1 || bytes < 1 || bytes % groups)
+    return SSRVLAD_WRONG_ARGUMENT;
+  const Size size = bytes / groups, blocks = (references + ROWS_AT_ONCE - 1) / ROWS_AT_ONCE;
+  const bool done = in_parallel(blocks, threads, [&](std::atomic<Size> &next) {
+    for (Size block; (block = next++) < blocks;) {
+      const Size last = std::min<Size>(references, (block + 1) * ROWS_AT_ONCE);
+      for (Size row = block * ROWS_AT_ONCE; row < last; ++row)
+        for (Size group = 0; group < groups; ++group) {
+          const std::uint8_t *byte = rows + row * bytes + group * size;
+          const float *weight = weights + group * size * 2 * NIBBLES;
+          float low = 0, high = 0;
+          for (Size i = 0; i < size; ++i, weight += 2 * NIBBLES) {
+            low += weight[byte[i] & (NIBBLES - 1)];
+            high += weight[NIBBLES + byte[i] / NIBBLES];
+          }
+          sums[row * groups + group] = low + high;
+        }
     }
   });
   return done ? SSRVLAD_OK : SSRVLAD_NO_MEMORY;

@@ -102,6 +102,11 @@ SSRVLAD_API int ssrvlad_differing(const uint64_t *queries, const uint64_t *masks
                                   const uint64_t *rows, int64_t references, int64_t words,
                                   int threads, int32_t *differing);
 
+/* Sums, for each of `references` rows of `bytes` bytes and each of `groups` groups of them, weights of
+ * nibbles: (references, groups). `weights` (bytes, 2, 16) are those of the low and the high nibbles. */
+SSRVLAD_API int ssrvlad_weigh(const uint8_t *rows, int64_t references, int64_t bytes, int64_t groups,
+                              const float *weights, int threads, float *sums);
+
 #ifdef __cplusplus
 }
 #endif

@@ -7,7 +7,7 @@ moved by columns to each side; the columns that overlap count, and the best move
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import torch
@@ -71,6 +71,25 @@ def products(queries: Tensor, masks: Tensor, references: Tensor) -> Tensor:
     return counted.sum(1, dtype=torch.int32)[:, None] - 2 * different
 
 
+def weighed(signs: Tensor, weights: Tensor) -> Tensor:
+    """``(N, columns)`` float32, for each column of signs ``(N, columns, rows, bytes)`` the product
+    of its numbers 1 and -1 with weights ``(columns, D)``."""
+    sums, library = torch.empty(signs.shape[:2]), core().library
+    if library is None:
+        for first in range(0, len(signs), _ROWS_AT_ONCE):
+            part = slice(first, first + _ROWS_AT_ONCE)
+            sums[part] = torch.einsum("ncd,cd->nc", numbers(signs[part]).flatten(2), weights)
+        return sums
+    nibbles = numbers(torch.arange(16, dtype=torch.uint8)[:, None])[:, :4]
+    table = (weights.reshape(-1, 4) @ nibbles.T).contiguous()
+    packed = signs.contiguous()
+    library.ssrvlad_weigh(
+        packed.data_ptr(), len(packed), packed[:1].numel(), packed.shape[1], table.data_ptr(),
+        torch.get_num_threads(), sums.data_ptr(),
+    )  # fmt: skip
+    return sums
+
+
 class SignRows:
     """References for many queries.
 
@@ -95,12 +114,16 @@ class SignRows:
             parts = [*runs(sequences)]
             self.means = self.means.repeat(len(parts), 1, 1)
             for group, of in sharing([len(part) for part in parts]).items():
-                self.means[list(group)] = mean_of(
-                    signs[[row for each in of for row in parts[each]]]
-                )
+                shared = [signs[parts[each].start : parts[each].stop] for each in of]
+                self.means[list(group)] = mean_of(*shared)
             lengths = torch.tensor([len(part) for part in parts])
             self.traverse = torch.arange(len(parts)).repeat_interleave(lengths)
-        self.squares = squares(signs, self.means, self.traverse)
+            spans = [slice(part.start, part.stop) for part in parts]
+        else:
+            spans = [slice(0, len(signs))]
+        self.squares = torch.empty(signs.shape[:2])
+        for span, mean in zip(spans, self.means, strict=True):
+            self.squares[span] = squares(signs[span], mean)
 
     def __len__(self) -> int:
         return len(self.signs)
@@ -109,8 +132,7 @@ class SignRows:
         """``(N, R)`` float32 products of ``(N, columns, D)`` with the numbers 1 and -1."""
         if not vectors.any():
             return torch.zeros(len(vectors), len(self))
-        flat = vectors.flatten(1)
-        return torch.cat([flat @ part.flatten(1).T for part in _parts(self.signs)], 1)
+        return torch.stack([weighed(self.signs, each).sum(1) for each in vectors])
 
 
 class SignQueries:
@@ -147,7 +169,7 @@ class SignQueries:
         self._moved = torch.stack([moved(signs, step) for step in steps], 1)
         self._masks = torch.cat([moved(whole, step) for step in steps])
         self._means = torch.cat([moved(mean, step) for step in steps])
-        own = squares(signs, mean, torch.zeros(len(signs), dtype=torch.int64))
+        own = squares(signs, mean[0])
         self._lengths = torch.stack([moved(own, step).sum(1).sqrt() for step in steps], 1)
         self._of_rows = references.dot(self._means)
         kept = self._masks.flatten(2).any(2).float()
@@ -174,23 +196,21 @@ class SignQueries:
         return best.clamp_(max=1)
 
 
-def squares(signs: Tensor, means: Tensor, traverse: Tensor) -> Tensor:
-    """``(N, columns)`` float32, squared lengths of the columns of the numbers 1 and -1 without the
-    mean of the traverse of each."""
-    if not means.any():
-        return torch.full(signs.shape[:2], float(means.shape[2]))
-    parts = zip(_parts(signs), traverse.split(_ROWS_AT_ONCE), strict=True)
-    return torch.cat([(part - means[numbers]).square_().sum(2) for part, numbers in parts])
+def squares(signs: Tensor, mean: Tensor) -> Tensor:
+    """``(N, columns)`` float32, squared lengths of the columns of the numbers 1 and -1 of a
+    traverse without its mean ``(columns, D)``."""
+    if not mean.any():
+        return torch.full(signs.shape[:2], float(mean.shape[1]))
+    return (mean.shape[1] + mean.square().sum(1)).sub(weighed(signs, mean), alpha=2).clamp_(min=0)
 
 
-def mean_of(signs: Tensor) -> Tensor:
-    """``(columns, D)`` float32, the mean of the numbers 1 and -1 of a traverse; zero if all its
-    frames are equal, which the mean would leave nothing of."""
-    total = torch.stack([part.sum(0, dtype=torch.double) for part in _parts(signs)]).sum(0)
-    mean = total.div(len(signs)).float()
+def mean_of(*signs: Tensor) -> Tensor:
+    """``(columns, D)`` float32, the mean of the numbers 1 and -1 of signs ``(N, columns, rows,
+    bytes)``; zero if all their frames are equal, which the mean would leave nothing of."""
+    ones, frames = np.zeros((*signs[0].shape[1:-1], 8 * signs[0].shape[-1]), np.int64), 0
+    for part in (part for each in signs for part in each.split(_ROWS_AT_ONCE)):
+        bits = np.unpackbits(part.numpy(force=True), axis=-1, bitorder="little")
+        ones += bits.sum(0, dtype=np.uint32)
+        frames += len(part)
+    mean = torch.from_numpy(2 * ones / frames - 1).float().flatten(1)
     return mean.zero_() if bool((mean.abs() == 1).all()) else mean
-
-
-def _parts(signs: Tensor) -> Iterator[Tensor]:
-    """The numbers of many rows ``(N, columns, D)``, a few at a time."""
-    return (numbers(part).flatten(2) for part in signs.split(_ROWS_AT_ONCE))
