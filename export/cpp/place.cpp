@@ -7,7 +7,8 @@
 //
 // A map is an (H, W) .npy array of uint8, int32 or int64, or a binary 8-bit PGM; a photograph is an
 // (H, W, 3) .npy array of uint8 in RGB, or a binary 8-bit PPM. The database is written by
-// `ssrvlad db export --format npy`. --unchecked does not run the golden pair first. Exit code 0 for
+// `ssrvlad db export --format npy`. The frame is judged alone, without the steps of `ssrvlad query`;
+// ../README.md has what that costs. --unchecked does not run the golden pair first. Exit code 0 for
 // success, 2 for wrong use or bad input, with one line on stderr.
 
 #include "place.hpp"
