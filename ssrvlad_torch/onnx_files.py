@@ -58,6 +58,7 @@ def open_session(
     provider: str = CPU,
     fallback: str | None = None,
     settings: Mapping[str, str] | None = None,
+    threads: int = 0,
 ) -> Any:
     """A session of ONNX Runtime.
 
@@ -67,6 +68,7 @@ def open_session(
         provider: execution provider; operators that it lacks run on the CPU.
         fallback: provider to use if this ONNX Runtime lacks `provider`.
         settings: configuration entries of the session.
+        threads: number of threads for an operator; 0 for one per core.
 
     Raises:
         ValueError: ONNX Runtime lacks the provider, or cannot run the graph.
@@ -84,6 +86,7 @@ def open_session(
         )
     options = onnxruntime.SessionOptions()
     options.log_severity_level = _ONLY_FATAL
+    options.intra_op_num_threads = threads
     for key, value in (settings or {}).items():
         options.add_session_config_entry(key, value)
     try:

@@ -166,10 +166,11 @@ def test_wrong_use_of_a_segmenter(ssrvlad, photos, tmp_path, monkeypatch, option
     assert not Path("db").exists()
 
 
-def test_uris_are_sources_and_ray_wants_label_maps(ssrvlad, maps, tmp_path):
+def test_uris_are_sources_and_gpus_are_those_of_ray(ssrvlad, maps, tmp_path):
     arguments = ["encode", maps.as_uri(), "-o", tmp_path / "db", "--labels-as", "camvid-11"]
-    code, _, err = ssrvlad(*arguments, "--engine", "ray", "--segmenter", "net.yaml")
-    assert (code, err) == (2, ["ssrvlad: --engine ray takes no --segmenter"])
+    for more in (["--engine", "ray"], ["--segmenter", "net.yaml"]):
+        code, _, err = ssrvlad(*arguments, "--gpus", 1, *more)
+        assert (code, err) == (2, ["ssrvlad: --gpus needs --engine ray and --segmenter"])
     code, _, err = ssrvlad("encode", "ftp://host/a", *arguments[2:])
     assert (code, len(err)) == (2, 1)
     assert "ftp" in err[0]

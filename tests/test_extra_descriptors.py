@@ -254,8 +254,6 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     assert "--with hog needs images as SOURCE and --segmenter" in message
     assert not plain.exists()
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
-    ray = refused("encode", maps, "-o", town, "--engine", "ray")
-    assert "holds descriptors of pictures; Ray reads label maps" in ray
     assert ssrvlad("encode", photos / "today", "-o", plain, *network)[0] == 0
     message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in message

@@ -5,14 +5,18 @@ import os
 import pytest
 import torch
 from helpers import write_street
+from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
+from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import ray_engine, writer
 from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 ray = pytest.importorskip("ray", reason="needs the extra ray")
 pytest.importorskip("ray.data", reason="needs the extra ray")
@@ -42,13 +46,15 @@ def database(tmp_path):
     return Database.create(tmp_path / "db", HEAD.config)
 
 
-def assert_same_as_local(path, files):
+def assert_same_as_local(path, files, segmenter=None, beside=()):
     """Asserts that a database holds the rows that the local engine makes of the same files."""
-    local = Database.create(path.with_name("local"), HEAD.config)
-    encode_to_database(HEAD, files, local, EncodeOptions(workers=0))
+    local = Database.create(path.with_name("local"), HEAD.config, beside=beside)
+    encode_to_database(HEAD, files, local, EncodeOptions(workers=0), segmenter)
     expected, found = local.load(), Database.open(path).load()
     assert found.frames == expected.frames
     assert torch.equal(found.descriptors, expected.descriptors)
+    assert found.beside.keys() == expected.beside.keys()
+    assert all(torch.equal(found.beside[name], expected.beside[name]) for name in found.beside)
     rows = [repr(sorted(database.known().values())) for database in (Database.open(path), local)]
     assert rows[0] == rows[1]
 
@@ -132,3 +138,78 @@ def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
     local = Database.create(tmp_path / "local", HEAD.config)
     encode_to_database(HEAD, files, local)
     assert torch.equal(database.load().descriptors, local.load().descriptors)
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    monkeypatch.setattr(ray_engine, "PART_OF_PICTURES", 8)
+    return find_image_files([str(write_photos(tmp_path / "photos", range(20)))])
+
+
+@pytest.fixture
+def segmenter(tmp_path):
+    return Segmenter.load(write_settings(tmp_path), "camvid-11")
+
+
+@pytest.fixture
+def pictures(tmp_path, segmenter):
+    """A database with HOG beside the descriptors."""
+    return Database.create(
+        tmp_path / "db", HEAD.config, beside=extra_descriptors(["hog"], segmenter)
+    )
+
+
+def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
+    """Refused pictures are skipped; a later run encodes what is missing."""
+    photos[7].path.write_text("no image")
+    summary = encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
+    assert (summary.encoded, [frame.frame for frame in summary.skipped]) == (19, ["photos/7"])
+    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.beside)
+    write_photos(tmp_path / "photos", [7])
+    write_photos(tmp_path / "photos", [3], size=(30, 30))
+    summary = encode_with_ray(HEAD, photos, Database.open(tmp_path / "db"), TWO, segmenter)
+    assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
+
+
+def test_a_killed_actor_with_a_network_loses_nothing(
+    tmp_path, photos, segmenter, pictures, monkeypatch
+):
+    flag = tmp_path / "died"
+
+    class Mortal(PartEncoder):
+        def __call__(self, files, new):
+            part = super().__call__(files, new)
+            if not flag.exists():
+                flag.touch()
+                os._exit(1)
+            return part
+
+    monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
+    assert encode_with_ray(HEAD, photos, pictures, TWO, segmenter).encoded == 20
+    assert flag.exists()
+    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.beside)
+
+
+def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):
+    """Here the settings have changed since they were read."""
+    write_settings(tmp_path, "white: 255\n")
+    with pytest.raises(
+        OSError, match=r"net\.yaml is another network here than where"
+    ):
+        encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
+    assert len(pictures) == 0
+
+
+def test_a_network_without_a_name_is_sent(tmp_path, photos, database):
+    torch.manual_seed(0)
+    segmenter = Segmenter(torch.nn.Conv2d(3, 11, 3, padding=1), "camvid-11")
+    assert encode_with_ray(HEAD, photos, database, TWO, segmenter).encoded == 20
+    assert_same_as_local(tmp_path / "db", photos, segmenter)
+
+
+def test_too_few_gpus_are_an_error(photos, segmenter, pictures):
+    options = EncodeOptions(workers=2, gpus=999)
+    with pytest.raises(
+        ValueError, match=r"^the cluster has \d+ GPUs, expected 999 for each worker$"
+    ):
+        encode_with_ray(HEAD, photos, pictures, options, segmenter)

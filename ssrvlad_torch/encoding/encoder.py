@@ -66,7 +66,7 @@ def encode_to_database(
     """
     options = options or EncodeOptions()
     database.require(head.config)
-    _check_segmenter(head, segmenter, database.beside)
+    check_segmenter(head, segmenter, database.beside)
     with deferred_interruption() as check:
         network = (segmenter.key(), segmenter.name) if segmenter else ()
         origin = database.add_origin(head.label_space, *network)
@@ -144,13 +144,18 @@ def encode(
             are of another one.
         ChildProcessError: a worker was killed.
     """
-    _check_segmenter(head, segmenter, beside)
+    check_segmenter(head, segmenter, beside)
     return _encode(Describer(head, beside=beside), files, workers, segmenter)
 
 
-def _check_segmenter(
+def check_segmenter(
     head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]
 ) -> None:
+    """Requires that a segmenter gives what a head and extra descriptors need.
+
+    Raises:
+        ValueError: it has another label space, or other features; or there is none.
+    """
     require_same(beside, segmenter)
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(
@@ -169,7 +174,7 @@ def _encode(
     items: Iterator[Item] = map(Item, files)
     if segmenter:
         features = any(extra.name == FEATURES for extra in describer.beside)
-        items = _segmented(files, segmenter, workers, features)
+        items = segmented_items(files, segmenter, workers, features)
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = describer.device.type != "cpu"
     lock_free = reads_only or describer.head.native
@@ -184,7 +189,7 @@ def _encode(
     yield from chain.from_iterable(results)
 
 
-def _segmented(
+def segmented_items(
     files: Sequence[FrameFile], segmenter: Segmenter, workers: int, features: bool
 ) -> Iterator[Item]:
     """Frames with what the network says of them; signatures are taken before any file is read."""

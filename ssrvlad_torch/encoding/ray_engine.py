@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,7 +18,10 @@ from ..datasets.frame_file import FrameFile
 from ..datasets.names import absolute, is_uri
 from ..descriptor import SSRVLAD
 from ..files import one_line
+from ..segmentation.features import NAME as FEATURES
+from ..segmentation.segmenter import Segmenter
 from .describer import Describer, Item
+from .encoder import check_segmenter, segmented_items
 from .interruption import deferred_interruption
 from .plan import NEW, Plan
 from .results import Encoded, EncodeOptions, Skipped, Summary, cores
@@ -25,6 +29,9 @@ from .writer import Writer
 
 PART = 1024
 """Number of frames that are encoded and written together."""
+
+PART_OF_PICTURES = 32
+"""The same where a network labels the frames: about ten seconds of work."""
 
 _Batch = dict[str, Any]
 
@@ -48,39 +55,45 @@ def encode_with_ray(
     files: Sequence[FrameFile],
     database: Database,
     options: EncodeOptions | None = None,
+    segmenter: Segmenter | None = None,
 ) -> Summary:
     """Encodes frames as `encode_to_database` does, with Ray.
 
-    Every node of the cluster must be able to open the files and the database. Actors encode new
-    frames and write them to files of the database. The caller's process commits these every few
+    Every node of the cluster must be able to open the files, the database, and the network by its
+    name. Each actor loads the network once, and with it segments, describes and takes features. It
+    writes new frames to files of the database. The caller's process commits these every few
     seconds, at the end, and when the run is interrupted. If an actor is lost, another repeats its
     work. Frames that replace others are sent to the caller's process and written there.
 
     Args:
         head: its settings must have the database's fingerprint.
-        files: from `find_label_files`.
-        database: receives the raw descriptors.
+        files: from `find_label_files`; with a segmenter, from `find_image_files`.
+        database: receives the raw descriptors, and the extra ones that it stores.
         options: as for `encode_to_database`; ``workers`` is the number of actors with one core
-            each.
+            each, and ``gpus`` of them that many.
+        segmenter: as for `encode_to_database`. Its cache is used if all nodes can open its folder.
 
     Raises:
-        ValueError: as for `encode_to_database`.
+        ValueError: as for `encode_to_database`; or the cluster has too few GPUs.
         ImportError: the extra ``ray`` is not installed.
         OSError: the database cannot be written, or Ray failed.
     """
     _require_ray()
     options = options or EncodeOptions()
     database.require(head.config)
-    if database.beside:
-        raise ValueError(f"{database.path} holds descriptors of pictures; Ray reads label maps")
+    check_segmenter(head, segmenter, database.beside)
     with deferred_interruption() as check:
-        origin = database.add_origin(head.label_space)
+        network = (segmenter.key(), segmenter.name) if segmenter else ()
+        origin = database.add_origin(head.label_space, *network)
         plan = Plan.of(files, database, database.origins[origin])
         options.progress(plan.already_there)
         path = database.path if is_uri(database.path) else absolute(Path(database.path))
-        encoder = PartEncoder(Describer(head, origin), path)
+        describer = Describer(head, origin, database.beside)
+        encoder = PartEncoder(
+            describer, path, Network.of(segmenter, options.gpus) if segmenter else None
+        )
         with Writer(database, plan, options) as writer:
-            for part in _parts(encoder, plan, options.workers or cores()):
+            for part in _parts(encoder, plan, options):
                 if part.staged:
                     writer.add_staged(part.staged, part.empty)
                 for result in part.results:
@@ -89,32 +102,77 @@ def encode_with_ray(
         return writer.finish()
 
 
+class Network(NamedTuple):
+    """A segmenter that an actor loads.
+
+    Attributes:
+        load: loads it.
+        key: its key, which that of the loaded one must equal.
+        gpus: number of GPUs.
+    """
+
+    load: Callable[[], Segmenter]
+    key: str
+    gpus: float = 0
+
+    @classmethod
+    def of(cls, segmenter: Segmenter, gpus: float = 0) -> Network:
+        """A network that has a name is loaded by it; another one is sent with its weights."""
+        load = partial(_itself, segmenter)
+        if segmenter.name:
+            how = segmenter.label_space, segmenter.cache, segmenter.config.classes
+            load = partial(Segmenter.load, segmenter.name, *how)
+        return cls(load, segmenter.key(), gpus)
+
+    def loaded(self) -> Segmenter:
+        """The segmenter; a ValueError if it is another one."""
+        segmenter = self.load()
+        if self.gpus:
+            segmenter.network.to("cuda")
+        if segmenter.key() != self.key:
+            raise ValueError(f"{segmenter.name} is another network here than where Ray was called")
+        return segmenter
+
+
 class PartEncoder:
     """Encodes the files of a part, and stages new frames in the database at a path."""
 
-    def __init__(self, describer: Describer, database: str) -> None:
+    def __init__(self, describer: Describer, database: str, network: Network | None = None) -> None:
         self.describer = describer
         self.database = database
+        self.network = network
+        self._segmenter: Segmenter | None = None
 
     def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
         """The results of the files of a part; ``new``: none of its frames is in the database."""
-        results = self.describer([Item(file) for file in files])
+        results = self.describer(self._items(files))
         described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:
             return Part(results)
         descriptors = np.stack([result.descriptor for result in described])
+        beside = {
+            extra.name: np.stack([result.beside[extra.name] for result in described])
+            for extra in self.describer.beside
+        }
         records = [result.record for result in described]
-        staged = Database.open(self.database).write_apart(records, descriptors)
+        staged = Database.open(self.database).write_apart(records, descriptors, beside)
         skipped = [result for result in results if isinstance(result, Skipped)]
         return Part([*skipped], staged, int((~descriptors.any(axis=1)).sum()))
+
+    def _items(self, files: Sequence[FrameFile]) -> list[Item]:
+        if self.network is None:
+            return [Item(file) for file in files]
+        self._segmenter = self._segmenter or self.network.loaded()
+        features = any(extra.name == FEATURES for extra in self.describer.beside)
+        return list(segmented_items(files, self._segmenter, 1, features))
 
 
 class Actor:
     """An actor for `map_batches`: takes pickled files, returns a pickled `Part` or an error."""
 
-    def __init__(self, encoder: PartEncoder) -> None:
+    def __init__(self, encoder: bytes) -> None:
         torch.set_num_threads(1)
-        self.encode = encoder
+        self.encode: PartEncoder = pickle.loads(encoder)
 
     def __call__(self, batch: _Batch) -> _Batch:
         """The batch holds one part."""
@@ -128,25 +186,36 @@ class Actor:
         return {"part": [pickle.dumps(part)]}
 
 
-def _parts(encoder: PartEncoder, plan: Plan, workers: int) -> Iterator[Part]:
+def _itself(segmenter: Segmenter) -> Segmenter:
+    return segmenter
+
+
+def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator[Part]:
     """The results for the files of a plan, as they arrive."""
+    import ray.cloudpickle
     import ray.data
 
+    length = PART_OF_PICTURES if encoder.network else PART
     rows = [
-        {"files": pickle.dumps(files[first : first + PART]), "new": new}
+        {"files": pickle.dumps(files[first : first + length]), "new": new}
         for new in (True, False)
         for files in [[file for file in plan.files if (plan.reasons[file.frame] == NEW) == new]]
-        for first in range(0, len(files), PART)
+        for first in range(0, len(files), length)
     ]
     if not rows:
         return
     _quiet_ray()
+    gpus = options.gpus if encoder.network else 0
+    if gpus > (found := ray.cluster_resources().get("GPU", 0)):
+        raise ValueError(f"the cluster has {found:g} GPUs, expected {gpus:g} for each worker")
+    workers = max(1, min(options.workers or cores(), len(rows)))
     parts = ray.data.from_items(rows, override_num_blocks=len(rows)).map_batches(
         Actor,
-        fn_constructor_args=(encoder,),
+        fn_constructor_args=(ray.cloudpickle.dumps(encoder),),
         batch_size=1,
-        compute=ray.data.ActorPoolStrategy(size=max(1, min(workers, len(rows)))),
+        compute=ray.data.ActorPoolStrategy(size=workers),
         num_cpus=1,
+        num_gpus=gpus or None,
     )
     try:
         for row in parts.iter_rows():

@@ -56,6 +56,7 @@ class EncodeOptions:
         prune: with ``complete``, remove the frames that are gone.
         progress: called with the number of frames done since the last call.
         skipped: called with every frame that is skipped, immediately.
+        gpus: number of GPUs for each worker of Ray that runs a network.
     """
 
     workers: int | None = None
@@ -63,6 +64,7 @@ class EncodeOptions:
     prune: bool = False
     progress: Progress = do_nothing
     skipped: Callable[[Skipped], object] = do_nothing
+    gpus: float = 0
 
     def __post_init__(self) -> None:
         if self.prune and not self.complete:

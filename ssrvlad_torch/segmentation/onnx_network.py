@@ -57,7 +57,9 @@ class OnnxNetwork(nn.Module):
         self.path = Path(path)
         if not self.path.is_file():
             raise ValueError(f"{path} does not exist or is not a file; expected an ONNX graph")
-        self._session = open_session(self.path, path, "CUDAExecutionProvider", fallback=CPU)
+        self._session = open_session(
+            self.path, path, "CUDAExecutionProvider", CPU, threads=torch.get_num_threads()
+        )
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
             names = ", ".join(each.name for each in inputs)
@@ -78,6 +80,10 @@ class OnnxNetwork(nn.Module):
             output.name: Form(_shape(output), output.type, _kind(output.type))
             for output in self._session.get_outputs()
         }
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickles the path: another process opens the file again."""
+        return OnnxNetwork, (self.path.absolute(),)
 
     def forward(self, images: Tensor, names: Iterable[str] = ()) -> dict[str, Tensor]:
         """Runs the graph, in batches of the length that it declares, if it declares one."""
@@ -128,7 +134,8 @@ class OnnxNetwork(nn.Module):
         settings = {"session.model_external_initializers_file_folder_path": str(self.path.parent)}
         provider = "CUDAExecutionProvider" if whole else CPU
         content = model.SerializeToString()
-        return open_session(content, self.path, provider, CPU, settings)
+        threads = torch.get_num_threads()
+        return open_session(content, self.path, provider, CPU, settings, threads)
 
     def class_names(self) -> dict[int, str]:
         """Names of its classes by channel, from the metadata that exporters write; may be empty."""

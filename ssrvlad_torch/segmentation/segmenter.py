@@ -105,6 +105,10 @@ class Segmenter:
         self.labels = LabelNetwork(network, space, config or SegmenterConfig())
         self.cache, self.cache_bytes, self.name = cache, cache_bytes, name
 
+    def __getstate__(self) -> dict[str, object]:
+        """Pickles no features: they are taken anew of the network in another process."""
+        return {name: value for name, value in self.__dict__.items() if name != "features"}
+
     @property
     def network(self) -> nn.Module:
         """The network alone."""

@@ -34,6 +34,7 @@ def encode(
         "local: processes on this machine; ray: Ray Data, on this machine or a cluster.",
         default="local",
     ),
+    gpus: float = option("With --engine ray: GPUs for each worker.", default=0.0, min=0),
     prune: bool = option(
         "Remove frames whose file is no longer in the folders of SOURCE.", "--prune", default=False
     ),
@@ -51,7 +52,7 @@ def encode(
     from ...database.database import Database
     from ..sources import Source
 
-    summary = _encode(Source.open(source), output, preset, beside, engine, prune)
+    summary = _encode(Source.open(source), output, preset, beside, engine, gpus, prune)
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
@@ -70,6 +71,7 @@ def _encode(
     preset: str | None,
     beside: Sequence[str] | None,
     engine: Engine,
+    gpus: float,
     prune: bool,
 ) -> Summary:
     from ...config import SSRVLADConfig
@@ -85,8 +87,8 @@ def _encode(
         )
     database = Database.open(output) if Database.exists(output) else None
     source = source.with_network_of(database)
-    if engine == "ray" and source.options.segmenter:
-        raise ValueError("--engine ray takes no --segmenter")
+    if gpus and (engine != "ray" or not source.options.segmenter):
+        raise ValueError("--gpus needs --engine ray and --segmenter")
     source.check_with(beside)
     labels_as = source.label_space(database)
     if preset is None and database:
@@ -108,10 +110,10 @@ def _encode(
         database = Database.open_or_create(output, config, extra)
     with progress_bar("encoding", len(files)) as bar:
         options = EncodeOptions(
-            source.options.workers, _is_complete(source), prune, bar.advance, bar.skip
+            source.options.workers, _is_complete(source), prune, bar.advance, bar.skip, gpus
         )
         if engine == "ray":
-            return encode_with_ray(head, files, database, options)
+            return encode_with_ray(head, files, database, options, segmenter)
         return encode_to_database(head, files, database, options, segmenter)
 
 
