@@ -193,9 +193,7 @@ def test_a_killed_actor_with_a_network_loses_nothing(
 def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):
     """Here the settings have changed since they were read."""
     write_settings(tmp_path, "white: 255\n")
-    with pytest.raises(
-        OSError, match=r"net\.yaml is another network here than where"
-    ):
+    with pytest.raises(OSError, match=r"net\.yaml is another network here than where"):
         encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
     assert len(pictures) == 0
 
