@@ -4,8 +4,9 @@ import json
 
 import numpy as np
 import pytest
-from drawings import VOID
+from drawings import SPACE, VOID
 from drives import write_maps, write_truth
+from helpers import street
 from PIL import Image
 
 
@@ -120,3 +121,25 @@ def test_a_skipped_query_keeps_its_place(evaluate, tmp_path, how):
     assert len(err) == 1
     metrics = json.loads(out)
     assert (metrics["queries"], metrics["recall_at"]["1"]) == (5, 1.0)
+
+
+def test_the_estimate_stands_beside_the_truth(ssrvlad, tmp_path):
+    """Forty streets; four queries have the labels of another one."""
+    streets = [street(seed) for seed in range(40)]
+    for name, maps in (("town", streets), ("today", streets[4:5] * 4 + streets[4:])):
+        (tmp_path / name).mkdir()
+        for number, labels in enumerate(maps):
+            np.save(tmp_path / name / f"{number:03}.npy", labels)
+    town = tmp_path / "town.ssrdb"
+    assert ssrvlad("encode", tmp_path / "town", "-o", town, "--labels-as", SPACE)[0] == 0
+    ask = "evaluate", town, tmp_path / "today", "--tolerance-frames", 0, "--follow", "no"
+    code, out, _ = ssrvlad(*ask, "--json")
+    found = json.loads(out)["estimates"]
+    assert code == 0 and list(found) == ["accepted", "suggested_without_truth"]
+    for each in found.values():
+        assert each["accepted"] == 40 and each["wrong"] == pytest.approx(1 / 40)
+        assert each["truly_wrong"] == pytest.approx(4 / 40) and each["low"] <= 0.1 <= each["high"]
+    _, out, _ = ssrvlad(*ask)
+    assert "without ground truth: no decoy beats 40 answers; 2.5% estimated to be wrong" in out
+    assert "suggested without ground truth: accepted 40 answers of confidence" in out
+    assert out.count("in truth 10.0%") == 2

@@ -142,7 +142,8 @@ def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
         truth = found["truly_wrong"]
         true = "" if truth is None else f"; in truth {truth:.1%}"
         guess = Estimate(*(found[field] for field in Estimate._fields))
-        yield f"{name.replace('_', ' ')}: {estimate_in_words(guess)}{true}"
+        suggested = "suggested " if name != "accepted" else ""
+        yield f"{suggested}without ground truth: {estimate_in_words(guess)}{true}"
 
 
 def decided_in_words(
