@@ -1,6 +1,7 @@
 """`ssrvlad encode`: label maps, or images and a segmenter, into a database."""
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -42,6 +43,24 @@ def test_runs_that_start_together_make_one_database(maps, tmp_path, pair):
     runs = [subprocess.Popen([*command, folder]) for folder in (maps, tmp_path / "other")]
     assert [run.wait(120) for run in runs] == [0, 0]
     assert len(Database.open(tmp_path / "db").load()) == 12
+
+
+def test_names_do_not_depend_on_the_locale(maps, tmp_path):
+    folder = maps.rename(tmp_path / "straße")
+    plain = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"}
+    command = [sys.executable, "-m", "ssrvlad_torch", "encode", folder, "-o", tmp_path / "db"]
+    for environment in (plain, os.environ | {"PYTHONUTF8": "1"}):
+        subprocess.run([*command, "--labels-as", "camvid-11"], env=environment, check=True)
+    frames = Database.open(tmp_path / "db").load().frames
+    assert frames == tuple(f"straße/{n:03d}" for n in range(6))
+    code = (
+        "import sys; from ssrvlad_torch.datasets.label_files import find_label_files as find;"
+        "find(sys.argv[1:])"
+    )
+    refused = subprocess.run(
+        [sys.executable, "-c", code, folder], env=plain, capture_output=True, check=False
+    )
+    assert b"are read as ASCII here, got '" in refused.stderr
 
 
 def test_an_unreadable_frame_is_listed_and_the_rest_lands(ssrvlad, maps, tmp_path):

@@ -23,6 +23,10 @@ _ENDS = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 def main() -> None:
     """Runs the command that ``sys.argv`` names, and exits."""
     _open_streams()
+    if sys.getfilesystemencoding() == "ascii":  # the names of files would be escapes
+        os.execv(
+            sys.executable, [sys.executable, "-X", "utf8", "-m", "ssrvlad_torch", *sys.argv[1:]]
+        )
     arguments = [argument for argument in sys.argv[1:] if argument != "--debug"]
     if signal.getsignal(signal.SIGTERM) == signal.SIG_DFL:
         signal.signal(signal.SIGTERM, lambda *_: sys.exit(TERMINATED))

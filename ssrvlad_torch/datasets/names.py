@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections import Counter
 from collections.abc import Collection, Iterable
 from pathlib import Path, PurePath
@@ -127,4 +128,8 @@ def absolute(path: Path) -> str:
     """An absolute path without ``.`` and ``..``, with escapes for bytes that are not UTF-8. Links
     are kept, except in paths with ``..``."""
     text = os.fspath(path.resolve()) if ".." in path.parts else os.path.abspath(path)  # noqa: PTH100
+    if sys.getfilesystemencoding() == "ascii" and not text.isascii():
+        raise ValueError(
+            f"names of files are read as ASCII here, got {text!a}; expected UTF-8: set PYTHONUTF8=1"
+        )
     return text.encode("utf-8", "backslashreplace").decode()
