@@ -24,6 +24,7 @@ SHAPE = (COLUMNS, ROWS, SIGNS // 8)
 
 _NO_VARIANCE = 1e-5
 _NO_LENGTH = 1e-12
+_ROUNDING = 1e-5
 
 
 class Features(nn.Module):
@@ -55,41 +56,52 @@ class Features(nn.Module):
 
     def forward(self, *activations: Tensor) -> Tensor:
         """The signs of pictures."""
-        cells = torch.cat([unit_cells(each) for each in self._checked(activations)], 1)
+        means = [cell_means(each) for each in self._of_right_shape(activations)]
+        cells = torch.cat([unit_cells(each) for each in means], 1)
+        if not torch.compiler.is_exporting():
+            for each in means:
+                refuse_empty(each)
         signs = cells.permute(2, 0, 3, 1).flatten(1, 2) @ self.projections > 0
         by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
         packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
         return packed.to(torch.uint8)
 
-    def _checked(self, activations: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
-        if torch.compiler.is_exporting():
-            return activations
+    def _of_right_shape(self, activations: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         got = [each.shape[1] if each.ndim == 4 else -1 for each in activations]
-        if got != self.channels:
+        if not torch.compiler.is_exporting() and got != self.channels:
             shapes = ", ".join(str(tuple(each.shape)) for each in activations) or "nothing"
             raise ValueError(
                 f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
             )
-        for each in activations:
-            if not bool(each.isfinite().all()):
-                raise ValueError("the activations of the network are not finite")
-            if bool((each == each[:, :, :1, :1]).flatten(1).all(1).any()):
-                raise ValueError("the activations of the network are the same everywhere")
         return activations
 
 
-def unit_cells(activations: Tensor) -> Tensor:
-    """``(B, C, ROWS, COLUMNS)`` float32: means over cells, each channel without its mean over the
-    cells and divided by its deviation, each cell of length 1. A pixel counts in every cell that it
-    overlaps, by the overlap."""
+def cell_means(activations: Tensor) -> Tensor:
+    """``(B, C, ROWS, COLUMNS)`` float32, means of activations ``(B, C, h, w)`` over cells. A pixel
+    counts in every cell that it overlaps, by the overlap."""
     height, width = activations.shape[2:]
     none = torch.zeros(1, dtype=torch.int64, device=activations.device)
     rows = overlaps(height, ROWS, none)[0].T / height
     columns = overlaps(width, COLUMNS, none)[0] / width
-    cells = rows @ (activations.float() @ columns)
-    centred = cells - cells.mean((2, 3), keepdim=True)
+    return rows @ (activations.float() @ columns)
+
+
+def unit_cells(means: Tensor) -> Tensor:
+    """``(B, C, ROWS, COLUMNS)`` means, each channel without its mean over the cells and divided by
+    its deviation, each cell of length 1."""
+    centred = means - means.mean((2, 3), keepdim=True)
     variance = centred.square().mean((2, 3), keepdim=True)
     return F.normalize(centred / (variance + _NO_VARIANCE).sqrt(), dim=1, eps=_NO_LENGTH)
+
+
+def refuse_empty(means: Tensor) -> None:
+    """Raises a ValueError for pictures whose means ``(B, C, ROWS, COLUMNS)`` are not finite, or are
+    the same everywhere but for rounding."""
+    if not bool(means.isfinite().all()):
+        raise ValueError("the activations of the network are not finite")
+    spread = (means.amax((2, 3)) - means.amin((2, 3))).amax(1)
+    if bool((spread <= _ROUNDING * means.abs().amax((1, 2, 3))).any()):
+        raise ValueError("the activations of the network are the same everywhere")
 
 
 def projections(channels: int) -> Tensor:
