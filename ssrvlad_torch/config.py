@@ -11,8 +11,8 @@ from typing import Any
 
 from .taxonomy import CATEGORIES, LabelSpace
 
-METHOD_REVISION = 1
-"""Increased whenever the same settings give other numbers; part of every fingerprint."""
+METHOD_REVISIONS = {"residuals": 1, "harmonics": 2}
+"""By aggregation: increased whenever the same settings give other numbers; part of fingerprints."""
 
 CATEGORY_COUNT = len(CATEGORIES)
 """K of the paper: Table II has eight categories, and every descriptor has eight blocks."""
@@ -37,6 +37,10 @@ AREA_LAYERS = 6
 """Layers of the aggregation harmonics: guard rail counts as building, parking as ground."""
 
 BOUNDARY_DIRECTIONS = 4
+
+FAINT = 1e-4
+"""Coefficients of harmonics far below it are not raised to a power: that would make 5e-6 of the 1e-7
+by which float32 misses a zero."""
 
 _ONLY_RESIDUALS = ("opening", "closing", "hole_area", "region_area", "thinning", "context")
 _ONLY_HARMONICS = ("anchor", "harmonics", "boundary_harmonics", "spectral_weight", "power")
@@ -219,7 +223,7 @@ class SSRVLADConfig:
         del settings["labels_as"]
         if self.aggregation == "residuals":
             del settings["aggregation"]  # fingerprints of residuals are older than this setting
-        text = json.dumps({"revision": METHOD_REVISION, **settings}, sort_keys=True)
+        text = json.dumps({"revision": METHOD_REVISIONS[self.aggregation], **settings}, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property

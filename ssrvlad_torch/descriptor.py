@@ -21,9 +21,10 @@ from .stages import harmonics, residuals
 from .stages.centroid import centre_table, centroids
 from .stages.harmonics import Harmonics
 from .stages.keypoints import end_points, intersections
-from .stages.layers import categorise, refuse_unknown
+from .stages.layers import refuse_unknown
 from .stages.residuals import Residuals, masks_of
 from .taxonomy import LabelSpace
+from .tracing import is_exporting
 
 
 class Aggregation(Protocol):
@@ -104,10 +105,29 @@ class SSRVLAD(nn.Module):
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = as_tensor(labels)
+        if is_exporting() and self.config.aggregation == "harmonics":
+            descriptor, unknown = self.counted(labels)
+            return torch.where((unknown > 0).view(-1, *[1] * (descriptor.ndim - 1)), torch.nan, descriptor)
         if labels.is_cpu and self.native and not self._requires_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
         return descriptor
+
+    def counted(self, labels: Tensor) -> tuple[Tensor, Tensor]:
+        """The descriptors of a batch, and the number of pixels of each image with an unknown id,
+        which belong to no layer: what exported files give, which cannot raise an error.
+
+        Args:
+            labels: a tensor, as for a call.
+
+        Returns:
+            descriptors as of a call, and ``(B,)`` int64.
+        """
+        layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
+        return self._describe_layers(layers), unknown
+
+    def _describe_layers(self, layers: Tensor) -> Tensor:
+        return self._aggregation.descriptor(self._aggregation.histograms(layers))
 
     # torch.compiler.disable would load torch's compiler when this module is imported
     @torch._disable_dynamo  # type: ignore[attr-defined]
@@ -127,7 +147,7 @@ class SSRVLAD(nn.Module):
             descriptor: Tensor = run(labels, table, origin, self._method)
             return descriptor
         except UnknownIdError:
-            refuse_unknown(labels, categorise(labels, table, origin), self.label_space)
+            refuse_unknown(labels, self.label_space)
             raise
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
@@ -177,8 +197,12 @@ class SSRVLAD(nn.Module):
         labels = as_tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
-            histograms = (self._aggregation.histograms(layers, column) for column in columns)
-            return torch.stack(list(map(self._aggregation.descriptor, histograms)), dim=1)
+            return self._sweep_layers(layers, columns)
+
+    def _sweep_layers(self, layers: Tensor, columns: Sequence[int]) -> Tensor:
+        assert isinstance(self._aggregation, Harmonics)
+        histograms = (self._aggregation.histograms(layers, column) for column in columns)
+        return torch.stack(list(map(self._aggregation.descriptor, histograms)), dim=1)
 
     def _with_gradient(self, descriptor: Tensor, scores: Tensor) -> Tensor:
         """The descriptor, with the gradient of the surrogate if the scores require one."""
@@ -240,7 +264,10 @@ class SweepHead(SSRVLAD):
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch from every anchor."""
-        return self.sweep(labels, self.columns)
+        return super().forward(labels) if is_exporting() else self.sweep(labels, self.columns)
+
+    def _describe_layers(self, layers: Tensor) -> Tensor:
+        return self._sweep_layers(layers, self.columns)
 
 
 def _checked(columns: Sequence[int]) -> tuple[int, ...]:

@@ -11,29 +11,31 @@ from torch import Tensor, nn
 
 from .config import SSRVLADConfig
 from .stages.layers import (
+    UNKNOWN,
     best_class,
     best_class_operator,
     categorise,
     category_table,
+    entries_of,
     refuse_unknown,
-    split,
 )
-from .stages.reduction import reduce_by_majority
-from .taxonomy import LabelSpace, label_space
+from .stages.reduction import ballots, reduce_by_majority
+from .taxonomy import NO_LAYER, LabelSpace, label_space
+from .tracing import is_exporting, length
 
 PIXELS_AT_ONCE = 1 << 20
 """Label map pixels that are processed at a time, at least one image."""
 
 
 class FrontEnd(nn.Module):
-    """Label maps or class scores -> the eight layers on the working grid.
+    """Label maps or class scores -> the layer of each pixel of the working grid.
 
     Args:
         config: the settings.
 
     Shape:
         - input: ``(B, H, W)`` label ids or ``(B, C, H, W)`` class scores, as for `SSRVLAD`.
-        - output: ``(B, h, w)`` uint8 bit-planes.
+        - output: ``(B, h, w)`` uint8, 0 to 7 or `NO_LAYER`.
 
     Raises:
         ValueError: input that `SSRVLAD` refuses.
@@ -44,20 +46,42 @@ class FrontEnd(nn.Module):
         self.config = config
         self.label_space = label_space(config.labels_as)
         self.table: Tensor
+        self.votes: Tensor
+        self.kinds: Tensor
         table, self.origin = category_table(self.label_space)
-        self.register_buffer("table", table, persistent=False)
+        for name, tensor in zip(("table", "votes", "kinds"), (table, *ballots(table)), strict=True):
+            self.register_buffer(name, tensor, persistent=False)
 
     def forward(self, labels: Tensor) -> Tensor:
         """The layers of a batch, a few images at a time so that memory stays bounded."""
         labels = label_map(labels, self.label_space)
-        table, grid = self.table.to(labels.device), self.config.grid(*labels.shape[1:])
-        images_at_once = max(1, PIXELS_AT_ONCE // labels[0].numel())
-        reduced = []
-        for part in labels.split(images_at_once):
-            categories = categorise(part, table, self.origin)
-            refuse_unknown(labels, categories, self.label_space)
-            reduced.append(reduce_by_majority(categories, grid))
-        return split(torch.cat(reduced))  # Table II
+        parts = []
+        for part in labels.split(max(1, PIXELS_AT_ONCE // labels[0].numel())):
+            layers, unknown = self.counted(part)
+            if bool(unknown.any()):
+                refuse_unknown(labels, self.label_space)
+            parts.append(layers)
+        return torch.cat(parts)
+
+    def counted(self, labels: Tensor) -> tuple[Tensor, Tensor]:
+        """Layers, and the number of pixels of each image that have an unknown id and no layer.
+
+        Args:
+            labels: ``(B, H, W)`` label ids.
+        """
+        device, size = labels.device, self.config.working_size
+        table = self.table.to(device)
+        if size is None:
+            categories = categorise(labels, table, self.origin)  # Table II
+            unknown = (categories == UNKNOWN).sum((1, 2))
+            return categories.clamp(max=NO_LAYER), unknown
+        _, height, width = labels.shape
+        shorter = torch.sym_min(height, width)
+        size = torch.sym_min(shorter, size)
+        grid = tuple(length((2 * side * size + shorter) // (2 * shorter)) for side in (height, width))
+        entries, first = entries_of(labels, table, self.origin)
+        votes = self.votes.to(device)[:, first:]
+        return reduce_by_majority(entries, votes, self.kinds.to(device), grid)
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
@@ -79,16 +103,18 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
         raise ValueError(f"(B, C, H, W) class scores must be floating point, {got}")
     if labels.ndim not in (3, 4) or labels.is_complex():
         raise ValueError(f"expected (B, H, W) label ids or (B, C, H, W) class scores, {got}")
-    if labels.numel() == 0:
+    if not is_exporting() and labels.numel() == 0:
         raise ValueError(f"expected at least one image of at least one pixel, {got}")
     if labels.ndim == 3:
         return labels
     expected = space.channel_counts
-    if labels.shape[1] not in expected:
+    if isinstance(labels.shape[1], int) and labels.shape[1] not in expected:
         counts = " or ".join(map(str, expected)) or "no class scores, its ids have gaps"
         raise ValueError(
             f"class scores have {labels.shape[1]} classes; label space {space.name} takes {counts}"
         )
+    if is_exporting():
+        return labels.argmax(1)
     choose = best_class_operator if torch.compiler.is_compiling() else best_class
     return choose(labels)
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .config import AREA_LAYERS, CATEGORY_COUNT, SSRVLADConfig
+from .config import AREA_LAYERS, CATEGORY_COUNT, FAINT, SSRVLADConfig
 from .taxonomy import NO_LAYER, LabelSpace, label_space
 
 try:
@@ -128,7 +128,8 @@ def harmonics(layers: list[Mask], config: SSRVLADConfig) -> Description:
     for k, histogram in enumerate(histograms):
         count = config.harmonics if k < AREA_LAYERS else config.boundary_harmonics
         coefficients += [(function * histogram).sum() for function in basis(config, count)]
-    vector = np.sign(coefficients) * np.abs(coefficients) ** config.power
+    vector = np.array(coefficients)  # below: sign * magnitude ** power, but linear close to zero
+    vector = vector * (vector**2 + FAINT**2) ** ((config.power - 1) / 2)
     return Description({"bins": np.stack(histograms)}, normalise(vector).astype(np.float32))
 
 

@@ -53,6 +53,7 @@ constexpr double PI = 3.14159265358979323846;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
 constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
+constexpr double FAINT = 1e-4;  // coefficients far below it are not raised to a power
 constexpr double BOUNDARY_WIDTH = 2;  // a straight boundary is counted at 2 pixels across it
 
 inline int lowest_bit(Word word) {
@@ -1385,7 +1386,7 @@ struct ssrvlad_head {
       for (int i = 0; i < count; ++i) held[i] += there * wave[i];
     }
     for (int i = 0; i < count; ++i)
-      held[i] = std::copysign(std::pow(std::abs(held[i]), settings.power), held[i]);
+      held[i] *= std::pow(held[i] * held[i] + FAINT * FAINT, (settings.power - 1) / 2);
   }
 
   // Bins for an image size; those of the last few sizes are cached.

@@ -7,44 +7,64 @@ direction: two adjacent ones in the layer make a straight boundary, one or three
 
 from __future__ import annotations
 
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..bitplanes import Bits
+from ..config import AREA_LAYERS
+from ..tracing import real
 
 DIRECTIONS = ("upright", "level", "rising", "falling")
-"""Bits 0 to 3. A rising boundary goes up to the right."""
+"""A rising boundary goes up to the right."""
 
 WIDTH = 2
 """Width of a straight boundary, in pixels."""
 
+_NUMBERS = AREA_LAYERS + 1
 
-def boundaries(planes: Tensor) -> Tensor:
-    """The directions of the boundaries of all layers at each pixel.
+
+def boundaries(numbers: Tensor) -> Tensor:
+    """The directions of the boundaries of all layers at each pixel, looked up by the layers of its
+    diagonal neighbours.
 
     Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
+        numbers: ``(B, H, W)`` from `merge`.
 
     Returns:
-        ``(B, H, W)`` uint8, bit ``d`` for direction ``d``. Pixels at the image's edge have none.
+        ``(B, 4, H, W)``, 1 or 0 for each direction. Pixels at the image's edge have none.
     """
-    if min(planes.shape[1:]) < 3:
-        return torch.zeros_like(planes)
-    above, below = planes[:, :-2], planes[:, 2:]
+    padded = F.pad(numbers.to(real()), (1, 1, 1, 1))
+    above, below = padded[:, :-2], padded[:, 2:]
     corners = (row[..., part] for row in (above, below) for part in (slice(-2), slice(2, None)))
-    inner = torch.zeros_like(planes[:, 1:-1, 1:-1])
-    for bit, layers in enumerate(directions(*corners)):
-        inner |= (layers != 0).to(torch.uint8) << bit
-    return F.pad(inner, (1, 1, 1, 1))
+    code = sum(corner * _NUMBERS**place for place, corner in enumerate(corners))
+    rows, columns = (_interior(length, numbers.device) for length in numbers.shape[1:])
+    index = (code * (rows[:, None] * columns)).to(torch.int64)  # the same layer all around
+    table = torch.tensor(_table(), dtype=real(), device=numbers.device)
+    return table.index_select(0, index.flatten()).unflatten(0, index.shape).permute(0, 3, 1, 2)
 
 
-def directions(nw: Bits, ne: Bits, sw: Bits, se: Bits) -> tuple[Bits, ...]:
-    """Bit-planes of the layers with a boundary in each direction, from the diagonal neighbours."""
+def _interior(length: int, device: torch.device) -> Tensor:
+    """``(length,)``, 0 at both ends and 1 between."""
+    index = torch.arange(length, device=device)
+    return ((index > 0) & (index < length - 1)).to(real())
+
+
+@cache
+def _table() -> npt.NDArray[np.bool_]:
+    """``(7 ** 4, 4)``, whether the boundary of any layer has the direction, for the layers NW, NE, SW
+    and SE, of which NW changes fastest."""
+    code = np.arange(_NUMBERS**4)[:, None]
+    corners = (code // _NUMBERS**place % _NUMBERS for place in range(4))
+    nw, ne, sw, se = (corner == np.arange(AREA_LAYERS) for corner in corners)
     north, south, west, east = nw ^ ne, sw ^ se, nw ^ sw, ne ^ se
-    return (
+    directions = (
         north & south & ~(west | east),
         west & east & ~(north | south),
         (north & west & ~(south | east)) | (south & east & ~(north | west)),
         (north & east & ~(south | west)) | (south & west & ~(north | east)),
     )
+    return np.stack([layers.any(1) for layers in directions], 1)

@@ -16,11 +16,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig
+from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, FAINT, SSRVLADConfig
+from ..tracing import MAX_WHOLE, is_exporting
 from .boundaries import DIRECTIONS, WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
 from .layers import merge
-from .vanishing_column import vanishing_columns
+from .vanishing_column import MAX_WIDTH, vanishing_columns
 
 _SAMPLES = 4
 """Points on each side of a cell at which the bins are evaluated."""
@@ -51,7 +52,7 @@ class Harmonics(nn.Module):
     """The aggregation of the preset ``default``.
 
     Its tables are float64 buffers. They are stored as int64 words of the same bits, so that
-    ``half()`` does not round them.
+    ``half()`` does not round them. Under export they are float32 constants.
 
     Args:
         config: the settings.
@@ -60,28 +61,35 @@ class Harmonics(nn.Module):
     def __init__(self, config: SSRVLADConfig) -> None:
         super().__init__()
         self.config = config
-        for name, table in harmonic_tables(config)._asdict().items():
+        tables = harmonic_tables(config)
+        self._narrow = Tables(*(table.float() for table in tables))
+        for name, table in tables._asdict().items():
             self.register_buffer(name, table.view(torch.int64), persistent=False)
 
     def histograms(self, layers: Tensor, shift: int = 0) -> HarmonicHistograms:
         """The soft histograms of areas and boundaries around the anchor.
 
         Args:
-            layers: ``(B, h, w)`` uint8 bit-planes.
+            layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
             shift: columns by which the anchor moves to the right.
         """
-        config, (images, *grid) = self.config, layers.shape
-        layers = merge(layers)
-        column = torch.zeros(images, dtype=torch.int64, device=layers.device)
+        config, (_, height, width) = self.config, layers.shape
+        numbers = merge(layers)
+        column = torch.zeros_like(numbers[:, 0, 0])
         if config.anchor == "vanishing-column":
-            column = vanishing_columns(layers)
+            column = vanishing_columns(numbers)
         column = column + shift
 
-        area = pool(layers, column)[:, :AREA_LAYERS]
-        lengths = pool(boundaries(layers), column)[:, :BOUNDARY_DIRECTIONS]
-        cells = torch.cat((area, lengths * (min(grid) / ROWS / WIDTH)), 1)
+        areas = numbers[:, None] == torch.arange(AREA_LAYERS, device=layers.device).view(-1, 1, 1)
+        shares = pool(torch.cat((areas, boundaries(numbers)), 1), column)
+        side = torch.sym_min(height, width) / ROWS / WIDTH
+        cells = torch.cat((shares[:, :AREA_LAYERS], shares[:, AREA_LAYERS:] * side), 1)
         bins = soft_histograms(cells, self._table("bins", column.device))
-        return HarmonicHistograms(bins.view(images, -1, config.rings, config.sectors), column)
+        if is_exporting():  # a graph cannot raise an error
+            sizes = torch.stack([torch.full((), size) for size in (width, height * width)])
+            is_exact = (sizes <= torch.tensor([MAX_WIDTH, MAX_WHOLE])).all()
+            bins = torch.where(is_exact, bins, torch.nan)
+        return HarmonicHistograms(bins.unflatten(2, (config.rings, config.sectors)), column)
 
     def descriptor(self, histograms: HarmonicHistograms) -> Tensor:
         """``(B, 6 * harmonics + 4 * boundary_harmonics)`` float32 descriptors."""
@@ -90,6 +98,9 @@ class Harmonics(nn.Module):
         return coefficients(bins, self._table("basis", bins.device), numbers, config.power)
 
     def _table(self, name: str, device: torch.device) -> Tensor:
+        if is_exporting():
+            narrow: Tensor = getattr(self._narrow, name)
+            return narrow.to(device)
         return self.get_buffer(name).to(device).view(torch.float64)
 
 
@@ -132,8 +143,8 @@ def coefficients(
         histogram: ``(B, 10, N * M)`` float64 from `soft_histograms`.
         basis: `basis_table`.
         numbers: how many coefficients each area has, and each direction.
-        power: exponent of the power normalisation: it applies to each number's absolute value; the
-            sign stays.
+        power: exponent of the power normalisation: it applies to each number's absolute value, far
+            above `FAINT`; the sign stays.
 
     Returns:
         ``(B, 6 * numbers[0] + 4 * numbers[1])`` float32 of length 1; exact zeros for an image
@@ -143,7 +154,13 @@ def coefficients(
     area = products[:, :AREA_LAYERS, : numbers[0]].flatten(1)
     length = products[:, AREA_LAYERS:, : numbers[1]].flatten(1)
     vector = torch.cat((area, length), 1)
-    return F.normalize(vector.sign() * vector.abs() ** power, dim=1).float()
+    return F.normalize(damped(vector, power), dim=1).float()
+
+
+def damped(numbers: Tensor, power: float) -> Tensor:
+    """``sign(x) * abs(x) ** power``, but a straight line for numbers far below `FAINT`."""
+    result: Tensor = numbers * (numbers.square() + FAINT * FAINT) ** ((power - 1) / 2)
+    return result
 
 
 def bin_table(

@@ -10,6 +10,8 @@ from ..taxonomy import LabelSpace
 
 UNKNOWN = 255
 
+_MERGED = (0, 1, 2, 3, 4, 5, 2, 0, 6)
+
 
 def best_class(scores: Tensor) -> Tensor:
     """The class of the largest score at each pixel; of equal scores, the first class.
@@ -55,6 +57,24 @@ def category_table(space: LabelSpace) -> tuple[Tensor, int]:
     return table, origin
 
 
+def entries_of(labels: Tensor, table: Tensor, origin: int) -> tuple[Tensor, int]:
+    """The entry of every pixel in a table, and the first entry of the part for the labels' dtype.
+
+    Args:
+        labels: ``(B, H, W)`` label map of any integer dtype.
+        table, origin: from `category_table`.
+
+    Returns:
+        ``(B, H, W)`` int64, and the number of entries to leave out at the beginning of the table.
+    """
+    wide = labels.to(torch.int64)
+    if labels.dtype == torch.uint8:
+        return wide, origin
+    if labels.dtype == torch.uint64:
+        wide = torch.where(wide < 0, len(table), wide)  # beyond int64: in no label space
+    return wide.clamp(-origin, len(table) - 1 - origin) + origin, 0
+
+
 def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
     """Category of every pixel.
 
@@ -65,33 +85,27 @@ def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8: 0 to 7, `NO_LAYER` or `UNKNOWN`.
     """
-    if labels.dtype == torch.uint8:
-        entries, table = labels.to(torch.int32), table[origin : origin + 256]
-    else:
-        wide = labels.to(torch.int64)
-        if labels.dtype == torch.uint64:
-            wide = torch.where(wide < 0, len(table), wide)  # beyond int64: in no label space
-        entries = wide.clamp(-origin, len(table) - 1 - origin) + origin
-    return table.index_select(0, entries.flatten()).view(labels.shape)
+    entries, first = entries_of(labels, table, origin)
+    return torch.gather(table[first:], 0, entries.flatten()).view(labels.shape)
 
 
-def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> None:
+def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:
     """Raises an error if an id is not in the label space.
 
     Args:
-        labels: the label maps of the whole batch, for the message.
-        categories: from `categorise`, for a part of the batch.
+        labels: label maps.
         space: the label space.
 
     Raises:
         ValueError: an id is unknown. It names the lowest one, its pixel count and the label space.
     """
-    if int(categories.max()) < UNKNOWN:
-        return
     ids, counts = np.unique(labels.cpu().numpy(), return_counts=True)
     known = {label.id for label in space.classes}
     pairs = zip(ids.tolist(), counts.tolist(), strict=True)
-    (first, count), *others = [(id, count) for id, count in pairs if id not in known]
+    unknown = [(id, count) for id, count in pairs if id not in known]
+    if not unknown:
+        return
+    (first, count), *others = unknown
     pixels = f"{count} pixel{'s'[: count > 1]}"
     more = f", like {len(others)} more" if others else ""
     raise ValueError(
@@ -100,10 +114,18 @@ def refuse_unknown(labels: Tensor, categories: Tensor, space: LabelSpace) -> Non
     )
 
 
-def merge(planes: Tensor) -> Tensor:
-    """Six layers from eight: guard rail (bit 6) counts as building (bit 2), parking (bit 7) as
-    ground (bit 0). Fewer networks distinguish all eight."""
-    return planes & 0x3F | planes >> 4 & 0x04 | planes >> 7
+def merge(categories: Tensor) -> Tensor:
+    """Six layers from eight: guard rail (6) counts as building (2), parking (7) as ground (0). Fewer
+    networks distinguish all eight.
+
+    Args:
+        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`.
+
+    Returns:
+        ``(B, H, W)`` int64, the number of the layer, 0 to 5, or 6 for none.
+    """
+    table = torch.tensor(_MERGED, device=categories.device)
+    return torch.gather(table, 0, categories.to(torch.int64).flatten()).view(categories.shape)
 
 
 def split(categories: Tensor) -> Tensor:

@@ -1,46 +1,120 @@
-"""Working size: a smaller grid by majority vote, which keeps thin poles better than sampling."""
+"""Working size: a smaller grid by majority vote, which keeps thin poles better than sampling.
+
+A pixel's vote is a number with one digit for each of a few kinds, so that sums over pixels count
+several kinds at once. Votes are added over groups of so few pixels that no digit carries. Then the
+digits are separated and added over the groups of a cell. All numbers are whole and exact in float32,
+and no shape depends on the labels: eager torch and exported graphs run the same steps.
+"""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..taxonomy import NO_LAYER
+from ..tracing import length as size
+from ..tracing import real
+
+RADIX = 64
+DIGITS = 4
+"""Digits of a vote: ``RADIX ** DIGITS`` is 2 ** 24."""
+
+ROWS, COLUMNS = 7, 9
+"""Sides of the largest group of pixels, fewer than ``RADIX`` together."""
 
 
-def reduce_by_majority(categories: Tensor, grid: tuple[int, int]) -> Tensor:
-    """Reduces a category map to a grid; each cell takes the most common category of its pixels.
+class Grouped(NamedTuple):
+    """A side of the image in cells, and the pixels of each cell in groups of one length.
 
-    Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``. Of equally common categories
-    the lowest wins. The counts of several categories share an int64 word, each in as many bits
-    as the largest cell needs, so one pass of additions over the map counts several categories.
+    Attributes:
+        index: ``(cells * groups, length)`` int64, the pixels of each group.
+        inside: the same shape, 1 for a pixel of the group, 0 for an entry too many.
+        groups: the number of groups in a cell.
+    """
+
+    index: Tensor
+    inside: Tensor
+    groups: int
+
+
+def ballots(table: Tensor) -> tuple[Tensor, Tensor]:
+    """The votes of the entries of a table of categories.
 
     Args:
-        categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`, which is counted like a category.
+        table: ``(T,)`` uint8: 0 to 7, `NO_LAYER`, or a larger number for an unknown id.
+
+    Returns:
+        ``(n, T)`` int32, the votes of each entry, and ``(K,)`` int64, the kinds in the order of the
+        digits. The last kind are the unknown ids; `NO_LAYER` has no votes.
+    """
+    table = table.clamp(max=NO_LAYER + 1)
+    kinds = sorted({*table.tolist(), NO_LAYER + 1} - {NO_LAYER})
+    votes = torch.zeros(-(-len(kinds) // DIGITS), len(table), dtype=torch.int32)
+    for place, kind in enumerate(kinds):
+        votes[place // DIGITS, table == kind] = RADIX ** (place % DIGITS)
+    return votes, torch.tensor(kinds)
+
+
+def reduce_by_majority(
+    entries: Tensor, votes: Tensor, kinds: Tensor, grid: tuple[int, int]
+) -> tuple[Tensor, Tensor]:
+    """Reduces label maps to a grid; each cell takes the most common category of its pixels.
+
+    Pixel ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``. Of equally common categories
+    the lowest wins. `NO_LAYER` is counted like a category, and so are pixels with unknown ids.
+
+    Args:
+        entries: ``(B, H, W)`` int64, the index of each pixel in the table.
+        votes, kinds: from `ballots`, for this table.
         grid: ``(h, w)`` with ``h <= H`` and ``w <= W``.
 
     Returns:
-        ``(B, h, w)`` uint8.
+        ``(B, h, w)`` uint8, 0 to `NO_LAYER`, and ``(B,)`` int64, the number of unknown pixels.
     """
-    if categories.shape[1:] == grid:
-        return categories
-    count, height, width = categories.shape
-    bits = (-(-height // grid[0]) * -(-width // grid[1])).bit_length()
-    kinds, fields = NO_LAYER + 1, 63 // bits
-    rows = torch.arange(height, device=categories.device) * grid[0] // height
-    columns = torch.arange(width, device=categories.device) * grid[1] // width
-    entries = categories.flatten().to(torch.int32)
-    best = torch.zeros((count, *grid), dtype=torch.int64, device=categories.device)
-    for first in range(0, kinds, fields):
-        counted = range(first, min(first + fields, kinds))
-        words = torch.zeros(kinds, dtype=torch.int64, device=categories.device)
-        for kind in counted:
-            words[kind] = 1 << bits * (kind - first)
-        votes = words.index_select(0, entries).view(categories.shape)
-        by_row = votes.new_zeros((count, grid[0], width)).index_add_(1, rows, votes)
-        by_cell = torch.zeros_like(best).index_add_(2, columns, by_row)
-        for kind in counted:
-            score = by_cell >> bits * (kind - first)
-            score.bitwise_and_((1 << bits) - 1).mul_(kinds).add_(NO_LAYER - kind)
-            torch.maximum(best, score, out=best)
-    return (NO_LAYER - best % kinds).to(torch.uint8)
+    rows = grouped(entries.shape[1], grid[0], ROWS, entries.device)
+    columns = grouped(entries.shape[2], grid[1], COLUMNS, entries.device)
+    sums = []
+    for word in votes.float():
+        cast = torch.gather(word, 0, entries.flatten()).view(entries.shape)
+        sums.append(_summed(_summed(cast, rows).transpose(1, 2), columns))
+    numbers, digits = torch.stack(sums, 1), []
+    for _ in range(DIGITS):
+        higher = torch.floor(numbers * (1 / RADIX))
+        digits.append(numbers - higher * RADIX)
+        numbers = higher
+    counts = torch.stack(digits, 2).flatten(1, 2)[:, : len(kinds)].to(real())
+    counts = counts.unflatten(3, (grid[0], rows.groups)).unflatten(2, (grid[1], columns.groups))
+    counts = counts.sum((3, 5))  # (B, K, w, h)
+    tall, wide = (
+        side.inside.sum(1).unflatten(0, (cells, side.groups)).sum(1)
+        for side, cells in ((rows, grid[0]), (columns, grid[1]))
+    )
+    of_layers = counts[:, :-1]
+    none = wide[:, None] * tall - of_layers.sum(1)
+    winner = torch.cat((of_layers, none[:, None]), 1).argmax(1)
+    classes = kinds.clamp(max=NO_LAYER).to(torch.uint8)
+    categories = torch.gather(classes, 0, winner.flatten()).view(winner.shape).transpose(1, 2)
+    return categories, counts[:, -1].to(torch.int64).sum((1, 2))
+
+
+def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped:
+    """The pixels of a side in groups of at most ``most``; pixel x is in cell ``x * cells //
+    pixels``."""
+    longest = (pixels + cells - 1) // cells
+    groups = size((longest + most - 1) // most)
+    length = size((longest + groups - 1) // groups)
+    begin = torch.arange(cells + 1, device=device) * pixels + (cells - 1)
+    begin = torch.div(begin, cells, rounding_mode="trunc")[:, None]
+    index = begin[:-1] + torch.arange(groups * length, device=device)
+    inside = (index < begin[1:]).to(real())
+    index = index.clamp(max=pixels - 1)
+    shape = (cells * groups, length)
+    return Grouped(index.view(shape), inside.view(shape), groups)
+
+
+def _summed(numbers: Tensor, side: Grouped) -> Tensor:
+    """``(B, pixels, n)`` -> ``(B, cells * groups, n)``, the sums over each group."""
+    parts = numbers.index_select(1, side.index.flatten()).unflatten(1, side.index.shape)
+    return (parts * side.inside[..., None].float()).sum(2)

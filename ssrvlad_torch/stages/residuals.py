@@ -17,6 +17,7 @@ from ..config import SSRVLADConfig
 from .centroid import centroids
 from .components import drop_regions, fill_holes
 from .keypoints import end_points, intersections
+from .layers import split
 from .morphology import open_and_close
 from .shape_context import log_polar_bins, shape_contexts
 from .skeleton import RULES, thin
@@ -50,7 +51,7 @@ class Residuals:
         """Shape contexts around the keypoints and the centre of each layer.
 
         Args:
-            layers: ``(B, h, w)`` uint8 bit-planes.
+            layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
         """
         config, (images, *grid) = self.config, layers.shape
         masks = masks_of(layers, config)
@@ -72,15 +73,16 @@ class Residuals:
 
 
 def masks_of(layers: Tensor, config: SSRVLADConfig) -> Masks:
-    """The masks of the paper for ``(B, h, w)`` uint8 bit-planes: opening and closing, small holes
-    filled, small regions dropped, thinning."""
+    """The masks of the paper for the layers of pixels, ``(B, h, w)`` uint8: opening and closing,
+    small holes filled, small regions dropped, thinning."""
     grid = layers.shape[1], layers.shape[2]
+    planes = split(layers)
     opening = config.radius_pixels(config.opening, *grid)
     closing = config.radius_pixels(config.closing, *grid)
-    closed = open_and_close(layers, opening, closing)
+    closed = open_and_close(planes, opening, closing)
     filled = fill_holes(closed, config.area_pixels(config.hole_area, *grid))
     clean = drop_regions(filled, config.area_pixels(config.region_area, *grid))
-    return Masks(layers, closed, clean, thin(clean, RULES[config.thinning]))
+    return Masks(planes, closed, clean, thin(clean, RULES[config.thinning]))
 
 
 def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:

@@ -10,7 +10,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-OPEN_LAYERS = 1 << 0 | 1 << 1 | 1 << 5
+from ..tracing import real
+
+OPEN_LAYERS = (0, 1, 5)
 """Ground, sidewalk and sky: where one can drive, walk, or see far."""
 
 LEVELS = 64
@@ -23,21 +25,49 @@ columns, fully open: without open pixels it is the vanishing column."""
 
 SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 
+MAX_WIDTH = 960
+"""Columns of the widest grid whose sums are exact in float32: a digit of them is below
+``14 * MAX_WIDTH ** 2``, of all weights and of the middle, times twice the distance of two columns."""
 
-def vanishing_columns(planes: Tensor) -> Tensor:
+_RADIX, _DIGITS = 8, 7
+"""Of a weight, which is at most ``ONE``. Sums of weights have up to forty bits, too many for
+float32, and are represented by their digits."""
+
+
+def vanishing_columns(numbers: Tensor) -> Tensor:
     """How many columns right of the middle the vanishing column is, in each image.
 
-    It is the weighted mean of the columns in integers, rounded to the nearest, halves up.
+    It is the weighted mean of the columns in whole numbers, rounded to the nearest, halves up.
 
     Args:
-        planes: ``(B, H, W)`` uint8 bit-planes.
+        numbers: ``(B, H, W)`` from `merge`; under export at most `MAX_WIDTH` columns.
 
     Returns:
         ``(B,)`` int64, negative to the left.
     """
-    height, width = planes.shape[1:]
-    open_pixels = (planes & OPEN_LAYERS != 0).sum(1)
-    weight = (open_pixels * LEVELS // height) ** POWER >> SHIFT
-    twice_from_middle = 2 * torch.arange(width, device=planes.device) - (width - 1)
-    total = weight.sum(1) + width * ONE // PULL
-    return ((weight * twice_from_middle).sum(1) + total) // (2 * total)
+    height, width = numbers.shape[1:]
+    is_open = sum((numbers == layer).to(real()) for layer in OPEN_LAYERS)
+    level = torch.floor((is_open.sum(1) * LEVELS + 0.5) / height).to(torch.int64)
+    table = _digits([level**POWER >> SHIFT for level in range(LEVELS + 1)], numbers.device)
+    weight = table.index_select(0, level.flatten()).unflatten(0, level.shape)  # (B, W, digits)
+    twice_from_middle = (2 * torch.arange(width, device=numbers.device) - (width - 1)).to(real())
+    moment = (weight * twice_from_middle[:, None]).sum(1)
+    whole, rest = divmod(ONE, PULL)
+    pull = _digits([whole, 1], numbers.device)
+    total = weight.sum(1) + pull[0] * width + pull[1] * (width * rest // PULL)
+
+    powers = _RADIX ** torch.arange(_DIGITS, device=numbers.device).to(real())
+    sums, totals = moment @ powers, total @ powers
+    estimate = torch.floor((sums + totals) / (totals * 2))  # it may be off by one
+    column = estimate[:, None] + torch.arange(-1, 2, device=numbers.device)
+    left = (moment + total)[:, None] - column[..., None] * (total * 2)[:, None]
+    carried, *higher = left.unbind(2)
+    for digit in higher:
+        carried = digit + torch.floor(carried * (1 / _RADIX))
+    return (estimate - 2 + (carried >= 0).to(real()).sum(1)).to(torch.int64)
+
+
+def _digits(numbers: list[int], device: torch.device) -> Tensor:
+    """``(n, digits)``, lowest first."""
+    rows = [[number // _RADIX**place % _RADIX for place in range(_DIGITS)] for number in numbers]
+    return torch.tensor(rows, dtype=real(), device=device)

@@ -1,0 +1,28 @@
+"""What differs where `torch.export` records a stage for other runtimes."""
+
+from __future__ import annotations
+
+import torch
+
+MAX_WHOLE = 1 << 24
+"""Whole numbers up to this one are exact in float32."""
+
+
+def is_exporting() -> bool:
+    """Whether `torch.export` or ``torch.onnx.export(dynamo=True)`` is recording."""
+    return torch.compiler.is_exporting()
+
+
+def real() -> torch.dtype:
+    """float64; under export float32, the only type in which every runtime computes."""
+    return torch.float32 if is_exporting() else torch.float64
+
+
+def length(size: int) -> int:
+    """A size of at least 1 that is computed from other sizes; under export a symbol of its own, for
+    `torch.export` takes minutes over long formulas."""
+    if not is_exporting():
+        return size
+    symbol = torch.full((), size).item()
+    torch._check(symbol >= 1)
+    return symbol
