@@ -39,8 +39,8 @@ AREA_LAYERS = 6
 BOUNDARY_DIRECTIONS = 4
 
 FAINT = 1e-4
-"""Coefficients of harmonics far below it are not raised to a power: that would make 5e-6 of the 1e-7
-by which float32 misses a zero."""
+"""Coefficients of harmonics far below it are not raised to a power: that would make 5e-6 of the
+1e-7 by which float32 misses a zero."""
 
 _ONLY_RESIDUALS = ("opening", "closing", "hole_area", "region_area", "thinning", "context")
 _ONLY_HARMONICS = ("anchor", "harmonics", "boundary_harmonics", "spectral_weight", "power")
@@ -223,7 +223,8 @@ class SSRVLADConfig:
         del settings["labels_as"]
         if self.aggregation == "residuals":
             del settings["aggregation"]  # fingerprints of residuals are older than this setting
-        text = json.dumps({"revision": METHOD_REVISIONS[self.aggregation], **settings}, sort_keys=True)
+        settings["revision"] = METHOD_REVISIONS[self.aggregation]
+        text = json.dumps(settings, sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
     @property

@@ -106,8 +106,13 @@ class SSRVLAD(nn.Module):
         """The descriptors of a batch."""
         labels = as_tensor(labels)
         if is_exporting() and self.config.aggregation == "harmonics":
-            descriptor, unknown = self.counted(labels)
-            return torch.where((unknown > 0).view(-1, *[1] * (descriptor.ndim - 1)), torch.nan, descriptor)
+            found, unknown = self.counted(labels)
+            return torch.where((unknown > 0).view(-1, *[1] * (found.ndim - 1)), torch.nan, found)
+        if torch.onnx.is_in_onnx_export():
+            raise ValueError(
+                f"aggregation {self.config.aggregation} has loops that torch.onnx.export cannot "
+                "record; export_head or `ssrvlad fuse` writes it as an ONNX file"
+            )
         if labels.is_cpu and self.native and not self._requires_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
@@ -123,8 +128,13 @@ class SSRVLAD(nn.Module):
         Returns:
             descriptors as of a call, and ``(B,)`` int64.
         """
-        layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
+        layers, unknown = self.layers(labels)
         return self._describe_layers(layers), unknown
+
+    def layers(self, labels: Tensor) -> tuple[Tensor, Tensor]:
+        """``(B, h, w)`` uint8, the layer of each pixel of the working grid, 0 to 7 or `NO_LAYER`,
+        and the counts of `counted`."""
+        return self._front_end.counted(label_map(labels, self.label_space))
 
     def _describe_layers(self, layers: Tensor) -> Tensor:
         return self._aggregation.descriptor(self._aggregation.histograms(layers))

@@ -78,10 +78,12 @@ class FrontEnd(nn.Module):
         _, height, width = labels.shape
         shorter = torch.sym_min(height, width)
         size = torch.sym_min(shorter, size)
-        grid = tuple(length((2 * side * size + shorter) // (2 * shorter)) for side in (height, width))
+        rows, columns = (
+            length((2 * side * size + shorter) // (2 * shorter)) for side in (height, width)
+        )
         entries, first = entries_of(labels, table, self.origin)
         votes = self.votes.to(device)[:, first:]
-        return reduce_by_majority(entries, votes, self.kinds.to(device), grid)
+        return reduce_by_majority(entries, votes, self.kinds.to(device), (rows, columns))
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:

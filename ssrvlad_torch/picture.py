@@ -11,13 +11,12 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from .bitplanes import unpack
 from .config import AREA_LAYERS
 from .files import check_output, replacing
 from .stages.boundaries import DIRECTIONS, boundaries
 from .stages.harmonics import HarmonicHistograms
 from .stages.layers import merge
-from .taxonomy import CATEGORIES, colourise
+from .taxonomy import CATEGORIES, NO_LAYER, colourise
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -150,9 +149,11 @@ def _layers(view: Explanation, image: int) -> list[Cell]:
 def _areas_and_boundaries(view: Explanation, image: int) -> list[Cell]:
     """Six layers and the boundaries in four directions, with their histograms."""
     assert isinstance(view.histograms, HarmonicHistograms)
-    bits = 1 << torch.arange(len(CATEGORIES))[:, None, None]
-    planes = merge((view.layers[image].cpu() * bits).sum(0).to(torch.uint8)[None])
-    masks = torch.cat((unpack(planes)[0, :AREA_LAYERS], unpack(boundaries(planes))[0, :4]))
+    masks = view.layers[image].cpu()
+    layer = masks.to(torch.uint8).argmax(0).masked_fill(~masks.any(0), NO_LAYER)
+    numbers = merge(layer[None])
+    areas = [numbers[0] == number for number in range(AREA_LAYERS)]
+    masks = torch.stack([*areas, *boundaries(numbers)[0].bool()])
     names = (*CATEGORIES[:AREA_LAYERS], *(f"{name} boundaries" for name in DIRECTIONS))
     colours = (*_COLOURS[:AREA_LAYERS], *(_BOUNDARY for _ in DIRECTIONS))
     bins = view.histograms.bins[image].cpu().numpy()

@@ -128,8 +128,8 @@ def harmonics(layers: list[Mask], config: SSRVLADConfig) -> Description:
     for k, histogram in enumerate(histograms):
         count = config.harmonics if k < AREA_LAYERS else config.boundary_harmonics
         coefficients += [(function * histogram).sum() for function in basis(config, count)]
-    vector = np.array(coefficients)  # below: sign * magnitude ** power, but linear close to zero
-    vector = vector * (vector**2 + FAINT**2) ** ((config.power - 1) / 2)
+    vector = np.array(coefficients)  # to a power next, but for those close to zero
+    vector = vector * ((vector / FAINT) ** 2 + 1) ** ((config.power - 1) / 2)
     return Description({"bins": np.stack(histograms)}, normalise(vector).astype(np.float32))
 
 

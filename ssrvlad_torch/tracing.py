@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, cast
+
 import torch
 
 MAX_WHOLE = 1 << 24
@@ -21,8 +23,8 @@ def real() -> torch.dtype:
 def length(size: int) -> int:
     """A size of at least 1 that is computed from other sizes; under export a symbol of its own, for
     `torch.export` takes minutes over long formulas."""
-    if not is_exporting():
+    if isinstance(size, int):
         return size
-    symbol = torch.full((), size).item()
+    symbol: Any = torch.full((), size).item()
     torch._check(symbol >= 1)
-    return symbol
+    return cast(int, symbol)

@@ -3,6 +3,7 @@ Property tests try the same examples in every run; test_random_run.py tries othe
 What the tests of the command line share: the command line itself, six frames, a database of them.
 """
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -18,6 +19,7 @@ from hypothesis import settings
 
 from ssrvlad_torch import native
 from ssrvlad_torch.deployment import export, fuse, label_graph
+from ssrvlad_torch.files import replacing
 from ssrvlad_torch.stages import harmonics
 from ssrvlad_torch.taxonomy import label_space_names
 
@@ -82,12 +84,30 @@ def core():
     return native.core()
 
 
+ROOT = Path(__file__).parents[1]
+
+
+@cache
+def digest_of_sources() -> bytes:
+    """Of everything that a traced graph depends on."""
+    files = [*sorted((ROOT / "ssrvlad_torch").rglob("*.py")), ROOT / "constraints.txt"]
+    return hashlib.sha256(b"".join(map(Path.read_bytes, files))).digest()
+
+
 def stored(build):
-    """A function that builds an ONNX model, once for the same arguments."""
+    """A function that builds an ONNX model, once for the same arguments and sources: tracing takes
+    several seconds, and all workers share the folder."""
 
     @cache
     def content(*arguments: object) -> bytes:
-        return build(*arguments).SerializeToString()
+        key = hashlib.sha256(digest_of_sources() + repr((build.__name__, arguments)).encode())
+        file = ROOT / ".cache" / "traced" / f"{key.hexdigest()}.onnx"
+        if not file.exists():
+            built = build(*arguments).SerializeToString()
+            file.parent.mkdir(parents=True, exist_ok=True)
+            with replacing(file) as temporary:
+                temporary.write_bytes(built)
+        return file.read_bytes()
 
     def load(*arguments: object):
         import onnx
@@ -104,11 +124,11 @@ def built_once():
     head_model = export.head_model
     stored_head = stored(head_model)
 
-    def model(config, input="labels", dtype=None, columns=(), form="standard", shape=None):
+    def model(config, input="labels", dtype=None, columns=(), shape=None):
         if input == "labels":
             dtype = dtype or "uint8"
         build = stored_head if config.labels_as in label_space_names() else head_model
-        return build(config, input, dtype, tuple(columns), form, shape)
+        return build(config, input, dtype, tuple(columns), shape)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", cache(typer.main.get_command))

@@ -6,34 +6,33 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import pack, unpack
+from ssrvlad_torch.config import AREA_LAYERS as NONE
 from ssrvlad_torch.stages.boundaries import DIRECTIONS, boundaries
 
 
-def found(layers: torch.Tensor) -> torch.Tensor:
-    """``(B, 4, H, W)`` of ``(B, 8, H, W)`` bool."""
-    planes = boundaries(pack(layers))
-    assert not (planes >> len(DIRECTIONS)).any()
-    return unpack(planes)[:, : len(DIRECTIONS)]
+def found(numbers: torch.Tensor) -> torch.Tensor:
+    """``(B, 4, H, W)`` bool of ``(B, H, W)`` numbers of layers."""
+    masks = boundaries(numbers)
+    assert masks.shape == (len(numbers), len(DIRECTIONS), *numbers.shape[1:])
+    assert ((masks == 0) | (masks == 1)).all()
+    return masks.bool()
 
 
 @given(
     seed=st.integers(0, 1000),
     height=st.integers(1, 20),
     width=st.integers(1, 40),
-    density=st.sampled_from([0.0, 0.1, 0.5, 1.0]),
+    kinds=st.integers(1, NONE + 1),
 )
-def test_equal_the_reference(seed, height, width, density):
-    layers = np.random.default_rng(seed).random((2, 8, height, width)) < density
-    got = found(torch.from_numpy(layers))
-    expected = [reference.boundaries(list(image)) for image in layers]
-    np.testing.assert_array_equal(got.numpy(), np.array(expected))
+def test_equal_the_reference(seed, height, width, kinds):
+    numbers = NONE - np.random.default_rng(seed).integers(0, kinds, (2, height, width))
+    expected = [reference.boundaries([image == k for k in range(NONE)]) for image in numbers]
+    np.testing.assert_array_equal(found(torch.from_numpy(numbers)).numpy(), np.array(expected))
 
 
 def counts(drawing: np.ndarray) -> dict[str, int]:
-    layers = torch.zeros(1, 8, *drawing.shape, dtype=torch.bool)
-    layers[0, 3] = torch.from_numpy(drawing.copy())
-    return dict(zip(DIRECTIONS, found(layers).sum((0, 2, 3)).tolist(), strict=True))
+    numbers = torch.from_numpy(np.where(drawing, 3, NONE))[None]
+    return dict(zip(DIRECTIONS, found(numbers).sum((0, 2, 3)).tolist(), strict=True))
 
 
 def test_a_straight_boundary_is_two_pixels_wide():
@@ -56,21 +55,22 @@ def test_the_mirror_image_of_a_slanting_boundary_has_the_other_direction():
 
 
 def test_two_layers_that_meet_are_one_boundary():
-    layers = torch.zeros(1, 8, 10, 12, dtype=torch.bool)
-    layers[0, 4, :, 6:] = True
-    alone = found(layers)
-    layers[0, 2, :, :6] = True
-    assert torch.equal(found(layers), alone)
+    numbers = torch.full((1, 10, 12), NONE)
+    numbers[..., 6:] = 4
+    alone = found(numbers)
+    numbers[..., :6] = 2
+    assert torch.equal(found(numbers), alone)
 
 
 @pytest.mark.parametrize("size", [(1, 1), (2, 9), (9, 2), (3, 3)])
 def test_small_and_full_images_have_none(size):
-    for layers in (torch.zeros(1, 8, *size).bool(), torch.ones(1, 8, *size).bool()):
-        assert not found(layers).any()
+    for number in (0, 5, NONE):
+        assert not found(torch.full((1, *size), number)).any()
 
 
 def test_the_edge_of_the_image_is_no_boundary():
     inside = mask(HOLES)
-    masks = found(torch.from_numpy(np.broadcast_to(inside, (1, 8, *inside.shape)).copy()))
+    masks = found(torch.from_numpy(np.where(inside, 1, NONE))[None])
+    assert masks.any()
     assert not masks[..., [0, -1], :].any()
     assert not masks[..., [0, -1]].any()

@@ -157,7 +157,7 @@ def test_an_error_about_other_settings_shows_both_fingerprints_and_the_differenc
 
 def test_another_revision_of_the_method_is_refused(path, monkeypatch):
     """The same settings give other descriptors there."""
-    monkeypatch.setattr(config_module, "METHOD_REVISION", config_module.METHOD_REVISION + 1)
+    monkeypatch.setitem(config_module.METHOD_REVISIONS, "harmonics", 99)
     with pytest.raises(ValueError, match="another version of the method") as refusal:
         Database.open(path)
     one_line(refusal)

@@ -18,11 +18,11 @@ from graphs import session
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.deployment import export
-from ssrvlad_torch.deployment.arithmetic.vanishing_column import MAX_WIDTH
 from ssrvlad_torch.deployment.export import export_head
-from ssrvlad_torch.deployment.graph import OPSET
 from ssrvlad_torch.deployment.metadata import Metadata
+from ssrvlad_torch.deployment.trace import OPSET
 from ssrvlad_torch.deployment.verify import verify
+from ssrvlad_torch.stages.vanishing_column import MAX_WIDTH
 
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")
@@ -73,15 +73,21 @@ def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:
     return SSRVLADConfig.from_preset(preset, **{"labels_as": SPACE, **settings})
 
 
-def model_of(config: SSRVLADConfig, given: str = "labels", dtype: str | None = None) -> Any:
-    return export.head_model(config, given, dtype)
+def model_of(
+    config: SSRVLADConfig,
+    given: str = "labels",
+    dtype: str | None = None,
+    shape: tuple[int, int, int] | None = None,
+) -> Any:
+    return export.head_model(config, given, dtype, (), shape)
 
 
 @cache
-def run_of(config: SSRVLADConfig, given: str = "labels", dtype: str | None = None) -> Any:
+def run_of(config: SSRVLADConfig, *given: Any) -> Any:
     """The exported head as a function of a batch."""
-    head = session(model_of(config, given, dtype).SerializeToString())
-    return lambda batch: head.run(None, {given: batch})
+    head = session(model_of(config, *given).SerializeToString())
+    (value,) = head.get_inputs()
+    return lambda batch: head.run(None, {value.name: batch})
 
 
 def assert_parity(batch: Maps, config: SSRVLADConfig, given: str = "labels") -> None:
@@ -227,12 +233,36 @@ def test_ids_outside_the_label_space_are_counted_and_belong_to_no_layer(preset, 
     void, far = labels.copy(), 200 if given == "uint8" else -(2**40)
     void[0, :40, 9:50], void[2, ::7, ::3] = VOID, VOID
     labels[0, :40, 9:50], labels[2, ::7, ::3] = 12, far
-    run = run_of(of_preset(preset), dtype=given)
+    run = run_of(of_preset(preset), "labels", given)
     (descriptor, unknown, *keypoints), (expected, none, *counts) = run(labels), run(void)
     assert unknown.tolist() == [40 * 41, 0, 22 * 44]
     assert not none.any()
     np.testing.assert_array_equal(keypoints, counts)
     np.testing.assert_array_equal(descriptor, expected)
+
+
+@pytest.mark.parametrize("shape", [(3, 19, 1), (1, 241, 317)])
+def test_a_fixed_size(shape):
+    run = run_of(of_preset("default"), "labels", None, shape)
+    batch = np.stack([blobs(seed, *shape[1:], 9 + seed) for seed in range(shape[0])])
+    assert_equal(run(batch), batch, of_preset("default"))
+    descriptor, unknown = run(np.where(batch == 5, 12, batch))
+    np.testing.assert_allclose(descriptor, run(np.where(batch == 5, VOID, batch))[0], atol=1e-6)
+    assert unknown.tolist() == (batch == 5).sum((1, 2)).tolist()
+
+
+@pytest.mark.parametrize(
+    ("preset", "shape", "problem"),
+    [
+        ("paper", (1, 99, 99), "a fixed size is for harmonics"),
+        ("default", (1, 120, MAX_WIDTH + 1), "expected at most 960"),
+        ("default", (1, 0, 5), "expected 1 to 2"),
+        ("default", (1, 1 << 13, 1 << 13), "expected 1 to 2"),
+    ],
+)
+def test_sizes_that_cannot_be_counted_are_refused(preset, shape, problem):
+    with pytest.raises(ValueError, match=problem):
+        model_of(of_preset(preset), shape=shape)
 
 
 @presets
@@ -312,31 +342,20 @@ def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
             extremes = {kinds.UINT8} if node.op_type in ("ReduceMin", "ReduceMax") else set()
             assert dtypes <= anywhere | extremes, node.name
             seen |= {node.op_type} if dtypes else set()
-    assert len(seen & operators) > 8
+    assert len(seen & operators) > 5
 
 
-SHAPES = {"Shape", "Size", "Reshape", "Concat", "Identity", "Range", "Loop", "Constant"}
-NUMBERS = {"NonZero", "ArgMax"}
-
-
-@presets
-def test_nothing_is_computed_in_64_bits(preset):
-    """Some runtimes cut int64 to 32 bits and float64 to float32 silently."""
-    kinds = onnx.TensorProto
-    wide = {kinds.INT64, kinds.UINT64, kinds.DOUBLE}
-    outputs = {"keypoints", "unknown"}
-    model = model_of(of_preset(preset))
-    types = {table.name: table.data_type for table in model.graph.initializer}
-    seen = set()
-    for node, known in all_nodes(onnx.shape_inference.infer_shapes(model).graph):
-        for name in node.output:
-            kind = known.get(name, types.get(name))
-            if kind in wide and not outputs & set(node.output):
-                into = node.op_type == "Cast" and known.get(node.input[0]) == kinds.INT32
-                assert into or node.op_type in SHAPES | NUMBERS, node.name
-                assert kind == kinds.INT64, node.name
-            seen.add(kind)
-    assert {kinds.INT32, kinds.INT64, kinds.FLOAT} <= seen
+def test_default_has_no_bits_no_loops_and_no_shape_that_depends_on_labels():
+    """What converters to other formats and accelerators take; with a size, all shapes are known."""
+    for shape in (None, (2, 133, 170)):
+        model = model_of(of_preset("default"), shape=shape)
+        used = {node.op_type for node, _ in all_nodes(model.graph)}
+        assert not used & {"NonZero", "Loop", "If", "Compress", "Unique", "BitShift", "TopK"}
+        assert not any(name.startswith("Bitwise") for name in used)
+    known = onnx.shape_inference.infer_shapes(model, strict_mode=True).graph
+    floats = [v for v in known.value_info if v.type.tensor_type.elem_type == onnx.TensorProto.FLOAT]
+    assert all(axis.dim_value for value in floats for axis in value.type.tensor_type.shape.dim)
+    assert len(floats) > 50
 
 
 @presets

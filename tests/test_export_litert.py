@@ -35,7 +35,7 @@ np.savez(sys.argv[3], **found)
 @pytest.mark.skipif(not PYTHON, reason="SSRVLAD_LITERT names no Python with onnx2tf and LiteRT")
 def test_litert_gives_the_descriptors_of_the_module(tmp_path):
     config = SSRVLADConfig.from_preset("default", labels_as=SPACE)
-    export_head(config, tmp_path / "head.onnx", form="arithmetic", shape=(1, *SIZE))
+    export_head(config, tmp_path / "head.onnx", shape=(1, *SIZE))
     convert = [
         "-m",
         "onnx2tf",

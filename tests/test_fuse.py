@@ -125,6 +125,30 @@ def test_a_module_and_the_paper(tmp_path):
     assert verify(tmp_path / "place.onnx").passed
 
 
+def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
+    """At other sizes than the traced one."""
+    torch.manual_seed(0)
+    network = nn.Conv2d(3, CLASSES, 3, padding=1).eval()
+    segmenter = Segmenter(network, SPACE, PLAIN)
+    fuse(segmenter, CONFIG, tmp_path / "place.onnx")
+    whole, auto = nn.Sequential(network, SSRVLAD(CONFIG)), torch.export.Dim.AUTO
+    dims = ({0: auto, 2: auto, 3: auto},)
+    example = (torch.rand(2, 3, 66, 98),)
+    file = tmp_path / "own.onnx"
+    torch.onnx.export(whole, example, file, dynamo=True, dynamic_shapes=dims, verbose=False)
+    own = session(file)
+    for size in ((66, 98), (133, 171), (171, 300)):
+        images = pictures(*size, count=3)
+        prepared = segmenter.labels.preparation(torch.from_numpy(images)).numpy()
+        (descriptor,) = own.run(None, {own.get_inputs()[0].name: prepared})
+        fused = run_of(tmp_path / "place.onnx")({"image": images})["descriptor"]
+        np.testing.assert_allclose(descriptor, fused, rtol=0, atol=1e-6)
+        assert descriptor.any()
+    paper = SSRVLAD.from_preset("paper", labels_as=SPACE)
+    with pytest.raises(Exception, match="export_head or `ssrvlad fuse` writes it"):
+        torch.onnx.export(nn.Sequential(network, paper), example, dynamo=True, verbose=False)
+
+
 @pytest.mark.slow
 def test_a_model_of_the_hub(tmp_path):
     """Loading one is tested with the networks, tracing a module above."""

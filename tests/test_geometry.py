@@ -1,5 +1,3 @@
-from functools import cache
-
 from graphs import run
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -10,17 +8,6 @@ from ssrvlad_torch.deployment.words import grid_of
 
 CONFIG = SSRVLADConfig.from_preset("paper", closing=0.013, hole_area=0.00217, rings=4, radius=0.37)
 SIZES = {"height": st.integers(1, 3000), "width": st.integers(1, 3000)}
-
-
-@cache
-def grids_of(size):
-    return lambda graph, h, w: geometry.working_grid(graph, size, h, w)
-
-
-@given(**SIZES, size=st.sampled_from([1, 7, 120, 500]))
-def test_the_working_grid_is_the_configs(height, width, size):
-    expected = SSRVLADConfig(working_size=size).grid(height, width)
-    assert tuple(x.item() for x in run(grids_of(size), height, width)) == expected
 
 
 def lengths(graph, height, width):

@@ -5,6 +5,7 @@ import onnxruntime
 import pytest
 import torch
 from graphs import session
+from test_export import presets
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment import export
@@ -91,7 +92,7 @@ OTHERS = {
     "Max": "Min",
 }
 SECONDS = 1
-TRIES = 8
+TRIES = 40
 
 
 def changeable(nodes) -> list:
@@ -125,24 +126,15 @@ def is_noticed(model, node, inputs, expected) -> bool:
     )
 
 
-@pytest.mark.parametrize(
-    ("preset", "stages_of"),
-    [("default", 5), pytest.param("paper", 10, marks=pytest.mark.slow)],
-)
-def test_a_change_in_any_stage_of_the_graph_is_noticed(preset, stages_of):
-    """At least one of some nodes of each stage. Other nodes keep a loop within its bounds, or join
+@pytest.mark.slow
+@presets
+def test_a_change_of_most_nodes_is_noticed(preset):
+    """Some nodes keep a loop within its bounds, correct a rounding that did not happen, or join
     bits that are never both set."""
     model = export.head_model(SSRVLADConfig.from_preset(preset, labels_as="cityscapes-trainids"))
     properties = {entry.key: entry.value for entry in model.metadata_props}
     expected = Metadata.from_properties(properties).golden_arrays()
     inputs = {"labels": expected.pop("labels")}
-    stages: dict[str, list] = {}
-    for node in model.graph.node:
-        stage, inside, _ = node.name.partition("/")
-        if inside:
-            stages.setdefault(stage, []).append(node)
-    tried = {name: changeable(nodes) for name, nodes in stages.items()}
-    tried = {name: nodes[:: max(1, len(nodes) // TRIES)] for name, nodes in tried.items() if nodes}
-    assert len(tried) == stages_of
-    for name, nodes in tried.items():
-        assert any(is_noticed(model, node, inputs, expected) for node in nodes), name
+    nodes = changeable(model.graph.node)
+    tried = nodes[:: max(1, len(nodes) // TRIES)]
+    assert sum(is_noticed(model, node, inputs, expected) for node in tried) > 0.7 * len(tried)

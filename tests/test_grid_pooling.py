@@ -5,7 +5,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, overlaps, pool
 
 
@@ -17,7 +16,7 @@ from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS, overlaps, pool
 )
 def test_equals_the_reference_exactly(seed, height, width, shift):
     layers = np.random.default_rng(seed).random((len(shift), 8, height, width)) < 0.4
-    cells = pool(pack(torch.from_numpy(layers)), torch.tensor(shift))
+    cells = pool(torch.from_numpy(layers), torch.tensor(shift))
     assert cells.dtype == torch.float64
     assert cells.shape == (len(shift), 8, ROWS, COLUMNS)
     expected = [
@@ -29,15 +28,15 @@ def test_equals_the_reference_exactly(seed, height, width, shift):
 
 @pytest.mark.parametrize("size", [(1, 1), (24, 32), (7, 300), (480, 640)])
 def test_a_full_layer_fills_every_cell(size):
-    cells = pool(torch.full((1, *size), 255, dtype=torch.uint8), torch.zeros(1, dtype=torch.int64))
+    cells = pool(torch.ones((1, 3, *size)), torch.zeros(1, dtype=torch.int64))
     assert (cells == 1).all()
 
 
-def test_parts_of_a_batch_are_put_together():
-    planes = torch.randint(0, 256, (5, 700, 500), dtype=torch.uint8)
+def test_each_image_of_a_batch_has_its_own_shift():
+    masks = torch.randint(0, 2, (5, 2, 70, 50))
     shift = torch.tensor([0, 3, -7, 40, 1])
-    singly = [pool(image[None], move[None]) for image, move in zip(planes, shift, strict=True)]
-    assert torch.equal(pool(planes, shift), torch.cat(singly))
+    singly = [pool(image[None], move[None]) for image, move in zip(masks, shift, strict=True)]
+    assert torch.equal(pool(masks, shift), torch.cat(singly))
 
 
 @given(st.integers(1, 200), st.integers(1, 40))

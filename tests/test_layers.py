@@ -1,15 +1,9 @@
-from functools import cache
-
 import pytest
 import torch
 from graphs import run, to_planes
 from test_bitplanes import random_planes
 
-from ssrvlad_torch.deployment.stages.layers import (
-    categorise_in_graph,
-    entries_in_graph,
-    split_in_graph,
-)
+from ssrvlad_torch.deployment.stages.layers import split_in_graph
 from ssrvlad_torch.deployment.words import grid_of
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown, split
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
@@ -37,12 +31,12 @@ def test_any_integer_dtype(kind, bits):
 def test_an_unknown_id_is_named_with_its_count_and_the_space(unknown):
     space = label_space("camvid-11")
     labels = torch.tensor([[[3, unknown], [unknown, 5]]])
-    categories = categorise(labels, *category_table(space))
+    assert (categorise(labels, *category_table(space)) == UNKNOWN).any()
     with pytest.raises(
         ValueError,
         match=rf"label id {unknown} \(2 pixels\) is not in label space camvid-11; expected 0 to 11",
     ):
-        refuse_unknown(labels, categories, space)
+        refuse_unknown(labels, space)
 
 
 @pytest.mark.parametrize(
@@ -55,44 +49,20 @@ def test_unsigned_ids_do_not_wrap_into_known_ones(dtype, value):
     categories = categorise(labels, *category_table(space))
     assert categories.item() == UNKNOWN
     with pytest.raises(ValueError, match=rf"label id {value} \(1 pixel\) is not"):
-        refuse_unknown(labels, categories, space)
+        refuse_unknown(labels, space)
 
 
 def test_several_unknown_ids():
     space = label_space("camvid-11")
     labels = torch.tensor([[[20, 21, 20, 40]]])
-    categories = categorise(labels, *category_table(space))
+    assert (categorise(labels, *category_table(space)) == UNKNOWN).any()
     with pytest.raises(ValueError, match=r"label id 20 \(2 pixels\) is not .*, like 2 more"):
-        refuse_unknown(labels, categories, space)
+        refuse_unknown(labels, space)
 
 
 def test_split_sets_one_bit_a_pixel():
     categories = torch.tensor([[[0, 1, 2, 3, 4, 5, 6, 7, NO_LAYER]]], dtype=torch.uint8)
     assert split(categories).tolist() == [[[1, 2, 4, 8, 16, 32, 64, 128, 0]]]
-
-
-@cache
-def categorised_as(name):
-    table, origin = category_table(label_space(name))
-
-    def build(graph, labels):
-        entries, own_table = entries_in_graph(graph, labels, table, origin)
-        return categorise_in_graph(graph, entries, own_table)
-
-    return build
-
-
-@pytest.mark.parametrize("name", label_space_names())
-def test_categories_in_a_graph(name):
-    """All bytes, and ids around those of the space and far from them."""
-    table, origin = category_table(label_space(name))
-    labels = torch.arange(256).view(16, 16)
-    wide = torch.cat([labels - 40, labels * 3, torch.full((2, 16), -(2**62)), labels + 2**62])
-    for some in (labels[None].to(torch.uint8), wide[None]):
-        expected = categorise(some, table, origin)
-        categories, unknown = run(categorised_as(name), some)
-        assert torch.equal(categories, expected)
-        assert unknown.item() == (expected == UNKNOWN).sum() > 0
 
 
 def split_categories(graph, categories):
@@ -105,6 +75,3 @@ def test_split_in_a_graph(shape):
     categories = random_planes(0, shape) % (NO_LAYER + 1)
     (line,) = run(split_categories, categories)
     assert torch.equal(to_planes(line, shape), split(categories))
-    categories[0, 0, 0] = UNKNOWN
-    (line,) = run(split_categories, categories)
-    assert to_planes(line, shape)[0, 0, 0] == 0

@@ -1,32 +1,20 @@
 import numpy as np
 import pytest
 import torch
-from graphs import run
 from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.deployment.stages.reduction import reduce_by_majority_in_graph
 from ssrvlad_torch.stages import reduction
 from ssrvlad_torch.taxonomy import NO_LAYER
 
 UNKNOWN = NO_LAYER + 1
+ALL = torch.arange(UNKNOWN + 1, dtype=torch.uint8)
+"""A table of all kinds: they are the entries."""
 
 
-def in_graph(graph, images, size):
-    """The categories themselves are the entries of a table of all of them."""
-    table = np.arange(UNKNOWN + 1, dtype=np.uint8)
-    _, height, width = graph.sizes(images, 3)
-    return reduce_by_majority_in_graph(graph, images, table, (height, width), (size[0], size[1]))
-
-
-def reduce_by_majority(categories, grid):
-    """In a pass over the batch and in a graph, which must agree; also at native size."""
-    reduced = reduction.reduce_by_majority(categories, grid)
-    got, unknown = run(in_graph, categories, torch.tensor(grid))
-    assert torch.equal(got, reduced)
-    assert unknown.tolist() == [0] * len(categories)
-    return reduced
+def reduce_by_majority(categories, grid, table=ALL):
+    return reduction.reduce_by_majority(categories.long(), *reduction.ballots(table), grid)
 
 
 @given(
@@ -40,34 +28,48 @@ def reduce_by_majority(categories, grid):
 def test_equals_the_reference(height, width, rows, columns, kinds, seed):
     grid = (1 + int(rows * (height - 1)), 1 + int(columns * (width - 1)))
     maps = np.random.default_rng(seed).integers(0, kinds, (2, height, width))
-    reduced = reduce_by_majority(torch.from_numpy(maps).to(torch.uint8), grid)
+    reduced, unknown = reduce_by_majority(torch.from_numpy(maps), grid)
     assert reduced.dtype == torch.uint8
+    assert unknown.tolist() == [0, 0]
     for got, categories in zip(reduced, maps, strict=True):
         np.testing.assert_array_equal(got, reference.reduce_by_majority(categories, grid))
 
 
 def test_cells_of_many_pixels():
-    """Counts above 127 need more bits a category than nine of them have in one word."""
-    categories = torch.full((1, 300, 300), 8, dtype=torch.uint8)
+    """A cell has more pixels than a group, and some groups are smaller."""
+    categories = torch.full((1, 301, 299), 8, dtype=torch.uint8)
     categories[0, :151] = 7
-    assert reduce_by_majority(categories, (1, 1)).item() == 7
+    assert reduce_by_majority(categories, (1, 1))[0].item() == 7
     categories[0, :150] = 7
-    categories[0, 150:] = 0
-    assert reduce_by_majority(categories, (1, 1)).item() == 0
+    categories[0, 150:300] = 0
+    assert reduce_by_majority(categories, (1, 1))[0].item() == 0
 
 
 def test_native_size_is_untouched():
-    categories = torch.zeros(1, 5, 6, dtype=torch.uint8)
-    assert reduction.reduce_by_majority(categories, (5, 6)) is categories
-    assert torch.equal(reduce_by_majority(categories, (5, 6)), categories)
+    categories = torch.randint(0, NO_LAYER + 1, (2, 5, 6), dtype=torch.uint8)
+    assert torch.equal(reduce_by_majority(categories, (5, 6))[0], categories)
 
 
 @pytest.mark.parametrize("grid", [(1, 1), (4, 5), (9, 7), (30, 40)])
-def test_unknown_ids_are_counted_and_vote_for_no_layer(grid):
-    kinds = [0, 3, NO_LAYER, UNKNOWN]
-    maps = torch.from_numpy(np.random.default_rng(3).choice(kinds, (3, 30, 40)))
-    maps[1], maps[2] = maps[1].clamp_max(NO_LAYER), UNKNOWN
-    got, unknown = run(in_graph, maps.to(torch.uint8), torch.tensor(grid))
-    known = maps.clamp_max(NO_LAYER).to(torch.uint8)
-    assert torch.equal(got, reduction.reduce_by_majority(known, grid))
-    assert torch.equal(unknown, (maps == UNKNOWN).sum((1, 2)))
+@pytest.mark.parametrize("kinds", [[0, 3, NO_LAYER, UNKNOWN], [0, 3, 5, UNKNOWN]])
+def test_unknown_ids_are_counted_and_vote_for_no_layer(grid, kinds):
+    """Tables of few kinds need fewer votes."""
+    table = torch.tensor(kinds, dtype=torch.uint8)
+    maps = torch.from_numpy(np.random.default_rng(3).integers(0, 4, (3, 30, 40)))
+    maps[1], maps[2] = maps[1].clamp_max(2), 3
+    got, unknown = reduce_by_majority(maps, grid, table)
+    known, none = reduce_by_majority(table[maps].clamp_max(NO_LAYER), grid)
+    assert torch.equal(got, known)
+    assert torch.equal(unknown, (maps == 3).sum((1, 2)))
+    assert not none.any()
+
+
+@given(st.integers(1, 400), st.floats(0, 1), st.integers(1, 9))
+def test_every_pixel_is_in_one_group_of_its_cell(pixels, share, most):
+    cells = 1 + int(share * (pixels - 1))
+    side = reduction.grouped(pixels, cells, most, torch.device("cpu"))
+    assert side.pixels.shape[1] <= most
+    owner = torch.arange(cells * side.groups)[:, None].expand_as(side.pixels) // side.groups
+    inside = side.inside.bool()
+    assert torch.equal(side.pixels[inside], torch.arange(pixels))
+    assert torch.equal(owner[inside], torch.arange(pixels) * cells // pixels)

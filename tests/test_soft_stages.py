@@ -17,8 +17,8 @@ from ssrvlad_torch.soft.stages.vanishing_column import soft_vanishing_columns
 from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.grid_pooling import pool
 from ssrvlad_torch.stages.harmonics import basis_table, bin_table, coefficients, soft_histograms
-from ssrvlad_torch.stages.layers import categorise, category_table, merge, split
-from ssrvlad_torch.stages.reduction import reduce_by_majority
+from ssrvlad_torch.stages.layers import categorise, category_table, entries_of, merge, split
+from ssrvlad_torch.stages.reduction import ballots, reduce_by_majority
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
 
@@ -48,10 +48,19 @@ STAGES = {
 }
 
 
+def categories_of(labels: np.ndarray) -> Tensor:
+    """``(1, h, w)`` categories of a label map."""
+    return categorise(torch.from_numpy(labels)[None], *category_table(label_space(SPACE)))
+
+
 def layers_of(labels: np.ndarray) -> Tensor:
     """``(1, h, w)`` bit-planes of a label map."""
-    table, origin = category_table(label_space(SPACE))
-    return split(categorise(torch.from_numpy(labels)[None], table, origin))
+    return split(categories_of(labels))
+
+
+def masks_of(numbers: Tensor) -> Tensor:
+    """``(B, 6, h, w)`` float64 masks of the numbers of layers."""
+    return (numbers[:, None] == torch.arange(6).view(-1, 1, 1)).double()
 
 
 def one_hot(labels: np.ndarray) -> Tensor:
@@ -145,7 +154,8 @@ def test_mean_fractions_become_the_majority():
     np.add.at(plain, (slice(None), rows[:, None], columns[None]), soft[0].numpy() / 9)
     np.testing.assert_allclose(soft_majority(soft, (9, 12), 1.0)[0], plain, atol=1e-5)
     table, origin = category_table(label_space(SPACE))
-    voted = reduce_by_majority(categorise(torch.from_numpy(labels)[None], table, origin), (9, 12))
+    entries, first = entries_of(torch.from_numpy(labels)[None], table, origin)
+    voted, _ = reduce_by_majority(entries, *ballots(table[first:]), (9, 12))
     counts = torch.from_numpy(np.concatenate([plain, 1 - plain.sum(0, keepdims=True)]))
     best = counts.topk(2, dim=0).values
     clear = best[0] - best[1] > 0.05
@@ -159,8 +169,8 @@ def test_mean_fractions_become_the_majority():
 
 
 def test_vanishing_columns_of_layers():
-    planes = torch.cat([layers_of(blobs(seed, 40, 60, 14)) for seed in range(8)])
-    soft, hard = soft_vanishing_columns(unpack(planes).double()), vanishing_columns(planes)
+    numbers = torch.cat([merge(categories_of(blobs(seed, 40, 60, 14))) for seed in range(8)])
+    soft, hard = soft_vanishing_columns(masks_of(numbers)), vanishing_columns(numbers)
     assert hard.any()
     assert ((soft - hard).abs() <= 1.0).all()
 
@@ -169,7 +179,7 @@ def test_pooling_by_any_shift(planes):
     layers = unpack(planes).double()
     for shift in (0, 3, -7):
         moved = torch.tensor([shift])
-        hard = pool(planes, moved)
+        hard = pool(unpack(planes), moved)
         soft = soft_pool(layers, moved.double(), tuple(hard.shape[2:]))
         torch.testing.assert_close(soft, hard)
     layers = torch.rand(1, 8, 12, 16).double()
@@ -179,21 +189,20 @@ def test_pooling_by_any_shift(planes):
 
 @pytest.mark.parametrize("size", [(2, 9), (3, 3), (17, 23)])
 def test_boundaries_of_layers(size):
-    planes = merge(torch.cat([layers_of(blobs(seed, *size, 5)) for seed in range(3)]))
-    hard = unpack(boundaries(planes))[:, :4].double()
-    assert torch.equal(soft_boundaries(unpack(planes)[:, :6].double()), hard)
+    numbers = torch.cat([merge(categories_of(blobs(seed, *size, 5))) for seed in range(3)])
+    assert torch.equal(soft_boundaries(masks_of(numbers)), boundaries(numbers))
 
 
 def test_rare_layers_are_merged():
-    planes = split(torch.randint(0, 9, (2, 7, 5), dtype=torch.uint8))
-    merged = soft_merge(unpack(planes).double())
-    assert torch.equal(merged, unpack(merge(planes))[:, :6].double())
+    layers = torch.randint(0, 9, (2, 7, 5), dtype=torch.uint8)
+    merged = soft_merge(unpack(split(layers)).double())
+    assert torch.equal(merged, masks_of(merge(layers)))
 
 
 def test_coefficients_of_layers():
-    planes = torch.cat([layers_of(blobs(seed, 48, 64, 12)) for seed in range(3)])
+    numbers = torch.cat([merge(categories_of(blobs(seed, 48, 64, 12))) for seed in range(3)])
     still = torch.zeros(3, dtype=torch.int64)
-    area, lengths = pool(planes, still)[:, :6], pool(boundaries(planes), still)[:, :4]
+    area, lengths = pool(masks_of(numbers), still), pool(boundaries(numbers), still)
     bins, basis = bin_table((24, 32), 6, 20, 0.5, 1 / 6), basis_table(6, 20, 60, 1.0)
     hard = coefficients(soft_histograms(torch.cat((area, lengths), 1), bins), basis, (60, 20), 0.75)
     soft = soft_coefficients(area, lengths, bins, basis, (60, 20), 0.75).float()

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import pack
+from ssrvlad_torch.config import AREA_LAYERS as NONE
 from ssrvlad_torch.stages.vanishing_column import LEVELS, ONE, POWER
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns as columns
 
@@ -14,42 +14,41 @@ SKY, GROUND, BUILDING = 5, 0, 2
 
 def street(column: int, height: int = 40, width: int = 60) -> torch.Tensor:
     """Buildings left and right of an opening of nine columns."""
-    layers = torch.zeros(1, 8, height, width, dtype=torch.bool)
-    layers[0, BUILDING] = True
-    layers[0, BUILDING, :, column - 4 : column + 5] = False
-    layers[0, SKY, : height // 2, column - 4 : column + 5] = True
-    layers[0, GROUND, height // 2 :, column - 4 : column + 5] = True
-    return layers
+    numbers = torch.full((1, height, width), BUILDING)
+    numbers[:, : height // 2, column - 4 : column + 5] = SKY
+    numbers[:, height // 2 :, column - 4 : column + 5] = GROUND
+    return numbers
 
 
 def test_it_lies_where_the_street_narrows():
     assert ONE.bit_length() - 1 == (LEVELS.bit_length() - 1) * POWER - 28
-    found = [int(columns(pack(street(column)))) for column in (15, 30, 44)]
+    found = [int(columns(street(column))) for column in (15, 30, 44)]
     assert found == sorted(found)
     assert found[0] < -9
     assert abs(found[1]) <= 1
     assert found[2] > 9
 
 
-@pytest.mark.parametrize("layer", [None, BUILDING, SKY])
+@pytest.mark.parametrize("layer", [NONE, BUILDING, SKY])
 def test_nothing_or_the_same_everywhere_is_the_middle(layer):
-    layers = torch.zeros(2, 8, 13, 21, dtype=torch.bool)
-    if layer is not None:
-        layers[:, layer] = True
-    assert columns(pack(layers)).tolist() == [0, 0]
+    assert columns(torch.full((2, 13, 21), layer)).tolist() == [0, 0]
 
 
 @given(st.integers(0, 10_000), st.integers(1, 40), st.integers(1, 50), st.floats(0, 1))
 def test_equals_the_reference(seed, height, width, density):
-    layers = np.random.default_rng(seed).random((2, 8, height, width)) < density
-    found = columns(pack(torch.from_numpy(layers)))
+    """Also in float32, which is what exported files compute in."""
+    rng = np.random.default_rng(seed)
+    numbers = rng.integers(0, NONE + 1, (2, height, width))
+    numbers[rng.random(numbers.shape) < density] = SKY
+    found = columns(torch.from_numpy(numbers))
     assert found.dtype == torch.int64
-    assert found.tolist() == [reference.vanishing_column(list(image)) for image in layers]
+    layers = [[image == k for k in range(NONE)] for image in numbers]
+    assert found.tolist() == [reference.vanishing_column(each) for each in layers]
     assert (2 * found.abs() <= width).all()
 
 
 def test_large_images_do_not_overflow():
-    planes = torch.full((1, 3000, 5000), 1 << SKY, dtype=torch.uint8)
-    planes[:, :, :4000] = 0
+    numbers = torch.full((1, 3000, 5000), SKY)
+    numbers[:, :, :4000] = NONE
     weight, pull = 1000 * 2**20, 5000 * 2**20 // 20
-    assert int(columns(planes)) == round(weight * (4499.5 - 2499.5) / (weight + pull))
+    assert int(columns(numbers)) == round(weight * (4499.5 - 2499.5) / (weight + pull))

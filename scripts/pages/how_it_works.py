@@ -77,14 +77,14 @@ def _paper(axes: Any, labels: np.ndarray, head: SSRVLAD, given: torch.Tensor) ->
 
 
 def _default(axes: Any, head: SSRVLAD, given: torch.Tensor) -> None:
-    view, planes = head.explain(given), head._front_end(given)
+    view, layers = head.explain(given), head._front_end(given)
     _show(axes[0], _on_white(view.layers[0, LAYER].numpy(), (0.75, 0.75, 0.75)), "layer, 120 rows")
-    runs = boundaries(merge(planes))[0].numpy()
-    picture = np.ones((*runs.shape, 3))
+    runs = boundaries(merge(layers))[0].numpy()
+    picture = np.ones((*runs.shape[1:], 3))
     colours = ((0.86, 0.2, 0.18), (0.12, 0.37, 0.7), (0.1, 0.55, 0.25), (0.9, 0.6, 0.1))
-    for bit, colour in enumerate(colours):
-        picture[runs >> bit & 1 == 1] = colour
-        axes[1].plot([], [], color=colour, label=DIRECTIONS[bit])
+    for run, colour, direction in zip(runs, colours, DIRECTIONS, strict=True):
+        picture[run == 1] = colour
+        axes[1].plot([], [], color=colour, label=direction)
     _show(axes[1], picture, "boundaries in\nfour directions")
     axes[1].legend(fontsize=10, loc="upper left", bbox_to_anchor=(0, 0), ncols=2, frameon=False)
     _show(axes[2], np.ones((1, 1, 3)), "")

@@ -4,8 +4,8 @@
 python scripts/pages/runtimes.py CPUExecutionProvider openvino chromium \\
     /opt/old/bin/python:CPUExecutionProvider
 
-Each runtime runs the exported heads of both presets, `default` in both forms, on the label maps of
-the slow tests, and on one of 512 x 1024 for its time. A runtime is an execution provider of ONNX
+Each runtime runs the exported heads of both presets on the label maps of the slow tests, and on one
+of 512 x 1024 for its time. A runtime is an execution provider of ONNX
 Runtime, `openvino`, or `chromium` (onnxruntime-web). `PYTHON:RUNTIME` takes another Python.
 """
 
@@ -30,14 +30,13 @@ sys.path.insert(0, str(ROOT / "tests"))
 from test_export import city, hundreds_of_label_maps  # noqa: E402
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head  # noqa: E402
+from ssrvlad_torch.config import PRESETS  # noqa: E402
 from ssrvlad_torch.deployment.golden import outputs_of  # noqa: E402
 from ssrvlad_torch.deployment.verify import compare  # noqa: E402
 from ssrvlad_torch.files import one_line  # noqa: E402
 
 README = ROOT / "export" / "README.md"
 WORKER = Path(__file__).with_name("_one_runtime.py")
-HEADS = {"default": "standard", "default, arithmetic": "arithmetic", "paper": "standard"}
-"""Presets, and the form of each file."""
 SIZE = (512, 1024)
 
 Maps = dict[str, npt.NDArray[np.uint8]]
@@ -57,8 +56,7 @@ def table(runtimes: list[str], heads: list[str]) -> Iterator[str]:
     (timed,) = city(1, 5, SIZE)
     by_space["cityscapes-trainids"]["timed"] = timed
     for head in heads:
-        preset, _, _ = head.partition(",")
-        configs = [SSRVLADConfig.from_preset(preset, labels_as=space) for space in by_space]
+        configs = [SSRVLADConfig.from_preset(head, labels_as=space) for space in by_space]
         expected = [
             {number: outputs_of(module, labels[None]) for number, labels in maps.items()}
             for module, maps in zip(map(SSRVLAD, configs), by_space.values(), strict=True)
@@ -80,7 +78,7 @@ def measured(
     checks = []
     for config, given, wanted in zip(configs, maps, expected, strict=True):
         try:
-            found = run(runtime, config, HEADS[head], given)
+            found = run(runtime, config, given)
         except (RuntimeError, AssertionError) as error:
             return [
                 runtime.rpartition(":")[2],
@@ -103,7 +101,7 @@ def measured(
     ]
 
 
-def run(runtime: str, config: SSRVLADConfig, form: str, maps: Maps) -> Arrays:
+def run(runtime: str, config: SSRVLADConfig, maps: Maps) -> Arrays:
     """Outputs of a runtime for each label map, by number and name of the output.
 
     Raises:
@@ -112,7 +110,7 @@ def run(runtime: str, config: SSRVLADConfig, form: str, maps: Maps) -> Arrays:
     python, _, name = runtime.rpartition(":")
     with tempfile.TemporaryDirectory() as folder:
         file, given, out = (Path(folder) / name for name in ("head.onnx", "maps.npz", "out.npz"))
-        export_head(config, file, form=form)
+        export_head(config, file)
         if name == "chromium":
             from _chromium import run_in_chromium
 
@@ -132,10 +130,10 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("runtime", nargs="+", help="[PYTHON:]PROVIDER, openvino or chromium")
-    parser.add_argument("--head", action="append", choices=HEADS)
+    parser.add_argument("--head", action="append", choices=PRESETS)
     parser.add_argument("--readme", type=Path, default=README)
     options = parser.parse_args()
-    text = "\n".join(table(options.runtime, options.head or list(HEADS)))
+    text = "\n".join(table(options.runtime, options.head or sorted(PRESETS)))
     before, begin, rest = options.readme.read_text(encoding="utf-8").partition(
         "<!-- runtimes -->\n"
     )

@@ -13,8 +13,8 @@ from conditions import Describe, Drive, Masks, described_from_masks
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLADConfig
-from ssrvlad_torch.bitplanes import count_points, points
-from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
+from ssrvlad_torch.bitplanes import count_points, pack, points, unpack
+from ssrvlad_torch.config import AREA_LAYERS
 from ssrvlad_torch.stages.boundaries import WIDTH, boundaries
 from ssrvlad_torch.stages.centroid import centre_table, centroids
 from ssrvlad_torch.stages.grid_pooling import CELLS, ROWS, pool
@@ -23,6 +23,7 @@ from ssrvlad_torch.stages.harmonics import (
     basis_table,
     bin_table,
     coefficients,
+    damped,
     harmonic_tables,
     soft_histograms,
 )
@@ -31,6 +32,7 @@ from ssrvlad_torch.stages.layers import merge
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
+from ssrvlad_torch.taxonomy import NO_LAYER
 
 DEFAULT = SSRVLADConfig()
 NUMBERS = DEFAULT.harmonics, DEFAULT.boundary_harmonics
@@ -41,7 +43,7 @@ IMAGES_AT_ONCE = 16
 def harmonics(config: SSRVLADConfig) -> Describe:
     """The preset `default` with other settings for the stages after the layers."""
     made = Harmonics(config)
-    return described_from_masks(lambda masks: made.descriptor(made.histograms(masks.layers)))
+    return described_from_masks(lambda masks: made.descriptor(made.histograms(categories(masks))))
 
 
 def area_alone(masks: Masks) -> Tensor:
@@ -76,21 +78,21 @@ def weighted_by_agreement(describe: Describe) -> Describe:
 
 def between_labelled_pixels(masks: Masks) -> Tensor:
     """Counts boundaries only where all four diagonal neighbours are in a layer."""
-    layers = merge(masks.layers)
-    known = F.pad((layers != 0).to(torch.uint8), (1, 1, 1, 1))
+    layers = numbers(masks)
+    known = F.pad((layers < AREA_LAYERS).to(torch.uint8), (1, 1, 1, 1))
     height, width = layers.shape[1:]
     whole = torch.ones_like(layers)
     for y, x in ((0, 0), (0, 2), (2, 0), (2, 2)):
         whole &= known[:, y : y + height, x : x + width]
-    return described(with_lengths(masks, boundaries(layers) * whole))
+    return described(with_lengths(masks, boundaries(layers) * whole[:, None]))
 
 
 def with_boundaries_of_each_layer(masks: Masks, of_area: int, of_boundaries: int) -> Tensor:
     """Boundary directions of buildings, poles, vegetation and sky, one histogram per layer."""
-    layers, found = merge(masks.layers), cells(masks)
+    layers, found = numbers(masks), cells(masks)
     parts = [described_part(found[:, :AREA_LAYERS], of_area)]
-    for bit in (2, 3, 4, 5):
-        own = with_lengths(masks, boundaries(layers & 1 << bit))
+    for layer in (2, 3, 4, 5):
+        own = with_lengths(masks, boundaries(layers.masked_fill(layers != layer, AREA_LAYERS)))
         parts.append(described_part(own[:, AREA_LAYERS:], of_boundaries))
     return F.normalize(torch.cat(parts, 1)).float()
 
@@ -100,7 +102,7 @@ def described_part(found: Tensor, number: int) -> Tensor:
     bins = harmonic_tables(DEFAULT).bins
     basis = harmonic_tables(DEFAULT).basis[:number]
     held = (soft_histograms(found, bins) @ basis.T).flatten(1)
-    return held.sign() * held.abs() ** DEFAULT.power
+    return damped(held, DEFAULT.power)
 
 
 def skeleton_in_place_of_boundaries(masks: Masks) -> Tensor:
@@ -114,9 +116,9 @@ def skeleton_lengths_too(masks: Masks) -> Tensor:
 
 
 def _with_skeleton(masks: Masks, of_skeleton: int, of_boundaries: int) -> Tensor:
-    shift = vanishing_columns(merge(masks.layers))
+    shift = vanishing_columns(numbers(masks))
     found = cells(masks)
-    lengths = pool(masks.skeleton, shift)[:, :AREA_LAYERS] * _side(masks)
+    lengths = pool(unpack(masks.skeleton), shift)[:, :AREA_LAYERS] * _side(masks)
     parts = (
         described_part(found[:, :AREA_LAYERS], DEFAULT.harmonics),
         described_part(found[:, AREA_LAYERS:], of_boundaries),
@@ -129,9 +131,9 @@ def layers_of_one_length(masks: Masks) -> Tensor:
     """Normalises each layer to the same length, as in the paper."""
     bins, basis = harmonic_tables(DEFAULT)
     held = soft_histograms(cells(masks), bins) @ basis.T
-    damped = held.sign() * held.abs() ** DEFAULT.power
-    area = F.normalize(damped[:, :AREA_LAYERS], dim=2) / AREA_LAYERS**0.5
-    length = damped[:, AREA_LAYERS:, : DEFAULT.boundary_harmonics].flatten(1)
+    held = damped(held, DEFAULT.power)
+    area = F.normalize(held[:, :AREA_LAYERS], dim=2) / AREA_LAYERS**0.5
+    length = held[:, AREA_LAYERS:, : DEFAULT.boundary_harmonics].flatten(1)
     return F.normalize(torch.cat((area.flatten(1), F.normalize(length) / 2), 1)).float()
 
 
@@ -145,15 +147,15 @@ def residuals_with_root_and_area(masks: Masks) -> Tensor:
     sums, centres, counts = _residuals(masks)
     held = (sums - counts[..., None] * centres).double()
     layers = F.normalize(held.sign() * held.abs().sqrt(), dim=2)
-    area = pool(masks.clean, _middle(masks)).mean((2, 3)).sqrt()
+    area = pool(unpack(masks.clean), _middle(masks)).mean((2, 3)).sqrt()
     return F.normalize((layers * area[..., None]).flatten(1)).float()
 
 
 def anchored_at_each_layers_centre(masks: Masks) -> Tensor:
     """The soft histogram of each layer around the column of its centroid (Eq. 1)."""
-    layers = merge(masks.layers)
-    columns = centre_table(centroids(layers), len(layers))[..., 1]
-    shifts = torch.where(columns < 0, 0, columns - (layers.shape[2] - 1) // 2)
+    layers = masks_of(numbers(masks))
+    columns = centre_table(centroids(pack(F.pad(layers, (0, 0, 0, 0, 0, 2)))), len(layers))[..., 1]
+    shifts = torch.where(columns < 0, 0, columns - (layers.shape[3] - 1) // 2)
     found = cells(masks)
     found = found.clone()
     for k in range(AREA_LAYERS):
@@ -182,7 +184,7 @@ def waves_over_the_picture(masks: Masks) -> Tensor:
     held = every[..., lowest] * (1 + squared[lowest]).double().sqrt()
     area, length = held[:, :AREA_LAYERS], held[:, AREA_LAYERS:, : DEFAULT.boundary_harmonics]
     kept = torch.cat((area.flatten(1), length.flatten(1)), 1)
-    return F.normalize(kept.sign() * kept.abs() ** DEFAULT.power).float()
+    return F.normalize(damped(kept, DEFAULT.power)).float()
 
 
 def plain_bins(masks: Masks) -> Tensor:
@@ -208,15 +210,31 @@ REJECTED: dict[str, Describe] = {
 @cache
 def cells(masks: Masks) -> Tensor:
     """``(B, 10, rows, columns)`` areas and lengths of boundaries, computed once per drive."""
-    return with_lengths(masks, boundaries(merge(masks.layers)))
+    return with_lengths(masks, boundaries(numbers(masks)))
+
+
+def numbers(masks: Masks) -> Tensor:
+    """``(B, h, w)``, the number of the merged layer at each pixel."""
+    return merge(categories(masks))
+
+
+def categories(masks: Masks) -> Tensor:
+    """``(B, h, w)``, 0 to 7 or `NO_LAYER`."""
+    layers = unpack(masks.layers)
+    return layers.to(torch.uint8).argmax(1).masked_fill(~layers.any(1), NO_LAYER)
+
+
+def masks_of(layers: Tensor) -> Tensor:
+    """``(B, 6, h, w)`` bool."""
+    return layers[:, None] == torch.arange(AREA_LAYERS).view(-1, 1, 1)
 
 
 def with_lengths(masks: Masks, seen: Tensor) -> Tensor:
-    """``(B, 10, rows, columns)`` areas and lengths of boundaries, from bit-planes of directions."""
-    layers = merge(masks.layers)
+    """``(B, 10, rows, columns)`` areas and lengths of boundaries, from masks of directions."""
+    layers = numbers(masks)
     shift = vanishing_columns(layers)
-    lengths = pool(seen, shift)[:, :BOUNDARY_DIRECTIONS] * (_side(masks) / WIDTH)
-    return torch.cat((pool(layers, shift)[:, :AREA_LAYERS], lengths), 1)
+    lengths = pool(seen, shift) * (_side(masks) / WIDTH)
+    return torch.cat((pool(masks_of(layers), shift), lengths), 1)
 
 
 def _side(masks: Masks) -> float:

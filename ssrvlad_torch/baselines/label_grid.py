@@ -9,7 +9,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..stages.layers import categorise, category_table, refuse_unknown
+from ..stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ..taxonomy import CATEGORIES, label_space
 from .protocol import Frame, label_kind, labels_of
 from .vectors import Grid
@@ -31,7 +31,8 @@ class LabelGrid(Grid):
         maps, spaces = zip(*(labels_of(frame, self.name) for frame in frames), strict=True)
         labels, space = torch.from_numpy(np.stack(maps)), label_space(spaces[0])
         categories = categorise(labels, *category_table(space))
-        refuse_unknown(labels, categories, space)
+        if bool((categories == UNKNOWN).any()):
+            refuse_unknown(labels, space)
         layers = categories[:, None] == torch.arange(len(CATEGORIES))[:, None, None]
         fractions = F.adaptive_avg_pool2d(layers.float(), (self.rows, self.columns))
         return F.normalize(fractions.sqrt().flatten(1), dim=1)

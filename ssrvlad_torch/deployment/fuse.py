@@ -14,20 +14,20 @@ import numpy.typing as npt
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing
-from ..onnx_files import graph_digest, load_model, save_model
+from ..onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
 from .golden import outputs_of
-from .label_graph import join, label_graph, opset, with_opset
-from .metadata import PREFIX, SEAL, Metadata, seal
+from .label_graph import label_graph
+from .metadata import PREFIX, Metadata
 from .runtimes import Arrays, OnnxRuntime, Run
+from .trace import interface, join, opset, with_opset
 
 if TYPE_CHECKING:
     import onnx
 
 NETWORK = f"{PREFIX}network"
-HEAD_GOLDEN = f"{PREFIX}head_golden"
 
 IMAGE, LABELS = "image", "labels"
 HEAD = "ssrvlad/"
@@ -129,15 +129,12 @@ def _fuse(
     extra = {NETWORK: json.dumps(asdict(fused))}
     if head_path is None:
         model = _joined(model, head_part)
-        properties = {entry.key: entry.value for entry in head_part.metadata_props}
-        extra[HEAD_GOLDEN] = json.dumps(Metadata.from_properties(properties).golden)
-    graph, interface = graph_digest(model), _interface(model)
+    form = interface(model)
 
     def describe(file: Path) -> dict[str, str]:
         golden = _golden(OnnxRuntime().open(file), images, labels, head)
-        metadata = Metadata.of(head.config, head.label_space, interface, golden)
-        properties = metadata.to_properties() | extra
-        return {**properties, SEAL: seal(graph, properties)}
+        metadata = Metadata.of(head.config, head.label_space, form, golden)
+        return metadata.to_properties() | extra
 
     if head_path:
         check_output(head_path)
@@ -194,25 +191,6 @@ def _golden(
         if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
     return golden | expected
-
-
-def _interface(model: onnx.ModelProto) -> dict[str, Any]:
-    return {
-        "opset": opset(model),
-        "inputs": dict(map(_form, model.graph.input)),
-        "outputs": dict(map(_form, model.graph.output)),
-    }
-
-
-def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:
-    from onnx import helper
-
-    kind = value.type.tensor_type
-    shape = [axis.dim_param or axis.dim_value or None for axis in kind.shape.dim]
-    return value.name, {
-        "dtype": helper.tensor_dtype_to_np_dtype(kind.elem_type).name,
-        "shape": shape,
-    }
 
 
 def _patches(shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:

@@ -39,16 +39,6 @@ class Lengths(NamedTuple):
     ring_limits: Symbol
 
 
-def working_grid(
-    graph: Graph, working_size: int, height: Symbol, width: Symbol
-) -> tuple[Symbol, Symbol]:
-    """`SSRVLADConfig.grid` of ``()`` int32 symbols."""
-    shorter = graph.Min(height, width)
-    size = graph.Min(shorter, working_size)
-    rows, columns = ((side * size * 2 + shorter) // (shorter * 2) for side in (height, width))
-    return rows, columns
-
-
 def lengths(graph: Graph, config: SSRVLADConfig, grid: Grid) -> Lengths:
     """`SSRVLADConfig.radius_pixels`, `area_pixels` and `ring_limits` of a grid of symbols."""
     height, width = (_digits(graph, side) for side in (grid.height, grid.width))

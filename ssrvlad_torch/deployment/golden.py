@@ -27,7 +27,7 @@ CORPUS_SIZES = ((1, 1), (1, 23), (19, 1), (17, 23), (60, 81), (121, 160), (240, 
 _IMAGES = 2
 _PATCHES = 40
 _SPECKS = 60
-_OPEN = [CATEGORIES[k] for k in range(len(CATEGORIES)) if OPEN_LAYERS >> k & 1]
+_OPEN = [CATEGORIES[k] for k in OPEN_LAYERS]
 
 
 def golden_pair(

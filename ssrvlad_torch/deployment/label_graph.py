@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import logging
-import warnings
-from collections.abc import Sequence
-from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
-from ..files import one_line
-from ..onnx_files import load_model, rename
+from ..onnx_files import load_model
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import Form, Preparation, SegmenterConfig
-from .graph import OPSET
+from .trace import OPSET, Axes, join, opset, traced, with_opset
 
 if TYPE_CHECKING:
     import onnx
 
 _BYTES = 256
+_IMAGE = ("B", "H", "W", 3)
 _EXAMPLE = (66, 98)
 """Height and width of the pictures that a module is traced with; the values are arbitrary."""
 
@@ -54,67 +50,6 @@ def label_graph(labels: LabelNetwork) -> onnx.ModelProto:
     del joined.graph.output[:]
     joined.graph.output.extend(outputs)
     return joined
-
-
-def join(
-    models: Sequence[onnx.ModelProto],
-    prefixes: Sequence[str],
-    joints: Sequence[list[tuple[str, str]]],
-) -> onnx.ModelProto:
-    """One model that runs several models in sequence.
-
-    Args:
-        models: models of one opset; they are renamed in place.
-        prefixes: prefix of the names of each model. The inputs of the first model and the outputs
-            of the last keep their names.
-        joints: between two models, pairs of an output and the input that it feeds.
-    """
-    from onnx import compose, helper
-
-    graphs, last = [model.graph for model in models], len(models) - 1
-    for number, (graph, prefix) in enumerate(zip(graphs, prefixes, strict=True)):
-        ends = [] if 0 < number < last else graph.output if number else graph.input
-        rename(graph, partial(_prefixed, prefix, {value.name for value in ends}))
-    joined = graphs[0]
-    for graph, pairs in zip(graphs[1:], joints, strict=True):
-        joined = compose.merge_graphs(joined, graph, pairs)
-    del joined.value_info[:]
-    imports = {entry.domain or "": entry for model in models for entry in model.opset_import}
-    return helper.make_model(
-        joined,
-        opset_imports=list(imports.values()),
-        functions=[function for model in models for function in model.functions],
-        ir_version=max(model.ir_version for model in models),
-    )
-
-
-def _prefixed(prefix: str, unchanged: set[str], name: str) -> str:
-    return name if name in unchanged or not name else prefix + name
-
-
-def with_opset(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
-    """The model, converted to an opset if its own is lower.
-
-    Raises:
-        ValueError: it cannot be converted.
-    """
-    from onnx import version_converter
-
-    if opset(model) >= version:
-        return model
-    try:
-        return version_converter.convert_version(model, version)
-    except Exception as error:  # the converter's own types, and protobuf's beyond 2 GB
-        raise ValueError(
-            f"cannot be converted from opset {opset(model)} to {version}: {one_line(error)}; "
-            f"export it with opset {version} or newer"
-        ) from error
-
-
-def opset(model: onnx.ModelProto) -> int:
-    """Version of the standard operators that a model uses."""
-    versions = [each.version for each in model.opset_import if each.domain in ("", "ai.onnx")]
-    return int(max(versions, default=1))
 
 
 class _Preparation(nn.Module):
@@ -161,8 +96,7 @@ def _traced_network(labels: LabelNetwork) -> onnx.ModelProto:
     with torch.inference_mode():
         narrow = labels.outputs(example).is_floating_point()
     module = _WithDtype(labels, torch.uint8 if narrow else torch.int64)
-    dims = {0: "B", 1: "H", 2: "W"}
-    return _traced(module, {"image": (example, dims)}, {"labels": ["B", "H", "W"]})
+    return traced(module, {"image": (example, _IMAGE)}, {"labels": ["B", "H", "W"]})
 
 
 def _traced_preparation(
@@ -170,9 +104,8 @@ def _traced_preparation(
 ) -> onnx.ModelProto:
     module = _Preparation(Preparation(config, Form(dtype, channels_last)))
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
-    dims = {0: "B", 1: "H", 2: "W"}
-    forms: dict[str, list[Any]] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
-    return _traced(module, {"image": (example, dims)}, forms)
+    forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
+    return traced(module, {"image": (example, _IMAGE)}, forms)
 
 
 def _traced_decision(
@@ -183,10 +116,10 @@ def _traced_decision(
     module = _Decision(axis, classes, torch.uint8 if narrow else torch.int64)
     sizes = [2, *_EXAMPLE] if axis is None else [2, 33, 49, 25]
     example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=dtype)
-    dynamic = {number: f"n{number}" for number, n in enumerate(shape) if n is None}
+    axes: Axes = [n or f"n{number}" for number, n in enumerate(shape)]
     picture = torch.zeros(2, *_EXAMPLE, dtype=torch.uint8)
-    inputs = {"output": (example, dynamic), "picture": (picture, {0: "B", 1: "H", 2: "W"})}
-    return _traced(module, inputs, {"labels": ["B", "H", "W"]})
+    inputs = {"output": (example, axes), "picture": (picture, ["B", "H", "W"])}
+    return traced(module, inputs, {"labels": ["B", "H", "W"]})
 
 
 def _decision(
@@ -205,52 +138,3 @@ def _decision(
         return output.dtype, tuple(shape), None, (0, 0)
     channels = shape[labels.axis] = output.shape[labels.axis]
     return output.dtype, tuple(shape), labels.axis, config.classes or (0, channels)
-
-
-def _traced(
-    module: nn.Module,
-    inputs: dict[str, tuple[Tensor, dict[int, str]]],
-    outputs: dict[str, list[Any]],
-) -> onnx.ModelProto:
-    """A module as a graph with named inputs and outputs; named axes are dynamic.
-
-    Raises:
-        ValueError: it cannot be traced.
-    """
-    try:
-        import onnxscript  # noqa: F401 - the exporter imports it
-    except ImportError as error:
-        raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
-    log = logging.getLogger("torch.onnx")
-    level, auto = log.level, torch.export.Dim.AUTO
-    log.setLevel(logging.ERROR)
-    try:
-        with warnings.catch_warnings(), torch.no_grad():
-            warnings.simplefilter("ignore")
-            program = torch.onnx.export(
-                module.eval(),
-                tuple(example for example, _ in inputs.values()),
-                input_names=list(inputs),
-                output_names=list(outputs),
-                dynamic_shapes=tuple(dict.fromkeys(dims, auto) for _, dims in inputs.values()),
-                opset_version=OPSET,
-                dynamo=True,
-                verbose=False,
-            )
-    except Exception as error:  # the exporter can raise anything
-        raise ValueError(f"cannot be traced: {one_line(error)}") from error
-    finally:
-        log.setLevel(level)
-    assert program is not None
-    model: onnx.ModelProto = program.model_proto
-    for value in model.graph.output:
-        _name_axes(value, outputs[value.name])
-    for value in model.graph.input:
-        _name_axes(value, [inputs[value.name][1].get(n) for n in range(4)])
-    return model
-
-
-def _name_axes(value: onnx.ValueInfoProto, names: Sequence[str | None]) -> None:
-    for axis, name in zip(value.type.tensor_type.shape.dim, names, strict=False):
-        if name is not None:
-            axis.dim_param = name

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import hashlib
 import json
 import math
 import zlib
@@ -20,9 +19,6 @@ from ..taxonomy import LabelSpace
 from ..untrusted import InputError, input_errors, parse_json
 
 PREFIX = "ssrvlad."
-
-SEAL = f"{PREFIX}sha256"
-"""Name of the property that holds `seal`."""
 
 FORMAT = "2"
 """Version of the outputs and properties of a file. Programs refuse other versions."""
@@ -42,8 +38,8 @@ class Metadata:
         config: the settings, as `SSRVLADConfig.to_dict`.
         fingerprint: fingerprint of the settings.
         label_space: the label space, as `LabelSpace.to_dict`.
-        interface: ``opset``; ``form``, as for `export_head`; ``inputs`` and ``outputs``: ``dtype``
-            and ``shape`` by name; an axis with a name is dynamic.
+        interface: ``opset``; ``inputs`` and ``outputs``: ``dtype`` and ``shape`` by name, an axis
+            with a name is dynamic; ``sweep``, the anchors, where the head has several.
         golden: an input and the module's outputs for it; each array by name as ``dtype``, ``shape``
             and ``data``: its little-endian bytes, compressed by zlib, in base64.
         format: `FORMAT`.
@@ -109,14 +105,6 @@ class Metadata:
     def golden_arrays(self) -> dict[str, npt.NDArray[Any]]:
         """The golden input and outputs by name."""
         return {name: _from_text(name, entry) for name, entry in self.golden.items()}
-
-
-def seal(graph: str, properties: Mapping[str, str]) -> str:
-    """SHA-256 in hex of a graph's digest and of every other property ``ssrvlad.*``: it shows an
-    edit of either."""
-    sealed = {name: text for name, text in properties.items() if name.startswith(PREFIX)}
-    sealed.pop(SEAL, None)
-    return hashlib.sha256(json.dumps([graph, sealed], sort_keys=True).encode()).hexdigest()
 
 
 def _to_text(name: str, array: npt.NDArray[Any]) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -16,13 +16,12 @@ from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD, SweepHead
 from ..files import one_line
-from ..onnx_files import CPU, graph_digest, load_model
+from ..onnx_files import CPU, load_model
 from ..taxonomy import LabelSpace
 from ..untrusted import parse_json
-from .diagnosis import Fault, diagnose
-from .fuse import HEAD, HEAD_GOLDEN, IMAGE, LABELS, MAX_OTHER_PIXELS, NETWORK, FusedNetwork
+from .fuse import HEAD, IMAGE, LABELS, MAX_OTHER_PIXELS, NETWORK, FusedNetwork
 from .golden import CORPUS_SIZES, as_input, corpus, outputs_of
-from .metadata import PREFIX, SEAL, Metadata, seal
+from .metadata import PREFIX, Metadata
 from .runtimes import Arrays, Run, Runtime, runtime_of
 
 if TYPE_CHECKING:
@@ -31,12 +30,14 @@ if TYPE_CHECKING:
 TOLERANCE = 1e-6
 """Largest difference of a number of a descriptor. Counts must be equal."""
 
+CANNOT = "cannot run"
+
 
 class Check(NamedTuple):
     """One comparison.
 
     Attributes:
-        name: ``"golden pair"``, ``"module"``, ``"golden image"``, ``"corpus"``, or a frame's id.
+        name: ``"golden pair"``, ``"golden image"``, ``"corpus"``, or a frame's id.
         difference: largest difference of two descriptors; infinite for NaN or another shape.
         problem: what is wrong, or ``""``.
     """
@@ -44,6 +45,10 @@ class Check(NamedTuple):
     name: str
     difference: float
     problem: str
+
+
+CheckedRun = Callable[[str, Arrays, Callable[[Arrays], Check]], Check]
+"""Runs a file for a check of some name on some inputs, and judges the outputs."""
 
 
 @dataclass
@@ -59,8 +64,8 @@ class Verification:
         problems: problems of the file as a whole.
         checks: the comparisons.
         skipped: frames that could not be compared, with the reasons.
-        fault: where a runtime other than ONNX Runtime on the CPU is wrong or fails.
         by_default: of OpenVINO, the golden pair without settings; no part of the verdict.
+        verdict: ``"exact"``, ``"wrong"`` or ``"cannot run"``: how the runtime computes this file.
     """
 
     runtime: str
@@ -72,20 +77,19 @@ class Verification:
     problems: list[str] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
     skipped: list[tuple[str, str]] = field(default_factory=list)
-    fault: Fault | None = None
     by_default: Check | None = None
+    verdict: str = "exact"
+
+    def add(self, check: Check) -> None:
+        """Adds a comparison, and what it says of the runtime."""
+        self.checks.append(check)
+        if check.problem and self.verdict == "exact":
+            self.verdict = "cannot run" if check.problem.startswith(CANNOT) else "wrong"
 
     @property
     def difference(self) -> float:
         """Largest difference of two descriptors."""
         return max((check.difference for check in self.checks), default=0.0)
-
-    @property
-    def verdict(self) -> str:
-        """``"exact"``, ``"wrong"`` or ``"cannot run"``: how the runtime computes this file."""
-        if self.fault:
-            return self.fault.kind
-        return "wrong" if any(check.problem for check in self.checks) else "exact"
 
     @property
     def passed(self) -> bool:
@@ -101,15 +105,11 @@ def verify(
 ) -> Verification:
     """Compares a file of `export_head` or `fuse` on a runtime with the module.
 
-    The head and the module run on the golden pair; then the head runs on the maps of the `corpus`
-    and on `labels`, and is compared with the module on each. Of a fused file, the head is extracted
-    for this, and the whole file also runs on its golden image: at most 1 % of the pixels may have
-    another label than the recorded one, because runtimes compute networks differently, and the
-    head must agree with the module on these labels. Of a network without a head, only the labels
-    are compared.
-
-    If a runtime other than ONNX Runtime on the CPU fails, ``fault`` names the node; if its numbers
-    differ, ``fault`` names the first stage of the graph whose outputs differ.
+    The file runs on its golden pair; its head runs on the maps of the `corpus` and on `labels`, and
+    is compared with the module on each. Of a fused file, the head is extracted for this, and on the
+    golden image at most 1 % of the pixels may have another label than the recorded one, because
+    runtimes compute networks differently; the head must agree with the module on these labels. Of
+    a network without a head, only the labels are compared.
 
     Args:
         path: the file.
@@ -144,7 +144,7 @@ def _verify(
 ) -> Verification:
     properties = {entry.key: entry.value for entry in model.metadata_props}
     metadata = Metadata.from_properties(properties)
-    config = _config(metadata)
+    module = _module(metadata)
     network = properties.get(NETWORK)
     fused = FusedNetwork(**parse_json(network, NETWORK)) if network else None
     result = Verification(
@@ -154,30 +154,33 @@ def _verify(
         metadata.label_space["name"],
         fused.name if fused else None,
     )
-    _check_metadata(result, metadata, config, properties, model)
+    if metadata.version != __version__:
+        result.warnings.append(
+            f"written by version {metadata.version} of ssrvlad_torch, this is {__version__}"
+        )
+    if module.config.fingerprint != metadata.fingerprint:
+        result.problems.append(
+            f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
+            f"{module.config.fingerprint}"
+        )
     result.warnings.extend(filter(None, [runtime.cpu_fallback(path)]))
-    module = _module(config, metadata)
-    golden, faults = metadata.golden_arrays(), []
+    golden, source = metadata.golden_arrays(), path
     if fused:
-        whole = _Runner(model, path, runtime)
-        result.checks.append(_check_whole(whole, golden, module))
-        faults.append(whole.fault)
-        if HEAD_GOLDEN not in properties:
-            result.fault = whole.fault
+        run = _checked(runtime, path)
+        result.add(run("golden image", {IMAGE: golden[IMAGE]}, _judge_of_image(golden, module)))
+        if "descriptor" not in golden:
             return result
-        head_golden = parse_json(properties[HEAD_GOLDEN], HEAD_GOLDEN)
-        golden = replace(metadata, golden=head_golden).golden_arrays()
         model = _head_of(model)
-    runner = _Runner(model, model.SerializeToString(), runtime)
-    head = _Head(runner, module, model.graph.input[0])
+        source = model.SerializeToString()
+    head = _Head(_checked(runtime, source), module, model.graph.input[0])
     _check_defaults(result, runtime, model.SerializeToString(), head.input, golden)
-    result.checks.extend(_check_golden(head, golden))
-    result.checks.append(_check_corpus(head))
+    if not fused:
+        result.add(head.check("golden pair", golden.pop(head.input), golden))
+    result.add(_check_corpus(head))
     for file in labels:
         _check_frame(result, head, file)
         if progress:
             progress(1)
-    result.fault = next(filter(None, [runner.fault, *faults]), None)
     return result
 
 
@@ -196,52 +199,33 @@ def _head_of(model: onnx.ModelProto) -> onnx.ModelProto:
     return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
 
 
-class _Runner:
-    """A graph on a runtime.
+def _checked(runtime: Runtime, source: Path | bytes) -> CheckedRun:
+    """A function that runs a file on inputs and judges the outputs. On ONNX Runtime on the CPU an
+    error is raised; on other runtimes it is the problem of the check."""
+    opened: Run | None = None
 
-    Attributes:
-        fault: the first fault of a runtime that is not the reference.
-    """
-
-    def __init__(self, model: onnx.ModelProto, source: Path | bytes, runtime: Runtime) -> None:
-        self.fault: Fault | None = None
-        self._model, self._runtime = model, runtime
-        self._run = _opened(runtime, source)
-
-    def check(self, name: str, inputs: Arrays, judge: Callable[[Arrays], Check]) -> Check:
-        """The check of the outputs for an input; an error of the runtime is a problem."""
+    def run(name: str, inputs: Arrays, judge: Callable[[Arrays], Check]) -> Check:
+        nonlocal opened
         try:
-            check = judge(self._run(inputs))
+            opened = opened or runtime.open(source)
+            outputs = opened(inputs)
         except Exception as error:  # runtimes have no common error type
-            if self._runtime.is_reference:
+            if runtime.is_reference:
                 raise
-            check = Check(name, np.inf, f"cannot run: {one_line(error)}")
-        if check.problem and not self.fault and not self._runtime.is_reference:
-            self.fault = diagnose(self._model, inputs, self._runtime)
-        return check
+            return Check(name, np.inf, f"{CANNOT}: {one_line(error)}")
+        return judge(outputs)
 
-
-def _opened(runtime: Runtime, source: Path | bytes) -> Run:
-    """A function that runs a file; if it cannot be opened, a function that raises the error."""
-    try:
-        return runtime.open(source)
-    except Exception as error:  # runtimes have no common error type
-        reason = error
-
-    def fail(_: Arrays) -> dict[str, npt.NDArray[Any]]:
-        raise reason
-
-    return fail
+    return run
 
 
 class _Head:
     """A head on a runtime, and the module that it is compared with."""
 
-    def __init__(self, runner: _Runner, module: SSRVLAD, value: onnx.ValueInfoProto) -> None:
+    def __init__(self, run: CheckedRun, module: SSRVLAD, value: onnx.ValueInfoProto) -> None:
         from onnx import helper
 
         kind = value.type.tensor_type
-        self.runner, self.module, self.input = runner, module, value.name
+        self.run, self.module, self.input = run, module, value.name
         self.scores = len(kind.shape.dim) == 4
         self.dtype = helper.tensor_dtype_to_np_dtype(kind.elem_type).name
         self.batch = kind.shape.dim[0].dim_value or 1
@@ -251,7 +235,7 @@ class _Head:
     def check(self, name: str, array: npt.NDArray[Any], expected: Arrays | None = None) -> Check:
         """The outputs for an input, compared with expected ones or with those of the module."""
         outputs = expected or outputs_of(self.module, array)
-        return self.runner.check(name, {self.input: array}, lambda got: compare(name, got, outputs))
+        return self.run(name, {self.input: array}, lambda got: compare(name, got, outputs))
 
     def corpus(self) -> Iterator[tuple[str, npt.NDArray[Any]]]:
         """Names and inputs of the corpus."""
@@ -277,15 +261,6 @@ class _Head:
         return np.concatenate([array] * self.batch)
 
 
-def _check_golden(head: _Head, golden: dict[str, npt.NDArray[Any]]) -> list[Check]:
-    """The file, and the module of this version, compared with the recorded outputs."""
-    array = golden.pop(head.input if head.input in golden else LABELS)
-    return [
-        head.check("golden pair", array, golden),
-        compare("module", outputs_of(head.module, array), golden),
-    ]
-
-
 def _check_defaults(
     result: Verification, runtime: Runtime, source: bytes, name: str, golden: Arrays
 ) -> None:
@@ -293,7 +268,7 @@ def _check_defaults(
     if runtime.plain is None:
         return
     given = name if name in golden else LABELS
-    expected = {output: array for output, array in golden.items() if output != given}
+    expected = {output: array for output, array in golden.items() if output not in (given, IMAGE)}
     title = f"golden pair, {runtime.plain.name}"
     try:
         check = compare(title, runtime.plain.open(source)({name: golden[given]}), expected)
@@ -315,26 +290,22 @@ def _check_corpus(head: _Head) -> Check:
     return Check("corpus", max(check.difference for check in checks), problem)
 
 
-def _check_whole(runner: _Runner, golden: Arrays, module: SSRVLAD) -> Check:
-    """A fused file, or a network without a head, on its golden image."""
-    expected = {name: array for name, array in golden.items() if name != IMAGE}
-    has_head = "descriptor" in expected
+def _judge_of_image(golden: Arrays, module: SSRVLAD) -> Callable[[Arrays], Check]:
+    """Judges a fused file, or a network without a head, on its golden image."""
+    recorded, has_head = golden[LABELS], "descriptor" in golden
 
     def judge(got: Arrays) -> Check:
-        labels, recorded = got[LABELS], expected[LABELS]
-        check = Check("golden image", 0.0, "")
-        if has_head:
-            check = compare("golden image", got, outputs_of(module, labels))
+        labels = got[LABELS]
         if labels.shape != recorded.shape:
-            return check._replace(problem=f"labels are {labels.shape}, not {recorded.shape}")
+            return Check("golden image", np.inf, f"labels are {labels.shape}, not {recorded.shape}")
         fraction = float((labels != recorded).mean())
         if fraction > MAX_OTHER_PIXELS:
-            return check._replace(problem=f"{fraction:.1%} of the pixels have another label")
-        if fraction == 0 and has_head and not check.problem:
-            return compare("golden image", got, expected)
-        return check
+            problem = f"{fraction:.1%} of the pixels have another label"
+            return Check("golden image", np.inf, problem)
+        expected = outputs_of(module, labels) if has_head else {}
+        return compare("golden image", got, expected)
 
-    return runner.check("golden image", {IMAGE: golden[IMAGE]}, judge)
+    return judge
 
 
 def _check_frame(result: Verification, head: _Head, file: FrameFile) -> None:
@@ -346,15 +317,17 @@ def _check_frame(result: Verification, head: _Head, file: FrameFile) -> None:
     except ValueError as error:
         result.skipped.append((file.frame, str(error)))
         return
-    result.checks.append(head.check(file.frame, array, expected))
+    result.add(head.check(file.frame, array, expected))
 
 
 def compare(name: str, got: Arrays, expected: Arrays) -> Check:
-    """Compares outputs: counts must be equal, descriptors must agree within `TOLERANCE`."""
+    """Compares outputs by name: counts must be equal, descriptors agree within `TOLERANCE`."""
     for output in expected:
         if got[output].shape != expected[output].shape:
             shapes = f"{got[output].shape}, not {expected[output].shape}"
             return Check(name, np.inf, f"{output} is {shapes}")
+    if "descriptor" not in expected:
+        return Check(name, 0.0, "")
     steps = np.abs(got["descriptor"].astype(np.float64) - expected["descriptor"])
     difference = float(np.nan_to_num(steps, nan=np.inf).max(initial=0))
     counts = [output for output in expected if output != "descriptor"]
@@ -364,38 +337,14 @@ def compare(name: str, got: Arrays, expected: Arrays) -> Check:
     return Check(name, difference, ", ".join(problems))
 
 
-def _check_metadata(
-    result: Verification,
-    metadata: Metadata,
-    config: SSRVLADConfig,
-    properties: Mapping[str, str],
-    model: onnx.ModelProto,
-) -> None:
-    """Compares the metadata with this version, the graph and the settings."""
-    if metadata.version != __version__:
-        result.warnings.append(
-            f"written by version {metadata.version} of ssrvlad_torch, this is {__version__}"
-        )
-    if properties.get(SEAL) != seal(graph_digest(model), properties):
-        result.problems.append("the graph or its metadata was edited after it was written")
-    if config.fingerprint != metadata.fingerprint:
-        result.problems.append(
-            f"fingerprint {metadata.fingerprint} is not that of its settings in this version, "
-            f"{config.fingerprint}"
-        )
-
-
-def _config(metadata: Metadata) -> SSRVLADConfig:
+def _module(metadata: Metadata) -> SSRVLAD:
+    """The module with the settings and the label space in the file."""
     try:
-        return SSRVLADConfig.from_dict(metadata.config)
+        config = SSRVLADConfig.from_dict(metadata.config)
     except (ValueError, TypeError) as error:
         raise ValueError(
             f"settings of version {metadata.version} do not fit version {__version__}: {error}"
         ) from error
-
-
-def _module(config: SSRVLADConfig, metadata: Metadata) -> SSRVLAD:
-    """The module with the settings and the label space in the file."""
     space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
     config, columns = replace(config, labels_as=space), metadata.interface.get("sweep")
     return SweepHead(config, columns) if columns else SSRVLAD(config)

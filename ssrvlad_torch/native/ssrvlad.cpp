@@ -1386,7 +1386,7 @@ struct ssrvlad_head {
       for (int i = 0; i < count; ++i) held[i] += there * wave[i];
     }
     for (int i = 0; i < count; ++i)
-      held[i] *= std::pow(held[i] * held[i] + FAINT * FAINT, (settings.power - 1) / 2);
+      held[i] *= std::pow(held[i] / FAINT * (held[i] / FAINT) + 1, (settings.power - 1) / 2);
   }
 
   // Bins for an image size; those of the last few sizes are cached.

@@ -44,7 +44,8 @@ def boundaries(numbers: Tensor) -> Tensor:
     rows, columns = (_interior(length, numbers.device) for length in numbers.shape[1:])
     index = (code * (rows[:, None] * columns)).to(torch.int64)  # the same layer all around
     table = torch.tensor(_table(), dtype=real(), device=numbers.device)
-    return table.index_select(0, index.flatten()).unflatten(0, index.shape).permute(0, 3, 1, 2)
+    found: Tensor = table.index_select(0, index.flatten()).unflatten(0, index.shape)  # type: ignore[no-untyped-call]
+    return found.permute(0, 3, 1, 2)
 
 
 def _interior(length: int, device: torch.device) -> Tensor:
@@ -55,8 +56,8 @@ def _interior(length: int, device: torch.device) -> Tensor:
 
 @cache
 def _table() -> npt.NDArray[np.bool_]:
-    """``(7 ** 4, 4)``, whether the boundary of any layer has the direction, for the layers NW, NE, SW
-    and SE, of which NW changes fastest."""
+    """``(7 ** 4, 4)``, whether the boundary of any layer has the direction, for the layers NW, NE,
+    SW and SE, of which NW changes fastest."""
     code = np.arange(_NUMBERS**4)[:, None]
     corners = (code // _NUMBERS**place % _NUMBERS for place in range(4))
     nw, ne, sw, se = (corner == np.arange(AREA_LAYERS) for corner in corners)

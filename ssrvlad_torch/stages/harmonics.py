@@ -150,7 +150,8 @@ def coefficients(
         ``(B, 6 * numbers[0] + 4 * numbers[1])`` float32 of length 1; exact zeros for an image
         without layers.
     """
-    products = histogram @ basis.T
+    mean = histogram.mean(-1, keepdim=True)  # a part of the first coefficient alone
+    products = (histogram - mean) @ basis.T + mean * basis.double().sum(1).to(basis)
     area = products[:, :AREA_LAYERS, : numbers[0]].flatten(1)
     length = products[:, AREA_LAYERS:, : numbers[1]].flatten(1)
     vector = torch.cat((area, length), 1)
@@ -158,8 +159,8 @@ def coefficients(
 
 
 def damped(numbers: Tensor, power: float) -> Tensor:
-    """``sign(x) * abs(x) ** power``, but a straight line for numbers far below `FAINT`."""
-    result: Tensor = numbers * (numbers.square() + FAINT * FAINT) ** ((power - 1) / 2)
+    """``sign(x) * abs(x) ** power`` up to a factor, but a straight line for x far below `FAINT`."""
+    result: Tensor = numbers * ((numbers * (1 / FAINT)).square() + 1) ** ((power - 1) / 2)
     return result
 
 

@@ -115,8 +115,8 @@ def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:
 
 
 def merge(categories: Tensor) -> Tensor:
-    """Six layers from eight: guard rail (6) counts as building (2), parking (7) as ground (0). Fewer
-    networks distinguish all eight.
+    """Six layers from eight: guard rail (6) counts as building (2), parking (7) as ground (0).
+    Fewer networks distinguish all eight.
 
     Args:
         categories: ``(B, H, W)`` uint8, 0 to 7 or `NO_LAYER`.

@@ -2,8 +2,8 @@
 
 A pixel's vote is a number with one digit for each of a few kinds, so that sums over pixels count
 several kinds at once. Votes are added over groups of so few pixels that no digit carries. Then the
-digits are separated and added over the groups of a cell. All numbers are whole and exact in float32,
-and no shape depends on the labels: eager torch and exported graphs run the same steps.
+digits are separated and added over the groups of a cell. All numbers are whole and exact in
+float32, and no shape depends on the labels: eager torch and exported graphs run the same steps.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class Grouped(NamedTuple):
     """A side of the image in cells, and the pixels of each cell in groups of one length.
 
     Attributes:
-        index: ``(cells * groups, length)`` int64, the pixels of each group.
+        pixels: ``(cells * groups, length)`` int64, the pixels of each group.
         inside: the same shape, 1 for a pixel of the group, 0 for an entry too many.
         groups: the number of groups in a cell.
     """
 
-    index: Tensor
+    pixels: Tensor
     inside: Tensor
     groups: int
 
@@ -93,9 +93,10 @@ def reduce_by_majority(
     )
     of_layers = counts[:, :-1]
     none = wide[:, None] * tall - of_layers.sum(1)
-    winner = torch.cat((of_layers, none[:, None]), 1).argmax(1)
-    classes = kinds.clamp(max=NO_LAYER).to(torch.uint8)
-    categories = torch.gather(classes, 0, winner.flatten()).view(winner.shape).transpose(1, 2)
+    counted = torch.cat((of_layers, none[:, None]), 1)
+    each = kinds.clamp(max=NO_LAYER).to(real()).view(-1, 1, 1)
+    most = torch.where(counted == counted.amax(1, keepdim=True), each, NO_LAYER)
+    categories = most.amin(1).transpose(1, 2).to(torch.uint8)  # argmax may take any of equal ones
     return categories, counts[:, -1].to(torch.int64).sum((1, 2))
 
 
@@ -105,8 +106,10 @@ def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped
     longest = (pixels + cells - 1) // cells
     groups = size((longest + most - 1) // most)
     length = size((longest + groups - 1) // groups)
-    begin = torch.arange(cells + 1, device=device) * pixels + (cells - 1)
-    begin = torch.div(begin, cells, rounding_mode="trunc")[:, None]
+    product = torch.arange(cells + 1, device=device) * pixels + (cells - 1)
+    estimate = torch.floor((product.to(real()) + 0.5) / cells).to(torch.int64)
+    rest = product - estimate * cells  # runtimes round some quotients to the next whole number
+    begin = (estimate + (rest >= cells).long() - (rest < 0).long())[:, None]
     index = begin[:-1] + torch.arange(groups * length, device=device)
     inside = (index < begin[1:]).to(real())
     index = index.clamp(max=pixels - 1)
@@ -116,5 +119,6 @@ def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped
 
 def _summed(numbers: Tensor, side: Grouped) -> Tensor:
     """``(B, pixels, n)`` -> ``(B, cells * groups, n)``, the sums over each group."""
-    parts = numbers.index_select(1, side.index.flatten()).unflatten(1, side.index.shape)
-    return (parts * side.inside[..., None].float()).sum(2)
+    parts = numbers.index_select(1, side.pixels.flatten())
+    grouped: Tensor = parts.unflatten(1, side.pixels.shape)  # type: ignore[no-untyped-call]
+    return (grouped * side.inside[..., None].float()).sum(2)

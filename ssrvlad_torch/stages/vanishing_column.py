@@ -27,7 +27,8 @@ SHIFT = (LEVELS.bit_length() - 1) * POWER - (ONE.bit_length() - 1)
 
 MAX_WIDTH = 960
 """Columns of the widest grid whose sums are exact in float32: a digit of them is below
-``14 * MAX_WIDTH ** 2``, of all weights and of the middle, times twice the distance of two columns."""
+``14 * MAX_WIDTH ** 2``, of all weights and of the middle, times twice the distance of two
+columns."""
 
 _RADIX, _DIGITS = 8, 7
 """Of a weight, which is at most ``ONE``. Sums of weights have up to forty bits, too many for
@@ -46,8 +47,8 @@ def vanishing_columns(numbers: Tensor) -> Tensor:
         ``(B,)`` int64, negative to the left.
     """
     height, width = numbers.shape[1:]
-    is_open = sum((numbers == layer).to(real()) for layer in OPEN_LAYERS)
-    level = torch.floor((is_open.sum(1) * LEVELS + 0.5) / height).to(torch.int64)
+    open_pixels = torch.stack([numbers == layer for layer in OPEN_LAYERS]).to(real()).sum((0, 2))
+    level = torch.floor((open_pixels * LEVELS + 0.5) / height).to(torch.int64)
     table = _digits([level**POWER >> SHIFT for level in range(LEVELS + 1)], numbers.device)
     weight = table.index_select(0, level.flatten()).unflatten(0, level.shape)  # (B, W, digits)
     twice_from_middle = (2 * torch.arange(width, device=numbers.device) - (width - 1)).to(real())
@@ -64,7 +65,8 @@ def vanishing_columns(numbers: Tensor) -> Tensor:
     carried, *higher = left.unbind(2)
     for digit in higher:
         carried = digit + torch.floor(carried * (1 / _RADIX))
-    return (estimate - 2 + (carried >= 0).to(real()).sum(1)).to(torch.int64)
+    result: Tensor = estimate - 2 + (carried >= 0).to(real()).sum(1)
+    return result.to(torch.int64)
 
 
 def _digits(numbers: list[int], device: torch.device) -> Tensor:

@@ -21,13 +21,7 @@ def export(
         "--sweep",
         default=False,
     ),
-    form: str = option(
-        "standard, or arithmetic: the same operations for every frame, for accelerators.",
-        default="standard",
-    ),
-    size: str | None = option(
-        "Fixed rows and columns of an arithmetic file, HxW, such as 512x1024."
-    ),
+    size: str | None = option("Fixed rows and columns, HxW, such as 512x1024. Default: any size."),
     batch: int | None = option(
         "With --size: fixed number of frames of each call. Default: 1.", min=1
     ),
@@ -46,7 +40,7 @@ def export(
     if batch and not size:
         raise ValueError(f"--batch {batch} needs --size")
     shape = (batch or 1, *_size(size)) if size else None
-    export_head(config, output, input, dtype, columns, form, shape)
+    export_head(config, output, input, dtype, columns, shape)
     say(f"{output}: {input} of {labels_as} to descriptors of fingerprint {config.fingerprint}")
 
 

@@ -30,8 +30,8 @@ def verify(
     as_json: Json = False,
 ) -> None:
     """Compare an exported or fused file with the PyTorch module: on its golden pair, on drawn
-    label maps, and on --labels. If they differ, the exit code is 1, and the report names the first
-    stage of the graph that differs, or the node that the runtime cannot run.
+    label maps, and on --labels. The verdict is exact, wrong, or cannot run; the exit code is 1
+    unless it is exact.
 
     Example: ssrvlad verify place.onnx --provider CPUExecutionProvider
     """
@@ -58,10 +58,8 @@ def _as_json(found: Verification) -> dict[str, Any]:
         **dataclasses.asdict(found),
         "checks": [check._asdict() for check in found.checks],
         "skipped": [{"frame": frame, "reason": reason} for frame, reason in found.skipped],
-        "fault": found.fault and found.fault._asdict(),
         "by_default": found.by_default and found.by_default._asdict(),
         "difference": found.difference,
-        "verdict": found.verdict,
         "passed": found.passed,
     }
 
@@ -75,8 +73,6 @@ def _print(model: Path, found: Verification) -> None:
     print_table(table)
     for problem in found.problems:
         say(problem)
-    if found.fault:
-        say(f"{found.fault.kind}, {found.fault.place}: {found.fault.reason}")
     network = f" with {found.network}" if found.network else ""
     say(
         f"{model}: {'as expected' if found.passed else 'WRONG'}, "

@@ -1,26 +1,21 @@
-"""The method as a graph: the stages of `SSRVLAD.forward` in ONNX operators."""
+"""The aggregation residuals as a graph: loops over frontiers and lists of pixels, which tracing
+would make several times slower."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..config import SSRVLADConfig
-from ..stages.layers import category_table
+from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..stages.skeleton import RULES
-from ..taxonomy import label_space
-from .arithmetic.head import harmonics_of_layers
-from .arithmetic.layers import layers_of_categories
-from .arithmetic.vanishing_column import MAX_WIDTH
-from .geometry import Lengths, lengths, working_grid
-from .graph import Graph, Symbol
+from .geometry import Lengths, lengths
+from .graph import Form, Graph, Symbol
 from .stages.centroid import centroids_in_graph
 from .stages.components import drop_regions_in_graph, fill_holes_in_graph
 from .stages.keypoints import end_points_in_graph, intersections_in_graph
-from .stages.layers import categorise_in_graph, entries_in_graph, split_in_graph
+from .stages.layers import split_in_graph
 from .stages.morphology import open_and_close_in_graph
-from .stages.reduction import reduce_by_majority_in_graph
 from .stages.residuals import aggregate_in_graph
 from .stages.shape_context import (
     log_polar_bins_in_graph,
@@ -30,32 +25,20 @@ from .stages.shape_context import (
 from .stages.skeleton import thin_in_graph
 from .words import Words, count_points_in_graph, grid_of, points_of
 
+if TYPE_CHECKING:
+    import onnx
 
-def describe_in_graph(
-    graph: Graph, labels: Symbol, config: SSRVLADConfig, columns: Sequence[int] = ()
-) -> dict[str, Symbol]:
-    """`SSRVLAD.forward` in a graph, or `SSRVLAD.sweep`.
 
-    Args:
-        graph: the graph to add nodes to.
-        labels: ``(B, H, W)`` uint8 or int64 label ids; any axis can be dynamic.
-        config: the settings.
-        columns: S anchors of a sweep, for descriptors ``(B, S, 480)``; empty for single ones.
-
-    Returns:
-        ``descriptor (B, 480)`` float32, ``unknown (B,)`` int32, and for the aggregation residuals
-        ``keypoints (B, 8)`` int32.
-    """
-    with graph.stage("layers"):
-        categories, unknown = _categories(graph, labels, config)
-    if config.aggregation == "residuals":
-        descriptor, counts = _residuals(graph, config, categories)
-        return {"descriptor": descriptor, "unknown": unknown, "keypoints": counts}
-    with graph.stage("layers"):
-        layers = layers_of_categories(graph, categories)  # Table II
-    descriptor = harmonics_of_layers(graph, layers, config, columns)
-    is_wide = graph.sizes(categories, 3)[2] > MAX_WIDTH
-    return {"descriptor": graph.Where(is_wide, np.nan, descriptor), "unknown": unknown}
+def residual_graph(config: SSRVLADConfig) -> onnx.ModelProto:
+    """A graph from ``layers (B, h, w)`` uint8, the layer of each pixel, to ``descriptor (B, D)``
+    float32 and ``keypoints (B, 8)`` int64 of `Residuals`."""
+    graph = Graph({"layers": ("uint8", ["B", "h", "w"])})
+    descriptor, counts = _residuals(graph, config, *graph.inputs)
+    outputs: dict[str, tuple[Symbol, Form]] = {
+        "descriptor": (descriptor, ("float32", ["B", config.length])),
+        "keypoints": (counts, ("int64", ["B", CATEGORY_COUNT])),
+    }
+    return graph.model(outputs)
 
 
 def _residuals(graph: Graph, config: SSRVLADConfig, categories: Symbol) -> tuple[Symbol, Symbol]:
@@ -97,13 +80,3 @@ def _cleaned(graph: Graph, config: SSRVLADConfig, layers: Words, sizes: Lengths)
         if config.region_area:
             clean = drop_regions_in_graph(graph, clean, sizes.region_area)
     return clean
-
-
-def _categories(graph: Graph, labels: Symbol, config: SSRVLADConfig) -> tuple[Symbol, Symbol]:
-    """``(B, h, w)`` uint8 categories on the working grid; ``(B,)`` int32 counts of unknown ids."""
-    entries, table = entries_in_graph(graph, labels, *category_table(label_space(config.labels_as)))
-    if config.working_size is None:
-        return categorise_in_graph(graph, entries, table)
-    _, height, width = graph.sizes(labels, 3)
-    grid = working_grid(graph, config.working_size, height, width)
-    return reduce_by_majority_in_graph(graph, entries, table, (height, width), grid)

@@ -1,0 +1,166 @@
+"""Modules as ONNX graphs, traced by torch's exporter, and graphs joined to one."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Mapping, Sequence
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import Tensor, nn
+
+from ..files import one_line
+from ..onnx_files import rename
+
+if TYPE_CHECKING:
+    import onnx
+
+OPSET = 18
+"""Of every graph: the first opset with bitwise operators."""
+
+Axes = Sequence[int | str | None]
+"""Lengths and names of axes; one with a name, or ``None``, is dynamic."""
+
+
+def traced(
+    module: nn.Module,
+    inputs: Mapping[str, tuple[Tensor, Axes]],
+    outputs: Mapping[str, Axes],
+) -> onnx.ModelProto:
+    """A module as a graph.
+
+    Args:
+        module: its forward takes the inputs in their order.
+        inputs: by name an example and the axes.
+        outputs: axes of each output by name.
+
+    Raises:
+        ValueError: it cannot be traced.
+        ImportError: the extra ``onnx`` is not installed.
+    """
+    try:
+        import onnxscript  # noqa: F401 - the exporter imports it
+    except ImportError as error:
+        raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
+    log = logging.getLogger("torch.onnx")
+    level, auto = log.level, torch.export.Dim.AUTO
+    log.setLevel(logging.ERROR)
+    dynamic = [
+        {number: auto for number, axis in enumerate(axes) if not isinstance(axis, int)}
+        for _, axes in inputs.values()
+    ]
+    try:
+        with warnings.catch_warnings(), torch.no_grad():
+            warnings.simplefilter("ignore")
+            program = torch.onnx.export(
+                module.eval(),
+                tuple(example for example, _ in inputs.values()),
+                input_names=list(inputs),
+                output_names=list(outputs),
+                dynamic_shapes=tuple(dynamic) if any(dynamic) else None,
+                opset_version=OPSET,
+                dynamo=True,
+                verbose=False,
+            )
+    except Exception as error:  # the exporter can raise anything
+        raise ValueError(f"cannot be traced: {one_line(error)}") from error
+    finally:
+        log.setLevel(level)
+    assert program is not None
+    model: onnx.ModelProto = program.model_proto
+    for value in model.graph.output:
+        _name_axes(value, outputs[value.name])
+    for value in model.graph.input:
+        _name_axes(value, inputs[value.name][1])
+    return model
+
+
+def _name_axes(value: onnx.ValueInfoProto, axes: Axes) -> None:
+    for axis, given in zip(value.type.tensor_type.shape.dim, axes, strict=True):
+        if isinstance(given, int):
+            axis.dim_value = given
+        elif given is not None:
+            axis.dim_param = given
+
+
+def join(
+    models: Sequence[onnx.ModelProto],
+    prefixes: Sequence[str],
+    joints: Sequence[list[tuple[str, str]]],
+) -> onnx.ModelProto:
+    """One model that runs several models in sequence.
+
+    Args:
+        models: models of one opset; they are renamed in place.
+        prefixes: prefix of the names of each model. The inputs of the first model and the outputs
+            of the last keep their names.
+        joints: between two models, pairs of an output and the input that it feeds.
+    """
+    from onnx import compose, helper
+
+    graphs, last = [model.graph for model in models], len(models) - 1
+    for number, (graph, prefix) in enumerate(zip(graphs, prefixes, strict=True)):
+        ends = [] if 0 < number < last else graph.output if number else graph.input
+        rename(graph, partial(_prefixed, prefix, {value.name for value in ends}))
+    joined = graphs[0]
+    for graph, pairs in zip(graphs[1:], joints, strict=True):
+        joined = compose.merge_graphs(joined, graph, pairs)
+    del joined.value_info[:]
+    imports = {entry.domain or "": entry for model in models for entry in model.opset_import}
+    return helper.make_model(
+        joined,
+        opset_imports=list(imports.values()),
+        functions=[function for model in models for function in model.functions],
+        ir_version=max(model.ir_version for model in models),
+    )
+
+
+def _prefixed(prefix: str, unchanged: set[str], name: str) -> str:
+    return name if name in unchanged or not name else prefix + name
+
+
+def with_opset(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
+    """The model, converted to an opset if its own is lower.
+
+    Raises:
+        ValueError: it cannot be converted.
+    """
+    from onnx import version_converter
+
+    if opset(model) >= version:
+        return model
+    try:
+        return version_converter.convert_version(model, version)
+    except Exception as error:  # the converter's own types, and protobuf's beyond 2 GB
+        raise ValueError(
+            f"cannot be converted from opset {opset(model)} to {version}: {one_line(error)}; "
+            f"export it with opset {version} or newer"
+        ) from error
+
+
+def opset(model: onnx.ModelProto) -> int:
+    """Version of the standard operators that a model uses."""
+    versions = [each.version for each in model.opset_import if each.domain in ("", "ai.onnx")]
+    return int(max(versions, default=1))
+
+
+def interface(model: onnx.ModelProto) -> dict[str, Any]:
+    """The opset, and dtype and shape of each input and output by name."""
+    return {
+        "opset": opset(model),
+        "inputs": dict(map(_form, model.graph.input)),
+        "outputs": dict(map(_form, model.graph.output)),
+    }
+
+
+def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:
+    from onnx import helper
+
+    kind = value.type.tensor_type
+    shape = [axis.dim_param or axis.dim_value or None for axis in kind.shape.dim]
+    return value.name, {
+        "dtype": helper.tensor_dtype_to_np_dtype(kind.elem_type).name,
+        "shape": shape,
+    }
