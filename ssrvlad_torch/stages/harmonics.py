@@ -155,7 +155,9 @@ def coefficients(
     area = products[:, :AREA_LAYERS, : numbers[0]].flatten(1)
     length = products[:, AREA_LAYERS:, : numbers[1]].flatten(1)
     vector = torch.cat((area, length), 1)
-    return F.normalize(damped(vector, power), dim=1).float()
+    vector = damped(vector, power)
+    length = (vector * vector).sum(1, keepdim=True).sqrt()  # converters fail at F.normalize
+    return (vector / length.clamp(min=1e-12)).float()
 
 
 def damped(numbers: Tensor, power: float) -> Tensor:
