@@ -185,7 +185,7 @@ WRONG_USES = [
     ("encode monday -o none --labels-as camvid", "did you mean camvid-11 or camvid-32?"),
     (f"encode none -o none {CAMVID}", "none does not exist"),
     (f"city none --frames {10**30}", "--frames': Input should be less than or equal to 1000000"),
-    (f"export -o none {CAMVID} --form arithmetic --size 8x8 --batch {10**30}", "images of 8 x 8"),
+    (f"export -o none {CAMVID} --size 8x8 --batch {10**30}", "images of 8 x 8"),
     ("evaluate town.ssrdb monday --tolerance-metres inf", "0 metres or more and finite, got inf"),
     (f"encode folder -o none {CAMVID}", "folder holds no label maps"),
     (f"encode jpegs -o none {CAMVID}", "jpegs holds images and no label maps; name the network"),
