@@ -131,9 +131,10 @@ class Source:
                 raise ValueError("--segmenter-cache needs --segmenter")
             return None
         classes, opened = channels(self.options.classes), _network(network)
+        segmenter = Segmenter.load(opened, labels_as, folder or _user_cache(), classes)
         if opened.assumed:
             note(f"{network} does not say how it wants pictures; assumed: {opened.preparation}")
-        return Segmenter.load(opened, labels_as, folder or _user_cache(), classes)
+        return segmenter
 
     def extra_descriptors(
         self, names: Sequence[str] | None, segmenter: Segmenter | None, new: bool
