@@ -208,6 +208,8 @@ FAILS = """## Where it fails
   decoys, and the estimate is too high.
 - Standing still, all queries have one answer, and all err together: the interval is wide.
 - A place that the map lacks, beside one that it has, is answered by the latter: *half map*.
+  Offline, where one track is one decision, the estimate of 5 % is far too low there, and in a
+  foreign map by features every accepted answer is wrong. The interval is wide for this reason.
 - A few pictures have no decoys of their own number; the prior does not know how hard the change of
   light is. The interval of their estimate is wide.
 - With `--index`, decoys are candidates of the index for mirrored queries. Fewer than 30 queries are
