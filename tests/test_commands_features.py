@@ -21,6 +21,8 @@ from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.stages.features import SHAPE
 
+SETTINGS = f"network: net.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: {SPACE}\n"
+
 
 @pytest.fixture(scope="module")
 def graph(tmp_path_factory):
@@ -33,7 +35,7 @@ def photos(graph, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     sources._network.cache_clear()
     (tmp_path / "net.onnx").write_bytes(graph)
-    (tmp_path / "net.yaml").write_text(f"network: net.onnx\nlabels_as: {SPACE}\n")
+    (tmp_path / "net.yaml").write_text(f"{SETTINGS}")
     for drive in ("monday", "today"):
         write_photos(tmp_path / drive, range(32), (96, 128))
     return tmp_path
@@ -201,7 +203,7 @@ def test_a_network_without_features(photos, ssrvlad):
 )
 def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
     settings = photos / "named.yaml"
-    settings.write_text(f"network: net.onnx\nlabels_as: {SPACE}\nfeatures: {features}\n")
+    settings.write_text(f"{SETTINGS}features: {features}\n")
     given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter", settings)
     if features == "[flat]":
         flat = photos / "net.onnx"
@@ -220,7 +222,7 @@ def _with_flat_mean(content):
 
 def test_features_of_another_network_are_refused(town, photos, ssrvlad):
     other = photos / "other.yaml"
-    other.write_text(f"network: net.onnx\nlabels_as: {SPACE}\nfeatures: [relu_1]\n")
+    other.write_text(f"{SETTINGS}features: [relu_1]\n")
     network = ("--segmenter", other)
     for command in (
         ("encode", photos / "today", "-o", town, *network),
