@@ -8,7 +8,7 @@ from drawings import SPACE
 from drives import write_maps
 from helpers import street
 
-from ssrvlad_torch import SSRVLADConfig
+from ssrvlad_torch import Database, SSRVLADConfig
 from ssrvlad_torch.cli.measure import by_sequence
 
 REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
@@ -139,9 +139,7 @@ def test_label_maps_of_two_spaces_are_told_apart(ssrvlad, database, maps, tmp_pa
 
 def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):
     db = tmp_path / "bare.ssrdb"
-    (tmp_path / "bad").mkdir()
-    (tmp_path / "bad" / "a.png").write_text("no image")
-    ssrvlad("encode", tmp_path / "bad", "-o", db, "--labels-as", "camvid-11")
+    Database.create(db, SSRVLADConfig(labels_as="camvid-11"))
     code, _, err = ssrvlad("query", db, maps)
     assert (code, err) == (2, [f"ssrvlad: {db} holds no frames yet"])
 
