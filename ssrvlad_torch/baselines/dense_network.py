@@ -1,18 +1,37 @@
-"""Networks with two outputs, features and class probabilities, for LoST-X."""
+"""Segmentation networks for methods: by their names, and with two outputs for LoST-X."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 from torch import Tensor
 
+from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
+from ..taxonomy import LabelSpace
 
 DenseNetwork = Callable[[Tensor], tuple[Tensor, Tensor]]
 """``(1, H, W, 3)`` uint8 RGB -> ``(1, D, h, w)`` features, ``(1, C, h', w')`` probabilities.
 
 Both float; channel c of the probabilities, at any resolution, stands for id c of a label space.
 """
+
+
+def segmenter_of(
+    network: Segmenter | str | Path | None, method: str, labels_as: str | LabelSpace = AUTO
+) -> Segmenter:
+    """The segmentation network of a method, given or by its name.
+
+    Raises:
+        FileNotFoundError: there is none.
+        ValueError: it cannot be used.
+    """
+    if network is None:
+        raise FileNotFoundError(
+            f"no network: {method} needs a segmentation network, by the setting network"
+        )
+    return network if isinstance(network, Segmenter) else Segmenter.load(network, labels_as)
 
 
 def dense_network(segmenter: Segmenter) -> DenseNetwork:

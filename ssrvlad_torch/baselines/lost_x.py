@@ -16,7 +16,7 @@ from ..recognition.sweep import score
 from ..segmentation.networks import AUTO
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, label_space
-from .dense_network import DenseNetwork, dense_network
+from .dense_network import DenseNetwork, dense_network, segmenter_of
 from .lost import class_sums, layout_cost, lost_descriptor
 from .protocol import Columns, Frame, Image, image_of
 
@@ -76,14 +76,9 @@ class LoSTX:
         classes: Sequence[str] = ("road", "building", "vegetation"),
         opposite: bool = False,
     ) -> None:
-        if network is None:
-            raise FileNotFoundError(
-                "no network: lost-x needs a segmentation network, by the setting network"
-            )
-        if isinstance(network, str | Path):
-            network = Segmenter.load(network, labels_as or AUTO)
-        if isinstance(network, Segmenter):
-            labels_as, network = network.label_space, dense_network(network)
+        if network is None or isinstance(network, Segmenter | str | Path):
+            segmenter = segmenter_of(network, self.name, labels_as or AUTO)
+            labels_as, network = segmenter.label_space, dense_network(segmenter)
         self._network = network
         self._space = label_space(labels_as or "cityscapes-trainids")
         self._classes = torch.tensor([self._id(name) for name in classes])

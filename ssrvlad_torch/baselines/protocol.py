@@ -120,6 +120,7 @@ class Sweeping(Protocol):
 
 METHODS = {
     "ssr-vlad": ("ssrvlad", "SSRVLADMethod"),
+    "features": ("encoder_features", "EncoderFeatures"),
     "cohog": ("cohog", "CoHOG"),
     "netvlad": ("netvlad", "NetVLAD"),
     "region-vlad": ("region_vlad", "RegionVLAD"),

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from ..recognition.matching import Matches, best_of
 from ..recognition.recognise import Recognised, Steps, recognise, recognise_by_scores
+from ..recognition.signs import are_signs
 from .protocol import Frame, Method, Sweeping, batches
 
 Result = TypeVar("Result")
@@ -137,7 +138,9 @@ def _stepped(
 
 
 def _are_vectors(encodings: Any) -> TypeGuard[Tensor]:
-    return isinstance(encodings, Tensor) and encodings.ndim == 2 and encodings.is_floating_point()
+    if not isinstance(encodings, Tensor):
+        return False
+    return are_signs(encodings) or (encodings.ndim == 2 and encodings.is_floating_point())
 
 
 class _Clock:

@@ -1,0 +1,70 @@
+"""Features as a method: the signs of `Segmenter.segment`, and their steps."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from drawings import SPACE
+from networks import PLAIN, Street, write_street
+from segmenting import write_photos
+
+from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
+from ssrvlad_torch.baselines.run import run
+from ssrvlad_torch.recognition.recognise import Steps
+from ssrvlad_torch.recognition.signs import SignQueries, SignRows
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+
+@pytest.fixture
+def segmenter():
+    return Segmenter(Street(), SPACE, PLAIN)
+
+
+def frames(count: int, sequence: str = "a") -> list[Frame]:
+    """Pictures of one size, each of another street of noise in blocks."""
+    noise = np.random.default_rng(0).integers(0, 256, (count, 8, 12, 3), np.uint8)
+    pictures = noise.repeat(16, 1).repeat(16, 2)
+    return [Frame(f"{sequence}/{n}", image=picture) for n, picture in enumerate(pictures)]
+
+
+def test_signs_are_those_of_the_segmenter(segmenter):
+    found = EncoderFeatures(segmenter).encode_query(frames(5))
+    pictures = [frame.image for frame in frames(5)]
+    expected = [each.features for each in segmenter.segment(pictures, features=True)]
+    np.testing.assert_array_equal(found.numpy(), np.stack(expected))
+
+
+def test_scores_are_the_cosines_of_signs(segmenter):
+    method = EncoderFeatures(segmenter)
+    signs = method.encode_reference(frames(6))
+    scores = method.scores(signs[:2], signs)
+    torch.testing.assert_close(scores, SignQueries(signs[:2], SignRows(signs)).scores())
+    assert scores.argmax(1).tolist() == [0, 1]
+
+
+def test_the_steps_standardise_signs(segmenter):
+    method, drive = EncoderFeatures(segmenter), frames(32)
+    found = run(method, drive, frames(32, "b"), steps=Steps(follow=None))
+    assert found.bytes_a_reference == 2048
+    assert found.stepped.used["standardise"] == {"a": True}
+    assert found.stepped.matches.indices[:, 0].tolist() == list(range(32))
+
+
+def test_a_network_is_needed():
+    with pytest.raises(FileNotFoundError, match="no network: features needs a segmentation net"):
+        make("features")
+
+
+def test_compare_measures_it(ssrvlad, tmp_path):
+    write_street(tmp_path / "net.onnx")
+    network = tmp_path / "net.yaml"
+    network.write_text("network: net.onnx\nlabels_as: camvid-11\n")
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", size=(48, 64))
+    options = ("--set", f"features.network={network}", "--tolerance-frames", 0, "--json")
+    code, out, err = ssrvlad("compare", tmp_path / "town", "--method", "features,hog", *options)
+    assert code == 0, err
+    row = json.loads(out)["rows"][0]
+    assert (row["method"], row["recall_at"]["1"]) == ("features", 1.0)
