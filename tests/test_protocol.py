@@ -44,9 +44,7 @@ def test_no_frames_make_empty_encodings(name):
 
 
 def test_an_unknown_method_is_an_error_that_lists_the_known():
-    with pytest.raises(
-        ValueError, match="unknown method 'orb'; expected one of ssr-vlad, feat"
-    ):
+    with pytest.raises(ValueError, match="unknown method 'orb'; expected one of ssr-vlad, feat"):
         make("orb")
 
 

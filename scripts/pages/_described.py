@@ -2,14 +2,16 @@
 
 The city and CamVid are those of `conditions.py`. The real traverses are folders of ``--data`` with
 ``images`` and the label maps of two networks, ``predicted_espnetv2`` and ``predicted_dabnet``.
-Descriptors are cached on disk, by drive and method: a second run takes minutes.
+``networks`` beside them holds the networks, for features and LoST-X: pictures are fed with a
+shorter side of 576 pixels. Descriptors are cached on disk, by drive and method: a second run takes
+minutes.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +33,8 @@ from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, baselines
 from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
+from ssrvlad_torch.baselines.lost_x import LoSTX
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
@@ -39,8 +43,11 @@ from ssrvlad_torch.evaluation.metrics import evaluate
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.recognition.temporal import temporal_sum
+from ssrvlad_torch.segmentation.networks import open_network
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import label_space
 
+OURS = "SSR-VLAD, default"
 PRESETS = {"SSR-VLAD, paper": "paper", "SSR-VLAD, default": "default"}
 BASELINES = {
     "label grid": "label-grid",
@@ -48,12 +55,28 @@ BASELINES = {
     "CoHOG": "cohog",
     "tiny image": "tiny-image",
 }
-METHODS = (*PRESETS, *BASELINES)
-OF_PICTURES = ("HOG", "CoHOG", "tiny image")
-BY_SCORES = ("CoHOG", "tiny image")
+FEATURES, LOST_X, TOGETHER = "features", "LoST-X", "together"
+FUSED = {
+    TOGETHER: {"features": FEATURES, "hog": "HOG"},
+    "without HOG": {"features": FEATURES},
+    "without features": {"hog": "HOG"},
+}
+"""What is fused with `default`, by its name in a database: all that `encode` stores, and parts."""
+
+METHODS = (*PRESETS, *BASELINES, FEATURES, LOST_X, TOGETHER)
+OF_NETWORKS = (FEATURES, LOST_X, *FUSED)
+OF_PICTURES = ("HOG", "CoHOG", "tiny image", *OF_NETWORKS)
+BY_SCORES = ("CoHOG", "tiny image", LOST_X)
 """Their encodings are not vectors, so the steps use their scores."""
 
 NETWORKS = ("espnetv2", "dabnet")
+LAST = {
+    "espnetv2": "/n/level4.6/module_act/PRelu_output_0",
+    "dabnet": "/bn_prelu_3/acti/PRelu_output_0",
+}
+"""The last activation of each encoder: what the authors of LoST-X took of theirs."""
+
+SHORTER_SIDE, MULTIPLE = 576, 16
 REAL = {
     "UofA": {"evening -> day": ("uofa/evening", "uofa/day", 1)},
     "Gardens Point": {
@@ -63,6 +86,9 @@ REAL = {
     },
 }
 """Queries, references, and the largest distance of a true match in rows."""
+
+ALONE = Steps(standardise=False, follow=None)
+"""Each query as a picture of which nothing else is known, as `locate` takes it."""
 
 FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
 OFFSET = 10**6
@@ -90,8 +116,23 @@ class Condition:
     searches: list[Search]
 
     @property
-    def has_pictures(self) -> bool:
-        return self.dataset != "City"
+    def network(self) -> str | None:
+        """The network of queries and references, if it is one of `NETWORKS`."""
+        search = self.searches[0]
+        names = {network_of(name) for name in (search.queries, search.references)}
+        return names.pop() if len(names) == 1 else None
+
+    def suits(self, method: str) -> bool:
+        """Whether the condition has what a method needs."""
+        if method in OF_NETWORKS:
+            return self.network is not None
+        return method not in OF_PICTURES or self.dataset != "City"
+
+
+def network_of(drive: str) -> str | None:
+    """The network of a drive by its name, see `Described.drive`."""
+    words = drive.replace("predicted_", "").split(" ")
+    return next((name for name in NETWORKS if name in words), None)
 
 
 @dataclass
@@ -136,7 +177,21 @@ class Described:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
         preset = PRESETS.get(method)
         version = f" {head(preset, 'camvid-11').config.fingerprint}" if preset else ""
+        if method == FEATURES:
+            return self._kept(f"{name} {method}", lambda: self._features(name))
         return self._kept(f"{name} {method}{version}", lambda: described(self.drive(name), method))
+
+    def _features(self, name: str) -> Tensor:
+        method = EncoderFeatures(self.segmenter(network_of(name)))
+        return method.encode_query(frames(self.drive(name)))
+
+    def segmenter(self, network: str, activation: str | None = None) -> Segmenter:
+        """A network, with one of its activations as features."""
+        assert self.data
+        named = open_network(self.data / "networks" / f"{network}.yaml")
+        features = (activation,) if activation else None
+        config = replace(named.config, size=SHORTER_SIDE, multiple=MULTIPLE, features=features)
+        return Segmenter(named.network, "cityscapes-trainids", config)
 
     def pair(self, search: Search, method: str) -> tuple[Tensor, Tensor]:
         """Vectors of the queries and of the references of a search."""
@@ -152,7 +207,7 @@ class Described:
         """``(Q, R)`` scores of a method whose encodings are not vectors."""
 
         def run() -> Tensor:
-            made = baselines.make(BASELINES[method])
+            made = self._method(search, method)
             drives = [self.drive(name) for name in (search.queries, search.references)]
             here, there = (
                 [frame for n, frame in enumerate(frames(drive)) if n in set(rows)]
@@ -162,12 +217,19 @@ class Described:
             found = [made.scores(made.encode_query(iter([each])), known) for each in here]
             return torch.cat(found)
 
+        dropped = ("labels",) if method == LOST_X else (*NETWORKS, "labels")
         pictures = [
-            " ".join(part for part in name.split() if part not in (*NETWORKS, "labels"))
+            " ".join(part for part in name.split() if part not in dropped)
             for name in (search.queries, search.references)
         ]
         kind = pictures if search.query_rows is None else ["camvid odd", "even"]
         return self._kept(f"{' to '.join(kind)} {method}", run)
+
+    def _method(self, search: Search, method: str) -> baselines.Method:
+        if method != LOST_X:
+            return baselines.make(BASELINES[method])
+        network = network_of(search.queries)
+        return LoSTX(self.segmenter(network, LAST[network]))
 
     def rows(self, search: Search) -> tuple[list[int], list[int]]:
         """Rows of the queries and of the references in their drives."""
@@ -236,8 +298,15 @@ def decide(
     found, truth = [], []
     for number, search in enumerate(condition.searches):
         names = described.sequences(search)
+        if steps == ALONE:
+            names = [str(number) for number in range(len(names[0]))], names[1]
         if method in BY_SCORES:
             one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
+        elif method in OF_NETWORKS:
+            members = FUSED.get(method, {})
+            own = described.pair(search, OURS if members else method)
+            beside = {name: described.pair(search, member) for name, member in members.items()}
+            one = recognise(*own, *names, steps, 5, beside=beside)
         else:
             queries, references = described.pair(search, method)
             one = recognise(queries, temporal_sum(references, names[1], reach), *names, steps, 5)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import torch
-from _described import OF_PICTURES, Described, all_conditions, decide
+from _described import FEATURES, OURS, TOGETHER, Described, all_conditions, decide
 from _markdown import head_row, interval, paragraph, row, write
 from conditions import CITY_SEEDS, METRES, RESAMPLES
 
@@ -31,8 +31,7 @@ STEPS = {
     f"online, {DELAY} late": Steps(follow="online", delay=DELAY),
     "offline": Steps(),
 }
-OURS = "SSR-VLAD, default"
-METHODS = (OURS, "label grid", "HOG")
+METHODS = (OURS, FEATURES, "HOG", TOGETHER, "label grid")
 
 HEAD = f"""# How to get the most out of it
 
@@ -103,7 +102,7 @@ def page(described: Described, motion: Path) -> Iterator[str]:
         yield f"## {method}\n"
         yield from head_row("condition", *STEPS)
         for condition in all_conditions(described):
-            if method in OF_PICTURES and not condition.has_pictures:
+            if not condition.suits(method):
                 continue
             cells = []
             for steps in STEPS.values():

@@ -1,11 +1,12 @@
 #!/usr/bin/env python3
-"""Writes docs/results.md and docs/results.csv: both presets and four baselines on every data set,
-with and without the steps after the descriptor.
+"""Writes docs/results.md and docs/results.csv: both presets, the features of networks, both
+together with HOG, and five baselines on every data set, with and without the steps after the
+descriptor.
 
     .venv/bin/python scripts/pages/results.py --data ../shared/data
 
-The data sets are those of `_described.py`. On one thread, describing takes about an hour, half of
-it for CoHOG. Descriptors are cached in `--cache`. The page takes ten minutes more.
+The data sets are those of `_described.py`. On one thread, describing takes about two hours, most of
+it for CoHOG and LoST-X. Descriptors are cached in `--cache`. The page takes ten minutes more.
 """
 
 from __future__ import annotations
@@ -18,7 +19,18 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from _described import FIGURES, METHODS, OF_PICTURES, Condition, Described, all_conditions, decide
+from _described import (
+    ALONE,
+    FIGURES,
+    METHODS,
+    OF_NETWORKS,
+    OF_PICTURES,
+    OURS,
+    Condition,
+    Described,
+    all_conditions,
+    decide,
+)
 from _markdown import head_row, paragraph, row, write
 from conditions import CITY_FRAMES, CITY_SEEDS, METRES, RESAMPLES
 from matplotlib.axes import Axes
@@ -33,7 +45,7 @@ from ssrvlad_torch.taxonomy import label_space
 WAYS = {"single frames": AS_PAPER, "with the steps": Steps()}
 DATASETS = ("City", "CamVid", "UofA", "Gardens Point")
 REACHES = (1, 3)
-GRID, OURS = "label grid", "SSR-VLAD, default"
+GRID = "label grid"
 PICTURED = {
     "City": ("noise 4", "all together"),
     "CamVid": ("espnetv2 -> espnetv2", "dicenet -> espnetv2"),
@@ -43,7 +55,10 @@ PICTURED = {
 """Conditions whose matches are drawn; both drives of each have one label space. Pictures of real
 data are written beside the cache, because their licence does not allow to publish them."""
 
-SHADES = ("#7f7f7f", "#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e")
+SHADES = (
+    *("#7f7f7f", "#d62728", "#1f77b4", "#2ca02c", "#9467bd", "#ff7f0e"),
+    *("#17becf", "#bcbd22", "#000000"),
+)
 COLOURS = dict(zip(METHODS, SHADES, strict=True))
 
 Row = dict[str, tuple[float, float, float]]
@@ -61,18 +76,24 @@ bootstrap intervals over the queries ({RESAMPLES} resamples).
 | `paper` | label maps | SSR-VLAD |
 | `default` | label maps | our descriptor |
 | label grid | label maps | the fractions of the eight categories in a 6 x 10 grid |
+| features | pictures, and the network that labels them | what its encoder sees, 2 kB |
+| together | the same | `default`, features and HOG fused: what `encode` stores of pictures |
 | HOG, CoHOG, tiny image | pictures, which the city does not have | baselines |
+| LoST-X | pictures and the network, of which it takes the last of the encoder | a baseline |
 
 Each method is measured twice: *single frames*, and *with the steps* that `query` and `evaluate`
 take by default: standardise, sweep, follow offline ([explained here](recognition.md)). Each method
-gets the steps that it can take: CoHOG and tiny image have no vectors to standardise, and only
-`default` has anchors to sweep.
+gets the steps that it can take: CoHOG, LoST-X and tiny image have no vectors to standardise, and
+only `default` and features can be swept.
+
+Single frames of features and together are what `locate` does: a query is also moved to both sides.
 
 - *City*: {len(CITY_SEEDS)} synthetic cities, {CITY_FRAMES} frames a drive; a true match is within
   {METRES:g} m.
 - *CamVid*: odd frames of two drives are queries, even frames are references; hand-made labels and
   two networks trained on other data. The car stops for about 90 frames, which show one place; all
-  frames of a stop are true matches of each other.
+  frames of a stop are true matches of each other. Methods of a network have only espnetv2 ->
+  espnetv2.
 - *UofA*: a campus path, evening against day. *Gardens Point*: a walk on the left side of a path,
   on the right side, and at night. The label maps come from two networks trained on other data and
   are poor. The frames correspond one to one at nearly equal speeds, which makes following easier.
@@ -102,10 +123,11 @@ def measure(described: Described) -> Measured:
     measured: Measured = {}
     for condition in all_conditions(described):
         for method in METHODS:
-            if method in OF_PICTURES and not condition.has_pictures:
+            if not condition.suits(method):
                 continue
             for way, steps in WAYS.items():
-                found = decide(described, condition, method, steps)
+                alone = way == "single frames" and method in OF_NETWORKS
+                found = decide(described, condition, method, ALONE if alone else steps)
                 measured[condition.dataset, condition.name, method, way] = found.figures()
         print(f"{condition.dataset}: {condition.name}", flush=True)
     return measured
