@@ -74,7 +74,8 @@ def refused(ssrvlad, *arguments):
 
 def test_features_are_stored_by_default(town, photos, ssrvlad):
     database, segmenter = Database.open(town), Segmenter.load(photos / "net.yaml")
-    assert database.beside == (segmenter.features.descriptor,)
+    assert [each.name for each in database.beside] == ["features", "hog"]
+    assert database.beside[0] == segmenter.features.descriptor
     assert database.beside[0].cells == SHAPE
     stored = database.load().beside["features"]
     said = segmenter.segment(pictures_of(photos / "monday"), features=True)
@@ -85,13 +86,11 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
     code, out, _ = ssrvlad(*again)
     assert code == 0
     assert "32 frames encoded" in out and "32 already there" in out
-    for option, names in (("none", set()), ("hog", {"hog"})):
+    for option in ("none", "hog", "features"):
         given, other = (*network, "--with", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
-        assert {each.name for each in Database.open(other).beside} == names
-    given = ("--with", "features", "--with", "hog", *network)
-    assert ssrvlad("encode", photos / "monday", "-o", photos / "both", *given)[0] == 0
-    assert [each.name for each in Database.open(photos / "both").beside] == ["features", "hog"]
+        stored = [each.name for each in Database.open(other).beside]
+        assert stored == ([] if option == "none" else [option])
 
 
 def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs):
@@ -117,13 +116,13 @@ def test_queries_use_features(town, photos, ssrvlad):
         if not fuse:
             firsts = [line["candidates"][0]["frame"] for line in lines]
             assert firsts == [line["query"].replace("today", "monday") for line in lines]
-    assert found == {(): {"ssr-vlad", "features"}, ("--no-fuse",): set()}
+    assert found == {(): {"ssr-vlad", "features", "hog"}, ("--no-fuse",): set()}
     code, out, _ = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
     assert code == 0
     assert out.startswith("today/7: monday/7, fused score ")
     _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
     weights = json.loads(out.splitlines()[0])["steps"]["weights"]["monday"]
-    assert weights.keys() == {"ssr-vlad", "features"}
+    assert weights.keys() == {"ssr-vlad", "features", "hog"}
     line = refused(ssrvlad, *query, "--temporal", "2")
     assert "features are signs, which have no temporal sum; expected --no-fuse" in line
     assert ssrvlad(*query, "--temporal", "2", "--no-fuse")[0] == 0
@@ -150,7 +149,7 @@ def test_loops_use_features(photos, ssrvlad):
     assert code == 0
     assert "features" in out
     database = Database.open(photos / "memory")
-    assert [each.name for each in database.beside] == ["features"]
+    assert [each.name for each in database.beside] == ["features", "hog"]
     code, out, _ = ssrvlad("loops", photos / "today", *network, *memory, "--json")
     results = [json.loads(line) for line in out.splitlines()]
     assert code == 0 and len(results) == 32
@@ -190,7 +189,7 @@ def test_a_network_without_features(photos, ssrvlad):
     code, _, err = ssrvlad(*given, photos / "plain.yaml")
     assert code == 0
     assert len(err) == 1 and "stored without features: " in err[0]
-    assert Database.open(photos / "none").beside == ()
+    assert [each.name for each in Database.open(photos / "none").beside] == ["hog"]
 
 
 @pytest.mark.parametrize(

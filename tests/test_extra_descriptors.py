@@ -224,7 +224,7 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
     assert place.frame == "monday/7"
     found = json.loads(ssrvlad("locate", photos / "today" / "7.png", "--in", town, "--json")[1])
     assert (place.score, place.confidence) == pytest.approx((found["score"], found["confidence"]))
-    alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone")
+    alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside=["none"])
     assert alone.database.beside == ()
     with pytest.raises(ValueError, match="has no descriptors by hog"):
         Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside=["hog"])
@@ -254,7 +254,8 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     assert "--with hog needs images as SOURCE and --segmenter" in message
     assert not plain.exists()
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
-    assert ssrvlad("encode", photos / "today", "-o", plain, *network)[0] == 0
+    alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
+    assert ssrvlad(*alone)[0] == 0
     message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in message
     message = refused("query", plain, photos / "today", *network, "--fuse")

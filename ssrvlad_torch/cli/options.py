@@ -62,8 +62,8 @@ With = Annotated[
         metavar="features|hog|none",
         help="Also describe each image by this method; recognition then uses all. features: by "
         "what the encoder of the network sees, in the pass that labels the image. Can be repeated; "
-        "needs --segmenter. Default: features if the network has them. A database has these "
-        "descriptors from its first frame on, or never.",
+        "needs --segmenter. Default: both, or hog if the network has no features. A database has "
+        "these descriptors from its first frame on, or never.",
     ),
 ]
 Workers = Annotated[int, typer.Option(min=1, help="Threads that read ahead.")]

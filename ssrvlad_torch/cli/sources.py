@@ -20,7 +20,7 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..encoding.extra_descriptors import extra_descriptors, problem_of_features
+from ..encoding.extra_descriptors import FEATURES, extra_descriptors, problem_of_features
 from ..localiser import origin_of, require_network
 from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
@@ -144,7 +144,7 @@ class Source:
         if names is None and not new:
             return []
         found = extra_descriptors(names, segmenter)
-        if names is None and segmenter and not found:
+        if names is None and segmenter and FEATURES not in {each.name for each in found}:
             note(f"stored without features: {problem_of_features(segmenter)}")
         return found
 

@@ -21,7 +21,7 @@ def extra_descriptors(
 
     Args:
         names: ``features``, of the network that labels the pictures; ``hog``; or ``none`` alone.
-            ``None`` is `FEATURES` if the network has them.
+            ``None`` is both, without features if the network has none.
         segmenter: labels the pictures; without it there are no pictures.
 
     Raises:
@@ -30,8 +30,9 @@ def extra_descriptors(
     if isinstance(names, str):
         raise ValueError(f"expected a list of methods of pictures, got the text {names!r}")
     if names is None:
-        has_features = segmenter and not problem_of_features(segmenter)
-        return [_of(FEATURES, segmenter)] if has_features else []
+        if segmenter is None:
+            return []
+        names = [HOG.name] if problem_of_features(segmenter) else [FEATURES, HOG.name]
     if NONE in names:
         if len(names) > 1:
             raise ValueError(f"expected {NONE} alone, got {', '.join(names)}")
