@@ -20,8 +20,9 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..encoding.extra_descriptors import FEATURES, extra_descriptors, problem_of_features
+from ..encoding.extra_descriptors import extra_descriptors, problem_of_features
 from ..localiser import origin_of, require_network
+from ..segmentation.features import NAME as FEATURES
 from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace

@@ -47,7 +47,7 @@ def encode(
 
     \b
     Example: ssrvlad encode photos/monday -o both.ssrdb --segmenter seg.yaml \\
-    --labels-as cityscapes-trainids --with hog
+    --labels-as cityscapes-trainids
     """
     from ...database.database import Database
     from ..sources import Source

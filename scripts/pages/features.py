@@ -1,0 +1,312 @@
+#!/usr/bin/env python3
+"""Writes docs/features.md: how features are stored, and what else was tried.
+
+    .venv/bin/python scripts/pages/features.py --data ../shared/data
+
+The folder holds `uofa`, `gardens_walk` and `networks`, as for `_described.py`. The activations of
+both networks are averaged in 24 x 32 cells and cached in `--cache`, 1 GB: 20 minutes on one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache, partial
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from _described import LAST, NETWORKS, REAL, Described, real
+from _markdown import head_row, row, write
+from torch import Tensor
+
+from ssrvlad_torch.datasets.image_files import decode_image
+
+FINE = (24, 32)
+GRID = (12, 16)
+ROUTES = {name: route for routes in REAL.values() for name, route in routes.items()}
+SIDES = (-2, -1, 0, 1, 2)
+HALVES = ("first", "second")
+
+HEAD = f"""# Features
+
+Written by `scripts/pages/features.py`. What the encoder of a segmentation network sees says more
+about a place than its labels, and the network has computed it already. How a picture becomes 2048
+bytes:
+
+1. The last activation of the encoder at stride 8, or at half the coarsest stride if that is finer,
+   is averaged in 16 x 16 cells.
+2. Each channel is normalised over the cells of its own picture: mean off, divided by the deviation.
+3. 64 random projections of each cell keep their signs. Each row of cells has its own projections,
+   and all columns of a row share them: moved or mirrored pictures have moved or mirrored signs.
+
+The score is the cosine of signs, over the columns that overlap, for the best of five moves by up to
+two columns. `stages.features` and `recognition.signs` do this.
+
+The tables show RecallRate@1 of single pictures, one line for each network. *Own means off*
+subtracts the mean of each traverse. *First* and *second* are means over the four conditions, each
+half of a traverse searched in the same half of the other: choices were made on the first half with
+ESPNetv2, the others check them. Activations are averages in {FINE[0]} x {FINE[1]} cells, so figures
+differ a little from those of [fusion](fusion.md).
+"""
+
+STORED = """## What is stored
+
+Floats of 12 x 16 cells take 200 kB a picture and more; all other lines are 2 kB or less. The line
+of the last activation of the encoder says why an earlier one is taken. Where all cells share their
+projections, luck decides: three draws.
+"""
+
+TRIED = """## What was tried
+
+Floats of 12 x 16 cells, one change in each line. Moves and instance norm are needed. Of the rest
+nothing gains everywhere: weights of cells by their spread on the map gain 0.01 on floats, and
+nothing on signs; row means off help in the evening and harm at night.
+"""
+
+Activations = Callable[[str, str], Tensor]
+Scores = Callable[[Tensor, Tensor], Tensor]
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--data", type=Path, required=True)
+    arguments.add_argument("--output", type=Path, default=Path("docs/features.md"))
+    arguments.add_argument("--cache", type=Path, default=Path(".cache/activations"))
+    options = arguments.parse_args()
+    torch.set_num_threads(1)
+    options.cache.mkdir(parents=True, exist_ok=True)
+    write(options.output, "\n".join(page(partial(pooled, options.data, options.cache))) + "\n")
+
+
+def page(known: Callable[[str, str, str], Tensor]) -> Iterator[str]:
+    yield HEAD
+    ways = ("raw", "own means off")
+    names = [f"{way}, {name}" for way, name in product(ways, (*ROUTES, *HALVES))]
+    floats = partial(cells, known, "fine")
+    yield STORED
+    yield from head_row("form", "network", *names)
+    yield from lines("floats, 12 x 16", floats, best_move)
+    last = partial(cells, known, "last")
+    yield from lines("floats, 12 x 16, last of the encoder", last, best_move)
+    for (rows, columns), bits in (((16, 16), 64), ((12, 16), 85), ((8, 16), 128), ((6, 8), 341)):
+        form = f"{rows} x {columns} cells, {bits} signs"
+        yield from lines(form, signs(known, (rows, columns), bits, True), best_move)
+    yield from lines("12 x 16 cells, 42 signs", signs(known, GRID, 42, True), best_move)
+    for draw in range(3):
+        shared = signs(known, GRID, 85, False, draw)
+        yield from lines("12 x 16 cells, 85 signs, shared projections", shared, best_move)
+    yield ""
+    yield TRIED
+    yield from head_row("change", "network", *names)
+    for change, activations, score in tries(known):
+        yield from lines(change, activations, score)
+    yield ""
+
+
+def tries(
+    known: Callable[[str, str, str], Tensor],
+) -> Iterator[tuple[str, Activations, Scores]]:
+    """Each change, with its cells and its scores."""
+    floats = partial(cells, known, "fine")
+    yield "none", floats, best_move
+    yield "no move", floats, partial(best_move, moves=(0,))
+    yield "moves of 3 columns", floats, partial(best_move, moves=range(-3, 4))
+    yield "also a row up and down", floats, partial(best_move, rows=(-1, 0, 1))
+    yield "a move costs 0.01 a column", floats, partial(best_move, cost=0.01)
+    yield "zero outside the picture", floats, zero_outside
+    yield "scales 0.88, 1, 1.14", floats, scaled
+    yield "no instance norm", partial(cells, known, "fine", norm=False), best_move
+    yield "row means off", partial(cells, known, "fine", row_mean=1.0), best_move
+    yield "half of the row means off", partial(cells, known, "fine", row_mean=0.5), best_move
+    yield "mean of the map off both", floats, map_mean_off
+    yield "cells weighed by their spread", floats, by_spread
+    yield "32 principal components of the map", floats, principal
+    yield "cells of 24 x 32", partial(cells, known, "fine", grid=FINE), best_move
+    for rings, sectors in ((5, 12), (8, 24)):
+        name = f"{rings} rings x {sectors} sectors around five anchors"
+        yield name, partial(log_polar, known, rings, sectors), by_anchor
+
+
+def lines(name: str, activations: Activations, score: Scores) -> Iterator[str]:
+    """The rates of all conditions by each network."""
+    for network in NETWORKS:
+        rates = []
+        for standardised in (False, True):
+            found = [
+                rates_of(activations, network, *route, standardised, score)
+                for route in ROUTES.values()
+            ]
+            whole, *halves = zip(*found, strict=True)
+            rates += [f"{rate:.2f}" for rate in whole] + [f"{np.mean(h):.3f}" for h in halves]
+        yield row(name, network, *rates)
+        print(name, network, flush=True)
+
+
+def rates_of(
+    activations: Activations,
+    network: str,
+    queries: str,
+    references: str,
+    reach: int,
+    standardised: bool,
+    score: Scores,
+) -> list[float]:
+    """RecallRate@1 of whole traverses, of their first and of their second halves."""
+    here, there = activations(network, queries), activations(network, references)
+    middle, rates = len(here) // 2, []
+    for part in (slice(None), slice(None, middle), slice(middle, None)):
+        q, r = (own_mean_off(x[part]) if standardised else x[part] for x in (here, there))
+        rows = score(q, r).argmax(1)
+        rates.append(float(((rows - torch.arange(len(q))).abs() <= reach).float().mean()))
+    return rates
+
+
+def own_mean_off(grids: Tensor) -> Tensor:
+    return grids - grids.mean(0)
+
+
+@cache
+def pooled(data: Path, folder: Path, network: str, which: str, drive: str) -> Tensor:
+    """``(N, C, 24, 32)`` of the ``fine`` activation of the rule, or the ``last`` of the encoder."""
+    file = folder / f"{network} {drive.replace('/', ' ')} {which}.pt"
+    if not file.exists():
+        last = LAST[network] if which == "last" else None
+        segmenter = Described(data, folder).segmenter(network, last)
+        names, found = segmenter.features.names, []
+        for path in real(data / drive, network).pictures:
+            picture = torch.from_numpy(decode_image(path.read_bytes()))[None]
+            with torch.inference_mode():
+                _, [activation] = segmenter.labels.run(picture, names)
+            found.append(F.adaptive_avg_pool2d(activation, FINE).half())
+        torch.save(torch.cat(found), file)
+    loaded: Tensor = torch.load(file)
+    return loaded
+
+
+def cells(
+    known: Callable[[str, str, str], Tensor],
+    which: str,
+    network: str,
+    drive: str,
+    grid: tuple[int, int] = GRID,
+    norm: bool = True,
+    row_mean: float = 0.0,
+) -> Tensor:
+    """``(N, C, rows, columns)``, cells of length 1."""
+    grids = F.adaptive_avg_pool2d(known(network, which, drive).float(), grid)
+    grids = instance_norm(grids) if norm else grids
+    return F.normalize(grids - row_mean * grids.mean(3, keepdim=True), dim=1)
+
+
+def instance_norm(grids: Tensor) -> Tensor:
+    centred = grids - grids.mean((2, 3), keepdim=True)
+    return centred / centred.square().mean((2, 3), keepdim=True).sqrt().clamp(min=1e-6)
+
+
+def signs(
+    known: Callable[[str, str, str], Tensor],
+    grid: tuple[int, int],
+    bits: int,
+    by_row: bool,
+    seed: int = 0,
+) -> Activations:
+    """Signs of random projections, of each row its own or of all the same."""
+
+    def of(network: str, drive: str) -> Tensor:
+        grids = cells(known, "fine", network, drive, grid)
+        random = torch.Generator().manual_seed(seed)
+        shape = (grid[0] if by_row else 1, bits, grids.shape[1])
+        chosen = torch.randint(0, 2, shape, generator=random).float() * 2 - 1
+        projected = torch.einsum("nchw,hbc->nbhw", grids, chosen.expand(grid[0], -1, -1))
+        return torch.where(projected > 0, 1.0, -1.0)
+
+    return of
+
+
+def best_move(
+    queries: Tensor,
+    references: Tensor,
+    moves: Sequence[int] = SIDES,
+    rows: Sequence[int] = (0,),
+    cost: float = 0.0,
+) -> Tensor:
+    """``(Q, R)`` cosines over the cells that overlap, for the best move."""
+    steps = max(1, queries.shape[3] // GRID[1])
+    found = []
+    for move, down in product(moves, rows):
+        here, there = (
+            overlap(overlap(each, sign * move * steps, 3), sign * down, 2).flatten(1)
+            for each, sign in ((queries, 1), (references, -1))
+        )
+        found.append(F.normalize(here) @ F.normalize(there).T - cost * abs(move))
+    return torch.stack(found).amax(0)
+
+
+def overlap(grids: Tensor, move: int, axis: int) -> Tensor:
+    kept = grids.shape[axis] - abs(move)
+    return grids.narrow(axis, max(0, move), kept)
+
+
+def zero_outside(queries: Tensor, references: Tensor) -> Tensor:
+    there = F.normalize(references.flatten(1)).T
+    moved = [F.pad(overlap(queries, m, 3), (max(0, -m), max(0, m))) for m in SIDES]
+    length = queries.flatten(1).norm(dim=1, keepdim=True)
+    return torch.stack([each.flatten(1) @ there / length for each in moved]).amax(0)
+
+
+def scaled(queries: Tensor, references: Tensor) -> Tensor:
+    found = []
+    for scale in (0.88, 1.0, 1.14):
+        turn = torch.tensor([[1 / scale, 0, 0], [0, 1 / scale, 0]]).expand(len(queries), 2, 3)
+        places = F.affine_grid(turn, list(queries.shape), align_corners=False)
+        found.append(F.grid_sample(queries, places, padding_mode="border", align_corners=False))
+    return torch.stack([best_move(each, references) for each in found]).amax(0)
+
+
+def map_mean_off(queries: Tensor, references: Tensor) -> Tensor:
+    mean = references.mean(0)
+    return best_move(queries - mean, references - mean)
+
+
+def by_spread(queries: Tensor, references: Tensor) -> Tensor:
+    spread = (references - references.mean(0)).square().sum(1).mean(0)
+    return best_move(queries, references * spread)
+
+
+def principal(queries: Tensor, references: Tensor, count: int = 32) -> Tensor:
+    numbers = references.transpose(0, 1).flatten(1)
+    centred = numbers - numbers.mean(1, keepdim=True)
+    _, axes = torch.linalg.eigh(centred @ centred.T)
+    chosen = axes[:, -count:]
+    return best_move(*(torch.einsum("nchw,ck->nkhw", x, chosen) for x in (queries, references)))
+
+
+def log_polar(
+    known: Callable[[str, str, str], Tensor], rings: int, sectors: int, network: str, drive: str
+) -> Tensor:
+    """``(N, C, anchors, bins)``: means over rings and sectors around five columns."""
+    grids = instance_norm(known(network, "fine", drive).float())
+    y, x = (torch.arange(n).add(0.5).div(n).sub(0.5) for n in FINE)
+    found = []
+    for side in SIDES:
+        across, down = torch.meshgrid(4 * (x - side / GRID[1]), 3 * y, indexing="xy")
+        turn = torch.atan2(down, across).div(2 * torch.pi).remainder(1)
+        ring = torch.log2(torch.hypot(across, down) / 2.5).add(rings).floor().clamp(0, rings - 1)
+        bins = (ring * sectors + turn.mul(sectors).floor().clamp(max=sectors - 1)).long().flatten()
+        member = F.one_hot(bins, rings * sectors).float()
+        found.append(F.normalize(grids.flatten(2) @ (member / member.sum(0).clamp(min=1)), dim=1))
+    return torch.stack(found, 2)
+
+
+def by_anchor(queries: Tensor, references: Tensor) -> Tensor:
+    """The best anchor of a query against the middle one of the references."""
+    there = F.normalize(references[:, :, len(SIDES) // 2].flatten(1)).T
+    anchors = queries.unbind(2)
+    return torch.stack([F.normalize(each.flatten(1)) @ there for each in anchors]).amax(0)
+
+
+if __name__ == "__main__":
+    main()
