@@ -331,7 +331,7 @@ def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
     labels = np.asarray(Image.open(files[0]))
     shape, path = (1, *labels.shape), tmp_path / "fixed.onnx"
     config = SSRVLADConfig(labels_as="camvid-11")
-    export_head(config, path, "labels", "int32", (), "arithmetic", shape)
+    export_head(config, path, "labels", "int32", (), shape)
     got = script.Model(path).describe(files[0])
     np.testing.assert_allclose(got, SSRVLAD(config)(labels[None])[0], rtol=0, atol=1e-6)
     np.save(tmp_path / "other.npy", labels[:-1])
