@@ -120,7 +120,7 @@ def test_wrong_use_is_one_line(place, town, tmp_path):
 def test_a_file_of_fixed_size_takes_no_other(place, town, tmp_path):
     labels = np.load(tmp_path / "map.npy")
     fixed = tmp_path / "fixed.onnx"
-    export_head(CONFIG, fixed, "labels", "int32", (), "arithmetic", (1, *labels.shape))
+    export_head(CONFIG, fixed, "labels", "int32", (), (1, *labels.shape))
     for name, ids in {"same": labels, "other": labels[:, 1:]}.items():
         np.save(tmp_path / f"{name}.npy", ids.astype(np.int32))
     code, lines, _ = place(fixed, tmp_path / "same.npy", tmp_path / "town.npy", 1)

@@ -232,7 +232,7 @@ def test_a_file_of_fixed_size_takes_no_other(page, site, tmp_path):
     file = files_of(site)[0]
     height, width = np.asarray(Image.open(file)).shape
     shape = (1, height, width)
-    export_head(CONFIGS["default"], site / "fixed.onnx", "labels", "int32", (), "arithmetic", shape)
+    export_head(CONFIGS["default"], site / "fixed.onnx", "labels", "int32", (), shape)
     Image.fromarray(np.zeros((6, 9), np.uint8)).save(tmp_path / "other.png")
     open_page(page, "?model=fixed.onnx", "document.getElementById('golden').value")
     found = described(page, site, "fixed", file)

@@ -16,15 +16,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from .trace import OPSET
+
 if TYPE_CHECKING:
     import onnx
     import onnx_ir as ir
 
 Form = tuple[str, Sequence[int | str]]
 """Dtype and shape of an input or output; an axis with a name is dynamic."""
-
-OPSET = 18
-"""The first opset with bitwise operators."""
 
 
 class Symbol:
@@ -201,13 +200,6 @@ class Graph:
             value = self._builders[0].initializer(ir.tensor(array, name=name), name, qualify=False)
             self._tables[key] = Symbol(self, value)
         return self._tables[key]
-
-    def sparse_constant(self, table: npt.NDArray[Any]) -> Symbol:
-        """A constant table, of which the graph stores only the entries that are not zero."""
-        index = np.flatnonzero(table)
-        zeros = self.full([table.size], 0, table.dtype.name)
-        entries = self.constant(index), self.constant(table.ravel()[index])
-        return self.ScatterElements(zeros, *entries, axis=0).reshape(*table.shape)
 
     def vector(self, *numbers: Symbol | int) -> Symbol:
         """``(n,)`` int64, the dtype of shapes: numbers and ``()`` or ``(m,)`` symbols,
