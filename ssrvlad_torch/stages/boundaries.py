@@ -44,7 +44,7 @@ def boundaries(numbers: Tensor) -> Tensor:
     rows, columns = (_interior(length, numbers.device) for length in numbers.shape[1:])
     index = (code * (rows[:, None] * columns)).to(torch.int64)  # the same layer all around
     table = torch.tensor(_table(), dtype=real(), device=numbers.device)
-    found: Tensor = table.index_select(0, index.flatten()).unflatten(0, index.shape)  # type: ignore[no-untyped-call]
+    found: Tensor = table.index_select(0, index.flatten()).unflatten(0, index.shape)
     return found.permute(0, 3, 1, 2)
 
 

@@ -120,5 +120,5 @@ def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped
 def _summed(numbers: Tensor, side: Grouped) -> Tensor:
     """``(B, pixels, n)`` -> ``(B, cells * groups, n)``, the sums over each group."""
     parts = numbers.index_select(1, side.pixels.flatten())
-    grouped: Tensor = parts.unflatten(1, side.pixels.shape)  # type: ignore[no-untyped-call]
+    grouped: Tensor = parts.unflatten(1, side.pixels.shape)
     return (grouped * side.inside[..., None].float()).sum(2)
