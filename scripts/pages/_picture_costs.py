@@ -1,4 +1,4 @@
-"""The time from a picture to its descriptor: file, network and head."""
+"""The time from a picture to its descriptors: file, network, head, features and HOG."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ import torch
 from _markdown import head_row, paragraph, row
 
 from ssrvlad_torch import SSRVLAD, Segmenter
+from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.cli.bench import Timing, time_in_turn
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.deployment.fuse import fuse
@@ -21,7 +23,7 @@ from ssrvlad_torch.onnx_files import open_session
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
-PARTS = ("decoded", "prepared", "network", "class and size", "head")
+PARTS = ("decoded", "prepared", "network", "class and size", "head", "features", "HOG")
 PICTURES = 8
 
 
@@ -35,7 +37,7 @@ def pictures_section(
         return
     pictures = pictures[:: len(pictures) // PICTURES][:PICTURES]
     yield paragraph(
-        f"Milliseconds per picture from a JPEG of CamVid to the descriptor of `default`, for "
+        f"Milliseconds per picture from a JPEG of CamVid to `default`, features and HOG, for "
         f"{PICTURES} pictures one by one. The networks run in ONNX Runtime on {os.cpu_count()} "
         "cores, everything else on one. The parts are timed within the whole; in brackets is their "
         "fraction of it. The fused file is network and head in one ONNX graph."
@@ -75,6 +77,7 @@ def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[fl
     """Seconds of each of `PARTS`, of all pictures."""
     labels, network = segmenter.labels, segmenter.network
     assert isinstance(network, OnnxNetwork)
+    features, hog = segmenter.features, HOG()
     taken = [0.0] * len(PARTS)
     for picture in pictures:
         marks = [time.perf_counter()]
@@ -82,12 +85,16 @@ def _parts(segmenter: Segmenter, head: SSRVLAD, pictures: list[Path]) -> list[fl
         marks.append(time.perf_counter())
         numbers = labels.preparation(torch.from_numpy(pixels)[None])
         marks.append(time.perf_counter())
-        result = network(numbers, names=[labels.config.output])
+        result = network(numbers, names=[labels.config.output, *features.names])
         marks.append(time.perf_counter())
         scores = labels.scores_of(next(iter(result.values())), numbers)
         found = enlarged(classes_of(scores), *pixels.shape[:2])
         marks.append(time.perf_counter())
         head(found)
+        marks.append(time.perf_counter())
+        features([result[name] for name in features.names])
+        marks.append(time.perf_counter())
+        hog.encode_query([Frame("picture", image=pixels)])
         marks.append(time.perf_counter())
         taken = [sum(pair) for pair in zip(taken, np.diff(marks).tolist(), strict=True)]
     return taken
