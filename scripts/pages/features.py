@@ -23,6 +23,7 @@ from _markdown import head_row, row, write
 from torch import Tensor
 
 from ssrvlad_torch.datasets.image_files import decode_image
+from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 FINE = (24, 32)
 GRID = (12, 16)
@@ -78,10 +79,11 @@ def main() -> None:
     options = arguments.parse_args()
     torch.set_num_threads(1)
     options.cache.mkdir(parents=True, exist_ok=True)
-    write(options.output, "\n".join(page(partial(pooled, options.data, options.cache))) + "\n")
+    known = partial(pooled, options.data, options.cache)
+    write(options.output, "\n".join(page(known, options.data)) + "\n")
 
 
-def page(known: Callable[[str, str, str], Tensor]) -> Iterator[str]:
+def page(known: Callable[[str, str, str], Tensor], data: Path) -> Iterator[str]:
     yield HEAD
     ways = ("raw", "own means off")
     names = [f"{way}, {name}" for way, name in product(ways, (*ROUTES, *HALVES))]
@@ -101,13 +103,13 @@ def page(known: Callable[[str, str, str], Tensor]) -> Iterator[str]:
     yield ""
     yield TRIED
     yield from head_row("change", "network", *names)
-    for change, activations, score in tries(known):
+    for change, activations, score in tries(known, data):
         yield from lines(change, activations, score)
     yield ""
 
 
 def tries(
-    known: Callable[[str, str, str], Tensor],
+    known: Callable[[str, str, str], Tensor], data: Path
 ) -> Iterator[tuple[str, Activations, Scores]]:
     """Each change, with its cells and its scores."""
     floats = partial(cells, known, "fine")
@@ -128,6 +130,8 @@ def tries(
     for rings, sectors in ((5, 12), (8, 24)):
         name = f"{rings} rings x {sectors} sectors around five anchors"
         yield name, partial(log_polar, known, rings, sectors), by_anchor
+    name = "3 rings x 8 sectors around the centre of each category"
+    yield name, partial(by_category, known, data, 3, 8), partial(best_move, moves=(0,))
 
 
 def lines(name: str, activations: Activations, score: Scores) -> Iterator[str]:
@@ -289,16 +293,51 @@ def log_polar(
 ) -> Tensor:
     """``(N, C, anchors, bins)``: means over rings and sectors around five columns."""
     grids = instance_norm(known(network, "fine", drive).float())
-    y, x = (torch.arange(n).add(0.5).div(n).sub(0.5) for n in FINE)
+    down, across = places()
     found = []
     for side in SIDES:
-        across, down = torch.meshgrid(4 * (x - side / GRID[1]), 3 * y, indexing="xy")
-        turn = torch.atan2(down, across).div(2 * torch.pi).remainder(1)
-        ring = torch.log2(torch.hypot(across, down) / 2.5).add(rings).floor().clamp(0, rings - 1)
-        bins = (ring * sectors + turn.mul(sectors).floor().clamp(max=sectors - 1)).long().flatten()
-        member = F.one_hot(bins, rings * sectors).float()
+        member = bins_of(down, across - 4 * side / GRID[1], rings, sectors)
         found.append(F.normalize(grids.flatten(2) @ (member / member.sum(0).clamp(min=1)), dim=1))
     return torch.stack(found, 2)
+
+
+def by_category(
+    known: Callable[[str, str, str], Tensor],
+    data: Path,
+    rings: int,
+    sectors: int,
+    network: str,
+    drive: str,
+) -> Tensor:
+    """``(N, C, categories, bins)``: as `log_polar`, of the cells of each category around its
+    centre; a bin weighs as the root of its area."""
+    grids = instance_norm(known(network, "fine", drive).float()).flatten(2)
+    seen = real(data / drive, network)
+    space, maps = label_space(seen.labels_as), torch.from_numpy(seen.maps)
+    found = []
+    for category in range(len(CATEGORIES)):
+        ids = [each.id for each in space.classes if each.category == CATEGORIES[category]]
+        mask = F.adaptive_avg_pool2d(torch.isin(maps, torch.tensor(ids))[:, None].float(), FINE)
+        area = mask.sum((1, 2, 3)).clamp(min=1e-6)[:, None, None]
+        away = [each - (mask[:, 0] * each).sum((1, 2), True) / area for each in places()]
+        member = bins_of(*away, rings, sectors) * mask.flatten(1)[..., None]
+        found.append(F.normalize(grids @ member, dim=1) * member.sum(1, True).sqrt())
+    return torch.stack(found, 2)
+
+
+def places() -> tuple[Tensor, Tensor]:
+    """``(24, 32)`` each, how far down and across cells are from the middle."""
+    y, x = (torch.arange(n).add(0.5).div(n).sub(0.5) for n in FINE)
+    down, across = torch.meshgrid(3 * y, 4 * x, indexing="ij")
+    return down, across
+
+
+def bins_of(down: Tensor, across: Tensor, rings: int, sectors: int) -> Tensor:
+    """``(..., cells, rings * sectors)``, the bin of each cell by its offset, as 0 and 1."""
+    turn = torch.atan2(down, across).div(2 * torch.pi).remainder(1)
+    ring = torch.log2(torch.hypot(across, down) / 2.5).add(rings).floor().clamp(0, rings - 1)
+    sector = turn.mul(sectors).floor().clamp(max=sectors - 1)
+    return F.one_hot((ring * sectors + sector).long().flatten(-2), rings * sectors).float()
 
 
 def by_anchor(queries: Tensor, references: Tensor) -> Tensor:
