@@ -48,8 +48,9 @@ two columns. `stages.features` and `recognition.signs` do this.
 
 The tables show RecallRate@1 of single pictures, one line for each network. *Own means off*
 subtracts the mean of each traverse. *First* and *second* are means over the four conditions, each
-half of a traverse searched in the same half of the other: choices were made on the first half with
-ESPNetv2, the others check them. Activations are averages in {FINE[0]} x {FINE[1]} cells, so figures
+half of a traverse searched in the same half of the other. All figures were in view when the form
+was chosen, so none is an independent test of it. Activations are averages in
+{FINE[0]} x {FINE[1]} cells, so figures
 differ a little from those of [fusion](fusion.md).
 """
 

@@ -56,8 +56,8 @@ The tables show RecallRate@1 of `default` (label maps), of features (what the en
 sees, see [features](features.md)), of HOG (pictures), and of their sums:
 
 - The scores of each method are standard deviations from their mean over all references (z-scores).
-- Features count six times and HOG twice as much as label maps. Chosen among thirteen triples on the
-  first halves of the traverses with ESPNetv2, checked on their second halves and on DABNet.
+- Features count six times and HOG twice as much as label maps. Chosen among thirteen triples with
+  the figures of all conditions in view, so these tables are no independent test of the weights.
 - *Against the best* is *together* minus the best of the three members.
 """
 
