@@ -192,8 +192,8 @@ def test_commands_take_videos(ssrvlad, tmp_path):
     town = tmp_path / "town.ssrdb"
     network = ("--segmenter", write_graph(tmp_path / "seg.onnx"), "--labels-as", "camvid-11")
     network = (*network, "--segmenter-cache", tmp_path / "cache")
-    code, _, err = ssrvlad("encode", drive, "-o", town, *network, "--fps", 5)
-    assert (code, err) == (0, [])
+    code, _, err = ssrvlad("encode", drive, "-o", town, *network, "--fps", 5, "--with", "none")
+    assert code == 0 and all("assumed" in line for line in err)
     assert Database.open(town).load().frames == tuple(f"drive/{200_000 * n:010d}" for n in range(5))
     assert ssrvlad("encode", drive, "-o", town, *network)[1].startswith(
         f"{town}: 5 frames encoded (0 of them empty), 5 already there"
@@ -203,7 +203,7 @@ def test_commands_take_videos(ssrvlad, tmp_path):
     )
     assert (code, out.split(",")[0]) == (0, "drive/0000400000: drive/0000400000")
     code, out, _ = ssrvlad("loops", drive, *network, "--exclude", 1)
-    assert (code, out.splitlines()[-2].partition(":")[0]) == (0, "10 frames")
+    assert code == 0 and "10 frames" in [line.partition(":")[0] for line in out.splitlines()]
     code, _, err = ssrvlad("encode", drive, "-o", town, "--labels-as", "camvid-11")
     assert code == 2 and "holds images and no label maps" in err[0]
     maps = tmp_path / "maps"

@@ -23,8 +23,8 @@ import torch.nn.functional as F
 from _described import NETWORKS
 from _halves import DRIVES, ROUTES
 from _markdown import head_row, row, write
+from _searches import by_hog, by_labels, searches
 from conditions import BATCH, CITY_CONDITIONS, METRES, city
-from fusion import by_hog, by_labels, searches
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, follow, standardise
