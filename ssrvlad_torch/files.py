@@ -1,15 +1,217 @@
-"""Files that are written completely or not at all, folders, and one-line error messages."""
+"""Files from outside, read up to a size limit and parsed to plain values; files that are written
+completely or not at all; folders.
+
+Whatever a parser raises on damaged or hostile bytes becomes an `InputError` that names the file.
+"""
 
 from __future__ import annotations
 
 import errno
+import io
+import json
+import math
 import os
 import secrets
-from collections.abc import Iterator
+import stat
+import zipfile
+from collections import Counter
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+import yaml
+from numpy.lib import format as npy
+
+MAX_YAML_BYTES = 1 << 20
+"""Size limit of a YAML file."""
+
+_MAX_BYTES = 256 << 20
+_MAX_PIXELS = 64_000_000
+_MAX_LEVELS = 20
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+class InputError(ValueError):
+    """The content of an untrusted file is invalid."""
+
+
+def check_regular(path: str | os.PathLike[str]) -> None:
+    """Checks that a path, or the target of a link, is a regular file: reading a pipe can block for
+    ever, and a device has no end.
+
+    Raises:
+        InputError: it is a folder, a pipe, a socket or a device.
+        OSError: it does not exist.
+    """
+    mode = Path(path).stat().st_mode
+    if not stat.S_ISREG(mode):
+        kind = next(name for is_kind, name in _KINDS if is_kind(mode))
+        raise InputError(f"{os.fspath(path)} is {kind}; expected a file")
+
+
+def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
+    """The content of a file.
+
+    Args:
+        path: the file.
+        limit: largest size in bytes; by default the environment variable ``SSRVLAD_FILE_LIMIT``,
+            or 256 MiB.
+
+    Raises:
+        InputError: it is larger, or not a regular file.
+        OSError: it cannot be read.
+    """
+    check_regular(path)
+    with Path(path).open("rb") as file:
+        size = os.fstat(file.fileno()).st_size
+        check_size(size, path, limit)
+        return file.read(size)
+
+
+def check_size(size: int, name: object, limit: int | None = None) -> None:
+    """Checks the size of a file in bytes before it is read; ``limit`` as for `read_bytes`.
+
+    Raises:
+        InputError: it is larger.
+    """
+    hint = "" if limit else " (SSRVLAD_FILE_LIMIT)"
+    limit = limit or _limit("SSRVLAD_FILE_LIMIT", _MAX_BYTES)
+    if size > limit:
+        raise InputError(f"{name} has {size} bytes; expected at most {limit}{hint}")
+
+
+def read_text(path: str | os.PathLike[str], limit: int | None = None) -> str:
+    """The text of a UTF-8 file, with or without a byte-order mark; arguments as `read_bytes`."""
+    with input_errors(path, "not UTF-8 text"):
+        return read_bytes(path, limit).decode("utf-8-sig")
+
+
+def read_yaml(path: str | os.PathLike[str]) -> Any:
+    """The document in a YAML file of at most 1 MiB; see `parse_yaml`."""
+    return parse_yaml(read_text(path, MAX_YAML_BYTES), path)
+
+
+def parse_yaml(text: str, name: object) -> Any:
+    """A YAML document as plain values.
+
+    Raises:
+        InputError: it is not YAML, is nested too deeply, or has aliases, with which a short text
+            can expand to a huge one.
+    """
+    with input_errors(name, "not plain YAML"):
+        return yaml.load(text, _PlainLoader)
+
+
+def read_json(path: str | os.PathLike[str]) -> Any:
+    """The value in a JSON file; see `parse_json`."""
+    return parse_json(read_text(path), path)
+
+
+def parse_json(text: str, name: object) -> Any:
+    """A JSON value.
+
+    Raises:
+        InputError: it is not JSON, has a key twice, or is nested too deeply.
+    """
+    with input_errors(name, "not JSON"):
+        return json.loads(text, object_pairs_hook=_without_repeated_keys)
+
+
+def _without_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    mapping = dict(pairs)
+    if len(mapping) < len(pairs):
+        (key, _), *_ = Counter(key for key, _ in pairs).most_common(1)
+        raise ValueError(f"key {key!r} is there more than once")
+    return mapping
+
+
+def parse_npy(content: bytes) -> npt.NDArray[Any]:
+    """The array in the content of a ``.npy`` file.
+
+    Raises:
+        InputError: it is damaged, holds Python objects, or its length does not fit its header.
+    """
+    file = io.BytesIO(content)
+    shape, _, dtype = npy_header(file)
+    expected, size = math.prod(shape) * dtype.itemsize, len(content) - file.tell()
+    if dtype.hasobject:
+        raise InputError("holds Python objects; expected numbers")
+    if size != expected:
+        raise InputError(f"has {size} bytes for an array of shape {shape} {dtype}")
+    return npy.read_array(io.BytesIO(content), allow_pickle=False)
+
+
+def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Shape, Fortran order and dtype in the header of a ``.npy`` file; reads up to its end.
+
+    Raises:
+        ValueError: it is damaged.
+    """
+    version = npy.read_magic(file)
+    read = npy.read_array_header_1_0 if version[0] == 1 else npy.read_array_header_2_0
+    header: tuple[tuple[int, ...], bool, np.dtype[Any]] = read(file)
+    return header
+
+
+def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
+    """The arrays in a ``.npz`` archive by name; their total size has the limit of `read_bytes`.
+
+    Raises:
+        InputError: it is damaged, too large, or holds Python objects.
+    """
+    with input_errors(path, "not a .npz archive"):
+        archive = zipfile.ZipFile(io.BytesIO(read_bytes(path)))
+        entries = archive.infolist()
+        check_size(sum(entry.file_size for entry in entries), f"the content of {path}")
+        return {e.filename.removesuffix(".npy"): parse_npy(archive.read(e)) for e in entries}
+
+
+def check_pixels(height: int, width: int) -> None:
+    """Checks the size of a picture before it is decoded: a small file can hold many pixels.
+
+    Raises:
+        InputError: it has more pixels than the environment variable ``SSRVLAD_PIXEL_LIMIT``, or by
+            default 64 million.
+    """
+    limit = _limit("SSRVLAD_PIXEL_LIMIT", _MAX_PIXELS)
+    if height * width > limit:
+        raise InputError(
+            f"has {height} x {width} pixels; expected at most {limit} (SSRVLAD_PIXEL_LIMIT)"
+        )
+
+
+def parse_number(text: str) -> float:
+    """The number that a text is, also ``nan`` and ``inf``. Unlike `float`, it refuses ``1_000`` and
+    digits of other scripts; both are a ValueError."""
+    if "_" in text or not text.isascii():
+        raise ValueError(f"could not convert string to float: {text!r}")
+    return float(text)
+
+
+def _limit(name: str, default: int) -> int:
+    """The value of an environment variable, or a default."""
+    text = os.environ.get(name) or str(default)
+    if not text.isdecimal():
+        raise InputError(f"the environment variable {name} is {text!r}; expected a whole number")
+    return int(text)
+
+
+@contextmanager
+def input_errors(name: object, problem: str) -> Iterator[None]:
+    """Turns whatever the body raises into an `InputError`: "NAME is PROBLEM: REASON".
+
+    An `InputError` or an `OSError` passes unchanged.
+    """
+    try:
+        yield
+    except (InputError, OSError):
+        raise
+    except Exception as error:  # parsers raise anything on damaged bytes
+        reason = "nested too deeply" if isinstance(error, RecursionError) else one_line(error)
+        raise InputError(f"{name} is {problem}: {reason}") from error
 
 
 def check_output(path: Path) -> Path:
@@ -115,3 +317,30 @@ def _restore(before: Path, path: Path) -> None:
         before.replace(path)
     else:
         path.unlink()
+
+
+class _PlainLoader(yaml.SafeLoader):
+    """Refuses aliases and deep nesting."""
+
+    _level = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        line = self.peek_event().start_mark.line + 1
+        if self.check_event(yaml.AliasEvent):
+            raise yaml.YAMLError(f"an alias in line {line}; expected YAML without aliases")
+        if self._level == _MAX_LEVELS:
+            raise yaml.YAMLError(f"more than {_MAX_LEVELS} levels in line {line}")
+        self._level += 1
+        node: yaml.Node | None = super().compose_node(parent, index)
+        self._level -= 1
+        return node
+
+
+_KINDS: tuple[tuple[Callable[[int], bool], str], ...] = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (lambda _: True, "not a regular file"),
+)

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .untrusted import MAX_YAML_BYTES, parse_yaml, read_text
+from .files import MAX_YAML_BYTES, parse_yaml, read_text
 
 CATEGORIES = (
     "ground",

@@ -2,7 +2,7 @@
 
 import pytest
 
-from ssrvlad_torch.class_names import category_of_name, label_space_of_names
+from ssrvlad_torch.segmentation.class_names import category_of_name, label_space_of_names
 from ssrvlad_torch.taxonomy import label_space, label_space_names
 
 BY_CHOICE = {"Bridge", "Tunnel", "license plate"}

@@ -10,8 +10,8 @@ from segmenting import LABELS, counted, write_photos
 from torch import nn
 
 from ssrvlad_torch.datasets.image_files import find_image_files
-from ssrvlad_torch.onnx_files import external_files
 from ssrvlad_torch.segmentation import segmenter as segmentation
+from ssrvlad_torch.segmentation.onnx_files import external_files
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter

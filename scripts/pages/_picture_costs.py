@@ -19,8 +19,8 @@ from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.cli.bench import Timing, time_in_turn
 from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.deployment.fuse import fuse
-from ssrvlad_torch.onnx_files import open_session
 from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
+from ssrvlad_torch.segmentation.onnx_files import open_session
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 
 PARTS = ("decoded", "prepared", "network", "class and size", "head", "features", "HOG")

@@ -15,10 +15,10 @@ from ..baselines.run import run
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
+from ..files import parse_yaml
 from ..recognition.matching import Matches
 from ..recognition.recognise import Steps
 from ..taxonomy import label_space
-from ..untrusted import parse_yaml
 from .measure import TOP, Recognition
 from .output import progress_bar
 from .sources import LabelsAs

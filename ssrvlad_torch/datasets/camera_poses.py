@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..untrusted import parse_number, read_bytes
+from ..files import parse_number, read_bytes
 from .poses import Pose
 
 

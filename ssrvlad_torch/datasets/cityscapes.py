@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from ..untrusted import read_json
+from ..files import read_json
 from .dataset import Dataset, Layout, Traverse, files_in, folders_in
 from .gps import heading_of_course
 from .image_files import SUFFIXES as IMAGE_SUFFIXES

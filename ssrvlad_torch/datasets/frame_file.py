@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 from numpy.lib.format import open_memmap, write_array
 
-from ..files import one_line
-from ..untrusted import check_size, read_bytes
+from ..files import check_size, one_line, read_bytes
 from .names import absolute
 from .poses import UNKNOWN, Pose
 

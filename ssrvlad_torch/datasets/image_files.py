@@ -13,8 +13,7 @@ import numpy.typing as npt
 from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from ..files import empty_folder, one_line
-from ..untrusted import check_pixels, parse_npy
+from ..files import check_pixels, empty_folder, one_line, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames
 from .utm_names import write_name
 

@@ -13,9 +13,8 @@ from numpy.lib.format import MAGIC_PREFIX
 from PIL import Image, UnidentifiedImageError
 from PIL.ImageFile import ImageFile
 
-from ..files import one_line
+from ..files import check_pixels, one_line, parse_npy
 from ..taxonomy import LabelSpace, palette
-from ..untrusted import check_pixels, parse_npy
 from .frame_files import FileKind, FrameFile, find_frames, is_npy
 
 SUFFIXES = (".png", ".npy", ".tif", ".tiff", ".bmp")

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from ..files import replacing
-from ..untrusted import parse_number, read_text
+from ..files import parse_number, read_text, replacing
 from .gps import Fix, eastings_northings, heading_of_course
 
 FILE_NAME = "poses.csv"

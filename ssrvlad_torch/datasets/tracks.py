@@ -8,8 +8,7 @@ from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
-from ..files import one_line
-from ..untrusted import read_text
+from ..files import one_line, read_text
 from .gps import Fix
 
 SUFFIXES = (".gpx", ".nmea")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..untrusted import parse_number, read_text
+from ..files import parse_number, read_text
 from .camera_poses import Y_DOWN, Z_UP, optical_axis
 from .poses import UNKNOWN, Pose, poses_of_fixes
 from .tracks import SUFFIXES, read_track

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from datetime import UTC, datetime
 
-from ..untrusted import parse_number
+from ..files import parse_number
 from .gps import heading_of_course
 from .poses import UNKNOWN, Pose
 

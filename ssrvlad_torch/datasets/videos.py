@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import one_line
-from ..untrusted import check_pixels
+from ..files import check_pixels, one_line
 from .frame_file import FrameFile
 from .names import absolute
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing
-from ..onnx_files import load_model, save_model
+from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model

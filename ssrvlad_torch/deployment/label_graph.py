@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from ..onnx_files import load_model
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
+from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import Form, Preparation, SegmenterConfig
 from .trace import OPSET, Axes, join, opset, traced, with_opset

@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from .. import __version__
 from ..config import SSRVLADConfig
+from ..files import InputError, input_errors, parse_json
 from ..taxonomy import LabelSpace
-from ..untrusted import InputError, input_errors, parse_json
 
 PREFIX = "ssrvlad."
 

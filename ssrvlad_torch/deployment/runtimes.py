@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..onnx_files import CPU, open_session
+from ..segmentation.onnx_files import CPU, open_session
 
 Arrays = Mapping[str, npt.NDArray[Any]]
 Run = Callable[[Arrays], dict[str, npt.NDArray[Any]]]

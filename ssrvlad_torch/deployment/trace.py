@@ -12,7 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from ..files import one_line
-from ..onnx_files import rename
+from ..segmentation.onnx_files import rename
 
 if TYPE_CHECKING:
     import onnx

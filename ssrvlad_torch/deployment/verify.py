@@ -15,10 +15,9 @@ from ..config import SSRVLADConfig
 from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD, SweepHead
-from ..files import one_line
-from ..onnx_files import CPU, load_model
+from ..files import one_line, parse_json
+from ..segmentation.onnx_files import CPU, load_model
 from ..taxonomy import LabelSpace
-from ..untrusted import parse_json
 from .fuse import HEAD, IMAGE, LABELS, MAX_OTHER_PIXELS, NETWORK, FusedNetwork
 from .golden import CORPUS_SIZES, as_input, corpus, outputs_of
 from .metadata import PREFIX, Metadata

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import one_line
-from ..untrusted import check_regular, npy_header, parse_npy, read_bytes, read_json, read_npz
+from ..files import check_regular, npy_header, one_line, parse_npy, read_bytes, read_json, read_npz
 from .object_arrays import PickledArray, load_object_array
 from .outcomes import Rows
 

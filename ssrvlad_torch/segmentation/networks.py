@@ -15,8 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ..files import one_line
-from ..untrusted import read_yaml
+from ..files import one_line, read_yaml
 from .onnx_network import OnnxNetwork
 from .preparation import SegmenterConfig
 

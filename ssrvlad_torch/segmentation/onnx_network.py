@@ -15,8 +15,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from ..onnx_files import CPU, external_files, open_session
 from .network_outputs import Form
+from .onnx_files import CPU, external_files, open_session
 from .preparation import Form as InputForm
 
 if TYPE_CHECKING:

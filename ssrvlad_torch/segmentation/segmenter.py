@@ -17,15 +17,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from ..class_names import label_space_of_names
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import Pixels, decode_image
 from ..datasets.label_files import LabelMap
 from ..datasets.names import absolute
-from ..files import one_line
+from ..files import check_pixels, one_line
 from ..taxonomy import LabelSpace, label_space
-from ..untrusted import check_pixels
 from .cache import LARGEST, SegmentedCache
+from .class_names import label_space_of_names
 from .features import NetworkFeatures
 from .identity import digest_of
 from .label_network import LabelNetwork

@@ -184,7 +184,7 @@ def truth(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
 def model(folder: Path) -> tuple[list[bytes], str, Callable[[Path], object]]:
     from ssrvlad_torch import SSRVLADConfig, export_head
     from ssrvlad_torch.deployment.metadata import Metadata
-    from ssrvlad_torch.onnx_files import load_model
+    from ssrvlad_torch.segmentation.onnx_files import load_model
 
     config = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
     export_head(config, folder / "a.onnx")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from ...untrusted import read_yaml
+from ...files import read_yaml
 from ..options import NETWORK, Json, argument
 from ..output import print_json, print_table, say
 
@@ -25,7 +25,7 @@ def labels(
 
     Example: ssrvlad labels cityscapes-trainids
     """
-    from ...class_names import category_of_name
+    from ...segmentation.class_names import category_of_name
     from ...segmentation.segmenter import Segmenter
     from ...taxonomy import CATEGORIES, label_space, label_space_names
 

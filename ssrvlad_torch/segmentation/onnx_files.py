@@ -8,8 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from .files import check_output, flush, one_line, replacing
-from .untrusted import InputError, check_regular
+from ..files import InputError, check_output, check_regular, flush, one_line, replacing
 
 if TYPE_CHECKING:
     import onnx

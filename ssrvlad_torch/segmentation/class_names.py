@@ -9,7 +9,7 @@ from importlib import resources
 
 import yaml
 
-from .taxonomy import CATEGORIES, DYNAMIC, VOID, LabelClass, LabelSpace
+from ..taxonomy import CATEGORIES, DYNAMIC, VOID, LabelClass, LabelSpace
 
 _PUNCTUATION = re.compile(r"[^a-z0-9]+")
 _IGNORED_ENDINGS = ("other", "stuff", "merged")
