@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from .segmentation.segmenter import Segmenter as Segmenter
     from .soft.descriptor import SoftSSRVLAD as SoftSSRVLAD
     from .soft.place_loss import multi_similarity as multi_similarity
+    from .soft.surrogate import SurrogateSSRVLAD as SurrogateSSRVLAD
     from .taxonomy import LabelSpace as LabelSpace
 
     __version__: str
@@ -44,6 +45,7 @@ _MODULES = {
     "SSRVLADConfig": "config",
     "Segmenter": "segmentation.segmenter",
     "SoftSSRVLAD": "soft.descriptor",
+    "SurrogateSSRVLAD": "soft.surrogate",
     "encode_to_database": "encoding.encoder",
     "export_head": "deployment.export",
     "follow": "recognition.follow",

@@ -11,18 +11,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from .bitplanes import unpack
 from .config import SSRVLADConfig
-from .explanation import Explanation
+from .explanation import Explanation, explain
 from .front_end import FrontEnd, as_tensor, label_map
 from .native.operator import UnknownIdError, describe, is_built, method_of, operator
-from .soft.descriptor import SoftSSRVLAD
 from .stages import harmonics, residuals
-from .stages.centroid import centre_table, centroids
 from .stages.harmonics import Harmonics
-from .stages.keypoints import end_points, intersections
 from .stages.layers import refuse_unknown
-from .stages.residuals import Residuals, masks_of
+from .stages.residuals import Residuals
 from .taxonomy import LabelSpace
 from .tracing import is_exporting
 
@@ -54,14 +50,12 @@ class SSRVLAD(nn.Module):
     ``torch.export`` keep this operator and do not make it faster. On CUDA, without a built core,
     with ``head.native = False``, or where class scores require a gradient, the stages in torch
     give the same numbers; ``torch.compile`` runs them without compiling and ``torch.export``
-    refuses them. ``torch.jit.trace`` is refused. `export_head` writes the head as an ONNX file.
+    refuses them. Such class scores give a warning, once: they need `SurrogateSSRVLAD`.
+    ``torch.jit.trace`` is refused. `export_head` writes the head as an ONNX file.
     ``copy.deepcopy`` and ``pickle`` keep the settings.
 
     Args:
         config: the settings; the default is the preset ``default``.
-        surrogate: class scores that require a gradient get the gradient of `SoftSSRVLAD`; the
-            numbers stay the same. Not for ``paper``. Without a surrogate, such scores give a
-            warning, once.
 
     Shape:
         - input: ``(B, H, W)`` label ids of any integer dtype, or ``(B, C, H, W)`` floating class
@@ -82,20 +76,19 @@ class SSRVLAD(nn.Module):
         torch.Size([2, 480])
     """
 
-    def __init__(self, config: SSRVLADConfig | None = None, surrogate: bool = False) -> None:
+    def __init__(self, config: SSRVLADConfig | None = None) -> None:
         super().__init__()
         self.config = config or SSRVLADConfig()
         self._front_end = FrontEnd(self.config)
         self._aggregation: Aggregation = AGGREGATIONS[self.config.aggregation](self.config)
-        self._surrogate = SoftSSRVLAD(self.config) if surrogate else None
         self.native = is_built()
         self._method = method_of(self.config)
         self._warned = False
 
     @classmethod
-    def from_preset(cls, preset: str, surrogate: bool = False, **settings: Any) -> SSRVLAD:
+    def from_preset(cls, preset: str, **settings: Any) -> SSRVLAD:
         """The head of a preset, ``"paper"`` or ``"default"``; see `SSRVLADConfig.from_preset`."""
-        return cls(SSRVLADConfig.from_preset(preset, **settings), surrogate)
+        return cls(SSRVLADConfig.from_preset(preset, **settings))
 
     @property
     def label_space(self) -> LabelSpace:
@@ -145,8 +138,10 @@ class SSRVLAD(nn.Module):
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)  # Table II
             histograms = self._aggregation.histograms(layers)  # Eq. 1, d_i and d_c of Eq. 2
-            descriptor = self._aggregation.descriptor(histograms)  # Eq. 2
-            return self._with_gradient(descriptor, labels)
+            if self._requires_gradient(labels) and not self._warned:
+                warnings.warn(_NO_GRADIENT, stacklevel=2)
+                self._warned = True
+            return self._aggregation.descriptor(histograms)  # Eq. 2
 
     def _describe_by_core(self, labels: Tensor) -> Tensor:
         """The descriptors of a batch from the native core: the same numbers."""
@@ -169,20 +164,10 @@ class SSRVLAD(nn.Module):
         labels = as_tensor(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
-            masks = masks_of(layers, self.config)
+            ids, space = label_map(labels, self.label_space), self.label_space
             histograms = self._aggregation.histograms(layers)
-            return Explanation(
-                labels=label_map(labels, self.label_space),
-                label_space=self.label_space,
-                layers=unpack(masks.layers),
-                clean_layers=unpack(masks.clean),
-                skeleton=unpack(masks.skeleton),
-                end_points=unpack(end_points(masks.skeleton)),
-                intersections=unpack(intersections(masks.skeleton)),
-                centres=centre_table(centroids(masks.clean), len(masks.clean)),
-                histograms=histograms,
-                descriptor=self._aggregation.descriptor(histograms),
-            )
+            descriptor = self._aggregation.descriptor(histograms)
+            return explain(ids, space, layers, self.config, histograms, descriptor)
 
     def sweep(self, labels: Tensor | npt.NDArray[Any], columns: Sequence[int]) -> Tensor:
         """Descriptors from several anchors, for a query whose camera may be turned or moved aside.
@@ -213,18 +198,6 @@ class SSRVLAD(nn.Module):
         assert isinstance(self._aggregation, Harmonics)
         histograms = (self._aggregation.histograms(layers, column) for column in columns)
         return torch.stack(list(map(self._aggregation.descriptor, histograms)), dim=1)
-
-    def _with_gradient(self, descriptor: Tensor, scores: Tensor) -> Tensor:
-        """The descriptor, with the gradient of the surrogate if the scores require one."""
-        if not self._requires_gradient(scores):
-            return descriptor
-        if self._surrogate is None:
-            if not self._warned:
-                warnings.warn(_NO_GRADIENT, stacklevel=2)
-            self._warned = True
-            return descriptor
-        soft: Tensor = self._surrogate(scores)
-        return descriptor + (soft - soft.detach()).float()
 
     @staticmethod
     def _requires_gradient(labels: Tensor) -> bool:
@@ -297,6 +270,6 @@ def _checked(columns: Sequence[int]) -> tuple[int, ...]:
 _MAX_COLUMN = 1_000_000
 
 _NO_GRADIENT = (
-    "the class scores require a gradient and SSRVLAD has none: use SSRVLAD(..., surrogate=True) "
-    "to train through it, or scores.detach()"
+    "the class scores require a gradient and SSRVLAD has none: use SurrogateSSRVLAD to train "
+    "through it, or scores.detach()"
 )

@@ -1,65 +1,14 @@
-"""A picture of the method's steps on one image. It needs the extra ``eval`` (matplotlib)."""
+"""Figures of matplotlib (extra ``eval``), and files of them."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-import torch
-from torch import Tensor
-
-from .config import AREA_LAYERS
 from .files import check_output, replacing
-from .stages.boundaries import DIRECTIONS, boundaries
-from .stages.harmonics import HarmonicHistograms
-from .stages.layers import merge
-from .taxonomy import CATEGORIES, NO_LAYER, colourise
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from .explanation import Explanation
-
-_WIDTH, _ROW = 10.0, 3.6
-_ARC_STEPS = 10
-_COLOURS = (
-    "#b58bb5",
-    "#f5a3ee",
-    "#a9a9a9",
-    "#e3c770",
-    "#a9c97b",
-    "#9cc4e4",
-    "#cdbccd",
-    "#fac8be",
-)
-_BOUNDARY = "#555555"
-_TARGET = 0.8
-_HARMONICS = """Below each: its histogram. Rings are distances from the
-vanishing column, sectors directions; dark is where much
-of it lies. Guard rail counts as building, parking as ground."""
-_RESIDUALS = """Below each: its histogram. Rings are distances, sectors
-directions; red is where the keypoints see more skeleton
-than the centre does, blue where they see less (Eq. 2)."""
-
-
-class Cell(NamedTuple):
-    """A layer or a boundary direction with its histogram.
-
-    Attributes:
-        name: of the layer or direction.
-        mask: ``(h, w)`` bool.
-        colour: of the mask.
-        histogram: ``(N, M)``.
-    """
-
-    name: str
-    mask: npt.NDArray[np.bool_]
-    colour: str
-    histogram: npt.NDArray[Any]
 
 
 def require_picture(path: Path) -> None:
@@ -98,150 +47,6 @@ def new_figure(width: float, height: float) -> Figure:
     except ImportError as error:
         raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
     return Figure(figsize=(width, height), layout="constrained")
-
-
-def draw(
-    view: Explanation,
-    image: int = 0,
-    title: str = "",
-    picture: npt.NDArray[np.uint8] | None = None,
-) -> Figure:
-    """See `Explanation.show`."""
-    harmonic = isinstance(view.histograms, HarmonicHistograms)
-    cells = _areas_and_boundaries(view, image) if harmonic else _layers(view, image)
-    columns = len(cells) // 2
-    shown = 2 if picture is None else 3
-    tall = view.layers.shape[2] / view.layers.shape[3]
-    row = _WIDTH * shown / 2 / columns * (tall + _TARGET) + 0.6
-    figure = new_figure(_WIDTH * shown / 2, _ROW + 2 * row)
-    parts: Any = figure.subfigures(3, 1, height_ratios=(_ROW, row, row))
-    top, *rows = parts
-    *photograph, left, right = top.subplots(1, shown)
-    for axes in photograph:
-        axes.imshow(picture)
-        axes.set_title("the picture", size=11)
-        axes.set_axis_off()
-    _draw_labels(left, view, image, title)
-    _draw_legend(right, view, image, harmonic)
-    for part, some in zip(rows, (cells[:columns], cells[columns:]), strict=True):
-        grid = part.add_gridspec(2, columns, height_ratios=(tall, _TARGET))
-        for number, cell in enumerate(some):
-            axes = part.add_subplot(grid[0, number])
-            _draw_mask(axes, cell)
-            if isinstance(view.histograms, HarmonicHistograms):
-                middle = (cell.mask.shape[1] - 1) / 2
-                axes.axvline(middle + int(view.histograms.column[image]), color="tab:red", ls="--")
-            else:
-                _draw_keypoints(axes, view, image, CATEGORIES.index(cell.name))
-            _draw_histogram(part.add_subplot(grid[1, number], polar=True), cell, harmonic)
-    return figure
-
-
-def _layers(view: Explanation, image: int) -> list[Cell]:
-    """The clean layers with their residuals, the numerators of Eq. 2."""
-    counts = view.histograms
-    assert not isinstance(counts, HarmonicHistograms)
-    residuals = (counts.points - counts.counts[..., None, None] * counts.centre)[image].cpu()
-    columns = CATEGORIES, view.clean_layers[image].cpu().numpy(), _COLOURS, residuals.numpy()
-    return [Cell(*each) for each in zip(*columns, strict=True)]
-
-
-def _areas_and_boundaries(view: Explanation, image: int) -> list[Cell]:
-    """Six layers and the boundaries in four directions, with their histograms."""
-    assert isinstance(view.histograms, HarmonicHistograms)
-    masks = view.layers[image].cpu()
-    layer = masks.to(torch.uint8).argmax(0).masked_fill(~masks.any(0), NO_LAYER)
-    numbers = merge(layer[None])
-    areas = [numbers[0] == number for number in range(AREA_LAYERS)]
-    masks = torch.stack([*areas, *boundaries(numbers)[0].bool()])
-    names = (*CATEGORIES[:AREA_LAYERS], *(f"{name} boundaries" for name in DIRECTIONS))
-    colours = (*_COLOURS[:AREA_LAYERS], *(_BOUNDARY for _ in DIRECTIONS))
-    bins = view.histograms.bins[image].cpu().numpy()
-    return [Cell(*each) for each in zip(names, masks.numpy(), colours, bins, strict=True)]
-
-
-def _draw_labels(axes: Axes, view: Explanation, image: int, title: str) -> None:
-    labels = view.labels[image].cpu().numpy()
-    axes.imshow(colourise(labels, view.label_space), interpolation="nearest")
-    size = f"{labels.shape[1]} x {labels.shape[0]} pixels, {view.label_space.name}"
-    axes.set_title(f"{title}\n{size}" if title else size, size=11)
-    axes.set_axis_off()
-
-
-def _draw_legend(axes: Axes, view: Explanation, image: int, harmonic: bool) -> None:
-    """Draws the classes of the label map with their colours, and explains the marks below."""
-    from matplotlib.patches import Patch
-
-    ids = set(np.unique(view.labels[image].cpu().numpy()).tolist())
-    classes = [
-        Patch(color="#{:02x}{:02x}{:02x}".format(*(each.colour or (0, 0, 0))), label=each.name)
-        for each in view.label_space.classes
-        if each.id in ids
-    ]
-    legend = axes.legend(
-        handles=classes, loc="upper left", ncols=3, frameon=False, fontsize=10, handlelength=1
-    )
-    axes.add_artist(legend)
-    axes.legend(
-        handles=_marks(harmonic), loc="center left", ncols=2, frameon=False, fontsize=10,
-        bbox_to_anchor=(0, 0.34),
-    )  # fmt: skip
-    text = _HARMONICS if harmonic else _RESIDUALS
-    axes.text(0, 0, text, transform=axes.transAxes, fontsize=10, va="bottom")
-    axes.set_axis_off()
-
-
-def _marks(harmonic: bool) -> Sequence[Any]:
-    from matplotlib.lines import Line2D
-
-    if harmonic:
-        return [Line2D([], [], color="tab:red", ls="--", label="vanishing column")]
-    dot: dict[str, Any] = {"ls": "", "mec": "black", "mew": 0.5}
-    return [
-        Line2D([], [], color="black", lw=1.5, label="skeleton"),
-        Line2D([], [], marker="o", mfc="tab:red", ms=6, label="end point", **dot),
-        Line2D([], [], marker="s", mfc="tab:blue", ms=6, label="intersection", **dot),
-        Line2D([], [], marker="*", mfc="gold", ms=13, label="centre (Eq. 1)", **dot),
-    ]
-
-
-def _draw_mask(axes: Axes, cell: Cell) -> None:
-    from matplotlib.colors import ListedColormap
-
-    colours = ListedColormap(["white", cell.colour])
-    axes.imshow(cell.mask, cmap=colours, vmin=0, vmax=1, interpolation="nearest")
-    axes.set_title(cell.name if cell.mask.any() else f"{cell.name}: none", size=11)
-    axes.set(xticks=[], yticks=[])
-
-
-def _draw_keypoints(axes: Axes, view: Explanation, image: int, k: int) -> None:
-    def pixels(mask: Tensor) -> tuple[Any, ...]:
-        return mask[image, k].cpu().numpy().nonzero()[::-1]
-
-    axes.plot(*pixels(view.skeleton), ",", color="black")
-    for mask, shape, colour in (
-        (view.end_points, "o", "tab:red"),
-        (view.intersections, "s", "tab:blue"),
-    ):
-        axes.plot(*pixels(mask), shape, mfc=colour, mec="black", mew=0.4, ms=4)
-    y, x = view.centres[image, k].tolist()
-    if y >= 0:
-        axes.plot(x, y, "*", mfc="gold", mec="black", mew=0.6, ms=12)
-
-
-def _draw_histogram(axes: Axes, cell: Cell, harmonic: bool) -> None:
-    rings, sectors = cell.histogram.shape
-    angles = np.linspace(0, 2 * np.pi, sectors * _ARC_STEPS + 1)
-    arcs = cell.histogram.repeat(_ARC_STEPS, axis=1)
-    most = max(1e-9, np.abs(cell.histogram).max())
-    colours, least = ("Greys", 0) if harmonic else ("RdBu_r", -most)
-    axes.pcolormesh(angles, np.arange(rings + 1), arcs, cmap=colours, vmin=least, vmax=most)
-    axes.set_theta_direction(-1)  # type: ignore[attr-defined]
-    if harmonic:  # a soft sector is centred on its angle
-        axes.set_theta_offset(np.pi / sectors)  # type: ignore[attr-defined]
-    axes.set_xticks(angles[:-1:_ARC_STEPS], [])
-    axes.set_yticks(np.arange(1, rings + 1), [])
-    axes.grid(lw=0.3, color="gray")
 
 
 def _format(path: Path) -> str:

@@ -1,12 +1,11 @@
-"""``SSRVLAD(..., surrogate=True)``: the numbers of the head, the gradient of its twin."""
+"""`SurrogateSSRVLAD`: the numbers of the head, the gradient of its twin."""
 
 import pytest
 import torch
 from drawings import SPACE
 from helpers import street
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.soft.descriptor import SoftSSRVLAD
+from ssrvlad_torch import SSRVLAD, SoftSSRVLAD, SSRVLADConfig, SurrogateSSRVLAD
 
 
 @pytest.fixture
@@ -23,7 +22,7 @@ def scores(dtype: torch.dtype = torch.float32) -> torch.Tensor:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
 def test_numbers_of_the_head_and_gradient_of_the_twin(config, dtype):
     given, same = scores(dtype), scores(dtype)
-    found, soft = SSRVLAD(config, surrogate=True)(given), SoftSSRVLAD(config)(same)
+    found, soft = SurrogateSSRVLAD(config)(given), SoftSSRVLAD(config)(same)
     assert found.requires_grad
     assert found.dtype == torch.float32
     assert torch.equal(found, SSRVLAD(config)(given.detach()))
@@ -36,7 +35,7 @@ def test_numbers_of_the_head_and_gradient_of_the_twin(config, dtype):
 
 
 def test_autocast_changes_nothing(config):
-    head, given = SSRVLAD(config, surrogate=True), scores()
+    head, given = SurrogateSSRVLAD(config), scores()
     outside = head(given.detach())
     with torch.autocast("cpu", torch.bfloat16):
         found = head(given)
@@ -46,7 +45,7 @@ def test_autocast_changes_nothing(config):
 
 
 def test_without_a_gradient_it_is_the_head(config):
-    head, given = SSRVLAD(config, surrogate=True), scores()
+    head, given = SurrogateSSRVLAD(config), scores()
     labels = given.detach().argmax(1)
     assert torch.equal(head(labels), SSRVLAD(config)(labels))
     assert not head(given.detach()).requires_grad
@@ -56,13 +55,7 @@ def test_without_a_gradient_it_is_the_head(config):
 
 def test_scores_that_require_a_gradient_give_one_warning_without_a_surrogate(config):
     head, given = SSRVLAD(config), scores()
-    with pytest.warns(UserWarning, match="use SSRVLAD.*surrogate=True") as warned:
+    with pytest.warns(UserWarning, match="use SurrogateSSRVLAD") as warned:
         assert not head(given).requires_grad
         head(given)
     assert len(warned) == 1
-
-
-def test_a_preset_takes_a_surrogate(config):
-    head = SSRVLAD.from_preset("default", surrogate=True, labels_as=SPACE)
-    assert head(scores()).requires_grad
-    assert head.config == config
