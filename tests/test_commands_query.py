@@ -9,7 +9,7 @@ from drives import write_maps
 from helpers import street
 
 from ssrvlad_torch import Database, SSRVLADConfig
-from ssrvlad_torch.cli.measure import by_sequence
+from ssrvlad_torch.cli.words import by_sequence
 
 REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
 

@@ -18,11 +18,14 @@ from collections.abc import Callable, Collection
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_type_hints
 
 import typer
 
 from ..evaluation.metrics import Convention
+
+if TYPE_CHECKING:
+    from ..recognition.recognise import Steps
 
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
@@ -193,8 +196,7 @@ MOST_REACH = 1_000_000
 """Frames or metres."""
 
 
-@dataclass(frozen=True)
-class Reach:
+class Reach(NamedTuple):
     """How far the temporal sum of Eq. 3 reaches on each side: in metres if given, else in
     frames."""
 
@@ -243,6 +245,13 @@ class StepOptions:
         default=0,
         min=0,
     )
+
+    def steps(self) -> Steps:
+        """The steps that the options choose."""
+        from ..recognition.recognise import Steps
+
+        follow = None if self.follow == "no" else self.follow
+        return Steps(self.standardise, self.sweep, follow, self.delay)
 
 
 @dataclass(frozen=True)
@@ -302,6 +311,17 @@ class RecognitionOptions(StepOptions):
                 f"{PAPER_REACH} --no-fuse; it contradicts {names}"
             )
 
+    def steps(self) -> Steps:
+        """The steps that the options choose."""
+        from ..recognition.recognise import AS_PAPER
+
+        return AS_PAPER if self.as_paper else super().steps()
+
+    @property
+    def fused(self) -> bool | None:
+        """Whether to use the descriptors of pictures; ``None`` if there are any."""
+        return False if self.as_paper else self.fuse
+
     @property
     def reach(self) -> Reach:
         """The reach of the temporal sum; a ValueError if ``temporal`` is no reach."""
@@ -332,6 +352,12 @@ class TruthOptions:
     convention: Convention = option(
         "Convention by which the metrics are computed.", default="exact"
     )
+
+    @property
+    def definition(self) -> tuple[Path | None, float | None, float | None, int | None]:
+        """What `TrueMatches.of` takes."""
+        metres = self.tolerance_metres
+        return self.ground_truth, metres, self.tolerance_degrees, self.tolerance_frames
 
 
 def expand(command: Callable[..., None]) -> Callable[..., None]:

@@ -12,12 +12,13 @@ import torch
 from .. import __version__
 from ..datasets.dataset import shortened
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
+from ..evaluation.measure import Recognition
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
+from ..evaluation.true_matches import Places, TrueMatches
 from ..recognition.sweep import score
-from .measure import Recognition, proof, score_name, steps_in_words, without_truth
-from .truth import Places, TrueMatches
+from .words import proof, score_name, steps_in_words, without_truth
 
 
 def write_page(

@@ -7,6 +7,7 @@ import glob
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -210,6 +211,13 @@ def read_ahead(
                 return
             file, future = pending.pop(0)
             yield file, future.result()
+
+
+def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:
+    """The files that ``find`` finds; none where it raises a ValueError."""
+    with suppress(ValueError):
+        return find(*arguments)
+    return []
 
 
 def is_npy(path: Path) -> bool:

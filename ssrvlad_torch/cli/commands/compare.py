@@ -3,39 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
 from ...baselines import METHODS
+from ...files import parse_yaml
 from ..options import DriveOptions, Json, RandomWeights, StepOptions, TruthOptions, Workers, option
-from ..output import finish, fraction, print_json, print_table, say
+from ..output import finish, fraction, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ...baselines import Method
-    from ...evaluation.metrics import Convention
-    from ...recognition.recognise import Steps
-    from ..drives import Drives
-    from ..truth import TrueMatches
+    from ...baselines.comparison import Row
 
-Row = dict[str, Any]
-"""The metrics and costs of a method, or its name and the reason why it could not run."""
-
-
-class Protocol(NamedTuple):
-    """How methods are measured; ``fused`` are those whose scores are fused."""
-
-    true: TrueMatches
-    convention: Convention
-    steps: Steps
-    workers: int
-    fused: Sequence[str]
-
-
-AT_RECALL = 0.5
 AT = ("1", "5", "10")
 COSTS = ("encode", "match")
-_FUSED = "--fuse"
 
 
 def compare(
@@ -73,23 +55,23 @@ def compare(
     Example: ssrvlad compare --references photos/monday --queries photos/today \\
     --method hog,cohog --tolerance-frames 1
     """
+    from ...baselines.comparison import Protocol
+    from ...baselines.comparison import compare as compared
+    from ...datasets.drives import Drives
     from ...encoding.results import Skipped
-    from ..drives import Drives
-    from ..methods import parse_settings
-    from ..search import steps_of
-    from ..truth import TrueMatches
+    from ...evaluation.true_matches import TrueMatches
 
     names = [name.strip() for name in method.split(",")]
     fused = [name.strip() for name in fuse.split(",")] if fuse else []
     if fuse and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
-    methods = _make(names, parse_settings(settings or ()), random_weights)
-    drives = Drives.open(options)
-    true = TrueMatches.of(truth, drives.whole.truth)
+    methods = _make(names, _parsed(settings or ()), random_weights)
+    drives = Drives.open(note, **vars(options))
+    true = TrueMatches.of(*truth.definition, drives.whole.truth)
     if true.metres is not None:
         drives = drives.posed()
-    protocol = Protocol(true, truth.convention, steps_of(steps), workers, fused)
-    rows = _rows(methods, drives, protocol)
+    protocol = Protocol(true, truth.convention, steps.steps(), workers, fused, _progress)
+    rows = compared(methods, drives, protocol, note)
     if as_json:
         print_json({"rows": rows})
     else:
@@ -101,11 +83,13 @@ def _make(
     names: Sequence[str], settings: Mapping[str, Any], random_weights: bool
 ) -> dict[str, Method | str]:
     """The methods by name; for a method that cannot be made, the reason."""
-    from ..methods import has_setting, make
+    from inspect import signature
+
+    from ...baselines import class_of
 
     by_method: dict[str, dict[str, Any]] = {name: {} for name in names}
     for name, values in by_method.items():
-        if random_weights and has_setting(name, "random_weights"):
+        if random_weights and "random_weights" in signature(class_of(name)).parameters:
             values["random_weights"] = True
     for key, value in settings.items():
         name, dot, setting = key.partition(".")
@@ -117,89 +101,45 @@ def _make(
     methods: dict[str, Method | str] = {}
     for name, values in by_method.items():
         try:
-            methods[name] = make(name, values)
+            methods[name] = _made(name, values)
         except (OSError, ImportError) as error:
             methods[name] = str(error)
     return methods
 
 
-def _rows(methods: Mapping[str, Method | str], drives: Drives, protocol: Protocol) -> list[Row]:
-    """The rows of all methods in their order, then the rows of the fused methods."""
-    from ..drives import KINDS
-
-    lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
-    rows: dict[str, list[Row]] = {}
-    able: dict[str, Method] = {}
-    for name, method in methods.items():
-        if isinstance(method, str):
-            rows[name] = [_not_run(name, method)]
-        elif reasons := [lacking[need] for need in sorted(method.needs) if need in lacking]:
-            rows[name] = [_not_run(method.name, reasons[0])]
-        else:
-            able[name] = method
-    if able:
-        needs = {need for method in able.values() for need in method.needs}
-        drives = drives.complete([kind for kind in KINDS if kind in needs])
-        rows |= _run(able, drives, protocol)
-    if protocol.fused and _FUSED not in rows:
-        missing = next(name for name in protocol.fused if "reason" in rows[name][0])
-        rows[_FUSED] = [_not_run(" + ".join(protocol.fused), f"{missing} does not run")]
-    order = [*methods, _FUSED] if protocol.fused else methods
-    return [row for name in order for row in rows[name]]
+@contextmanager
+def _progress(name: str, frames: int) -> Iterator[Callable[[int], None]]:
+    with progress_bar(name, frames) as bar:
+        yield bar.advance
 
 
-def _run(methods: Mapping[str, Method], drives: Drives, protocol: Protocol) -> dict[str, list[Row]]:
-    """The rows of each method: of single frames, and with the steps."""
-    from ...recognition.recognise import AS_PAPER
-    from ..fused import followed, fused
-    from ..measure import Recognition, measure, needs_similarity
-    from ..methods import run_method
-    from ..truth import Places
+def _made(name: str, settings: Mapping[str, Any]) -> Method:
+    """A method with its settings."""
+    from ...baselines import make
 
-    true, convention, steps, workers, to_fuse = protocol
-    parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
-    truth = true.among(*(Places.of(part.frames, whole) for part in parts))
-    all_steps = None if needs_similarity(convention) or steps == AS_PAPER else steps
-    no_following = replace(steps, follow=None, delay=0)
-    members: dict[str, Recognition] = {}
-
-    def measured(found: Sequence[Recognition]) -> list[Row]:
-        return [measure(each, truth, convention, AT_RECALL) for each in found]
-
-    for name, method in methods.items():
-        labelled = "labels" in method.needs
-        references, queries = (
-            part.label_files() if labelled else part.image_files() for part in parts
-        )
-        labels_as = whole.labels_as if labelled else None
-        all_pairs = needs_similarity(convention) or name in to_fuse
-        method_steps = no_following if all_steps and name in to_fuse else all_steps
-        try:
-            found = run_method(
-                method, references, queries, labels_as, workers, all_pairs, method_steps
-            )
-        except ValueError as error:
-            rows[name] = [_not_run(method.name, str(error))]
-            continue
-        if name in to_fuse:
-            members[name] = found[-1]
-            found = [found[0], *(followed(each, steps) for each in found[1:])]
-        rows[name] = measured(found)
-    if to_fuse and set(to_fuse) <= set(members):
-        chosen = [members[name] for name in to_fuse]
-        rows[_FUSED] = measured(fused(chosen, all_steps or no_following))
-    return rows
+    try:
+        return make(name, **settings)
+    except TypeError as error:
+        values = ", ".join(f"{key}={value!r}" for key, value in settings.items())
+        raise ValueError(f"method {name} cannot take {values}: {error}") from error
 
 
-def _not_run(method: str, reason: str) -> Row:
-    return {"method": method, "reason": reason}
+def _parsed(pairs: Sequence[str]) -> dict[str, Any]:
+    """The settings of ``NAME=VALUE`` pairs; values are read as YAML."""
+    settings = {}
+    for pair in pairs:
+        name, equals, value = pair.partition("=")
+        if not equals:
+            raise ValueError(f"--set: expected NAME=VALUE, got {pair!r}")
+        settings[name] = parse_yaml(value, f"the value of --set {name}")
+    return settings
 
 
 def _print(rows: Sequence[Row]) -> None:
     """Prints two tables, of the metrics and of the costs, with a row for each method."""
     from rich.table import Table
 
-    from ..measure import steps_in_words
+    from ..words import steps_in_words
 
     done = [row for row in rows if "reason" not in row]
     quality = Table(

@@ -33,8 +33,8 @@ def demo(
 def _print_metrics(metrics: Mapping[str, Any]) -> None:
     from rich.table import Table
 
-    from ..measure import counts
     from ..output import fraction, print_table
+    from ..words import counts
 
     table = Table("metric", "value")
     for n, rate in metrics["recall_at"].items():

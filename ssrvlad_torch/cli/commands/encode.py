@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from ...descriptor import SSRVLAD
     from ...encoding.results import Skipped, Summary
     from ...segmentation.segmenter import Segmenter
-    from ..sources import Source
 
 Engine = Literal["local", "ray"]
 
@@ -50,9 +49,8 @@ def encode(
     --labels-as cityscapes-trainids
     """
     from ...database.database import Database
-    from ..sources import Source
 
-    summary = _encode(Source.open(source), output, preset, beside, engine, gpus, prune)
+    summary = _encode(source, output, preset, beside, engine, gpus, prune)
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
@@ -66,7 +64,7 @@ def encode(
 
 
 def _encode(
-    source: Source,
+    options: SourceOptions,
     output: str,
     preset: str | None,
     beside: Sequence[str] | None,
@@ -80,27 +78,27 @@ def _encode(
     from ...encoding.encoder import encode_to_database
     from ...encoding.ray_engine import encode_with_ray
     from ...encoding.results import EncodeOptions, Summary
+    from ..sources import extra_of, resolve
 
-    if prune and not _is_complete(source):
+    whole = _is_complete(options)
+    if prune and not whole:
         raise ValueError(
             "--prune needs whole folders as SOURCE, without --fps, --every and --start"
         )
+    no_gpus = ValueError("--gpus needs --engine ray and --segmenter")
+    if gpus and engine != "ray":
+        raise no_gpus
     database = Database.open(output) if Database.exists(output) else None
-    source = source.with_network_of(database)
-    if gpus and (engine != "ray" or not source.options.segmenter):
-        raise ValueError("--gpus needs --engine ray and --segmenter")
-    source.check_with(beside)
-    labels_as = source.label_space(database)
+    source = resolve(options, database)
+    files, segmenter, labels_as = source.files, source.segmenter, source.labels_as
+    if gpus and not segmenter:
+        raise no_gpus
+    extra = extra_of(source, beside, database is None)
     if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
-    if database:
-        database.require(config)
-        source = dataclasses.replace(source, known=database.folders())
     head = SSRVLAD(config)
-    files, segmenter = source.frames(labels_as)
-    extra = source.extra_descriptors(beside, segmenter, database is None)
     if database:
         database.require(config, extra)
     else:
@@ -109,12 +107,9 @@ def _encode(
             return Summary(skipped=skipped)
         database = Database.open_or_create(output, config, extra)
     with progress_bar("encoding", len(files)) as bar:
-        options = EncodeOptions(
-            source.options.workers, _is_complete(source), prune, bar.advance, bar.skip, gpus
-        )
-        if engine == "ray":
-            return encode_with_ray(head, files, database, options, segmenter)
-        return encode_to_database(head, files, database, options, segmenter)
+        chosen = EncodeOptions(options.workers, whole, prune, bar.advance, bar.skip, gpus)
+        run = encode_with_ray if engine == "ray" else encode_to_database
+        return run(head, files, database, chosen, segmenter)
 
 
 def _skipped_before_the_first(
@@ -136,10 +131,9 @@ def _skipped_before_the_first(
     return skipped
 
 
-def _is_complete(source: Source) -> bool:
+def _is_complete(options: SourceOptions) -> bool:
     """Whether the source holds all the frames of its folders."""
     from ...datasets.names import is_uri
 
-    options = source.options
     whole = all(is_uri(path) or Path(path).is_dir() for path in options.paths)
-    return whole and options.takes_all and source.dataset is None
+    return whole and options.takes_all and options.layout is None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..options import (
     AsOf,
@@ -13,7 +15,13 @@ from ..options import (
     argument,
     option,
 )
-from ..output import finish, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
+
+if TYPE_CHECKING:
+    from ...database.database import Database
+    from ...encoding.source import Source
+    from ...evaluation.measure import Recognition
+    from ...evaluation.metrics import Convention
 
 
 def evaluate(
@@ -39,21 +47,21 @@ def evaluate(
     Example: ssrvlad evaluate town.ssrdb maps/today --tolerance-metres 5
     """
     from ...database.database import Database
+    from ...evaluation.measure import measure
+    from ...evaluation.true_matches import TrueMatches
     from ...files import check_output
-    from ..measure import measure, print_metrics
-    from ..recognise import by_database
     from ..report import title_and_settings, write_page
-    from ..sources import Source
-    from ..truth import TrueMatches
+    from ..sources import resolve
+    from ..words import print_metrics
 
     if report:
         check_output(report)
     stored = Database.open(database, as_of)
-    opened = Source.open(source, stored.folders()).with_network_of(stored)
-    true = TrueMatches.of(truth, opened.dataset.truth if opened.dataset else None)
-    opened = opened.posed() if true.metres is not None else opened
-    found = by_database(stored, opened, recognition, truth.convention)
-    known = true.among(found.references, found.queries)
+    by_poses = None if truth.definition == (None,) * 4 else truth.tolerance_metres is not None
+    opened = resolve(source, stored, compared=True, posed=by_poses)
+    true = TrueMatches.of(*truth.definition, opened.truth)
+    found = _recognised(stored, opened, recognition, truth.convention)
+    known = true.among(found.references, found.queries, note)
     metrics = measure(found, known, truth.convention, at_recall)
     if as_json:
         print_json(metrics)
@@ -65,3 +73,59 @@ def evaluate(
         if not as_json:
             say(f"report: {report}")
     finish(found.skipped, len(found.queries.frames))
+
+
+def _recognised(
+    database: Database, source: Source, options: RecognitionOptions, convention: Convention
+) -> Recognition:
+    """The candidates of every query in a database. A convention that needs the scores of all pairs
+    measures cosines, without any step."""
+    from ...encoding.search import accepted, search
+    from ...evaluation.measure import TOP, Recognition, needs_similarity
+    from ...evaluation.pictures import pictures_of_queries, pictures_of_references
+    from ...evaluation.thresholds import SURE_PRECISION
+    from ...evaluation.true_matches import Places
+    from ...recognition.confidence import accept
+    from ...recognition.recognise import AS_PAPER
+    from ...recognition.sweep import COLUMNS, score
+    from ..words import score_name
+
+    pairs = needs_similarity(convention)
+    steps = AS_PAPER if pairs else options.steps()
+    fuse = False if pairs else options.fused
+    with progress_bar("encoding", len(source.files)) as bar:
+        found = search(database, source, steps, TOP, options.reach, fuse, progress=bar.advance)
+    queries, references, recognised, t, skipped, folders = found
+    if queries.descriptors.ndim == 3:
+        middle = queries.descriptors[:, COLUMNS.index(0)].contiguous()
+        queries = dataclasses.replace(queries, descriptors=middle)
+    config, segmenter, dataset = database.config, source.segmenter, source.dataset
+    matches, estimate = accepted(recognised, options.min_confidence, options.max_wrong)
+    similarity = None
+    if pairs:
+        similarity = score(queries.descriptors, references.descriptors).numpy()
+    return Recognition(
+        references=Places.of_set(references, dataset, source.known),
+        queries=Places.of_set(queries, dataset, folders, [f.frame for f in skipped]),
+        matches=matches,
+        recognised=recognised,
+        estimates={
+            "accepted": estimate,
+            "suggested_without_truth": accept(recognised.sure, 1 - SURE_PRECISION),
+        },
+        similarity=similarity,
+        descriptors=(queries.descriptors, references.descriptors),
+        pictures=(
+            pictures_of_queries(source.files, dataset, source.labels_as, segmenter),
+            pictures_of_references(database, dataset, segmenter),
+        ),
+        skipped=skipped,
+        details={
+            "preset": config.preset,
+            "fingerprint": config.fingerprint,
+            "temporal": t,
+            "steps": recognised.used,
+            "score_is": score_name(recognised.used),
+            "mean_confidence": float(recognised.confidence.mean()),
+        },
+    )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ..options import Json, RecognitionOptions, SourceOptions, option
-from ..output import finish, note, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
 
 
 def locate(
@@ -22,14 +22,24 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
     from ...database.database import Database
-    from ..measure import decided_in_words, estimate_in_json, score_name
-    from ..search import accepted, search
-    from ..sources import Source
+    from ...encoding.search import accepted, search
+    from ...evaluation.measure import estimate_in_json
+    from ..sources import resolve
+    from ..words import decided_in_words, score_name
 
     opened = Database.open(database)
-    frames = Source.open(source, opened.folders()).with_network_of(opened, pictures=True)
-    queries, references, found, t, skipped, _ = search(opened, frames, recognition, top=1)
-    (scores, rows), estimate = accepted(found, recognition)
+    frames = resolve(source, opened, compared=True, images=True)
+    with progress_bar("encoding", len(frames.files)) as bar:
+        queries, references, found, t, skipped, _ = search(
+            opened,
+            frames,
+            recognition.steps(),
+            1,
+            recognition.reach,
+            recognition.fused,
+            progress=bar.advance,
+        )
+    (scores, rows), estimate = accepted(found, recognition.min_confidence, recognition.max_wrong)
     columns = scores[:, 0].tolist(), rows[:, 0].tolist(), found.confidence.tolist()
     names = queries.frames, queries.sequences
     for picture, sequence, score, row, confidence in zip(*names, *columns, strict=True):

@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,10 +18,9 @@ from ..output import finish, fraction, print_json, say, weights_in_words
 if TYPE_CHECKING:
     from ...database.database import Database
     from ...encoding.results import Encoded, Skipped
+    from ...encoding.source import Source
     from ...loops.detector import LoopDetector
     from ...loops.result import LoopResult
-    from ...segmentation.segmenter import Segmenter
-    from ..sources import Source
 
 STDIN = "-"
 FIELDS = ("frame", "reason", "candidate", "score", "probability", "ahead")
@@ -58,21 +56,18 @@ def loops(
     from ...loops.picture import draw_loops
     from ...loops.stream import candidates_of, detect_loops, loops_of, open_detector, report
     from ...picture import require_picture, write_picture
-    from ..sources import Source
+    from ..sources import extra_of, resolve
 
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
-    opened = Source.open(source).with_network_of(stored)
-    labels_as = opened.label_space(stored)
     if picture:
         require_picture(picture)
-    opened.check_with(beside)
-    segmenter = opened.segmenter(labels_as)
-    extra = opened.extra_descriptors(beside, segmenter, stored is None)
-    detector, database = open_detector(config, memory, preset, labels_as, extra)
+    opened = resolve(source, stored, listed=STDIN not in source.paths)
+    extra = extra_of(opened, beside, stored is None)
+    detector, database = open_detector(config, memory, preset, opened.labels_as, extra)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
-    frames = _frames(opened, detector, database, segmenter)
+    frames = _frames(source, opened, detector, database)
     with closing(detect_loops(detector, frames, database)) as stream:
         for result in stream:
             if isinstance(result, Skipped):
@@ -91,29 +86,22 @@ def loops(
 
 
 def _frames(
-    source: Source,
-    detector: LoopDetector,
-    database: Database | None,
-    segmenter: Segmenter | None,
+    options: SourceOptions, source: Source, detector: LoopDetector, database: Database | None
 ) -> Iterator[Encoded | Skipped]:
     """The frames that a detector does not know yet, of folders or from names on stdin."""
     from ...encoding.plan import check_folders
     from ...loops.stream import encode_as_they_come, encode_files
 
-    options = source.options
     if STDIN not in options.paths:
         if database:
-            source = replace(source, known=database.folders())
-        files = source.image_files() if segmenter else source.label_files()
-        if database:
-            check_folders(files, database.known())
-        return encode_files(detector, files, options.workers, segmenter)
+            check_folders(source.files, database.known())
+        return encode_files(detector, source.files, options.workers, source.segmenter)
     if len(options.paths) > 1 or not options.takes_all:
         raise ValueError(
             f"SOURCE {STDIN} takes no other SOURCE, no --fps, no --every and no --start"
         )
     names = map(os.fsdecode, sys.stdin.buffer)
-    return encode_as_they_come(detector, names, options.sequence, segmenter, database)
+    return encode_as_they_come(detector, names, options.sequence, source.segmenter, database)
 
 
 def _print_result(result: LoopResult, as_json: bool) -> None:

@@ -27,9 +27,9 @@ def poses(
 
     from ...datasets.image_files import write_pictures
     from ...datasets.poses import write_poses
-    from ..sources import Source
+    from ..sources import resolve
 
-    files = Source.open(source).image_files()
+    files = resolve(source, images=True).files
     posed = [file for file in files if not math.isnan(file.pose.x)]
     if not posed:
         raise ValueError(f"{' '.join(source.paths)}: no frame has a pose")

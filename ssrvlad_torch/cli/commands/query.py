@@ -6,12 +6,12 @@ import math
 from typing import TYPE_CHECKING
 
 from ..options import AsOf, DatabaseFolder, Json, RecognitionOptions, SourceOptions, option
-from ..output import finish, note, print_json, say
+from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from ..search import Found
+    from ...encoding.search import Found
 
 
 def query(
@@ -62,8 +62,8 @@ def query(
     from ...database.frames import FrameSet
     from ...database.reading import Damage
     from ...database.selection import neighbours, select
-    from ..search import excluded_pairs, search, search_index
-    from ..sources import Source
+    from ...encoding.search import excluded_pairs, search, search_index
+    from ..sources import resolve
 
     first, last = _window(window)
     if index and (recognition.reach or window or skip_damaged or recognition.fuse):
@@ -72,23 +72,26 @@ def query(
         )
     opened = Database.open(database, as_of)
     top = min(top, max(1, len(opened)))
-    frames = Source.open(source, opened.folders(skip_damaged)).with_network_of(opened)
-    if index:
-        found = search_index(opened, frames, recognition, top, from_sequence, exclude)
-    else:
+    frames = resolve(source, opened, compared=True, damaged=skip_damaged)
+    steps = recognition.steps()
 
-        def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
-            limited = from_sequence or window
-            where = select(references, from_sequence, first, last) if limited else None
-            if where is not None and not where.any():
-                raise ValueError(f"--window {window}: no frame of {database} has such a number")
-            near = None if exclude is None else neighbours(queries.frames, references, exclude)
-            return excluded_pairs(len(queries.frames), len(references.frames), where, near)
+    def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
+        limited = from_sequence or window
+        where = select(references, from_sequence, first, last) if limited else None
+        if where is not None and not where.any():
+            raise ValueError(f"--window {window}: no frame of {database} has such a number")
+        near = None if exclude is None else neighbours(queries.frames, references, exclude)
+        return excluded_pairs(len(queries.frames), len(references.frames), where, near)
 
-        damage = list[Damage]() if skip_damaged else None
-        found = search(opened, frames, recognition, top, damage=damage, excluded=excluded)
-        for entry in damage or ():
-            note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
+    damage = list[Damage]() if skip_damaged else None
+    with progress_bar("encoding", len(frames.files)) as bar:
+        if index:
+            found = search_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
+        else:
+            reach, fuse = recognition.reach, recognition.fused
+            found = search(opened, frames, steps, top, reach, fuse, damage, excluded, bar.advance)
+    for entry in damage or ():
+        note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
     least = -math.inf if threshold is None else threshold
     _print(found, recognition, least, "candidates of the index, " * index, as_json)
     finish(found.skipped, len(found.queries))
@@ -98,11 +101,12 @@ def _print(
     found: Found, options: RecognitionOptions, least: float, way: str, as_json: bool
 ) -> None:
     """Prints a line for each query, with its candidates of a score above ``least``."""
-    from ..measure import decided_in_words, estimate_in_json, score_name
-    from ..search import accepted
+    from ...encoding.search import accepted
+    from ...evaluation.measure import estimate_in_json
+    from ..words import decided_in_words, score_name
 
     used, t = found.recognised.used, found.temporal
-    matches, estimate = accepted(found.recognised, options)
+    matches, estimate = accepted(found.recognised, options.min_confidence, options.max_wrong)
     columns = *(part.tolist() for part in matches), found.recognised.confidence.tolist()
     names = found.queries.frames, found.queries.sequences
     for frame, sequence, scores, rows, confidence in zip(*names, *columns, strict=True):

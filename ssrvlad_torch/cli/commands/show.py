@@ -29,14 +29,12 @@ def show(
     from ...datasets.label_files import LabelMap, read_label_map
     from ...descriptor import SSRVLAD
     from ...picture import require_picture, write_picture
-    from ..sources import Source
+    from ..sources import resolve
 
     require_picture(output)
-    source = Source.open(
-        SourceOptions([str(frame)], labels_as, segmenter=segmenter, classes=classes)
-    )
-    head = SSRVLAD.from_preset(preset, labels_as=source.label_space())
-    (file, *_), network = source.frames(head.label_space)
+    source = resolve(SourceOptions([str(frame)], labels_as, segmenter=segmenter, classes=classes))
+    head = SSRVLAD.from_preset(preset, labels_as=source.labels_as)
+    file, network = source.files[0], source.segmenter
     try:
         if network is None:
             labels: LabelMap | ValueError = read_label_map(file, head.label_space)

@@ -12,7 +12,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ..config import SSRVLADConfig
 from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
@@ -20,14 +19,10 @@ from ..database.metadata import ExtraDescriptor
 from ..database.reading import Damage
 from ..datasets.names import KnownFolders, check_sequences
 from ..descriptor import mirrored, query_head
-from ..encoding.encoder import encode_to_memory
-from ..encoding.extra_descriptors import extra_methods
-from ..encoding.results import Skipped
 from ..recognition.confidence import Estimate, accept, answered, estimate
 from ..recognition.follow import runs
 from ..recognition.matching import Matches
 from ..recognition.recognise import (
-    AS_PAPER,
     SSR_VLAD,
     Recognised,
     Steps,
@@ -37,9 +32,11 @@ from ..recognition.recognise import (
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import frames_within, temporal_sum
-from .options import Reach, RecognitionOptions, StepOptions
-from .output import progress_bar
-from .sources import LabelsAs, Source, only_label_space
+from ..taxonomy import LabelSpace
+from .encoder import encode_to_memory
+from .extra_descriptors import extra_methods
+from .results import Progress, Skipped, do_nothing
+from .source import Source
 
 
 class Found(NamedTuple):
@@ -61,50 +58,40 @@ class Found(NamedTuple):
     folders: KnownFolders
 
 
-def steps_of(options: StepOptions) -> Steps:
-    """The steps that the options choose."""
-    if isinstance(options, RecognitionOptions) and options.as_paper:
-        return AS_PAPER
-    follow = None if options.follow == "no" else options.follow
-    return Steps(options.standardise, options.sweep, follow, options.delay)
-
-
-def settings_of(database: Database, labels_as: LabelsAs | None) -> SSRVLADConfig:
-    """The settings of a database, with another label space if one is given."""
-    config = database.config
-    return dataclasses.replace(
-        config, labels_as=labels_as or only_label_space(database) or config.labels_as
-    )
-
-
 def search(
     database: Database,
     source: Source,
-    options: RecognitionOptions,
+    steps: Steps,
     top: int,
-    steps: Steps | None = None,
+    reach: tuple[int, float | None] = (0, None),
+    fuse: bool | None = None,
     damage: list[Damage] | None = None,
     excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
+    progress: Progress = do_nothing,
 ) -> Found:
     """The candidates of every frame of a source in a database.
 
     Args:
         database: of the references.
         source: of the queries.
-        options: the steps from descriptors to a decision.
+        steps: from descriptors to a decision.
         top: number of candidates of each query.
-        steps: instead of those of the options; then only descriptors of label maps are used.
+        reach: of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
+        fuse: whether to use the descriptors of pictures; ``None`` if the database has them.
         damage: as for `Database.load`.
         excluded: gives for queries and references ``(Q, R)`` bool, references that are no
             candidates.
+        progress: called with the number of queries encoded since the last call.
+
+    Raises:
+        ValueError: the queries do not fit the database.
     """
-    extra = () if steps else _extra_descriptors(database, options)
-    if options.reach and any(each.cells for each in extra):
+    extra = _extra_descriptors(database, fuse)
+    if any(reach) and any(each.cells for each in extra):
         raise ValueError("features are signs, which have no temporal sum; expected --no-fuse")
-    steps = steps or steps_of(options)
-    references, t = _references(database, options.reach, damage)
+    references, t = _references(database, *reach, damage)
     columns = COLUMNS if steps.sweep else ()
-    queries, skipped, folders = _queries(database, source, columns, extra)
+    queries, skipped, folders = _queries(database, source, columns, extra, progress)
     recognised = recognise(
         queries.descriptors,
         references.descriptors,
@@ -125,20 +112,20 @@ def search(
 def search_index(
     database: Database,
     source: Source,
-    options: RecognitionOptions,
+    steps: Steps,
     top: int,
     sequences: Sequence[str] | None,
     exclude: int | None,
+    progress: Progress = do_nothing,
 ) -> Found:
     """The candidates of every frame of a source in the index of a database, without a sweep.
 
     Args:
-        database, source, options, top: as for `search`.
+        database, source, steps, top, progress: as for `search`.
         sequences: the sequences that candidates may be of; ``None`` for all.
         exclude: the query's own sequence has no candidates within this number of frames.
     """
-    steps = steps_of(options)
-    queries, skipped, folders = _queries(database, source)
+    queries, skipped, folders = _queries(database, source, progress=progress)
     ids, names = queries.frames, queries.sequences
 
     @cache
@@ -157,14 +144,21 @@ def search_index(
     return Found(queries, references, recognised, 0, skipped, folders)
 
 
-def accepted(recognised: Recognised, options: RecognitionOptions) -> tuple[Matches, Estimate]:
-    """The candidates of the queries that the options accept, and how many of them are
-    wrong. Scores that are rounded above 1 are 1."""
-    if options.max_wrong is None:
-        found = estimate(recognised.sure, options.min_confidence)
-        least = options.min_confidence
+def accepted(
+    recognised: Recognised, min_confidence: float, max_wrong: float | None
+) -> tuple[Matches, Estimate]:
+    """The candidates of the queries that are sure enough, and how many of them are wrong. Scores
+    that are rounded above 1 are 1.
+
+    Args:
+        recognised: candidates of all queries.
+        min_confidence: smallest confidence.
+        max_wrong: instead of it, the largest estimated fraction of wrong answers.
+    """
+    if max_wrong is None:
+        found, least = estimate(recognised.sure, min_confidence), min_confidence
     else:
-        found = accept(recognised.sure, options.max_wrong)
+        found = accept(recognised.sure, max_wrong)
         least = found.confidence
     unsure = recognised.confidence < least
     if least > 0:
@@ -193,38 +187,49 @@ def excluded_pairs(
     return torch.from_numpy(excluded)
 
 
-def _extra_descriptors(
-    database: Database, options: RecognitionOptions
-) -> tuple[ExtraDescriptor, ...]:
-    """The extra descriptors of a database, unless the options exclude them."""
-    if options.fuse and not database.beside:
+def only_label_space(database: Database) -> LabelSpace | None:
+    """The one label space of the frames of a database; ``None`` for an empty database.
+
+    Raises:
+        ValueError: the frames have several label spaces.
+    """
+    spaces = database.label_spaces()
+    if len(spaces) > 1:
+        names = " and ".join(space.name for space in spaces)
+        raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
+    return spaces[0] if spaces else None
+
+
+def _extra_descriptors(database: Database, fuse: bool | None) -> tuple[ExtraDescriptor, ...]:
+    """The extra descriptors of a database, unless they are excluded."""
+    if fuse and not database.beside:
         raise ValueError(
             f"--fuse: {database.path} holds no descriptors of pictures; encode a new database "
             "with --with features"
         )
-    return () if options.fuse is False or options.as_paper else database.beside
+    return () if fuse is False else database.beside
 
 
 def _references(
-    database: Database, reach: Reach, damage: list[Damage] | None
+    database: Database, reach: int, metres: float | None, damage: list[Damage] | None
 ) -> tuple[FrameSet, int | dict[str, int]]:
     """The frames of a database after the temporal sum, and t of Eq. 3. A reach in metres gives each
     sequence its own t."""
     frames = database.load(damage)
     if not frames.frames:
         raise ValueError(f"{database.path} holds no frames yet")
-    if not reach:
+    if not (reach or metres):
         return frames, 0
-    ts = dict.fromkeys(frames.sequences, reach.frames)
-    if reach.metres is not None:
-        ts = frames_within(frames.poses, frames.sequences, reach.metres)
+    ts = dict.fromkeys(frames.sequences, reach)
+    if metres is not None:
+        ts = frames_within(frames.poses, frames.sequences, metres)
     for run in runs(frames.sequences):
         names = frames.sequences[run.start : run.stop]
         numbers = (each for each in frames.beside.values() if each.is_floating_point())
         for values in (frames.descriptors, *numbers):
             rows = values[run.start : run.stop]
             temporal_sum(rows, names, ts[names[0]], out=rows)
-    return frames, reach.frames if reach.metres is None else ts
+    return frames, reach if metres is None else ts
 
 
 def _queries(
@@ -232,6 +237,7 @@ def _queries(
     source: Source,
     columns: Sequence[int] = (),
     extra: Sequence[ExtraDescriptor] = (),
+    progress: Progress = do_nothing,
 ) -> tuple[FrameSet, list[Skipped], KnownFolders]:
     """The frames of a source, the skipped frames, and the folders of the sequences. Frames are
     encoded with the settings of the database; a source that is a database is loaded.
@@ -242,12 +248,13 @@ def _queries(
         columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; without it ``(Q, 480)``, which
             is also what a database and ``paper`` give.
         extra: descriptors of the images, besides those of the label maps.
+        progress: as for `search`.
     """
     no_pictures = ValueError(
         f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
         "--no-fuse"
     )
-    if other := source.database():
+    if other := source.database:
         if other.fingerprint != database.fingerprint:
             raise ValueError(
                 f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
@@ -258,20 +265,20 @@ def _queries(
             raise no_pictures
         used = {method.name: frames.beside[method.name] for method in extra}
         frames = dataclasses.replace(_renamed(frames, other, source), beside=used)
-        return frames, [], () if source.options.sequence else other.folders()
-    config = settings_of(database, source.labels_as)
-    if extra and not source.options.segmenter:
+        return frames, [], () if source.sequence else other.folders()
+    config = dataclasses.replace(database.config, labels_as=source.labels_as)
+    if extra and not source.segmenter:
         raise no_pictures
-    files, segmenter = source.frames(config.labels_as)
-    with progress_bar("encoding", len(files)) as bar:
-        head, workers = query_head(config, columns), source.options.workers
-        frames, skipped = encode_to_memory(head, files, workers, bar.advance, segmenter, extra)
+    head, files = query_head(config, columns), source.files
+    frames, skipped = encode_to_memory(
+        head, files, source.workers, progress, source.segmenter, extra
+    )
     return frames, skipped, {(file.folder, file.sequence) for file in files}
 
 
 def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
     """The frames of a database that is the source, in the sequence that ``--sequence`` names."""
-    if (name := source.options.sequence) is None:
+    if (name := source.sequence) is None:
         check_sequences(database.folders(), source.known)
         return frames
     if len(set(frames.sequences)) > 1:

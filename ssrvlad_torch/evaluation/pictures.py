@@ -2,50 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 
 from ..database.database import Database
-from ..datasets.frame_files import FrameFile
+from ..datasets.dataset import Dataset
+from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
-from ..evaluation.report import Pictures, Pixels
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
-from .sources import LabelsAs, Source, try_find
+from .report import Pictures, Pixels
 
 PHOTO, LABELS = "photo", "label map"
 
 
-def pictures_of_queries(source: Source, labels_as: LabelsAs) -> Pictures:
-    """Pictures of the frames of a source, with the photos of its data set."""
-
-    @cache
-    def frames() -> tuple[dict[str, FrameFile], Segmenter | None]:
-        files, segmenter = source.frames(labels_as)
-        return {file.frame: file for file in files}, segmenter
-
-    photos = cache(lambda: _photos(source))
+def pictures_of_queries(
+    files: Sequence[FrameFile],
+    dataset: Dataset | None,
+    labels_as: str | LabelSpace,
+    segmenter: Segmenter | None,
+) -> Pictures:
+    """Pictures of frames, with the photos of their data set; the segmenter labels photos."""
+    by_id = cache(lambda: {file.frame: file for file in files})
+    photos = cache(lambda: _photos(dataset))
 
     def pictures(frame: str) -> Mapping[str, Pixels]:
-        files, segmenter = frames()
-        return dict(_pictures(files[frame], label_space(labels_as), segmenter, photos().get(frame)))
+        file = by_id().get(frame)
+        if file is None:
+            return {}
+        return dict(_pictures(file, label_space(labels_as), segmenter, photos().get(frame)))
 
     return pictures
 
 
-def pictures_of_references(database: Database, source: Source, labels_as: LabelsAs) -> Pictures:
+def pictures_of_references(
+    database: Database, dataset: Dataset | None, network: Segmenter | None
+) -> Pictures:
     """Pictures of the frames of a database, from the files that it was encoded from; none of a file
-    that has changed or is gone. The segmenter of the source labels photos."""
+    that has changed or is gone. The network labels photos."""
     stored = cache(database.known)
-    photos = cache(lambda: _photos(source))
-    segmenter = cache(lambda: source.segmenter(labels_as))
+    photos = cache(lambda: _photos(dataset))
 
     @cache
     def files_in(folder: str) -> dict[str, FrameFile]:
         found = [
-            f for find in (find_image_files, find_label_files) for f in try_find(find, [folder])
+            f for find in (find_image_files, find_label_files) for f in found_by(find, [folder])
         ]
         return {file.signature() + file.name: file for file in found}
 
@@ -55,10 +58,10 @@ def pictures_of_references(database: Database, source: Source, labels_as: Labels
         origin = database.origins.get(record.origin)
         if file is None or origin is None or origin.label_space is None:
             return {}
-        network = segmenter() if origin.segmenter else None
-        if origin.segmenter and (network is None or network.label_space != origin.label_space):
+        labels = network if origin.segmenter else None
+        if origin.segmenter and (labels is None or labels.label_space != origin.label_space):
             return dict(_photo(file))
-        return dict(_pictures(file, origin.label_space, network, photos().get(frame)))
+        return dict(_pictures(file, origin.label_space, labels, photos().get(frame)))
 
     return pictures
 
@@ -85,10 +88,10 @@ def _photo(file: FrameFile) -> Iterator[tuple[str, Pixels]]:
         yield PHOTO, read_image(file)
 
 
-def _photos(source: Source) -> dict[str, FrameFile]:
-    """The images of the source's data set by id, without files that may be label maps."""
+def _photos(dataset: Dataset | None) -> dict[str, FrameFile]:
+    """The images of a data set by id, without files that may be label maps."""
     return {
         frame.frame: FrameFile(frame.sequence, frame.name, frame.image)
-        for frame in (source.whole.frames if source.whole else ())
+        for frame in (dataset.frames if dataset else ())
         if frame.image and frame.image != frame.label
     }

@@ -7,10 +7,8 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
-from ..datasets.dataset import Dataset, Frame
-from ..datasets.layouts import open_dataset
-from .options import DriveOptions
-from .output import note
+from .dataset import Dataset, Frame
+from .layouts import open_dataset
 
 KINDS: dict[str, Callable[[Frame], Path | None]] = {
     "images": lambda frame: frame.image,
@@ -30,25 +28,59 @@ class Drives:
     queries: Dataset
 
     @classmethod
-    def open(cls, options: DriveOptions) -> Drives:
-        """Opens the data set, and notes what it lacks. A file that may be an image or a label map
-        is a label map if the label space is known."""
-        drives = cls._of_dataset(options) if options.dataset else cls._of_folders(options)
-        names = {t.name for part in (drives.references, drives.queries) for t in part.traverses}
-        used = tuple(t for t in drives.whole.traverses if t.name in names)
-        for warning in replace(drives.whole, traverses=used).warnings:
+    def open(
+        cls,
+        note: Callable[[str], object],
+        *,
+        dataset: Path | None,
+        references: Sequence[str] | None,
+        queries: Sequence[str] | None,
+        odd_even: bool,
+        layout: str | None,
+        labels: Path | None,
+        labels_as: str | None,
+    ) -> Drives:
+        """Opens a data set, or two folders. A file that may be an image or a label map is a label
+        map if the label space is known.
+
+        Args:
+            note: gets what the data set lacks.
+            dataset: folder of the data set; without it, ``references`` and ``queries`` are folders.
+            references, queries: names of sequences, or patterns of them.
+            odd_even: even frames of ``references`` are references, odd ones queries.
+            layout, labels, labels_as: see `open_dataset`.
+
+        Raises:
+            ValueError: arguments that do not go together, or see `open_dataset`.
+        """
+        names, asked = (references or (), queries or ()), (labels, labels_as)
+        if dataset:
+            name = None if layout == "auto" else layout
+            whole = _unambiguous(open_dataset(dataset, name, *asked))
+            drives = cls._of_dataset(whole, *names, odd_even)
+        elif layout or odd_even:
+            raise ValueError("--layout and --odd-even need the folder of a data set")
+        elif not all(names):
+            raise ValueError(
+                "expected the folder of a data set, or folders as --references and --queries"
+            )
+        else:
+            parts = [
+                _joined([open_dataset(path, "folders", *asked) for path in paths])
+                for paths in names
+            ]
+            drives = cls(_joined(parts), *parts)
+        used = {t.name for part in (drives.references, drives.queries) for t in part.traverses}
+        traverses = tuple(t for t in drives.whole.traverses if t.name in used)
+        for warning in replace(drives.whole, traverses=traverses).warnings:
             note(warning)
         return drives
 
     @classmethod
-    def _of_dataset(cls, options: DriveOptions) -> Drives:
-        assert options.dataset is not None
-        layout = None if options.layout == "auto" else options.layout
-        whole = _unambiguous(
-            open_dataset(options.dataset, layout, options.labels, options.labels_as)
-        )
-        references, queries = options.references or (), options.queries or ()
-        if options.odd_even:
+    def _of_dataset(
+        cls, whole: Dataset, references: Sequence[str], queries: Sequence[str], odd_even: bool
+    ) -> Drives:
+        if odd_even:
             if queries:
                 raise ValueError("--odd-even takes the queries from --references; got --queries")
             both = whole.select(references)
@@ -60,28 +92,12 @@ class Drives:
             whole.select(queries, None if queries else "query"),
         )
 
-    @classmethod
-    def _of_folders(cls, options: DriveOptions) -> Drives:
-        if options.layout or options.odd_even:
-            raise ValueError("--layout and --odd-even need the folder of a data set")
-        if not options.references or not options.queries:
-            raise ValueError(
-                "expected the folder of a data set, or folders as --references and --queries"
-            )
-        references, queries = (
-            _joined(
-                [open_dataset(path, "folders", options.labels, options.labels_as) for path in paths]
-            )
-            for paths in (options.references, options.queries)
-        )
-        return cls(_joined([references, queries]), references, queries)
-
     def posed(self) -> Drives:
         """The drives without the frames of unknown pose."""
         return self._filter(lambda frame: frame.has_pose, "a pose")
 
-    def complete(self, kinds: Sequence[str]) -> Drives:
-        """The drives without the frames that lack a kind of file; notes their number."""
+    def complete(self, kinds: Sequence[str], note: Callable[[str], object]) -> Drives:
+        """The drives without the frames that lack a kind of file; ``note`` gets their number."""
         words = [WORDS[kind] for kind in kinds]
         complete = self._filter(
             lambda frame: all(KINDS[kind](frame) for kind in kinds), " and ".join(words)

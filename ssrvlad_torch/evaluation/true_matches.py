@@ -1,9 +1,9 @@
-"""The true matches of each query, by the options of the user."""
+"""The true matches of each query, by a file or by distances."""
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path, PurePath
 
@@ -15,10 +15,8 @@ from ..datasets.dataset import Dataset, Frame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
 from ..datasets.names import KnownFolders
-from ..evaluation.ground_truth import from_frame_numbers, from_poses
-from ..evaluation.ground_truth_files import PartialTruth, from_file, unmatched_entries
-from .options import TruthOptions
-from .output import note
+from .ground_truth import from_frame_numbers, from_poses
+from .ground_truth_files import PartialTruth, from_file, unmatched_entries
 
 
 @dataclass(frozen=True)
@@ -91,13 +89,18 @@ class TrueMatches:
             raise ValueError("--tolerance-degrees needs --tolerance-metres")
 
     @classmethod
-    def of(cls, options: TruthOptions, dataset: DatasetTruth | None) -> TrueMatches:
-        """By the options, or by the data set if the options define nothing."""
-        typed = (options.ground_truth, options.tolerance_metres, options.tolerance_frames)
-        if typed == (None,) * 3 and dataset:
-            typed = (dataset.file, dataset.metres, dataset.frames)
-        file, metres, frames = typed
-        return cls(file, metres, options.tolerance_degrees, frames)
+    def of(
+        cls,
+        file: Path | None,
+        metres: float | None,
+        degrees: float | None,
+        frames: int | None,
+        dataset: DatasetTruth | None,
+    ) -> TrueMatches:
+        """By the first four, or by the data set if they define nothing."""
+        if (file, metres, frames) == (None,) * 3 and dataset:
+            file, metres, frames = dataset.file, dataset.metres, dataset.frames
+        return cls(file, metres, degrees, frames)
 
     @property
     def words(self) -> str:
@@ -109,10 +112,13 @@ class TrueMatches:
         turned = "" if self.degrees is None else f" and {self.degrees:g} degrees"
         return f"within {self.metres:g} metres{turned}"
 
-    def among(self, references: Places, queries: Places) -> PartialTruth:
+    def among(
+        self, references: Places, queries: Places, note: Callable[[str], object]
+    ) -> PartialTruth:
         """The rows of the references that are true matches of each query; ``None`` if they are not
-        known. Notes the number of these queries, and of queries with the id of a reference."""
-        truth = self._find(references, queries) if queries.frames else []
+        known. ``note`` gets the number of these queries, of queries with the id of a reference, and
+        of names in the file that are not there."""
+        truth = self._find(references, queries, note) if queries.frames else []
         unknown = sum(rows is None for rows in truth)
         if unknown:
             note(f"{unknown} of {len(truth)} queries are left out: {self.file} does not name them")
@@ -121,7 +127,9 @@ class TrueMatches:
             note(f"{common} of {len(queries.frames)} queries have ids of the database")
         return truth
 
-    def _find(self, references: Places, queries: Places) -> PartialTruth:
+    def _find(
+        self, references: Places, queries: Places, note: Callable[[str], object]
+    ) -> PartialTruth:
         if self.metres is not None:
             return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
         if self.file is not None:

@@ -1,0 +1,103 @@
+"""Metrics of the candidates of queries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from ..recognition.confidence import Estimate, answered
+from ..recognition.matching import Matches
+from ..recognition.recognise import Recognised
+from .ground_truth_files import PartialTruth, known_matches
+from .metrics import Convention, evaluate, precision_recall_curve
+from .outcomes import judge
+from .report import Pictures
+from .thresholds import operating_points
+from .true_matches import Places
+
+if TYPE_CHECKING:
+    from ..encoding.results import Skipped
+
+TOP = 10
+"""Candidates of each query that the metrics need."""
+
+RESAMPLES = 1000
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """The candidates of queries, and how they were found.
+
+    Attributes:
+        references, queries: the frames.
+        matches: candidates of each query, at least `TOP`.
+        similarity: ``(Q, R)`` scores of all pairs, if they are needed.
+        descriptors: of single frames, of the queries and of the references, for the report.
+        pictures: of the queries and of the references, by their ids, for the report.
+        skipped: queries that could not be encoded.
+        recognised: all candidates and how sure they are, if they are from a database.
+        estimates: how many of some of them are wrong, without ground truth, by names.
+        details: the method, its steps and its costs, for the report.
+    """
+
+    references: Places
+    queries: Places
+    matches: Matches
+    similarity: npt.NDArray[np.float32] | None = None
+    descriptors: tuple[Tensor, Tensor] = (torch.zeros(0), torch.zeros(0))
+    pictures: tuple[Pictures, Pictures] = (lambda _: {}, lambda _: {})
+    skipped: Sequence[Skipped] = ()
+    recognised: Recognised | None = None
+    estimates: Mapping[str, Estimate] = field(default_factory=dict)
+    details: Mapping[str, Any] = field(default_factory=dict)
+
+
+def needs_similarity(convention: Convention) -> bool:
+    """Whether a convention needs the scores of all pairs."""
+    return convention.startswith("vpr-tutorial")
+
+
+def measure(
+    recognition: Recognition, truth: PartialTruth, convention: Convention, at_recall: float
+) -> dict[str, Any]:
+    """All metrics with 95 % intervals, thresholds to choose from, and the details of the
+    recognition. Queries whose true matches are not known are left out."""
+    known, true_rows = known_matches(truth)
+    scores, rows = (part.numpy()[known] for part in recognition.matches)
+    pairs = recognition.similarity
+    similarity = None if pairs is None else pairs[known]
+    metrics = evaluate(
+        scores, rows, true_rows, convention=convention, similarity=similarity, resamples=RESAMPLES
+    )
+    curve = precision_recall_curve(judge(scores, rows, true_rows), true_rows)
+    metrics["thresholds"] = operating_points(curve, [at_recall])
+    metrics["references"] = len(recognition.references.frames)
+    if recognition.recognised:
+        beaten = ~answered(recognition.recognised.sure)
+        sure = recognition.recognised.confidence.masked_fill(beaten, 0).numpy()[known]
+        answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
+        right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
+        metrics["estimates"] = {
+            name: {**estimate_in_json(each), "truly_wrong": _wrong(right, sure, each)}
+            for name, each in recognition.estimates.items()
+        }
+    return {**metrics, **recognition.details}
+
+
+def estimate_in_json(found: Estimate) -> dict[str, Any]:
+    """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
+    return {**found._asdict(), "confidence": found.confidence if found.accepted else None}
+
+
+def _wrong(
+    right: npt.NDArray[np.bool_], sure: npt.NDArray[np.float32], found: Estimate
+) -> float | None:
+    """The fraction of the accepted answers that is wrong by the ground truth."""
+    accepted = (sure >= found.confidence) & (sure > 0)
+    return float(1 - right[accepted].mean()) if accepted.any() else None
