@@ -18,7 +18,7 @@ from PIL import Image
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.label_files import digest, find_label_files
-from ssrvlad_torch.encoding import describer, encoder, writer
+from ssrvlad_torch.encoding import describer, writer
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 from ssrvlad_torch.encoding.results import EncodeOptions
 
@@ -459,10 +459,8 @@ def test_a_full_disk_is_an_error_and_committed_frames_stay(maps, monkeypatch):
     assert counts(maps.encode()) == (6, 4, 0)
 
 
-@pytest.mark.parametrize("most_threads", [0, 2], ids=["processes", "threads"])
-def test_workers_make_the_same_rows(maps, monkeypatch, most_threads):
-    monkeypatch.setattr(encoder, "WORTH_A_PROCESS", 1)
-    monkeypatch.setattr(encoder, "MOST_THREADS", most_threads)
+def test_workers_make_the_same_rows(maps):
+    threads = torch.get_num_threads()
     maps.add("a", range(70, 110))
     (maps.folder / "a" / "75.png").write_text("no image")
     frames, skipped = encode_to_memory(HEAD, maps.files(), workers=2)
@@ -470,6 +468,7 @@ def test_workers_make_the_same_rows(maps, monkeypatch, most_threads):
     assert frames.frames == tuple(f"a/{n}" for n in range(70, 110) if n != 75)
     for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
         assert torch.equal(descriptor, alone(street(int(name[2:]))))
+    assert torch.get_num_threads() == threads
 
 
 def test_two_encoders_at_once_lose_nothing(maps):
@@ -488,7 +487,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 from ssrvlad_torch import SSRVLAD, Database, EncodeOptions, encode_to_database
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import describer, encoder, writer
-describer.BATCH, encoder.BATCH, encoder.WORTH_A_PROCESS, writer.COMMIT_ROWS = 1, 1, 1, 8
+describer.BATCH, encoder.BATCH, writer.COMMIT_ROWS = 1, 1, 8
 head = SSRVLAD.from_preset("default", labels_as="camvid-11")
 database = Database.open_or_create(sys.argv[1], head.config)
 counted = []
@@ -523,28 +522,3 @@ def test_a_signal_ends_a_run_and_the_next_run_completes_it(maps, number, code):
     assert frames.frames == tuple(f"a/{n}" for n in range(60))
     for row, descriptor in enumerate(frames.descriptors):
         assert torch.equal(descriptor, alone(street(row)))
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("step", ["known", "merge"])
-def test_a_signal_at_the_start_or_the_end_is_not_lost(maps, monkeypatch, step, number):
-    """It arrives before a step that does not check for signals; `merge` is the last step."""
-    maps.add("a", range(5))
-    whole, come = getattr(Database, step), []
-
-    def interrupted(*arguments, **options):
-        if not come:
-            come.append(number)
-            signal.raise_signal(number)
-        return whole(*arguments, **options)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Database, step, interrupted)
-        before = signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
-            with pytest.raises((KeyboardInterrupt, SystemExit)) as end:
-                maps.encode()
-        finally:
-            signal.signal(signal.SIGINT, before)
-    assert (end.type is SystemExit) == (number == signal.SIGTERM)
-    assert len(maps.database()) == (5 if step == "merge" else 1), "the current frame is stored"

@@ -25,7 +25,7 @@ def encoding_rates(
     Args:
         head: on the CPU.
         files: label maps, some thousands that fit in memory together.
-        workers: number of processes of the last way.
+        workers: number of workers of the last way.
         repetitions: how often.
 
     Returns:

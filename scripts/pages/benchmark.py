@@ -315,7 +315,7 @@ def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
     yield paragraph(
         f"{FRAMES_OF_A_RUN} PNGs of 360 x 480 into a database, preset `default`. The last column "
         "is the time divided by the sum of reading and describing. The row of all cores is timed "
-        "after the first batch, without the start of processes."
+        "after the first batch, without the start of workers."
     )
     yield from head_row("describes", "way", "ms a frame", "relative to read + describe")
     names = {

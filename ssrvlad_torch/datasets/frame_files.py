@@ -6,10 +6,9 @@ from __future__ import annotations
 import glob
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import tee
 from pathlib import Path
 from typing import TypeVar
 
@@ -25,6 +24,7 @@ from .remote_files import remote_files
 from .trajectories import read_trajectory
 from .utm_names import read_name
 from .videos import VideoFile, is_video, video_files
+from .workers import in_order
 
 __all__ = ["FileKind", "FrameFile", "find_frames", "is_npy", "read_ahead"]
 
@@ -201,16 +201,8 @@ def read_ahead(
         except ValueError as error:
             return error
 
-    remaining = iter(files)
-    pending: list[tuple[FrameFile, Future[Content | ValueError]]] = []
-    with ThreadPoolExecutor(max(1, workers)) as pool:
-        while True:
-            following = islice(remaining, ahead - len(pending))
-            pending += [(file, pool.submit(attempt, file)) for file in following]
-            if not pending:
-                return
-            file, future = pending.pop(0)
-            yield file, future.result()
+    files, named = tee(files)
+    return zip(named, in_order(attempt, files, workers, ahead), strict=False)
 
 
 def found_by(find: Callable[..., list[FrameFile]], *arguments: object) -> list[FrameFile]:

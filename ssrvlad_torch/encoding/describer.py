@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -19,6 +18,7 @@ from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
 from ..datasets.image_files import read_image
 from ..datasets.label_files import LabelMap, digest, read_label_map
+from ..datasets.workers import in_order
 from ..descriptor import SSRVLAD
 from ..segmentation.features import NAME as FEATURES
 from ..taxonomy import LabelSpace
@@ -46,8 +46,7 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
     readers = max((item.file.readers for item in items), default=1)
     if readers == 1:
         return list(map(read_one, items))
-    with ThreadPoolExecutor(readers) as pool:
-        return list(pool.map(read_one, items))
+    return list(in_order(read_one, items, readers, readers))
 
 
 class Describer:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from functools import partial
-from itertools import chain, islice
+from itertools import islice
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,23 +15,22 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
+from ..datasets.workers import in_order
 from ..descriptor import SSRVLAD
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import BATCH, Describer, Item, read
 from .extra_descriptors import require_same
-from .interruption import deferred_interruption
 from .plan import Plan
 from .results import Encoded, EncodeOptions, Progress, Skipped, Summary, cores, do_nothing
-from .workers import in_order
 from .writer import Writer
 
-WORTH_A_PROCESS = 500
-"""Frames per worker process: fewer are not worth the seconds that it takes to start."""
+AHEAD = 3
+"""Batches in memory for each worker."""
 
-MOST_THREADS, MOST_TORCH_THREADS = 4, 2
-"""Threads that rarely wait for Python's global lock. The native core and the decoders of images
-release it; the many short operators of the torch path hold it in between."""
+MOST_TORCH_THREADS = 2
+"""Threads of the torch path: its many short operators wait for Python's global lock, which the
+native core and the decoders of images release."""
 
 
 def encode_to_database(
@@ -43,8 +43,7 @@ def encode_to_database(
     """Encodes the frames that a database lacks and those whose row is out of date; see `Plan`.
 
     A frame that cannot be read or encoded is skipped. Frames are committed every few seconds, and
-    before an exception is raised. The first SIGINT or SIGTERM takes effect when the current frame
-    is done, a second one at once.
+    before an exception is raised.
 
     Args:
         head: its settings must have the database's fingerprint.
@@ -57,7 +56,7 @@ def encode_to_database(
         ValueError: the fingerprints differ, the segmenter has another label space, a sequence of
             the database comes from another folder, or the database stores descriptors of pictures
             and there is no segmenter, or features of another one.
-        OSError: the database cannot be written, or a worker was killed.
+        OSError: the database cannot be written.
 
     Example:
         >>> database = Database.create("town.ssrdb", head.config)
@@ -67,18 +66,16 @@ def encode_to_database(
     options = options or EncodeOptions()
     database.require(head.config)
     check_segmenter(head, segmenter, database.beside)
-    with deferred_interruption() as check:
-        network = (segmenter.key(), segmenter.name) if segmenter else ()
-        origin = database.add_origin(head.label_space, *network)
-        plan = Plan.of(files, database, database.origins[origin])
-        options.progress(plan.already_there)
-        describer = Describer(head, origin, database.beside)
-        results = _encode(describer, plan.files, options.workers, segmenter)
-        with closing(results), Writer(database, plan, options) as writer:
-            for result in results:
-                writer.add(result)
-                check()
-        return writer.finish()
+    network = (segmenter.key(), segmenter.name) if segmenter else ()
+    origin = database.add_origin(head.label_space, *network)
+    plan = Plan.of(files, database, database.origins[origin])
+    options.progress(plan.already_there)
+    describer = Describer(head, origin, database.beside)
+    results = _encode(describer, plan.files, options.workers, segmenter)
+    with closing(results), Writer(database, plan, options) as writer:
+        for result in results:
+            writer.add(result)
+    return writer.finish()
 
 
 def encode_to_memory(
@@ -126,10 +123,9 @@ def encode(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames in order.
 
-    Each worker reads and describes one batch at a time. The first workers are threads, more with
-    the native core than without; the others are processes, if there are enough frames. If the head
-    is not on the CPU, workers only read, and the head runs in the caller's thread. A segmenter runs
-    in the caller's thread too, while workers describe its earlier label maps.
+    Each worker is a thread that reads and describes one batch at a time. If the head is not on the
+    CPU, workers only read, and the head runs in the caller's thread. A segmenter runs in the
+    caller's thread too, while workers describe its earlier label maps.
 
     Args:
         head: the method.
@@ -142,7 +138,6 @@ def encode(
     Raises:
         ValueError: the segmenter has another label space, or extra descriptors lack a segmenter or
             are of another one.
-        ChildProcessError: a worker was killed.
     """
     check_segmenter(head, segmenter, beside)
     return _encode(Describer(head, beside=beside), files, workers, segmenter)
@@ -177,16 +172,21 @@ def _encode(
         items = segmented_items(files, segmenter, workers, features)
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = describer.device.type != "cpu"
-    lock_free = reads_only or describer.head.native
-    threads = min(workers, MOST_THREADS if lock_free else MOST_TORCH_THREADS)
-    processes = min(workers - threads, len(files) // WORTH_A_PROCESS)
+    if not (reads_only or describer.head.native):
+        workers = min(workers, MOST_TORCH_THREADS)
+    work: Callable[[list[Item]], Any] = describer
     if reads_only:
-        reading = partial(read, describer.head.label_space)
-        ready = in_order(reading, batches, threads, processes)
-        results: Iterator[list[Encoded | Skipped]] = map(describer.describe, ready)
-    else:
-        results = in_order(describer, batches, threads, processes)
-    yield from chain.from_iterable(results)
+        work = partial(read, describer.head.label_space)
+    threads = torch.get_num_threads()
+    done: Iterator[Any] = map(work, batches)
+    if workers > 1:
+        one = partial(torch.set_num_threads, 1)
+        done = in_order(work, batches, workers, AHEAD * workers, one)
+    try:
+        for batch in done:
+            yield from describer.describe(batch) if reads_only else batch
+    finally:
+        torch.set_num_threads(threads)  # for later threads
 
 
 def segmented_items(

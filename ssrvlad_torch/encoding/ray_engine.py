@@ -22,7 +22,6 @@ from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import Describer, Item
 from .encoder import check_segmenter, segmented_items
-from .interruption import deferred_interruption
 from .plan import NEW, Plan
 from .results import Encoded, EncodeOptions, Skipped, Summary, cores
 from .writer import Writer
@@ -82,24 +81,22 @@ def encode_with_ray(
     options = options or EncodeOptions()
     database.require(head.config)
     check_segmenter(head, segmenter, database.beside)
-    with deferred_interruption() as check:
-        network = (segmenter.key(), segmenter.name) if segmenter else ()
-        origin = database.add_origin(head.label_space, *network)
-        plan = Plan.of(files, database, database.origins[origin])
-        options.progress(plan.already_there)
-        path = database.path if is_uri(database.path) else absolute(Path(database.path))
-        describer = Describer(head, origin, database.beside)
-        encoder = PartEncoder(
-            describer, path, Network.of(segmenter, options.gpus) if segmenter else None
-        )
-        with Writer(database, plan, options) as writer:
-            for part in _parts(encoder, plan, options):
-                if part.staged:
-                    writer.add_staged(part.staged, part.empty)
-                for result in part.results:
-                    writer.add(result)
-                check()
-        return writer.finish()
+    network = (segmenter.key(), segmenter.name) if segmenter else ()
+    origin = database.add_origin(head.label_space, *network)
+    plan = Plan.of(files, database, database.origins[origin])
+    options.progress(plan.already_there)
+    path = database.path if is_uri(database.path) else absolute(Path(database.path))
+    describer = Describer(head, origin, database.beside)
+    encoder = PartEncoder(
+        describer, path, Network.of(segmenter, options.gpus) if segmenter else None
+    )
+    with Writer(database, plan, options) as writer:
+        for part in _parts(encoder, plan, options):
+            if part.staged:
+                writer.add_staged(part.staged, part.empty)
+            for result in part.results:
+                writer.add(result)
+    return writer.finish()
 
 
 class Network(NamedTuple):

@@ -50,8 +50,8 @@ class EncodeOptions:
     """Options of encoding into a database.
 
     Attributes:
-        workers: number of threads and processes that read and encode, by default the number of
-            cores. With 0 or 1 everything runs in the caller's thread.
+        workers: number of threads that read and encode, by default the number of cores. With 0 or
+            1 everything runs in the caller's thread.
         complete: the files are all files of their folders: frames without a file are gone.
         prune: with ``complete``, remove the frames that are gone.
         progress: called with the number of frames done since the last call.

@@ -30,7 +30,7 @@ def encode(
     preset: MaybePreset = None,
     beside: With = None,
     engine: Engine = option(
-        "local: processes on this machine; ray: Ray Data, on this machine or a cluster.",
+        "local: threads of this machine; ray: Ray Data, on this machine or a cluster.",
         default="local",
     ),
     gpus: float = option("With --engine ray: GPUs for each worker.", default=0.0, min=0),
