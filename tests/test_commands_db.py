@@ -39,20 +39,6 @@ def test_verify_names_the_file_and_can_drop_what_is_damaged(ssrvlad, database, m
     assert "1 frames encoded" in out
 
 
-def test_verify_goes_back_where_the_newest_version_cannot_be_read(ssrvlad, database, maps):
-    newest = min((database / "_versions").glob("*.manifest"))
-    newest.write_bytes(newest.read_bytes()[:50])
-    code, _, err = ssrvlad("db", "info", database)
-    assert code == 2
-    assert "reads the version before" in err[0]
-    code, _, err = ssrvlad("db", "verify", database, "--drop-damaged")
-    assert code == 3
-    assert f"renamed a version that cannot be read: damaged-{newest.name}" in err[0]
-    code, out, err = ssrvlad("encode", maps, "-o", database)
-    assert "6 frames encoded" in out, err
-    assert ssrvlad("db", "verify", database)[0] == 0
-
-
 def test_labels_are_read_by_the_stored_label_space_from_any_folder(
     ssrvlad, maps, tmp_path, monkeypatch
 ):
@@ -75,21 +61,6 @@ def test_labels_are_read_by_the_stored_label_space_from_any_folder(
     arguments = ("--tolerance-frames", 1, "--json", "--report", page)
     assert ssrvlad("evaluate", town, maps, *arguments)[0] == 0
     assert page.stat().st_size
-
-
-def test_a_query_reads_on_past_damage_only_if_told_to(ssrvlad, database, maps):
-    file = spoil(database, Database.open(database).load().descriptors[2])
-    assert ssrvlad("query", database, maps)[0] == 2
-    code, out, err = ssrvlad("query", database, maps, "--skip-damaged", "--json", "--top", 9)
-    assert (code, len(err)) == (0, 1)
-    assert "left out 1 frames" in err[0]
-    assert file.name in err[0]
-    for line in out.splitlines():
-        frames = {candidate["frame"] for candidate in json.loads(line)["candidates"]}
-        assert frames <= {f"monday/00{n}" for n in (0, 1, 3, 4, 5)}
-    code, _, err = ssrvlad("query", database, maps, "--skip-damaged", "--index")
-    assert code == 2
-    assert "--index does not go with" in err[0]
 
 
 def test_history_tells_versions_that_other_commands_take(ssrvlad, database, maps, tmp_path):

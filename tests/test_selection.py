@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from ssrvlad_torch.database.frames import FrameSet, natural_key
-from ssrvlad_torch.database.selection import neighbours, select
+from ssrvlad_torch.database.selection import excluded_pairs, neighbours, select
 from ssrvlad_torch.recognition.matching import match
 
 
@@ -79,21 +79,21 @@ def test_excluded_references_are_no_candidates(seed, top):
     queries = generator.normal(size=(4, 8)).astype(np.float32)
     references = generator.normal(size=(30, 8)).astype(np.float32)
     where = generator.random(30) < 0.6
-    ranges = np.sort(generator.integers(0, 31, (4, 2)), axis=1)
-    found = match(queries, references, top, where=where, exclude=ranges)
+    asked, frames = (frame_set(*(f"a/{n}" for n in range(count))) for count in (4, 30))
+    excluded = excluded_pairs(asked, frames, where, 2)
+    found = match(queries, references, top, excluded=excluded)
     for number, query in enumerate(queries):
         allowed = where.copy()
-        allowed[slice(*ranges[number])] = False
+        allowed[max(0, number - 2) : number + 3] = False
         rows = np.flatnonzero(allowed)
         scores, places = match(query[None], references[rows], top)
         indices = [int(rows[place]) if place >= 0 else -1 for place in places[0]]
         assert found.indices[number].tolist() == indices
         torch.testing.assert_close(found.scores[number], scores[0])
+    assert excluded_pairs(asked, frames, where | True, None) is None
 
 
-def test_limits_of_another_shape_are_refused():
+def test_a_mask_of_another_shape_is_refused():
     eye = torch.eye(3)
-    with pytest.raises(ValueError, match=r"where: expected \(3,\) bool, got \(2,\)"):
-        match(eye, eye, where=np.ones(2, bool))
-    with pytest.raises(ValueError, match=r"exclude: expected \(3, 2\) rows, got \(3,\)"):
-        match(eye, eye, exclude=np.zeros(3, int))
+    with pytest.raises(ValueError, match=r"excluded: expected \(3, 3\) bool, got \(2, 3\)"):
+        match(eye, eye, excluded=torch.ones(2, 3).bool())

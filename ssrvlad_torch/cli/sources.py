@@ -38,7 +38,6 @@ def resolve(
     compared: bool = False,
     images: bool = False,
     listed: bool = True,
-    damaged: bool = False,
     posed: bool | None = False,
 ) -> Source:
     """The source, before its first frame is read. Notes what a data set lacks, and the network that
@@ -50,7 +49,6 @@ def resolve(
         compared: whether they are compared; the source may then be a database itself.
         images: whether the source can only be images.
         listed: whether to list the files.
-        damaged: whether to read a damaged database.
         posed: whether to leave out frames of a data set without a pose; ``None`` for those of a
             data set whose ground truth is by poses.
 
@@ -73,7 +71,7 @@ def resolve(
         sequence=options.sequence,
         dataset=whole,
         truth=truth,
-        known=database.folders(damaged) if database else (),
+        known=database.folders() if database else (),
         workers=options.workers,
     )
     network, paths = options.segmenter, options.paths

@@ -177,7 +177,7 @@ class Database:
         Raises:
             ValueError: the database does not exist, is damaged or of an earlier format, or was made
                 by another version of the method. If only the newest versions are damaged, the
-                message names the last readable one; see `go_back`.
+                message names the last readable one and the files of the others.
         """
         text = str(path)
         if is_local(text) and Path(text, "manifest.json").exists():
@@ -196,16 +196,11 @@ class Database:
             if version:
                 message = f"{text} has no version {version}, or it is damaged: {reason}"
                 raise ValueError(message) from error
-            readable, _ = engine.newest_readable(text)
+            readable, later = engine.newest_readable(text)
             hint = f"; --as-of {readable} reads the version before" if readable else ""
+            hint += f", without {', '.join(later)} it is the newest" if readable else ""
             raise ValueError(f"{text} is damaged or not a database: {reason}{hint}") from error
         return cls(text, table, read_only=version is not None)
-
-    @staticmethod
-    def go_back(path: str | Path) -> list[str]:
-        """Renames manifests of the newest versions that cannot be read, as after a power cut, to
-        ``damaged-<name>``, and returns their names."""
-        return engine.put_manifests_aside(str(path))
 
     @classmethod
     def open_or_create(
@@ -436,18 +431,9 @@ class Database:
         """The records of all frames, without their descriptors."""
         return StoredRecords(self._columns(RECORD_COLUMNS))
 
-    def folders(self, damaged: bool = False) -> set[tuple[str, str]]:
-        """See `folders_of`.
-
-        Args:
-            damaged: skip damaged frames instead of raising an error.
-        """
-        names = ["signature", "sequence"]
-        if not damaged:
-            return folders_of(self._columns(names))
-        batches = (batch.select(names) for batch in read_rows(self._table, []))
-        columns = pa.schema([self._table.schema.field(name) for name in names])
-        return folders_of(pa.Table.from_batches(batches, columns))
+    def folders(self) -> set[tuple[str, str]]:
+        """See `folders_of`."""
+        return folders_of(self._columns(["signature", "sequence"]))
 
     def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
         """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
@@ -457,16 +443,13 @@ class Database:
         none = np.empty((len(order), 0), np.float32)
         return frame_set(table.take(order), {DESCRIPTOR: none}), order
 
-    def load(self, damage: list[Damage] | None = None) -> FrameSet:
+    def load(self) -> FrameSet:
         """Loads all frames into memory and verifies every byte.
-
-        Args:
-            damage: if given, damaged rows are left out and reported here.
 
         Raises:
             ValueError: a row or a file is missing or damaged; the message names it.
         """
-        return load_frame_set(self._table, self._shapes, damage)
+        return load_frame_set(self._table, self._shapes)
 
     def _columns(self, names: list[str]) -> pa.Table:
         try:

@@ -94,29 +94,18 @@ def open_table(uri: str, version: int | None = None) -> LanceDataset:
     raise OSError(f"version {version or table.version} was deleted")
 
 
-def newest_readable(uri: str) -> tuple[int | None, list[Path]]:
+def newest_readable(uri: str) -> tuple[int | None, list[str]]:
     """The newest version of a local table that can be read, and the manifests of later ones."""
-    unreadable: list[Path] = []
+    unreadable: list[str] = []
     for file in sorted(Path(uri, "_versions").glob("*.manifest")):  # the newest first
         version = version_of(file)
         try:
             open_table(uri, version)
         except OSError:
-            unreadable.append(file)
+            unreadable.append(f"_versions/{file.name}")
         else:
             return version, unreadable
     return None, unreadable
-
-
-def put_manifests_aside(uri: str) -> list[str]:
-    """Renames the newest manifests if they cannot be read and an earlier one can; their names."""
-    last, files = newest_readable(uri)
-    if last is None or not files:
-        return []
-    for file in files:
-        file.rename(Path(uri, f"damaged-{file.name}"))
-    flush_files(uri, [Path(uri, "_versions")])
-    return [file.name for file in files]
 
 
 def message_of(error: BaseException) -> str:

@@ -13,7 +13,7 @@ import pyarrow.compute as pc
 
 from .checksums import matrix
 from .frames import FrameSet, natural_key
-from .reading import Damage, read_rows
+from .reading import read_rows
 from .rows import DESCRIPTOR, POSE, Shape, dtype_of, schema
 
 if TYPE_CHECKING:
@@ -25,20 +25,14 @@ FRAME_SET_COLUMNS = ["frame", "sequence", *POSE, "stamp", "empty"]
 _BYTES_AT_ONCE = 64
 
 
-def load_frame_set(
-    table: LanceDataset, shapes: Mapping[str, Shape], damage: list[Damage] | None
-) -> FrameSet:
-    """Loads all frames of a table and verifies them; arguments and errors as for `Database.load`.
-
-    Args:
-        shapes: of descriptors by column.
-    """
+def load_frame_set(table: LanceDataset, shapes: Mapping[str, Shape]) -> FrameSet:
+    """See `Database.load`; ``shapes`` are those of descriptors by column."""
     rows = table.count_rows()
     arrays = {
         name: np.empty((rows, math.prod(shape)), dtype_of(shape)) for name, shape in shapes.items()
     }
     tables, done = [schema({}).empty_table().select(FRAME_SET_COLUMNS)], 0
-    for batch in read_rows(table, damage):
+    for batch in read_rows(table):
         for name, values in arrays.items():
             values[done : done + len(batch)] = matrix(batch[name])
         done += len(batch)
@@ -50,7 +44,7 @@ def load_frame_set(
         raise ValueError(f"{table.uri} is damaged: it holds {twice} frames twice")
     order = order_of(others)
     arrays = {
-        name: _sort_rows(values[:done], order).reshape(-1, *shapes[name])
+        name: _sort_rows(values, order).reshape(-1, *shapes[name])
         for name, values in arrays.items()
     }
     return frame_set(others.take(order), arrays)

@@ -183,8 +183,8 @@ def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Ten
     scores = torch.full((len(rows), 10), -torch.inf)
     first = 0
     for batch in read_rows(table):
-        itself = np.clip(np.stack([rows, rows + 1], axis=1) - first, 0, len(batch))
-        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, exclude=itself)
+        itself = torch.from_numpy(rows[:, None] - first == np.arange(len(batch)))
+        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, excluded=itself)
         scores = torch.cat([scores, found.scores], 1).topk(10).values
         first += len(batch)
     return queries, scores

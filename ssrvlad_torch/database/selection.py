@@ -6,12 +6,15 @@ import re
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
 from decimal import Decimal
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 
 from .frames import FrameSet, natural_key
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def select(
@@ -57,7 +60,7 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
         reach: number of frames on each side of the position that the query has or would have.
 
     Returns:
-        ``(Q, 2)`` int64, ranges of rows for `match` to exclude, with the query's own row.
+        ``(Q, 2)`` int64, the first of these rows and the one after the last, with the query's own.
 
     Raises:
         ValueError: ``reach`` is negative.
@@ -78,6 +81,28 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
             is_reference = place < end and references.frames[place] == query
             ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
     return ranges
+
+
+def excluded_pairs(
+    queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
+) -> Tensor | None:
+    """``(Q, R)`` bool, the references that are no candidates of a query; ``None`` if all are.
+
+    Args:
+        queries, references: Q and R frames.
+        where: ``(R,)`` bool, references that are candidates, from `select`.
+        reach: `neighbours` up to this number of frames are no candidates; ``None`` for no limit.
+    """
+    import torch
+
+    if where.all() and reach is None:
+        return None
+    excluded = np.repeat(~where[None], len(queries), axis=0)
+    if reach is not None:
+        first, last = neighbours(queries.frames, references, reach).T[:, :, None]
+        rows = np.arange(len(references))
+        excluded |= (rows >= first) & (rows < last)
+    return torch.from_numpy(excluded)
 
 
 def _name_key(frame: str) -> tuple[Any, str]:

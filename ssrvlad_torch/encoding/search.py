@@ -7,8 +7,6 @@ from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -16,7 +14,6 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.index_search import IndexSearch
 from ..database.metadata import ExtraDescriptor
-from ..database.reading import Damage
 from ..datasets.names import KnownFolders, check_sequences
 from ..descriptor import mirrored, query_head
 from ..recognition.confidence import Estimate, accept, answered, estimate
@@ -65,7 +62,6 @@ def search(
     top: int,
     reach: tuple[int, float | None] = (0, None),
     fuse: bool | None = None,
-    damage: list[Damage] | None = None,
     excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
     progress: Progress = do_nothing,
 ) -> Found:
@@ -78,7 +74,6 @@ def search(
         top: number of candidates of each query.
         reach: of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
         fuse: whether to use the descriptors of pictures; ``None`` if the database has them.
-        damage: as for `Database.load`.
         excluded: gives for queries and references ``(Q, R)`` bool, references that are no
             candidates.
         progress: called with the number of queries encoded since the last call.
@@ -89,7 +84,7 @@ def search(
     extra = _extra_descriptors(database, fuse)
     if any(reach) and any(each.cells for each in extra):
         raise ValueError("features are signs, which have no temporal sum; expected --no-fuse")
-    references, t = _references(database, *reach, damage)
+    references, t = _references(database, *reach)
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = _queries(database, source, columns, extra, progress)
     recognised = recognise(
@@ -169,24 +164,6 @@ def accepted(
     return Matches(scores, indices.masked_fill(unsure, -1)), found
 
 
-def excluded_pairs(
-    queries: int,
-    references: int,
-    where: npt.NDArray[np.bool_] | None,
-    exclude: npt.NDArray[np.int64] | None,
-) -> Tensor | None:
-    """``(Q, R)`` bool, references that are no candidates, by `ssrvlad_torch.match`'s arguments."""
-    if where is None and exclude is None:
-        return None
-    excluded = np.zeros((queries, references), np.bool_)
-    if where is not None:
-        excluded |= ~where
-    if exclude is not None:
-        rows = np.arange(references)
-        excluded |= (rows >= exclude[:, :1]) & (rows < exclude[:, 1:])
-    return torch.from_numpy(excluded)
-
-
 def only_label_space(database: Database) -> LabelSpace | None:
     """The one label space of the frames of a database; ``None`` for an empty database.
 
@@ -211,11 +188,11 @@ def _extra_descriptors(database: Database, fuse: bool | None) -> tuple[ExtraDesc
 
 
 def _references(
-    database: Database, reach: int, metres: float | None, damage: list[Damage] | None
+    database: Database, reach: int, metres: float | None
 ) -> tuple[FrameSet, int | dict[str, int]]:
     """The frames of a database after the temporal sum, and t of Eq. 3. A reach in metres gives each
     sequence its own t."""
-    frames = database.load(damage)
+    frames = database.load()
     if not frames.frames:
         raise ValueError(f"{database.path} holds no frames yet")
     if not (reach or metres):

@@ -39,8 +39,7 @@ def match(
     references: Vectors | Rows,
     top: int = 5,
     threshold: float | None = None,
-    where: Tensor | npt.NDArray[np.bool_] | None = None,
-    exclude: Tensor | npt.NDArray[np.int64] | None = None,
+    excluded: Tensor | None = None,
 ) -> Matches:
     """The references with the highest cosine (Eq. 4) to each query.
 
@@ -54,13 +53,11 @@ def match(
             scores are computed in float32. `Rows` of them save a pass over the memory at each call.
         top: number of candidates, at least 1.
         threshold: only candidates with a higher score are returned.
-        where: ``(R,)`` bool, the references that may be candidates; without, all.
-        exclude: ``(Q, 2)`` int64, for each query the first row that is no candidate for it, and the
-            row after the last.
+        excluded: ``(Q, R)`` bool, references that are no candidates.
 
     Raises:
         ValueError: the vectors are not two matrices of equal width or hold values that are not
-            finite, ``top`` is below 1, or ``where`` or ``exclude`` has another shape.
+            finite, ``top`` is below 1, or ``excluded`` has another shape.
 
     Example:
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
@@ -69,7 +66,10 @@ def match(
     queries = real_tensor(queries, "queries")
     vectors = references.vectors if isinstance(references, Rows) else real_tensor(references)
     _check(queries, vectors, top)
-    allowed, ranges = _limits(len(queries), len(vectors), where, exclude)
+    size = len(queries), len(vectors)
+    if excluded is not None and (excluded.shape != size or excluded.dtype != torch.bool):
+        got = f"{tuple(excluded.shape)} {excluded.dtype}"
+        raise ValueError(f"excluded: expected {size} bool, got {got}")
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
     units = unit_queries(queries)
@@ -83,12 +83,9 @@ def match(
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
             cosines = block.cosines(units[part])
-            if allowed is not None:
-                cosines[:, ~allowed[first : first + _REFERENCE_BLOCK]] = -torch.inf
-            if ranges is not None:
-                rows = torch.arange(first, first + len(block))
-                inside = (rows >= ranges[part, :1]) & (rows < ranges[part, 1:])
-                cosines.masked_fill_(inside.to(cosines.device), -torch.inf)
+            if excluded is not None:
+                without = excluded[part, first:last].to(cosines.device)
+                cosines.masked_fill_(without, -torch.inf)
             _improve(scores[part], indices[part], cosines, first)
     no_candidate = ~(scores > (-torch.inf if threshold is None else threshold))
     return Matches(
@@ -251,22 +248,6 @@ def _merge(best: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor]) -> tuple[
         1, scores.gather(1, by_index).argsort(dim=1, descending=True, stable=True)
     )
     return scores.gather(1, order)[:, :top], indices.gather(1, order)[:, :top]
-
-
-def _limits(
-    queries: int,
-    references: int,
-    where: Tensor | npt.NDArray[np.bool_] | None,
-    exclude: Tensor | npt.NDArray[np.int64] | None,
-) -> tuple[Tensor | None, Tensor | None]:
-    """``where`` and ``exclude`` of `match` as tensors; another shape is a ValueError."""
-    allowed = None if where is None else torch.as_tensor(where)
-    ranges = None if exclude is None else torch.as_tensor(exclude)
-    if allowed is not None and (allowed.shape != (references,) or allowed.dtype != torch.bool):
-        raise ValueError(f"where: expected ({references},) bool, got {tuple(allowed.shape)}")
-    if ranges is not None and ranges.shape != (queries, 2):
-        raise ValueError(f"exclude: expected ({queries}, 2) rows, got {tuple(ranges.shape)}")
-    return allowed, ranges
 
 
 def _check(queries: Tensor, references: Tensor, top: int) -> None:

@@ -105,8 +105,7 @@ def verify(
     *,
     database: DatabaseFolder,
     drop_damaged: bool = option(
-        "Remove damaged frames, and the newest versions if they cannot be read. ssrvlad encode "
-        "restores the frames.",
+        "Remove damaged frames. ssrvlad encode restores them.",
         "--drop-damaged",
         default=False,
     ),
@@ -119,9 +118,6 @@ def verify(
     """
     from ...database.database import Database
 
-    unreadable = Database.go_back(database) if drop_damaged else []
-    for name in unreadable:
-        note(f"{database}: renamed a version that cannot be read: damaged-{name}")
     opened = Database.open(database)
     frames = len(opened)
     with progress_bar("verifying", frames) as bar:
@@ -135,7 +131,7 @@ def verify(
     if damage and drop_damaged:
         opened.drop_damaged()
         note(f"{database} now holds the {len(opened)} undamaged frames")
-    if damage or unreadable:
+    if damage:
         raise typer.Exit(SOME_SKIPPED)
 
 

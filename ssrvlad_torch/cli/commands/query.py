@@ -47,9 +47,6 @@ def query(
         default=False,
     ),
     as_of: AsOf = None,
-    skip_damaged: bool = option(
-        "Leave out damaged frames of the database.", "--skip-damaged", default=False
-    ),
     as_json: Json = False,
 ) -> None:
     """Recognise places: print candidate frames with their scores for each query, best first, and
@@ -60,38 +57,30 @@ def query(
     """
     from ...database.database import Database
     from ...database.frames import FrameSet
-    from ...database.reading import Damage
-    from ...database.selection import neighbours, select
-    from ...encoding.search import excluded_pairs, search, search_index
+    from ...database.selection import excluded_pairs, select
+    from ...encoding.search import search, search_index
     from ..sources import resolve
 
     first, last = _window(window)
-    if index and (recognition.reach or window or skip_damaged or recognition.fuse):
-        raise ValueError(
-            "--index does not go with a temporal sum, --window, --skip-damaged or --fuse"
-        )
+    if index and (recognition.reach or window or recognition.fuse):
+        raise ValueError("--index does not go with a temporal sum, --window or --fuse")
     opened = Database.open(database, as_of)
     top = min(top, max(1, len(opened)))
-    frames = resolve(source, opened, compared=True, damaged=skip_damaged)
+    frames = resolve(source, opened, compared=True)
     steps = recognition.steps()
 
     def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
-        limited = from_sequence or window
-        where = select(references, from_sequence, first, last) if limited else None
-        if where is not None and not where.any():
+        where = select(references, from_sequence, first, last)
+        if window and not where.any():
             raise ValueError(f"--window {window}: no frame of {database} has such a number")
-        near = None if exclude is None else neighbours(queries.frames, references, exclude)
-        return excluded_pairs(len(queries.frames), len(references.frames), where, near)
+        return excluded_pairs(queries, references, where, exclude)
 
-    damage = list[Damage]() if skip_damaged else None
     with progress_bar("encoding", len(frames.files)) as bar:
         if index:
             found = search_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
         else:
             reach, fuse = recognition.reach, recognition.fused
-            found = search(opened, frames, steps, top, reach, fuse, damage, excluded, bar.advance)
-    for entry in damage or ():
-        note(f"left out {entry.rows} frames of {database}/{entry.file}: {entry.reason}")
+            found = search(opened, frames, steps, top, reach, fuse, excluded, bar.advance)
     least = -math.inf if threshold is None else threshold
     _print(found, recognition, least, "candidates of the index, " * index, as_json)
     finish(found.skipped, len(found.queries))
