@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, cast
 
 import torch
@@ -15,9 +16,10 @@ def is_exporting() -> bool:
     return torch.compiler.is_exporting()
 
 
-def real() -> torch.dtype:
-    """float64; under export float32, the only type in which every runtime computes."""
-    return torch.float32 if is_exporting() else torch.float64
+def real(largest: float = math.inf) -> torch.dtype:
+    """float64; float32 for whole numbers up to ``largest`` that are exact in it, and under export,
+    where it is the only type in which every runtime computes."""
+    return torch.float32 if is_exporting() or largest <= MAX_WHOLE else torch.float64
 
 
 def length(size: int) -> int:

@@ -361,6 +361,29 @@ def test_rows_that_were_written_apart_are_added_when_they_are_adopted(path):
 # ---- several writers
 
 
+def test_a_change_is_checked_against_what_others_have_written(path):
+    """Not against the version that the writer has read."""
+    database, seen = Database.open(path), []
+
+    def check(known):
+        seen.append(sorted(known))
+        if "other/0" in known:
+            raise ValueError("other/0 is there")
+
+    database.merge(["a/0"], descriptors(0, 1), check=check)
+    assert not seen
+    Database.open(path).append(["other/0"], descriptors(1, 1))
+    written = [database.write_apart(["a/1"], descriptors(2, 1))]
+    for change in (
+        database.adopt,
+        lambda rows, check: database.merge(["a/2"], descriptors(3, 1), check=check),
+    ):
+        with pytest.raises(ValueError, match="other/0 is there"):
+            change(written, check)
+    assert seen == [sorted([*FRAMES, "a/0", "other/0"])] * 2
+    assert len(Database.open(path)) == len(FRAMES) + 2
+
+
 def add_own(path, name, count):
     database = Database.open(path)
     for number in range(count):

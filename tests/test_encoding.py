@@ -363,6 +363,29 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(map
     assert encode_to_database(HEAD, files, maps.database()).encoded == 2, "the user gave the name"
 
 
+@pytest.mark.parametrize(
+    ("sequence", "message"),
+    [
+        (None, "'labels' of the database is .*01/labels, not .*00/labels"),
+        ("labels", "frame 'labels/2' of the database is of .*01/labels, not of .*00/labels"),
+    ],
+)
+def test_folders_that_take_the_same_name_at_once_do_not_merge(maps, sequence, message):
+    """The other run begins after the plan of this one, and ends before its first commit."""
+    maps.add("00/labels", range(3))
+    maps.add("01/labels", range(2, 5))
+
+    def other(_done):
+        if not len(maps.database()):
+            files = maps.files("01/labels", sequence=sequence)
+            assert encode_to_database(HEAD, files, maps.database()).encoded == 3
+
+    files = maps.files("00/labels", sequence=sequence)
+    with pytest.raises(ValueError, match=message):
+        encode_to_database(HEAD, files, maps.database(), EncodeOptions(progress=other))
+    assert maps.database().load().frames == tuple(f"labels/{n}" for n in range(2, 5))
+
+
 def test_a_file_is_not_stored_under_two_names(maps):
     maps.add("a", range(3))
     maps.encode()

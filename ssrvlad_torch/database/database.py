@@ -60,6 +60,9 @@ class Version(NamedTuple):
     change: str
 
 
+Check = Callable[[StoredRecords], None]
+
+
 class StagedRows(NamedTuple):
     """Rows on disk that no version refers to yet.
 
@@ -344,14 +347,15 @@ class Database:
         frames: Sequence[FrameRecord | str],
         descriptors: Vectors,
         beside: Mapping[str, Vectors] | None = None,
+        check: Check | None = None,
     ) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
         its arrival if the new record has none.
 
-        Arguments and errors as for `append`.
+        Arguments and errors as for `append`; ``check`` as for `adopt`.
         """
         records = self._with_arrivals(_records(frames))
-        self._change([self.write_apart(records, descriptors, beside)], "merge")
+        self._change([self.write_apart(records, descriptors, beside)], "merge", check)
 
     def _with_arrivals(self, records: Sequence[FrameRecord]) -> list[FrameRecord]:
         stored = self._columns(["frame", "arrival"]).filter(pc.field("arrival") >= 0)
@@ -387,19 +391,28 @@ class Database:
             fragments = engine.write_fragments(self._table, rows) if records else []
         return StagedRows(engine.to_json(fragments), tuple(rows["frame"].to_pylist()))
 
-    def adopt(self, written: Sequence[StagedRows]) -> None:
+    def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
         """Adds rows that `write_apart` wrote, in one commit.
+
+        Args:
+            written: the rows.
+            check: called with the records of the version that is changed, if others have made it
+                since this object last read or wrote the database; an error of it ends the change.
 
         Raises:
             ValueError: a frame is in the database already, or was written twice.
         """
-        self._change(written, "append")
+        self._change(written, "append", check)
 
-    def _change(self, written: Sequence[StagedRows], verb: str) -> None:
+    def _change(
+        self, written: Sequence[StagedRows], verb: str, check: Check | None = None
+    ) -> None:
         """Removes the rows with the ids of ``written``, and adds its rows.
 
         Args:
+            written: the rows, or only ids.
             verb: ``append`` refuses ids in the database; ``merge`` and ``remove`` do not.
+            check: as for `adopt`.
         """
         self._require_writable()
         ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
@@ -407,6 +420,8 @@ class Database:
             raise ValueError(f"frames for {self.path} were written twice")
 
         def plan(table: LanceDataset) -> Any:
+            if check and table.version != self.version:
+                check(StoredRecords(table.to_table(columns=RECORD_COLUMNS, scan_in_order=True)))
             stored = table.to_table(columns=["frame"])["frame"]
             existing = ids.filter(pc.is_in(ids["frame"], stored))["frame"]
             if verb == "append" and existing:

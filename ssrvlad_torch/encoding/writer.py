@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 
 import numpy as np
 
 from ..database.database import Database, StagedRows
-from .plan import NEW, Plan
+from .plan import NEW, Plan, check_folders
 from .results import Encoded, EncodeOptions, Skipped, Summary
 
 COMMIT_ROWS, COMMIT_SECONDS = 8192, 10.0
@@ -56,11 +57,12 @@ class Writer:
         """Commits the waiting frames."""
         frames, self._waiting = self._waiting, []
         staged, self._staged = self._staged, []
-        self._database.adopt(staged)
+        check = partial(check_folders, self._plan.files)
+        self._database.adopt(staged, check)
         if frames:
             descriptors = np.stack([frame.descriptor for frame in frames])
             beside = {n: np.stack([f.beside[n] for f in frames]) for n in frames[0].beside}
-            self._database.merge([frame.record for frame in frames], descriptors, beside)
+            self._database.merge([frame.record for frame in frames], descriptors, beside, check)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)
             self.summary.anew.update(reason for reason in reasons if reason != NEW)

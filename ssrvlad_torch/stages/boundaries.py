@@ -16,7 +16,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..config import AREA_LAYERS
-from ..tracing import real
 
 DIRECTIONS = ("upright", "level", "rising", "falling")
 """A rising boundary goes up to the right."""
@@ -37,13 +36,13 @@ def boundaries(numbers: Tensor) -> Tensor:
     Returns:
         ``(B, 4, H, W)``, 1 or 0 for each direction. Pixels at the image's edge have none.
     """
-    padded = F.pad(numbers.to(real()), (1, 1, 1, 1))
+    padded = F.pad(numbers.float(), (1, 1, 1, 1))
     above, below = padded[:, :-2], padded[:, 2:]
     corners = (row[..., part] for row in (above, below) for part in (slice(-2), slice(2, None)))
     code = sum(corner * _NUMBERS**place for place, corner in enumerate(corners))
     rows, columns = (_interior(length, numbers.device) for length in numbers.shape[1:])
     index = (code * (rows[:, None] * columns)).to(torch.int64)  # the same layer all around
-    table = torch.tensor(_table(), dtype=real(), device=numbers.device)
+    table = torch.tensor(_table(), dtype=torch.float32, device=numbers.device)
     found: Tensor = table.index_select(0, index.flatten()).unflatten(0, index.shape)
     return found.permute(0, 3, 1, 2)
 
@@ -51,7 +50,7 @@ def boundaries(numbers: Tensor) -> Tensor:
 def _interior(length: int, device: torch.device) -> Tensor:
     """``(length,)``, 0 at both ends and 1 between."""
     index = torch.arange(length, device=device)
-    return ((index > 0) & (index < length - 1)).to(real())
+    return ((index > 0) & (index < length - 1)).float()
 
 
 @cache

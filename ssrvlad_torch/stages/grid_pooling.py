@@ -27,9 +27,10 @@ def pool(masks: Tensor, shift: Tensor) -> Tensor:
         ``(B, K, ROWS, COLUMNS)``, 0 to 1.
     """
     height, width = masks.shape[2:]
-    columns = overlaps(width, COLUMNS, shift)[:, None]
+    columns = overlaps(width, COLUMNS, shift)
     rows = overlaps(height, ROWS, shift.new_zeros(1)).transpose(1, 2).to(real())
-    return rows @ (masks.float() @ columns).to(real()) / (height * width)
+    in_columns = (masks.flatten(1, 2).float() @ columns).unflatten(1, masks.shape[1:3])
+    return rows @ in_columns.to(real()) / (height * width)
 
 
 def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:

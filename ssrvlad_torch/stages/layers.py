@@ -86,7 +86,7 @@ def categorise(labels: Tensor, table: Tensor, origin: int) -> Tensor:
         ``(B, H, W)`` uint8: 0 to 7, `NO_LAYER` or `UNKNOWN`.
     """
     entries, first = entries_of(labels, table, origin)
-    return torch.gather(table[first:], 0, entries.flatten()).view(labels.shape)
+    return table[first:].index_select(0, entries.flatten()).view(labels.shape)
 
 
 def refuse_unknown(labels: Tensor, space: LabelSpace) -> None:

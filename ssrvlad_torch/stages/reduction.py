@@ -77,24 +77,25 @@ def reduce_by_majority(
     columns = grouped(entries.shape[2], grid[1], COLUMNS, entries.device)
     sums = []
     for word in votes.float():
-        cast = torch.gather(word, 0, entries.flatten()).view(entries.shape)
+        cast = word.index_select(0, entries.flatten()).view(entries.shape)
         sums.append(_summed(_summed(cast, rows).transpose(1, 2), columns))
     numbers, digits = torch.stack(sums, 1), []
     for _ in range(DIGITS):
         higher = torch.floor(numbers * (1 / RADIX))
         digits.append(numbers - higher * RADIX)
         numbers = higher
-    counts = torch.stack(digits, 2).flatten(1, 2)[:, : len(kinds)].to(real())
+    number = real(entries.shape[1] * entries.shape[2])
+    counts = torch.stack(digits, 2).flatten(1, 2)[:, : len(kinds)].to(number)
     counts = counts.unflatten(3, (grid[0], rows.groups)).unflatten(2, (grid[1], columns.groups))
     counts = counts.sum((3, 5))  # (B, K, w, h)
     tall, wide = (
-        side.inside.sum(1).unflatten(0, (cells, side.groups)).sum(1)
+        side.inside.sum(1).unflatten(0, (cells, side.groups)).sum(1).to(number)
         for side, cells in ((rows, grid[0]), (columns, grid[1]))
     )
     of_layers = counts[:, :-1]
     none = wide[:, None] * tall - of_layers.sum(1)
     counted = torch.cat((of_layers, none[:, None]), 1)
-    each = kinds.clamp(max=NO_LAYER).to(real()).view(-1, 1, 1)
+    each = kinds.clamp(max=NO_LAYER).to(number).view(-1, 1, 1)
     most = torch.where(counted == counted.amax(1, keepdim=True), each, NO_LAYER)
     categories = most.amin(1).transpose(1, 2).to(torch.uint8)  # argmax may take any of equal ones
     return categories, counts[:, -1].to(torch.int64).sum((1, 2))
@@ -121,4 +122,4 @@ def _summed(numbers: Tensor, side: Grouped) -> Tensor:
     """``(B, pixels, n)`` -> ``(B, cells * groups, n)``, the sums over each group."""
     parts = numbers.index_select(1, side.pixels.flatten())
     grouped: Tensor = parts.unflatten(1, side.pixels.shape)
-    return (grouped * side.inside[..., None].float()).sum(2)
+    return grouped.mul_(side.inside[..., None].float()).sum(2)
