@@ -268,6 +268,17 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
 
 
+def test_an_index_says_that_it_leaves_out_what_was_stored_beside(ssrvlad, maps, tmp_path):
+    path, generator = tmp_path / "town", torch.Generator().manual_seed(0)
+    database = Database.create(path, CONFIG, beside=[HOG_STORED])
+    vectors, beside = (torch.randn(300, n, generator=generator) for n in (480, HOG_STORED.width))
+    database.append([f"a/{number}" for number in range(300)], vectors, {"hog": beside})
+    build_index(database)
+    code, _, (err, *_) = ssrvlad("query", path, maps, "--labels-as", SPACE, "--index")
+    assert code == 0
+    assert err.endswith(f"searches descriptors of label maps, without hog of {path}")
+
+
 # ---- loops
 
 

@@ -30,7 +30,8 @@ def pool(masks: Tensor, shift: Tensor) -> Tensor:
     columns = overlaps(width, COLUMNS, shift)
     rows = overlaps(height, ROWS, shift.new_zeros(1)).transpose(1, 2).to(real())
     in_columns = (masks.flatten(1, 2).float() @ columns).unflatten(1, masks.shape[1:3])
-    return rows @ in_columns.to(real()) / (height * width)
+    shares: Tensor = rows @ in_columns.to(real()) / (height * width)
+    return shares
 
 
 def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:

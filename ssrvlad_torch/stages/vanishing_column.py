@@ -47,7 +47,8 @@ def vanishing_columns(numbers: Tensor) -> Tensor:
         ``(B,)`` int64, negative to the left.
     """
     height, width = numbers.shape[1:]
-    open_pixels = torch.stack([numbers == layer for layer in OPEN_LAYERS]).to(real(height)).sum((0, 2))
+    is_open = torch.stack([numbers == layer for layer in OPEN_LAYERS])
+    open_pixels = is_open.to(real(height)).sum((0, 2))
     level = torch.floor((open_pixels * LEVELS + 0.5) / height).to(torch.int64)
     table = _digits([level**POWER >> SHIFT for level in range(LEVELS + 1)], numbers.device)
     weight = table.index_select(0, level.flatten()).unflatten(0, level.shape)  # (B, W, digits)

@@ -68,6 +68,8 @@ def query(
     top = min(top, max(1, len(opened)))
     frames = resolve(source, opened, compared=True)
     steps = recognition.steps()
+    if index and (unused := " and ".join(extra.name for extra in opened.beside)):
+        note(f"--index searches descriptors of label maps, without {unused} of {database}")
 
     def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
         where = select(references, from_sequence, first, last)
