@@ -404,9 +404,7 @@ class Database:
         """
         self._change(written, "append", check)
 
-    def _change(
-        self, written: Sequence[StagedRows], verb: str, check: Check | None = None
-    ) -> None:
+    def _change(self, written: Sequence[StagedRows], verb: str, check: Check | None = None) -> None:
         """Removes the rows with the ids of ``written``, and adds its rows.
 
         Args:
