@@ -13,10 +13,11 @@ from networks import write_graph, write_segformer
 from PIL import Image
 from test_cli import COMMANDS
 
-from ssrvlad_torch import Database
+from ssrvlad_torch import SSRVLAD, Database, encode_to_database
 from ssrvlad_torch.baselines.region_features import AlexNetPlaces365
 from ssrvlad_torch.baselines.weights import random_network
 from ssrvlad_torch.cli import main as cli
+from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import write_city
 from ssrvlad_torch.taxonomy import colourise
 
@@ -71,6 +72,14 @@ def photos(maps):
     return maps
 
 
+@pytest.fixture(scope="module")
+def town(maps):
+    """``town.ssrdb``, the frames of Monday."""
+    head = SSRVLAD.from_preset("default", labels_as="cityscapes-ids")
+    database = Database.open_or_create(maps / "town.ssrdb", head.config)
+    encode_to_database(head, find_label_files([str(maps / "maps" / "monday")]), database)
+
+
 @pytest.fixture
 def run(maps, monkeypatch, capsys):
     monkeypatch.setenv("XDG_CACHE_HOME", str(maps / "cache"))
@@ -113,8 +122,7 @@ def test_the_commands_on_images(run, maps):
         assert run(re.sub(r"hf:\S+", published, line.removeprefix("$ ")))
 
 
-def test_python(run, photos, monkeypatch):
-    run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
+def test_python(town, photos, monkeypatch):
     monkeypatch.chdir(photos)
     exec("\n".join(PYTHON), {})
 
@@ -125,8 +133,7 @@ def test_every_command_is_in_the_table(command):
 
 
 @pytest.mark.parametrize("command", COMMANDS)
-def test_help_examples(command, run, photos, tmp_path):
-    run("ssrvlad encode maps/monday -o town.ssrdb --labels-as camvid-11")
+def test_help_examples(command, run, town, photos, tmp_path):
     if command == "verify":
         run("ssrvlad fuse seg.yaml -o place.onnx --labels-as camvid-11")
     if command == "locate":
