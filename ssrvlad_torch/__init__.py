@@ -11,6 +11,8 @@ if TYPE_CHECKING:
     from .database.database import Database as Database
     from .database.frames import FrameRecord as FrameRecord
     from .database.frames import FrameSet as FrameSet
+    from .datasets.image_files import find_image_files as find_image_files
+    from .datasets.label_files import find_label_files as find_label_files
     from .datasets.layouts import open_dataset as open_dataset
     from .deployment.export import export_head as export_head
     from .descriptor import SSRVLAD as SSRVLAD
@@ -48,6 +50,8 @@ _MODULES = {
     "SurrogateSSRVLAD": "soft.surrogate",
     "encode_to_database": "encoding.encoder",
     "export_head": "deployment.export",
+    "find_image_files": "datasets.image_files",
+    "find_label_files": "datasets.label_files",
     "follow": "recognition.follow",
     "match": "recognition.matching",
     "multi_similarity": "soft.place_loss",

@@ -180,17 +180,17 @@ def test_a_map_that_grows_is_the_map_that_was_whole():
     [
         ({"mode": "both"}, "online or offline, got 'both'"),
         ({"delay": -1}, "a delay from 0"),
-        ({"queries": ["a"]}, "each of 3 queries, got 1"),
-        ({"sequences": ["m"] * 4}, "each of 4 rows, got"),
-        ({"sequences": ["m", "m", "n", "m", "n"]}, "frames of 'm' together, got some at 3"),
-        ({"queries": ["a", "b", "a"]}, "frames of 'a' together"),
+        ({"query_sequences": ["a"]}, "each of 3 queries, got 1"),
+        ({"reference_sequences": ["m"] * 4}, "each of 4 rows, got"),
+        ({"reference_sequences": ["m", "m", "n", "m", "n"]}, "frames of 'm' together, got some at 3"),
+        ({"query_sequences": ["a", "b", "a"]}, "frames of 'a' together"),
         ({"scores": torch.full((3, 5), torch.nan)}, "at most 1, as cosines are, got nan"),
         ({"scores": torch.full((3, 5), 2.0)}, "at most 1, as cosines are, got 2"),
     ],
 )
 def test_refuses(arguments, said):
     with pytest.raises(ValueError, match=said):
-        follow(**{"scores": torch.rand(3, 5), "sequences": ["m"] * 5, **arguments})
+        follow(**{"scores": torch.rand(3, 5), "reference_sequences": ["m"] * 5, **arguments})
 
 
 def test_refuses_a_motion_out_of_range():

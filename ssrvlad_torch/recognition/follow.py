@@ -69,8 +69,8 @@ class Scores(Protocol):
 @torch.no_grad()
 def follow(
     scores: Tensor | Scores,
-    sequences: Sequence[str],
-    queries: Sequence[str] | None = None,
+    reference_sequences: Sequence[str],
+    query_sequences: Sequence[str] | None = None,
     mode: Mode = "offline",
     delay: int = 0,
     top: int = 5,
@@ -87,9 +87,8 @@ def follow(
         scores: ``(Q, R)`` cosines, see `score` and `sweep`; -inf for an empty reference and for
             all else that is no candidate. All scores of an empty query are -inf; its neighbours
             alone place it.
-        sequences: the sequence of each row; the rows of one stand together and in order.
-        queries: the sequence of each query; the queries of one stand together and in order.
-            Without, all are of one sequence.
+        reference_sequences: the sequence of each row; the rows of one stand together and in order.
+        query_sequences: the same of each query. Without, all are of one sequence.
         mode: ``"online"`` or ``"offline"``.
         delay: number of later queries that an online answer waits for.
         top: number of candidates of each query.
@@ -110,13 +109,13 @@ def follow(
         raise ValueError(f"mode: expected online or offline, got {mode!r}")
     if delay < 0 or top < 1:
         raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
-    drives = [""] * len(scores) if queries is None else queries
+    drives = [""] * len(scores) if query_sequences is None else query_sequences
     if len(drives) != len(scores):
         raise ValueError(
             f"expected a sequence for each of {len(scores)} queries, got {len(drives)}"
         )
-    track = Filter(sequences, motion, (way, -way))
-    parts = list(runs(sequences))
+    track = Filter(reference_sequences, motion, (way, -way))
+    parts = list(runs(reference_sequences))
     places: dict[int, Places] = {}
     for part in runs(drives):
         offline = mode == "offline"

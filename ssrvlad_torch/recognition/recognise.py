@@ -11,27 +11,25 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from .blocks import BlockScores, FusedDecoys, SomeScores, fused_scores, of_vectors
 from .candidates import Search, follow_candidates, gain_of_candidates
 from .confidence import ALONE, Confidence, answers_together
 from .courses import Course, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
 from .follow import Mode, Places, Scores, follow, gain, runs, stacked
-from .fusion import FusedScores, fused
 from .matching import Matches, Rows, Vectors, best_of
 from .motion import Motion
 from .signs import REACH, SignQueries, SignRows, are_signs
 from .signs import mirrored as mirrored_signs
 from .standardise import MIN_FRAMES, standardise
-from .sweep import COLUMNS, narrowed, score
+from .sweep import COLUMNS, narrowed
 
 SSR_VLAD = "ssr-vlad"
 """The name of the descriptor among fused methods."""
 
 NO_SEQUENCE = "no, no sequence"
 """How queries are followed of which the data do not show that they run the map."""
-
-_SCORES_IN_MEMORY = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -167,18 +165,18 @@ def recognise(
                 turned = SignQueries(mirrored_signs(vectors[part]), rows, standardised, reach)
                 for found, each in ((members, signs), (decoys, turned)):
                     size = len(run), len(rows), each.moves
-                    found.append(_BlockScores(each.scores, *size, without))
+                    found.append(BlockScores(each.scores, *size, without))
                 continue
             compared, reach = _prepared(vectors[part], rows, steps.sweep, standardised)
-            members.append(_of_vectors(compared, rows, without))
+            members.append(of_vectors(compared, rows, without))
             if mirrors is not None:
                 mean = None if standardised else rows.mean()
                 against = partial(decoy_scores, mirror=mirrors[name], mean=mean)
-                decoys.append(_of_vectors(compared, rows, without, against))
+                decoys.append(of_vectors(compared, rows, without, against))
             width = max(width, reach)
-        scores, weights = _fused(members, list(pairs))
+        scores, weights = fused_scores(members, list(pairs))
         whole = len(decoys) == len(members)
-        against_decoys = _FusedDecoys(members, decoys, list(weights.values())) if whole else None
+        against_decoys = FusedDecoys(members, decoys, list(weights.values())) if whole else None
         decision = _decided(scores, reference_sequences, steps, top, against_decoys)
         return replace(decision, standardise=standardised, sweep=width, weights=weights)
 
@@ -287,82 +285,6 @@ def _prepared(
     return (standardise(queries) if standardised else queries), 0
 
 
-class _BlockScores(Scores):
-    """Scores of one sequence of queries, computed in blocks of queries that fit in memory."""
-
-    def __init__(
-        self,
-        compute: Callable[[slice], Tensor],
-        queries: int,
-        references: int,
-        anchors: int,
-        excluded: Tensor | None,
-    ) -> None:
-        self._compute, self._queries, self._excluded = compute, queries, excluded
-        fits = anchors * queries * references <= _SCORES_IN_MEMORY
-        room = _SCORES_IN_MEMORY // (4 * anchors * max(1, references))
-        self._size = queries if fits else max(1, room)
-        self._first, self._block = 0, torch.empty(0)
-
-    def __len__(self) -> int:
-        return self._queries
-
-    def __getitem__(self, query: int, /) -> Tensor:
-        if not self._first <= query < self._first + len(self._block):
-            self._first = query - query % self._size
-            self._block = self._compute(slice(self._first, self._first + self._size))
-        row = self._block[query - self._first]
-        return row if self._excluded is None else row.masked_fill(self._excluded[query], -torch.inf)
-
-
-def _of_vectors(
-    queries: Tensor,
-    references: Rows,
-    excluded: Tensor | None,
-    compare: Callable[[Tensor, Rows], Tensor] = score,
-) -> _BlockScores:
-    """The scores of queries ``(Q, D)`` or ``(Q, S, D)``."""
-    anchors = queries.shape[1] if queries.ndim == 3 else 1
-    return _BlockScores(
-        lambda part: compare(queries[part], references),
-        len(queries),
-        len(references),
-        anchors,
-        excluded,
-    )
-
-
-def _fused(
-    members: Sequence[Scores], names: Sequence[str]
-) -> tuple[Scores | Tensor, dict[str, float]]:
-    """The scores of all methods as one, and the weights of several methods."""
-    if len(members) == 1:
-        return members[0], {}
-    fused = FusedScores(dict(zip(names, members, strict=True)))
-    fits = len(fused) * len(fused[0]) <= _SCORES_IN_MEMORY
-    return fused.whole() if fits else fused, fused.weights
-
-
-class _FusedDecoys(Scores):
-    """Scores of the decoys by all methods as one, as the scores of the map are fused."""
-
-    def __init__(
-        self, members: Sequence[Scores], decoys: Sequence[Scores], weights: Sequence[float]
-    ) -> None:
-        self._members, self._decoys, self._weights = members, decoys, weights
-
-    def __len__(self) -> int:
-        return len(self._decoys[0])
-
-    def __getitem__(self, query: int, /) -> Tensor:
-        if len(self._decoys) == 1:
-            return self._decoys[0][query]
-        pairs = zip(self._members, self._decoys, strict=True)
-        both = [torch.cat((own[query], decoys[query])) for own, decoys in pairs]
-        first = len(both[0]) // 2
-        return fused(both, self._weights, first)[first:]
-
-
 def _decided(
     scores: Tensor | Scores,
     sequences: Sequence[str],
@@ -386,24 +308,11 @@ def _decided(
 
     def followed(taken: Course, part: range) -> Places:
         motion = Motion().at(taken.rate)
-        some = _Some(scores, part)
+        some = SomeScores(scores, part)
         return follow(some, sequences, None, mode, steps.delay, top, motion, taken.way)
 
     empty = torch.tensor([not scores[query].isfinite().any() for query in queries])
     return _followed(_places(taken, queries, followed, top), empty, mode, taken)
-
-
-class _Some(Scores):
-    """The scores of some queries."""
-
-    def __init__(self, scores: Tensor | Scores, queries: range) -> None:
-        self._scores, self._queries = scores, queries
-
-    def __len__(self) -> int:
-        return len(self._queries)
-
-    def __getitem__(self, query: int, /) -> Tensor:
-        return self._scores[self._queries[query]]
 
 
 def _places(
