@@ -182,7 +182,10 @@ def test_a_map_that_grows_is_the_map_that_was_whole():
         ({"delay": -1}, "a delay from 0"),
         ({"query_sequences": ["a"]}, "each of 3 queries, got 1"),
         ({"reference_sequences": ["m"] * 4}, "each of 4 rows, got"),
-        ({"reference_sequences": ["m", "m", "n", "m", "n"]}, "frames of 'm' together, got some at 3"),
+        (
+            {"reference_sequences": ["m", "m", "n", "m", "n"]},
+            "frames of 'm' together, got some at 3",
+        ),
         ({"query_sequences": ["a", "b", "a"]}, "frames of 'a' together"),
         ({"scores": torch.full((3, 5), torch.nan)}, "at most 1, as cosines are, got nan"),
         ({"scores": torch.full((3, 5), 2.0)}, "at most 1, as cosines are, got 2"),
