@@ -27,6 +27,8 @@ from ..evaluation.metrics import Convention
 if TYPE_CHECKING:
     from ..recognition.recognise import Steps
 
+TYPED = "COMMANDLINE"
+
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
     "torchhub:REPO/MODEL or MODULE:NAME."
@@ -191,9 +193,7 @@ class DriveOptions:
 
 PAPER_REACH = 3
 """Frames on each side of the temporal sum in the paper."""
-
 MOST_REACH = 1_000_000
-"""Frames or metres."""
 
 
 class Reach(NamedTuple):
@@ -248,8 +248,10 @@ class StepOptions:
 
     def steps(self) -> Steps:
         """The steps that the options choose."""
-        from ..recognition.recognise import Steps
+        from ..recognition.recognise import AS_PAPER, Steps
 
+        if getattr(self, "as_paper", False):
+            return AS_PAPER
         follow = None if self.follow == "no" else self.follow
         return Steps(self.standardise, self.sweep, follow, self.delay)
 
@@ -310,12 +312,6 @@ class RecognitionOptions(StepOptions):
                 f"--as-paper means --no-standardise --no-sweep --follow no --temporal "
                 f"{PAPER_REACH} --no-fuse; it contradicts {names}"
             )
-
-    def steps(self) -> Steps:
-        """The steps that the options choose."""
-        from ..recognition.recognise import AS_PAPER
-
-        return AS_PAPER if self.as_paper else super().steps()
 
     @property
     def fused(self) -> bool | None:
@@ -379,7 +375,8 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def run(*, context: typer.Context, **values: Any) -> None:
-        typed = [name for name in values if _is_typed(context, name)]
+        sources = {name: context.get_parameter_source(name) for name in values}
+        typed = [name for name, source in sources.items() if source and source.name == TYPED]
         for name, kind in classes.items():
             values[name] = kind(**{each.name: values.pop(each.name) for each in fields(kind)})
             if hasattr(kind, "check"):
@@ -392,12 +389,6 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
     run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
     return run
-
-
-def _is_typed(context: typer.Context, name: str) -> bool:
-    """Whether an option is on the command line."""
-    source = context.get_parameter_source(name)
-    return source is not None and source.name == "COMMANDLINE"
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:

@@ -64,18 +64,29 @@ def encode_to_database(
         1000
     """
     options = options or EncodeOptions()
+    plan, describer = prepared(head, files, database, options, segmenter)
+    results = _encode(describer, plan.files, options.workers, segmenter)
+    with closing(results), Writer(database, plan, options) as writer:
+        for result in results:
+            writer.add(result)
+    return writer.finish()
+
+
+def prepared(
+    head: SSRVLAD,
+    files: Sequence[FrameFile],
+    database: Database,
+    options: EncodeOptions,
+    segmenter: Segmenter | None,
+) -> tuple[Plan, Describer]:
+    """What to encode into a database, and how; arguments and errors as for `encode_to_database`."""
     database.require(head.config)
     check_segmenter(head, segmenter, database.beside)
     network = (segmenter.key(), segmenter.name) if segmenter else ()
     origin = database.add_origin(head.label_space, *network)
     plan = Plan.of(files, database, database.origins[origin])
     options.progress(plan.already_there)
-    describer = Describer(head, origin, database.beside)
-    results = _encode(describer, plan.files, options.workers, segmenter)
-    with closing(results), Writer(database, plan, options) as writer:
-        for result in results:
-            writer.add(result)
-    return writer.finish()
+    return plan, Describer(head, origin, database.beside)
 
 
 def encode_to_memory(

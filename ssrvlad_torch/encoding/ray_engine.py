@@ -21,7 +21,7 @@ from ..files import one_line
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import Describer, Item
-from .encoder import check_segmenter, segmented_items
+from .encoder import prepared, segmented_items
 from .plan import NEW, Plan
 from .results import Encoded, EncodeOptions, Skipped, Summary, cores
 from .writer import Writer
@@ -79,14 +79,8 @@ def encode_with_ray(
     """
     _require_ray()
     options = options or EncodeOptions()
-    database.require(head.config)
-    check_segmenter(head, segmenter, database.beside)
-    network = (segmenter.key(), segmenter.name) if segmenter else ()
-    origin = database.add_origin(head.label_space, *network)
-    plan = Plan.of(files, database, database.origins[origin])
-    options.progress(plan.already_there)
+    plan, describer = prepared(head, files, database, options, segmenter)
     path = database.path if is_uri(database.path) else absolute(Path(database.path))
-    describer = Describer(head, origin, database.beside)
     encoder = PartEncoder(
         describer, path, Network.of(segmenter, options.gpus) if segmenter else None
     )
