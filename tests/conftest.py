@@ -10,6 +10,7 @@ import subprocess
 import sys
 from functools import cache, partial
 from pathlib import Path
+from urllib.request import Request, urlopen
 
 import pytest
 import torch
@@ -203,6 +204,8 @@ def bucket(monkeypatch):
     }
     for name, value in settings.items():
         monkeypatch.setenv(name, value)
-    boto3.client("s3", endpoint_url=settings["AWS_ENDPOINT_URL"]).create_bucket(Bucket="town")
+    url = settings["AWS_ENDPOINT_URL"]
+    urlopen(Request(f"{url}/moto-api/reset", method="POST"))  # servers of a process share content
+    boto3.client("s3", endpoint_url=url).create_bucket(Bucket="town")
     yield "s3://town"
     server.stop()

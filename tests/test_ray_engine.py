@@ -4,7 +4,8 @@ import os
 
 import pytest
 import torch
-from helpers import write_street
+from helpers import write_street as write_map
+from networks import write_street
 from segmenting import write_photos, write_settings
 
 from ssrvlad_torch import SSRVLAD
@@ -37,7 +38,7 @@ def cluster():
 def files(tmp_path, monkeypatch):
     monkeypatch.setattr(ray_engine, "PART", 8)
     for number in range(20):
-        write_street(tmp_path / "a" / f"{number}.png", number)
+        write_map(tmp_path / "a" / f"{number}.png", number)
     return find_label_files([str(tmp_path / "a")])
 
 
@@ -67,8 +68,8 @@ def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
     assert (summary.encoded, summary.already_there, sum(counted)) == (19, 0, 20)
     assert [frame.frame for frame in summary.skipped] == ["a/7"]
     assert_same_as_local(tmp_path / "db", files)
-    write_street(tmp_path / "a" / "7.png", 7)
-    write_street(tmp_path / "a" / "3.png", 99)
+    write_map(tmp_path / "a" / "7.png", 7)
+    write_map(tmp_path / "a" / "3.png", 99)
     summary = encode_with_ray(HEAD, files, Database.open(tmp_path / "db"), TWO)
     assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
     others = [file for file in files if file.name != "9"]
@@ -143,20 +144,22 @@ def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     monkeypatch.setattr(ray_engine, "PART_OF_PICTURES", 8)
-    return find_image_files([str(write_photos(tmp_path / "photos", range(20)))])
+    return find_image_files([str(write_photos(tmp_path / "photos", range(20), (96, 128)))])
 
 
 @pytest.fixture
 def segmenter(tmp_path):
-    return Segmenter.load(write_settings(tmp_path), "camvid-11")
+    settings = write_settings(tmp_path)
+    write_street(tmp_path / "net.onnx")
+    return Segmenter.load(settings, "camvid-11")
 
 
 @pytest.fixture
 def pictures(tmp_path, segmenter):
-    """A database with HOG beside the descriptors."""
-    return Database.create(
-        tmp_path / "db", HEAD.config, beside=extra_descriptors(["hog"], segmenter)
-    )
+    """A database with features and HOG beside the descriptors."""
+    beside = extra_descriptors(None, segmenter)
+    assert [extra.name for extra in beside] == ["features", "hog"]
+    return Database.create(tmp_path / "db", HEAD.config, beside=beside)
 
 
 def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
@@ -165,8 +168,8 @@ def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
     summary = encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
     assert (summary.encoded, [frame.frame for frame in summary.skipped]) == (19, ["photos/7"])
     assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.beside)
-    write_photos(tmp_path / "photos", [7])
-    write_photos(tmp_path / "photos", [3], size=(30, 30))
+    write_photos(tmp_path / "photos", [7], size=(96, 128))
+    write_photos(tmp_path / "photos", [3], size=(96, 160))
     summary = encode_with_ray(HEAD, photos, Database.open(tmp_path / "db"), TWO, segmenter)
     assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
 

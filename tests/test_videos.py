@@ -8,9 +8,11 @@ from helpers import street
 from networks import photo, write_graph
 
 from ssrvlad_torch import Database
+from ssrvlad_torch.cli import output
+from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.trajectories import read_trajectory
-from ssrvlad_torch.datasets.videos import video_files
+from ssrvlad_torch.datasets.videos import played, video_files
 
 av = pytest.importorskip("av", reason="needs the extra video")
 
@@ -147,6 +149,32 @@ def test_frames_that_do_not_decode_are_named(tmp_path):
     assert 0 < len(bad) < 30 and {0, 1, 98, 99} <= {*good}
 
 
+@pytest.mark.parametrize("name", ["a.mp4", "a.mkv", "a.ts"])
+def test_no_frame_shows_what_a_decoder_made_up(tmp_path, name):
+    """It conceals damage, and frames that depend on concealed ones decode without an error."""
+    rng = np.random.default_rng(0)
+    grain = rng.integers(0, 40, (120, 160, 3), np.uint8)
+    path = write_video(
+        tmp_path / name, STEADY, **H264, draw=lambda n: picture(n) // 2 + np.roll(grain, 7 * n, 1)
+    )
+    files = video_files(path)
+    expected = [read_image(file).astype(int) for file in files]
+    content = bytearray(path.read_bytes())
+    for place in rng.integers(len(content) // 5, len(content) * 4 // 5, 3):
+        content[place : place + 20] = rng.bytes(20)
+    path.write_bytes(content)
+    right = 0
+    for file, pixels in zip(video_files(path), expected, strict=True):
+        try:
+            found = read_image(file)
+        except ValueError as error:
+            assert str(error) == "the frame does not decode"
+        else:
+            assert np.abs(found - pixels).mean() < 8, file.name
+            right += 1
+    assert 30 < right < len(files)
+
+
 @pytest.mark.parametrize("content", [b"", b"no video", b"\0" * 1000, b"#EXTM3U\n/etc/passwd\n"])
 def test_what_is_no_video_is_refused(tmp_path, content):
     path = tmp_path / "a.mp4"
@@ -184,7 +212,17 @@ def test_a_track_needs_a_video_that_says_when_it_was_recorded(tmp_path):
         find_image_files([str(path)], poses=str(tmp_path / "a.txt"))
 
 
-def test_commands_take_videos(ssrvlad, tmp_path):
+def test_progress_counts_the_seconds_of_video(tmp_path):
+    paths = [str(write_video(tmp_path / f"{name}.mp4", UNEVEN)) for name in "ab"]
+    files = find_image_files(paths)
+    assert played(files) == pytest.approx(
+        [t / 1000 for t in (*UNEVEN, *(1100 + u for u in UNEVEN))]
+    )
+    assert played([*files, FrameFile("s", "n", tmp_path / "n.png")]) == played([]) == []
+
+
+def test_commands_take_videos(ssrvlad, tmp_path, monkeypatch):
+    monkeypatch.setattr(output, "_LINE_SECONDS", 0.0)
     photos = [photo(street(seed, 60, 80)) for seed in range(5)]
     drive = write_video(
         tmp_path / "drive.mp4", range(0, 1000, 100), draw=lambda number: photos[number // 2]
@@ -193,7 +231,8 @@ def test_commands_take_videos(ssrvlad, tmp_path):
     network = ("--segmenter", write_graph(tmp_path / "seg.onnx"), "--labels-as", "camvid-11")
     network = (*network, "--segmenter-cache", tmp_path / "cache")
     code, _, err = ssrvlad("encode", drive, "-o", town, *network, "--fps", 5, "--with", "none")
-    assert code == 0 and all("assumed" in line for line in err)
+    assert code == 0 and err.pop().endswith(", 0:00:01 of 0:00:01 of video")
+    assert all("assumed" in line or "of 0:00:01 of video" in line for line in err)
     assert Database.open(town).load().frames == tuple(f"drive/{200_000 * n:010d}" for n in range(5))
     assert ssrvlad("encode", drive, "-o", town, *network)[1].startswith(
         f"{town}: 5 frames encoded (0 of them empty), 5 already there"

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import typer
@@ -55,9 +56,15 @@ def printable(text: str) -> str:
 
 
 @contextmanager
-def progress_bar(what: str, total: int) -> Iterator[Progress]:
+def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterator[Progress]:
     """Shows a progress bar on stderr, with the rate and the number of skipped frames. Where stderr
-    is no terminal, a line appears every `_LINE_SECONDS`."""
+    is no terminal, a line appears every `_LINE_SECONDS`.
+
+    Args:
+        what: what is done.
+        total: number of steps.
+        played: the seconds of video up to each step, which are then shown too.
+    """
     from rich import progress
     from rich.console import Console
 
@@ -76,6 +83,10 @@ def progress_bar(what: str, total: int) -> Iterator[Progress]:
         def show() -> None:
             nonlocal waiting, due
             also = f", {skipped} skipped" if skipped else ""
+            if played:
+                times = (played[min(max(done, 1), len(played)) - 1], played[-1])
+                passed, whole = (str(timedelta(seconds=round(each))) for each in times)
+                also += f", {passed} of {whole} of video"
             if console.is_terminal:
                 rate = bar.tasks[task].speed
                 bar.update(task, advance=waiting, rate=(f"{rate:.0f}/s" if rate else "") + also)

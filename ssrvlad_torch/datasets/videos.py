@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import io
 import math
-from bisect import bisect_right
-from collections.abc import Iterator
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from fractions import Fraction
 from functools import lru_cache
+from itertools import accumulate, pairwise
 from pathlib import Path
 from threading import Lock
 from typing import Any
@@ -26,7 +27,7 @@ SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts")
 _FORMATS = "mov,matroska,avi,mpegts"
 """No format that names other files, as playlists do."""
 
-_BUFFERED = 8
+_BUFFERED = 16
 _TOLERATED = 0.5
 """Seconds by which a header may say that a video is longer than its frames."""
 
@@ -84,6 +85,14 @@ def video_files(path: Path) -> list[FrameFile]:
     return files
 
 
+def played(files: Sequence[FrameFile]) -> list[float]:
+    """The seconds of video up to each of the files; empty unless all are frames of videos."""
+    if not files or not all(isinstance(file, VideoFile) for file in files):
+        return []
+    steps = (b.stamp - a.stamp if a.path == b.path else 0.0 for a, b in pairwise(files))
+    return [*accumulate(steps, initial=0.0)]
+
+
 class _Video:
     """The first video stream of a file. Reading frames in order decodes each once.
 
@@ -105,6 +114,7 @@ class _Video:
             self._stream = self._container.streams.video[0]
             check_pixels(self._stream.height, self._stream.width)
             self._stream.thread_type = "AUTO"
+            self._stream.codec_context.options = {"err_detect": "explode"}
         except Exception as error:  # damaged files raise any exception
             raise ValueError(f"{path} is not a readable video: {one_line(error)}") from error
         self.unit = Fraction(self._stream.time_base or 0)
@@ -113,6 +123,8 @@ class _Video:
             raise ValueError(f"{path} holds no frames with presentation times")
         self.times = [time for time, _, _ in packets]
         self._keys = [(time, decoded) for time, is_key, decoded in packets if is_key]
+        self._order = sorted((decoded, time) for time, _, decoded in packets)
+        self._decoded = {time: decoded for time, _, decoded in packets}
         self.end = self.times[0] + self._duration()
         self.created = _created(self._container.metadata)
         self._lock = Lock()
@@ -120,14 +132,19 @@ class _Video:
 
     def pixels(self, time: int) -> npt.NDArray[np.uint8]:
         """``(H, W, 3)`` uint8 of the frame at a time, turned upright; a ValueError if it does not
-        decode. The last `_BUFFERED` frames stay in memory."""
+        decode, or an earlier one that it may depend on: decoders conceal that. The last `_BUFFERED`
+        frames stay in memory."""
         with self._lock:
-            if time not in self._buffer:
-                if not self._reached <= time or self._key(time)[0] > self._reached:
-                    self._start(time)
-                self._decode_up_to(time)
+            before = self._decoded_with(time)
+            if time not in self._buffer and (
+                not self._reached <= time or self._key(time)[0] > self._reached
+            ):
+                self._start(time)
+            if self._reached < max(before):
+                self._decode_up_to(max(before))
             frame = self._buffer.get(time)
-            if frame is None or frame.is_corrupt:
+            is_whole = self._whole.issuperset(before) if self._failed else frame is not None
+            if frame is None or not is_whole:
                 raise ValueError("the frame does not decode")
             check_pixels(frame.height, frame.width)
             pixels = np.rot90(frame.to_ndarray(format="rgb24"), round(frame.rotation / 90) % 4)
@@ -170,17 +187,28 @@ class _Video:
         place = bisect_right(self._keys, time, key=lambda key: key[0])
         return self._keys[place - 1] if place else (self.times[0], self.times[0])
 
+    def _decoded_with(self, time: int) -> list[int]:
+        """The frames that are decoded from `_key` up to the one at a time, with it."""
+        first, last = self._key(time)[1], self._decoded[time]
+        here = slice(bisect_left(self._order, (first,)), bisect_left(self._order, (last + 1,)))
+        return [shown for _, shown in self._order[here]] or [time]
+
     def _start(self, time: int) -> None:
         """Goes to the last frame at or before a time at which decoding can begin."""
         self._container.seek(self._key(time)[1], stream=self._stream)
         self._buffer = dict[int, Any]()
+        self._whole, self._failed = set[int](), False
         self._reached = -math.inf
         self._remaining = _frames(self._container, self._stream, self._errors)
 
     def _decode_up_to(self, time: int) -> None:
         for frame in self._remaining:
-            if frame.pts is None:
+            if frame is None or frame.is_corrupt:
+                self._failed = True
+            if frame is None or frame.pts is None:
                 continue
+            if not frame.is_corrupt:
+                self._whole.add(frame.pts)
             self._reached = max(self._reached, frame.pts)
             self._buffer[frame.pts] = frame
             if len(self._buffer) > _BUFFERED:
@@ -190,11 +218,15 @@ class _Video:
 
 
 def _frames(container: Any, stream: Any, errors: type[Exception]) -> Iterator[Any]:
-    """The frames from where a container is; no method, which would keep the video in a cycle."""
+    """The frames from where a container is, ``None`` for a packet that is damaged; no method, which
+    would keep the video in a cycle."""
     with suppress(errors):
         for packet in container.demux(stream):
-            with suppress(errors):  # a packet that is damaged; later ones decode
-                yield from packet.decode()
+            try:
+                frames = [None] if packet.is_corrupt else packet.decode()
+            except errors:
+                frames = [None]
+            yield from frames
 
 
 @lru_cache(maxsize=4)

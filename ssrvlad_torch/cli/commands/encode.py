@@ -74,6 +74,7 @@ def _encode(
 ) -> Summary:
     from ...config import SSRVLADConfig
     from ...database.database import Database
+    from ...datasets.videos import played
     from ...descriptor import SSRVLAD
     from ...encoding.encoder import encode_to_database
     from ...encoding.ray_engine import encode_with_ray
@@ -106,7 +107,7 @@ def _encode(
         if len(skipped) == len(files):
             return Summary(skipped=skipped)
         database = Database.open_or_create(output, config, extra)
-    with progress_bar("encoding", len(files)) as bar:
+    with progress_bar("encoding", len(files), played(files)) as bar:
         chosen = EncodeOptions(options.workers, whole, prune, bar.advance, bar.skip, gpus)
         run = encode_with_ray if engine == "ray" else encode_to_database
         return run(head, files, database, chosen, segmenter)

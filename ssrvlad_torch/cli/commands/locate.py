@@ -22,6 +22,7 @@ def locate(
     Example: ssrvlad locate photos/today/000002.png --in photos.ssrdb
     """
     from ...database.database import Database
+    from ...datasets.videos import played
     from ...encoding.search import accepted, search
     from ...evaluation.measure import estimate_in_json
     from ..sources import resolve
@@ -29,7 +30,7 @@ def locate(
 
     opened = Database.open(database)
     frames = resolve(source, opened, compared=True, images=True)
-    with progress_bar("encoding", len(frames.files)) as bar:
+    with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
         queries, references, found, t, skipped, _ = search(
             opened,
             frames,

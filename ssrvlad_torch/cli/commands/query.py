@@ -58,6 +58,7 @@ def query(
     from ...database.database import Database
     from ...database.frames import FrameSet
     from ...database.selection import excluded_pairs, select
+    from ...datasets.videos import played
     from ...encoding.search import search, search_index
     from ..sources import resolve
 
@@ -77,7 +78,7 @@ def query(
             raise ValueError(f"--window {window}: no frame of {database} has such a number")
         return excluded_pairs(queries, references, where, exclude)
 
-    with progress_bar("encoding", len(frames.files)) as bar:
+    with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
         if index:
             found = search_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
         else:
