@@ -11,7 +11,7 @@ from torch import Tensor
 from .netvlad_network import NetVLADNetwork
 from .netvlad_weights import read_netvlad_weights
 from .protocol import Frame, image_of
-from .vectors import Vectors
+from .vectors import VectorMethod
 from .weights import fill, find_weights, random_network
 
 _FILES = (
@@ -28,7 +28,7 @@ _ORIGIN = (
 _SMALLEST = 16
 
 
-class NetVLAD(Vectors):
+class NetVLAD(VectorMethod):
     """Descriptors of a trained network, compared by their cosine.
 
     Images keep their own size, as in the authors' programs. A descriptor has 4096 numbers; without

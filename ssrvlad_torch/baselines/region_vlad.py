@@ -11,7 +11,7 @@ from torch import Tensor
 
 from .protocol import Frame, image_of
 from .region_features import RegionFeatures
-from .vectors import Vectors
+from .vectors import VectorMethod
 from .vocabulary import CHANNELS, read_vocabulary
 from .weights import find_weights
 
@@ -21,7 +21,7 @@ _ORIGIN = (
 )
 
 
-class RegionVLAD(Vectors):
+class RegionVLAD(VectorMethod):
     """VLAD of an image's regions over a vocabulary, compared by the cosine.
 
     Args:

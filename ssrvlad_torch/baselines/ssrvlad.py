@@ -14,10 +14,10 @@ from ..descriptor import SSRVLAD
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import temporal_sum
 from .protocol import Frame, batches, label_kind, labels_of, noting
-from .vectors import Vectors
+from .vectors import VectorMethod
 
 
-class SSRVLADMethod(Vectors):
+class SSRVLADMethod(VectorMethod):
     """Raw descriptors of queries against references summed over their neighbours (Eq. 3).
 
     Frames may have different label spaces.

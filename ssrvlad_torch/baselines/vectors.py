@@ -11,7 +11,7 @@ from ..recognition.sweep import score
 from .protocol import Frame, batches
 
 
-class Vectors:
+class VectorMethod:
     """A method that encodes queries and references alike, in batches of frames of one kind.
 
     A subclass defines `name`, `length` and `_describe`, the vectors of a batch.
@@ -41,7 +41,7 @@ class Vectors:
         raise NotImplementedError
 
 
-class Grid(Vectors):
+class Grid(VectorMethod):
     """A method with eight numbers in each cell of a grid over the frame.
 
     Args:

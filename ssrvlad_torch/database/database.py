@@ -22,7 +22,7 @@ from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace, label_space, label_space_names
 from . import engine
 from .disk import is_local
-from .frames import FrameRecord, Vectors, require_list
+from .frames import FrameRecord, require_list
 from .metadata import ExtraDescriptor, Meta, Origin
 from .reading import Damage, replacement_of_damaged
 from .rows import (
@@ -37,6 +37,8 @@ from .stored import StoredFrames
 
 if TYPE_CHECKING:
     from lance import LanceDataset
+
+    from ..recognition.matching import Vectors
 
 
 Check = Callable[[StoredRecords], None]

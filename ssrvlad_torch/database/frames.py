@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -14,8 +14,6 @@ from natsort import natsort_keygen
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-Vectors: TypeAlias = "Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]"
 
 _NAN = float("nan")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .checksums import checksums
-from .frames import FrameRecord, Vectors
+from .frames import FrameRecord
+
+if TYPE_CHECKING:
+    from ..recognition.matching import Vectors
 
 DESCRIPTOR = "descriptor"
 """The column of the method's descriptors."""

@@ -68,7 +68,7 @@ TOUR_ESTATES = (2,)
 """The estate of the tour: 400 m of street that look alike."""
 
 
-class Frame(NamedTuple):
+class CityFrame(NamedTuple):
     """One frame of a traverse: label ids ``(H, W)`` uint8, camera pose, name ``000000``..."""
 
     labels: NDArray[np.uint8]
@@ -104,7 +104,7 @@ class SyntheticCity:
         size: tuple[int, int] = (240, 320),
         labels_as: str = "cityscapes-trainids",
         turns: Iterable[int] | None = None,
-    ) -> Iterator[Frame]:
+    ) -> Iterator[CityFrame]:
         """The frames of a drive along the route, computed lazily.
 
         Args:
@@ -124,7 +124,7 @@ class SyntheticCity:
 
     def _drive(
         self, poses: Iterable[Pose], conditions: Conditions, size: tuple[int, int], labels_as: str
-    ) -> Iterator[Frame]:
+    ) -> Iterator[CityFrame]:
         block = functools.lru_cache(maxsize=64)(functools.partial(self._block, conditions))
         for index, pose in enumerate(poses):
             bodies = [block(*corner) for corner in nearby_blocks(pose)]
@@ -133,7 +133,7 @@ class SyntheticCity:
             if conditions.noise:
                 rng = generator(conditions.seed, "noise", self.seed, index)
                 labels = conditions.noise.apply(labels, rng)
-            yield Frame(_convert(labels, labels_as), pose, f"{index:06d}")
+            yield CityFrame(_convert(labels, labels_as), pose, f"{index:06d}")
 
     def _block(self, conditions: Conditions, column: int, row: int) -> Bodies:
         """All bodies between streets `column` and `column + 1`, `row` and `row + 1`."""
@@ -230,7 +230,7 @@ def write_tour(
 
 def _write_frames(
     folder: Path,
-    frames: Iterable[Frame],
+    frames: Iterable[CityFrame],
     colours: NDArray[np.uint8],
     progress: Callable[[int], None] | None,
 ) -> dict[str, Pose]:

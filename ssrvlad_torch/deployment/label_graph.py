@@ -11,7 +11,7 @@ from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
-from ..segmentation.preparation import Form, Preparation, SegmenterConfig
+from ..segmentation.preparation import InputForm, Preparation, SegmenterConfig
 from .trace import OPSET, Axes, join, opset, traced, with_opset
 
 if TYPE_CHECKING:
@@ -102,7 +102,7 @@ def _traced_network(labels: LabelNetwork) -> onnx.ModelProto:
 def _traced_preparation(
     config: SegmenterConfig, dtype: torch.dtype, channels_last: bool
 ) -> onnx.ModelProto:
-    module = _Preparation(Preparation(config, Form(dtype, channels_last)))
+    module = _Preparation(Preparation(config, InputForm(dtype, channels_last)))
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     forms: dict[str, Axes] = {"numbers": [None] * 4, "picture": ["B", "H", "W"]}
     return traced(module, {"image": (example, _IMAGE)}, forms)

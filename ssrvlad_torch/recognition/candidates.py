@@ -72,7 +72,7 @@ class State(NamedTuple):
     unmapped: float
 
 
-class Future(NamedTuple):
+class Continuation(NamedTuple):
     """How likely the later queries are from each state; not normalised."""
 
     mapped: Tensor
@@ -161,7 +161,7 @@ class CandidateFilter:
         belief = mapped / total, elsewhere / total, unmapped / total
         return State(rows, scores, likelihood, other, *belief), math.log(total / alone)
 
-    def before(self, state: State, later: State, future: Future) -> Future:
+    def before(self, state: State, later: State, future: Continuation) -> Continuation:
         """The future from a state by the backward algorithm, from the next state and its future."""
         weighted = future.mapped * later.likelihood
         elsewhere = future.elsewhere * later.likelihood_elsewhere
@@ -182,7 +182,7 @@ class CandidateFilter:
         jump = self.motion.jump
         elsewhere = (1 - jump) * (come + (1 - fresh) * elsewhere) + jump * lost
         highest = max(unmapped, elsewhere, float(mapped.max()) if mapped.numel() else 0.0)
-        return Future(mapped / highest, elsewhere / highest, unmapped / highest)
+        return Continuation(mapped / highest, elsewhere / highest, unmapped / highest)
 
     def places(self, state: State, top: int) -> Places:
         """The places of one query."""
@@ -272,11 +272,11 @@ class CandidateFilter:
 def _smoothed(track: CandidateFilter, states: Sequence[State]) -> list[State]:
     """The states of queries that follow one another, each given those after it."""
     smoothed: list[State] = []
-    future: Future | None = None
+    future: Continuation | None = None
     for number in reversed(range(len(states))):
         state = states[number]
         if future is None:
-            future = Future(torch.ones_like(state.mapped), 1.0, 1.0)
+            future = Continuation(torch.ones_like(state.mapped), 1.0, 1.0)
         else:
             future = track.before(state, states[number + 1], future)
         mapped = state.mapped * future.mapped

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from .display import candidates_table
 
-Vectors = Tensor | npt.NDArray[np.float32]
+Vectors = Tensor | npt.NDArray[np.float32] | npt.NDArray[np.uint8]
 
 _QUERY_BLOCK = 1024
 _REFERENCE_BLOCK = 1 << 12

@@ -24,7 +24,7 @@ class UnrecognisedError(ValueError):
     """No output of a network can be labels, or several can."""
 
 
-class Form(NamedTuple):
+class OutputForm(NamedTuple):
     """Shape and dtype of an output, declared or actual.
 
     Attributes:
@@ -44,7 +44,10 @@ class Form(NamedTuple):
 
 
 def choose_output(
-    forms: Mapping[str, Form], space: LabelSpace, name: str | None = None, classes: Classes = None
+    forms: Mapping[str, OutputForm],
+    space: LabelSpace,
+    name: str | None = None,
+    classes: Classes = None,
 ) -> str:
     """The name of the output that holds labels: class scores, or integer ids.
 
@@ -106,7 +109,7 @@ def channel_counts(space: LabelSpace, classes: Classes = None) -> range:
     return range(last, 1 << 16) if fits else range(0)
 
 
-def class_axis(form: Form, space: LabelSpace, classes: Classes = None) -> int | None:
+def class_axis(form: OutputForm, space: LabelSpace, classes: Classes = None) -> int | None:
     """The axis of an output of four axes that holds the classes, the second or the last, or
     ``None`` if its shape does not tell."""
     assert form.shape is not None
@@ -172,16 +175,16 @@ def _named_tensors(result: object) -> Iterator[tuple[str, Tensor]]:
     yield from tensors
 
 
-def form_of(tensor: Tensor) -> Form:
+def form_of(tensor: Tensor) -> OutputForm:
     """The form of an actual output."""
     dtype = str(tensor.dtype).removeprefix("torch.")
     if tensor.is_floating_point():
-        return Form(tuple(tensor.shape), dtype, "scores")
+        return OutputForm(tuple(tensor.shape), dtype, "scores")
     integers = not tensor.is_complex() and tensor.dtype != torch.bool
-    return Form(tuple(tensor.shape), dtype, "ids" if integers else "")
+    return OutputForm(tuple(tensor.shape), dtype, "ids" if integers else "")
 
 
-def _fits(form: Form, space: LabelSpace, classes: Classes) -> bool:
+def _fits(form: OutputForm, space: LabelSpace, classes: Classes) -> bool:
     if not form.kind or form.shape is None:
         return bool(form.kind)
     if form.kind == "ids" and len(form.shape) == 3:
@@ -199,7 +202,7 @@ def _counts(space: LabelSpace, classes: Classes) -> str:
     return counts if classes is None else f"{counts} of channels {classes[0]}:{classes[1]}"
 
 
-def _hint(forms: Mapping[str, Form], space: LabelSpace, classes: Classes) -> str:
+def _hint(forms: Mapping[str, OutputForm], space: LabelSpace, classes: Classes) -> str:
     """The option to use if the network has more channels than the label space has classes."""
     most = max(space.channel_counts, default=0)
     more = any(
@@ -212,5 +215,5 @@ def _hint(forms: Mapping[str, Form], space: LabelSpace, classes: Classes) -> str
     return f"; --classes 0:{most} takes the first {most}" if more and most and not classes else ""
 
 
-def _list(forms: Mapping[str, Form]) -> str:
+def _list(forms: Mapping[str, OutputForm]) -> str:
     return ", ".join(f"{name} {form}" for name, form in forms.items())

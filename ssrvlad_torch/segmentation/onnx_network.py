@@ -15,9 +15,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from .network_outputs import Form
+from .network_outputs import OutputForm
 from .onnx_files import CPU, external_files, open_session
-from .preparation import Form as InputForm
+from .preparation import InputForm
 
 if TYPE_CHECKING:
     import onnx
@@ -66,7 +66,7 @@ class OnnxNetwork(nn.Module):
             raise ValueError(f"{path} has inputs {names}; expected one, for images")
         self.input: str = inputs[0].name
         shape = _shape(inputs[0])
-        form = Form(shape, inputs[0].type, "")
+        form = OutputForm(shape, inputs[0].type, "")
         if shape is None or len(shape) != 4 or inputs[0].type not in _DTYPES:
             raise ValueError(f"{path} takes {form}; expected (B, 3, H, W) floats or bytes")
         last = shape[1] != _COLOURS and shape[3] == _COLOURS
@@ -76,8 +76,8 @@ class OnnxNetwork(nn.Module):
         self.size = (height, width)
         self.form = InputForm(_DTYPES[inputs[0].type], last)
         self.batch = shape[0]
-        self.outputs: Mapping[str, Form] = {
-            output.name: Form(_shape(output), output.type, _kind(output.type))
+        self.outputs: Mapping[str, OutputForm] = {
+            output.name: OutputForm(_shape(output), output.type, _kind(output.type))
             for output in self._session.get_outputs()
         }
 

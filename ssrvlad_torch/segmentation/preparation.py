@@ -97,7 +97,7 @@ class SegmenterConfig:
         return next(sides), next(sides)
 
 
-class Form(nn.Module):
+class InputForm(nn.Module):
     """The last step of a preparation: the dtype and the layout of a graph's input. Bytes are
     rounded; with ``channels_last`` the layout is ``(B, H, W, 3)``, else ``(B, 3, H, W)``."""
 
@@ -137,7 +137,7 @@ class Preparation(nn.Module):
         torch.Size([1, 3, 64, 128])
     """
 
-    def __init__(self, config: SegmenterConfig, form: Form | None = None) -> None:
+    def __init__(self, config: SegmenterConfig, form: InputForm | None = None) -> None:
         super().__init__()
         from kornia.color import RgbToBgr
         from kornia.enhance import Normalize
@@ -147,7 +147,7 @@ class Preparation(nn.Module):
         self.steps = nn.Sequential(
             RgbToBgr() if config.colour_order == "bgr" else nn.Identity(),
             Normalize(mean, std),
-            form or Form(),
+            form or InputForm(),
         )
 
     def forward(self, images: Tensor) -> Tensor:
