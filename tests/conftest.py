@@ -1,4 +1,6 @@
 """One thread for torch: the tests run side by side, and small tensors gain nothing from more.
+Signals are raised in processes of their own: where OpenVINO has used AMX, the registers of a thread
+no longer fit on the stack that pytest's faulthandler gives to signals, and the process ends.
 Property tests try the same examples in every run; test_random_run.py tries others.
 What the tests of the command line share: the command line itself, six frames, a database of them.
 """
