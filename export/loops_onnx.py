@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -44,19 +45,25 @@ SPEEDS: tuple[tuple[float, dict[int, float]], ...] = (
 """Probability of each speed along the map, and of its steps in rows."""
 GAP = 5
 """The longest step in rows, and the number of empty cells between two sequences."""
-CHANGE, JUMP, UNMAPPED, STAY = 0.05, 0.05, 0.9, 0.97
+WAYS = (1, -1)
+"""The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
+CHANGE, JUMP, UNMAPPED, STAY = 0.01, 0.01, 0.3, 0.97
 """Probabilities: a changed speed, a jump, a jump to a new place, and to stay at new places."""
-WEIGHT, LEVEL, MAX_LOG = 0.3, 2.5, 50.0
+WEIGHT, LEVEL, MAX_LOG = 0.25, 0.5, 50.0
 """The likelihood of a row of z-score z is exp(WEIGHT * (z - LEVEL)), and at most exp(MAX_LOG)."""
-SAME_WEIGHT, LEVEL_FRACTION = 0.5, 0.9
-"""For rows of the same sequence: the weight, and the level as a fraction of the z-score that three
-quarters of the frames have with their previous frame."""
+EVIDENCE, LEVEL_FRACTION, NEIGHBOURS = 3.0, 0.9, 1000
+"""For rows of the same sequence: what twice the level counts; and the level, as a fraction of the
+z-score that three quarters of the last frames have with their previous frame."""
 STRIDE = 50
 """The previous frame is one frame before where 50 are excluded, and two where 100 are."""
 NEAR, RECENT = 5, 10
 """Rows on each side of a row that show its place, and the least age of the present place."""
 
+BEFORE = 10
+"""How many frames the mean of all earlier sequences counts in that of a sequence."""
+
 _MIN_SPREAD = _ROUNDING = 1e-6
+_MIN_LENGTH = 1e-9**0.5
 
 
 class Settings(NamedTuple):
@@ -81,13 +88,17 @@ class Loop(NamedTuple):
 
 
 class Map:
-    """Descriptors of the frames so far."""
+    """Descriptors of the frames so far; each sequence has its own mean, the present one that of its
+    frames so far."""
 
     def __init__(self) -> None:
         self.rows = 0
         self.empty = np.empty(0, np.bool_)
         self._blocks: list[Vector] = []
-        self._total = np.zeros(1)
+        self._total, self._before = np.zeros(1), np.zeros(1)
+        self._counted = self._counted_before = 0
+        self._means, self._frames = list[Vector](), list[int]()
+        self._lengths = np.empty(0, np.float32)
 
     def append(self, descriptor: Vector) -> None:
         """Appends the next frame of the stream."""
@@ -95,28 +106,60 @@ class Map:
         if place == 0:
             self._blocks.append(np.zeros((BLOCK_ROWS, len(descriptor)), np.float32))
         self._blocks[block][place] = descriptor
-        self._total = self._total + descriptor
+        self._total, self._counted = self._total + descriptor, self._counted + descriptor.any()
         self.empty = np.append(self.empty, not descriptor.any())
         self.rows += 1
 
+    def start_sequence(self) -> None:
+        """The next frame starts another sequence: the mean of the present one stays as it is."""
+        first = len(self._lengths)
+        if first == self.rows:
+            return
+        mean = self._mean(np.zeros(1), 0)
+        blocks = [
+            np.linalg.norm(block - mean, axis=1) for block in self._blocks[first // BLOCK_ROWS :]
+        ]
+        skip = first % BLOCK_ROWS
+        fresh = np.concatenate(blocks)[skip : skip + self.rows - first]
+        self._lengths = np.append(self._lengths, np.maximum(fresh, np.float32(_MIN_LENGTH)))
+        self._means.append(mean)
+        self._frames.append(self.rows - first)
+        self._before = self._before + self._total
+        self._counted_before += self._counted
+        self._total, self._counted = np.zeros(1), 0
+
+    def _mean(self, descriptor: Vector, counted: int) -> Vector:
+        """``(D,)``, the mean of the present sequence with another frame."""
+        total, counted = self._total + descriptor, self._counted + counted
+        if self._counted_before:
+            total, counted = (
+                total + self._before * (BEFORE / self._counted_before),
+                counted + BEFORE,
+            )
+        mean: Vector = (total / max(1, counted)).astype(np.float32)
+        return mean
+
     def scores(self, swept: Vector) -> Vector:
-        """``(rows,)`` cosines of a new frame's best anchor, standardised by the mean of all frames
-        with the new one; -inf for an empty frame."""
-        counted = self.rows - np.count_nonzero(self.empty) + 1
-        mean = ((self._total + swept[len(swept) // 2]) / counted).astype(np.float32)
+        """``(rows,)`` cosines of a new frame's best anchor, each frame without the mean of its
+        sequence; -inf for an empty frame."""
+        mean, first = self._mean(swept[len(swept) // 2], 1), len(self._lengths)
         centred = swept - mean
         centred[np.abs(centred).max(axis=1) <= _ROUNDING] = 0
         centred /= np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), _ROUNDING)
-        columns = np.concatenate((centred, mean[None])).T
-        products = np.concatenate([block @ columns for block in self._blocks])[: self.rows]
-        lengths = np.sqrt(np.maximum(1 - 2 * products[:, -1] + mean @ mean, 1e-9))
-        scores: Vector = (products[:, :-1] - centred @ mean).max(axis=1) / lengths
+        columns = np.concatenate((centred, mean[None]))
+        products = np.concatenate([columns @ block.T for block in self._blocks], axis=1)
+        products = products[:, : self.rows]
+        square = 1 - 2 * products[-1, first:] + mean @ mean
+        lengths = np.append(self._lengths, np.sqrt(np.maximum(square, _MIN_LENGTH**2)))
+        offsets = centred @ np.stack([*self._means, mean]).T
+        products = products[:-1] - np.repeat(offsets, [*self._frames, self.rows - first], axis=1)
+        scores: Vector = (products.max(axis=0) / lengths).astype(np.float32)
         scores[self.empty] = -np.inf
         return scores
 
 
 class Filter:
-    """A hidden Markov model over the rows of the map and a new place.
+    """A hidden Markov model over the rows of the map, the same rows run backwards, and a new place.
 
     Cells are the rows in their order, with empty cells between sequences, so that no step leads
     from one sequence into the next.
@@ -125,9 +168,10 @@ class Filter:
     def __init__(self) -> None:
         self.cells = np.empty(0, np.int64)
         self.inside = np.zeros(GAP, np.float32)
-        self.mapped = np.zeros((len(SPEEDS), GAP), np.float32)
+        self.mapped = np.zeros((len(WAYS), len(SPEEDS), GAP), np.float32)
         self.unmapped = 1.0
-        self._prior = np.array([probability for probability, _ in SPEEDS], np.float32)[:, None]
+        prior = np.array([probability for probability, _ in SPEEDS], np.float32)[:, None]
+        self._prior = np.stack([prior / len(WAYS)] * len(WAYS))
         self._starting = True
 
     def extend(self, starts_sequence: bool) -> None:
@@ -138,8 +182,8 @@ class Filter:
         self.inside = np.concatenate((self.inside, fresh))
         self.cells = np.append(self.cells, len(self.inside) - 1 - GAP)
         self.inside[self.cells[-1]] = 1
-        more = np.zeros((len(SPEEDS), len(fresh)), np.float32)
-        self.mapped = np.concatenate((self.mapped, more), axis=1)
+        more = np.zeros((len(WAYS), len(SPEEDS), len(fresh)), np.float32)
+        self.mapped = np.concatenate((self.mapped, more), axis=2)
 
     def restart(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
@@ -162,20 +206,22 @@ class Filter:
         mapped = self.mapped * likelihood
         total = float(mapped.sum()) + self.unmapped
         self.mapped, self.unmapped = mapped / np.float32(total), self.unmapped / total
-        rows: Vector = self.mapped.sum(axis=0)[self.cells]
+        rows: Vector = self.mapped[0].sum(axis=0)[self.cells]
         return rows
 
     def _move(self) -> None:
         """Predicts the place of the next frame."""
         if not len(self.cells):
             return
-        mixed = self.mapped * (1 - CHANGE) + CHANGE * self._prior * self.mapped.sum(axis=0)
+        totals = self.mapped.sum(axis=1, keepdims=True) * len(WAYS)
+        mixed = self.mapped * (1 - CHANGE) + CHANGE * self._prior * totals
         moved = np.zeros_like(mixed)
-        end = mixed.shape[1] - GAP
-        for speed, (_, steps) in enumerate(SPEEDS):
-            for step, probability in steps.items():
-                part = mixed[speed, GAP - step : end - step]
-                moved[speed, GAP:end] += np.float32(probability * (1 - JUMP)) * part
+        end = mixed.shape[2] - GAP
+        for number, way in enumerate(WAYS):
+            for speed, (_, steps) in enumerate(SPEEDS):
+                for step, probability in steps.items():
+                    part = mixed[number, speed, GAP - way * step : end - way * step]
+                    moved[number, speed, GAP:end] += np.float32(probability * (1 - JUMP)) * part
         moved *= self.inside
         lost = max(0.0, 1 - self.unmapped - float(moved.sum()))
         arriving = lost * (1 - UNMAPPED) + self.unmapped * (1 - STAY)
@@ -203,6 +249,7 @@ class Detector:
         swept = np.atleast_2d(descriptor)
         if not self.frames or _sequence(frame) != _sequence(self.frames[-1]):
             self.filter.restart()
+            self.map.start_sequence()
             self.start, self.neighbours = len(self.frames), []
         result = self._step(frame, swept)
         self.frames.append(frame)
@@ -241,10 +288,10 @@ class Detector:
         previous = len(z) - max(1, self.settings.exclude // STRIDE)
         if self.start <= previous and np.isfinite(z[previous]):
             self.neighbours.append(float(z[previous]))
-        quartile = np.quantile(self.neighbours, 0.25) if self.neighbours else 0.0
+        quartile = np.quantile(self.neighbours[-NEIGHBOURS:], 0.25) if self.neighbours else 0.0
+        level = max(LEVEL, LEVEL_FRACTION * quartile, math.sqrt(2 * math.log(max(2, len(z)))))
         log_likelihood = np.float32(WEIGHT) * (z - np.float32(LEVEL))
-        same = z[self.start :] - np.float32(max(LEVEL, LEVEL_FRACTION * quartile))
-        log_likelihood[self.start :] = np.float32(SAME_WEIGHT) * same
+        log_likelihood[self.start :] = np.float32(EVIDENCE) * (z[self.start :] / level - 1)
         return log_likelihood
 
     def _reason(self, probability: float, old: float, recent: float) -> str:

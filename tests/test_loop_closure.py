@@ -28,6 +28,12 @@ def views(places, noise=0.002):
     return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
 
 
+def lit(places, light):
+    """Descriptors of places that have something in common."""
+    vectors = PLACES[np.asarray(places)] + light + RNG.normal(0, 0.02, (len(places), 480))
+    return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+
+
 def detector(**settings):
     return LoopDetector(LoopConfig(**settings), HEAD)
 
@@ -65,16 +71,38 @@ def test_the_first_frames_have_nothing_to_compare_with():
 
 @pytest.mark.parametrize(
     ("second", "step"),
-    [(range(20, 80), 1), (range(20, 80, 2), 2), ([30] * 40, 0)],
+    [(range(20, 80), 1), (range(20, 80, 2), 2), ([*range(20, 45), *[45] * 40], 0)],
 )
 def test_places_seen_again_close_loops(second, step):
-    """In the same order, at twice the speed, and standing still at one."""
+    """In the same order, at twice the speed, and standing still at one on the way."""
     results = drive(detector(), views([*range(150), *second]))
     loops = accepted(results)
     assert min(loops) <= 165
     assert len(loops) >= len(second) - 15
     assert all(abs(there - second[here - 150]) <= 2 for here, there in loops.items())
     assert {r.probability >= 0.8 for r in results if r.accepted} == {True}
+
+
+def test_places_seen_again_in_other_light_close_loops_and_other_places_do_not():
+    """All frames of the second drive differ from those of the first by more than places do."""
+    light = 3 * PLACES[-1]
+    results = drive(detector(), views(range(150)), "day")
+    loops, other = detector(), detector()
+    for each in (loops, other):
+        drive(each, views(range(150)), "day")
+    seen = drive(loops, lit(range(40, 120), light), "night")
+    found = {n: int(r.candidate.rpartition("/")[2]) - 40 for n, r in enumerate(seen) if r.accepted}
+    assert len(found) > 50 and all(abs(n - there) <= 2 for n, there in found.items())
+    assert not any(
+        r.accepted for r in [*results, *drive(other, lit(range(160, 240), light), "night")]
+    )
+
+
+def test_shuffled_frames_close_no_loop():
+    loops = detector()
+    drive(loops, views(range(150)), "day")
+    order = np.random.default_rng(1).permutation(150)
+    assert not any(r.accepted for r in drive(loops, lit(order, 3 * PLACES[-1]), "night"))
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.002])

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from loop_streams import noisy_stream, streams
 
-from ssrvlad_torch.loops.memory import Memory
+from ssrvlad_torch.loops.memory import BEFORE, Memory
 from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.recognition.sweep import score
 
@@ -33,6 +33,24 @@ def test_scores_are_those_of_standardised_descriptors(stream):
     expected = score(query.float(), known.float())[0]
     got = fed(swept[:-1, centre]).scores(swept[-1])
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-4)
+
+
+def test_each_sequence_has_its_own_mean():
+    vectors = noisy_stream(3, 90, 80, [])[0][:, 0]
+    vectors = vectors[vectors.any(axis=1)]
+    memory, ends = Memory(480), (40, 55, len(vectors) - 1)
+    for number, vector in enumerate(vectors[:-1]):
+        if number in ends:
+            memory.start_sequence()
+        memory.append(f"a/{number}", (0, 0, 0), vector)
+    parts, centred = np.split(vectors.astype(np.float64), ends[:-1]), []
+    for number, part in enumerate(parts):
+        before = np.concatenate([np.empty((0, 480)), *parts[:number]])
+        extra = [before.mean(0)] * BEFORE if number else []
+        centred.append(part - np.concatenate((part, np.reshape(extra, (-1, 480)))).mean(0))
+    plain = np.concatenate(centred)
+    plain /= np.linalg.norm(plain, axis=1, keepdims=True)
+    np.testing.assert_allclose(memory.scores(vectors[-1:]), plain[:-1] @ plain[-1], atol=1e-5)
 
 
 def test_one_anchor_gives_what_standardise_gives():

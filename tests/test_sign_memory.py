@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from test_signs import SHAPE, drive
 
+from ssrvlad_torch.loops.memory import BEFORE
 from ssrvlad_torch.loops.sign_memory import SignVectors
 from ssrvlad_torch.recognition.signs import REACH, moved, numbers
 
@@ -13,7 +14,11 @@ from ssrvlad_torch.recognition.signs import REACH, moved, numbers
 def plain(frames, new):
     """The scores of a new frame by matrices of numbers."""
     every = numbers(torch.cat((frames, new[None]))).double()
-    centred = every - every.mean(0)
+    return of_centred(every - every.mean(0))
+
+
+def of_centred(centred):
+    """The scores of the last of some frames."""
     rows, query = centred[:-1], centred[-1:]
     scores = []
     for move in range(-REACH, REACH + 1):
@@ -36,11 +41,31 @@ def test_scores_are_those_of_numbers_without_the_mean_so_far():
     np.testing.assert_array_equal(memory.descriptors(3, 9), frames[3:9])
 
 
+def test_each_sequence_has_its_own_mean():
+    """A row and a new frame without the means of their sequences, by matrices of numbers."""
+    frames, memory = drive(60), SignVectors(SHAPE)
+    for number, frame in enumerate(frames[:-1].numpy()):
+        if number in (25, 40):
+            memory.start_sequence()
+        memory.add(frame)
+    parts, centred = [*numbers(frames).double().split([25, 15, 20])], []
+    for number, part in enumerate(parts):
+        extra = [torch.cat(parts[:number]).mean(0)] * BEFORE if number else []
+        centred.append(part - torch.stack([*part, *extra]).mean(0))
+    got = torch.from_numpy(memory.scores(frames[-1:].numpy()))
+    torch.testing.assert_close(got, of_centred(torch.cat(centred)), atol=1e-5, rtol=0)
+
+
 def test_frames_that_are_loaded_count_as_if_they_had_come():
     frames, one, both = drive(40).numpy(), SignVectors(SHAPE), SignVectors(SHAPE)
-    for frame in frames[:30]:
+    for frame in frames[:12]:
         one.add(frame)
-    both.extend(torch.from_numpy(frames[:30]))
+    both.extend(torch.from_numpy(frames[:12]))
+    for memory in (one, both):
+        memory.start_sequence()
+    for frame in frames[12:30]:
+        one.add(frame)
+    both.extend(torch.from_numpy(frames[12:30]))
     for frame in frames[30:]:
         torch.testing.assert_close(
             *(torch.from_numpy(each.scores(frame[None])) for each in (one, both))

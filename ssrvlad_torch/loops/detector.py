@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -34,10 +35,11 @@ COLUMNS = (-4, 0, 4)
 class LoopDetector:
     """Decides for each frame of a stream whether its place was seen before.
 
-    A frame is described from several anchors and compared with all earlier frames, standardised by
-    the mean of all frames so far. A Bayes filter (`loops.tracker`) follows the stream; its states
-    are the earlier frames and "a new place". Excluded frames are states too, except for the last
-    `tracker.RECENT`: where one of them is more probable than the old frames, no loop is closed.
+    A frame is described from several anchors and compared with all earlier frames, each without the
+    mean of its own sequence. A Bayes filter (`loops.tracker`) follows the stream; its states are
+    the earlier frames, the same frames run backwards, which only chance makes probable, and "a new
+    place". Excluded frames are states too, except for the last `tracker.RECENT`: where one of them
+    is more probable than the old frames, no loop is closed.
 
     One thread updates; another may `save` at the same time.
 
@@ -196,6 +198,7 @@ class LoopDetector:
         with self._updating:
             self._check(record)
             if record.sequence != self._sequence:
+                self._start_sequence(record.sequence)
                 self._tracker.start_sequence()
             result = self._tracker.step(record.frame, swept, others)
             centre = swept[len(swept) // 2]
@@ -272,13 +275,23 @@ class LoopDetector:
         )
         detector._arrivals = max(arrivals.values(), default=-1) + 1
         vectors = frames.descriptors.numpy()
-        for row in order:
-            detector._memory.append(frames.frames[row], frames.poses[row].tolist(), vectors[row])
-            if not np.isnan(frames.stamps[row]):
-                detector._stamps[frames.sequences[row]] = float(frames.stamps[row])
-        for name, others in detector._others.items():
-            others.extend(frames.beside[name][order])
+        for sequence, part in groupby(order, lambda row: frames.sequences[row]):
+            rows = [*part]
+            detector._start_sequence(sequence)
+            for row in rows:
+                pose = frames.poses[row].tolist()
+                detector._memory.append(frames.frames[row], pose, vectors[row])
+                if not np.isnan(frames.stamps[row]):
+                    detector._stamps[sequence] = float(frames.stamps[row])
+            for name, others in detector._others.items():
+                others.extend(frames.beside[name][rows])
         return detector
+
+    def _start_sequence(self, sequence: str) -> None:
+        """The next frame is of this sequence; the last one may be too, if it was loaded."""
+        if self._memory.sequence != sequence:
+            for memory in (self._memory, *self._others.values()):
+                memory.start_sequence()
 
     def _check(self, record: FrameRecord) -> None:
         """Requires that the frame can be the next one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -18,6 +19,10 @@ _ROUNDING = 1e-6
 """A vector this near to the mean equals it; see `recognition.standardise`."""
 _MIN_SQUARE = 1e-9
 _LENGTH_TOLERANCE = 1e-3
+
+BEFORE = 10
+"""How many frames the mean of all earlier sequences counts in that of a sequence: its first frames
+have nearly all in common, which is where they are."""
 
 
 class GrowingArray:
@@ -45,6 +50,9 @@ class GrowingArray:
 class Vectors:
     """Descriptors of the frames of a stream by one method, in order.
 
+    Each sequence has its own mean, see `recognition.standardise`. The present one's is that of its
+    frames so far; `BEFORE` frames of the mean of all earlier sequences count in it.
+
     Args:
         length: D, the number of values in a descriptor.
     """
@@ -52,8 +60,10 @@ class Vectors:
     def __init__(self, length: int) -> None:
         self._blocks = [np.empty((BLOCK_ROWS, length), np.float32)]
         self._empty = GrowingArray(np.bool_)
-        self._total = np.zeros(length)
-        self._counted = 0
+        self._total, self._counted = np.zeros(length), 0
+        self._before, self._counted_before = np.zeros(length), 0
+        self._finished, self._frames = list[Floats](), list[int]()
+        self._scales = GrowingArray(np.float32)
 
     def __len__(self) -> int:
         return len(self.empty)
@@ -78,6 +88,34 @@ class Vectors:
         self._total += descriptor
         self._counted += not empty
 
+    def start_sequence(self) -> None:
+        """The next frame starts another sequence: the mean of the present one stays as it is."""
+        first = len(self._scales.values)
+        if first == len(self):
+            return
+        mean = self._mean(np.zeros_like(self._total), 0)
+        for row in range(first, len(self), BLOCK_ROWS):
+            vectors = self.descriptors(row, min(row + BLOCK_ROWS, len(self)))
+            lengths = np.linalg.norm(vectors - mean, axis=1)
+            for scale in 1 / np.maximum(lengths, math.sqrt(_MIN_SQUARE)):
+                self._scales.append(scale)
+        self._finished.append(mean)
+        self._frames.append(len(self) - first)
+        self._before += self._total
+        self._counted_before += self._counted
+        self._total, self._counted = np.zeros_like(self._total), 0
+
+    def _mean(self, descriptor: Floats, counted: int) -> Floats:
+        """``(D,)`` float32, the mean of the present sequence with another frame."""
+        total, counted = self._total + descriptor, self._counted + counted
+        if self._counted_before:
+            total, counted = (
+                total + self._before * (BEFORE / self._counted_before),
+                counted + BEFORE,
+            )
+        mean: Floats = (total / max(1, counted)).astype(np.float32)
+        return mean
+
     def extend(self, descriptors: Tensor) -> None:
         """Appends frames by their descriptors ``(N, D)``."""
         for descriptor in descriptors.numpy():
@@ -90,21 +128,27 @@ class Vectors:
         return np.array(rows, np.float32).reshape(-1, len(self._total))
 
     def scores(self, swept: Floats) -> Floats:
-        """``(N,)`` float32 cosines of a new frame to all others, standardised by the mean of all
-        frames with the new one; -inf for an empty frame. ``swept`` ``(S, D)`` are its descriptors
-        from S anchors, the usual one in the middle; the best anchor counts."""
-        mean = (self._total + swept[len(swept) // 2]) / (self._counted + 1)
-        mean = mean.astype(np.float32)
+        """``(N,)`` float32 cosines of a new frame to all others, each without the mean of its
+        sequence; -inf for an empty frame. ``swept`` ``(S, D)`` are its descriptors from S anchors,
+        the usual one in the middle; the best anchor counts."""
+        centre = swept[len(swept) // 2]
+        mean, first = self._mean(centre, int(centre.any())), len(self._scales.values)
         centred = swept - mean
         centred[np.abs(centred).max(axis=1) <= _ROUNDING] = 0
         centred /= np.maximum(np.linalg.norm(centred, axis=1, keepdims=True), _ROUNDING)
-        columns = np.concatenate((centred, mean[None])).T
-        products = np.empty((len(self), columns.shape[1]), np.float32)
-        for first, block in enumerate(self._blocks):
-            part = products[first * len(block) : (first + 1) * len(block)]
-            np.dot(block[: len(part)], columns, out=part)
-        lengths = np.sqrt(np.maximum(1 - 2 * products[:, -1] + mean @ mean, _MIN_SQUARE))
-        scores: Floats = (products[:, :-1] - centred @ mean).max(axis=1) / lengths
+        columns = np.concatenate((centred, mean[None]))
+        products = np.empty((len(columns), len(self)), np.float32)
+        for number, block in enumerate(self._blocks):
+            part = slice(number * len(block), min((number + 1) * len(block), len(self)))
+            np.matmul(columns, block[: part.stop - part.start].T, out=products[:, part])
+        own = products[:-1, first:]
+        own -= (centred @ mean)[:, None]
+        own /= np.sqrt(np.maximum(1 - 2 * products[-1, first:] + mean @ mean, _MIN_SQUARE))
+        if first:
+            offsets = centred @ np.stack(self._finished).T
+            products[:-1, :first] -= np.repeat(offsets, self._frames, axis=1)
+            products[:-1, :first] *= self._scales.values
+        scores: Floats = products[:-1].max(axis=0)
         scores[self.empty] = -np.inf
         return scores
 
@@ -117,6 +161,11 @@ class Memory(Vectors):
         self.rows: dict[str, int] = {}
         self.frames: list[str] = []
         self._poses = GrowingArray(np.float64, 3)
+
+    @property
+    def sequence(self) -> str | None:
+        """The sequence of the last frame."""
+        return self.frames[-1].rpartition("/")[0] if self.frames else None
 
     @property
     def poses(self) -> npt.NDArray[np.float64]:

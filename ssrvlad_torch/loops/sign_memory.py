@@ -2,26 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from ..recognition.signs import REACH, moved, numbers, products
-from .memory import Floats, GrowingArray
+from .memory import BEFORE, Floats, GrowingArray
 
 Signs = npt.NDArray[np.uint8]
 
 _STEPS = range(-REACH, REACH + 1)
 _LEAST = 1e-3
+_FRAMES_AT_ONCE = 256
 
 
 class SignVectors:
     """Signs of the frames of a stream by one method, in order.
 
-    Scores are those of `recognition.signs` without the mean of all frames so far, the new one among
-    them. The products of each frame with that mean are sums of products of frames, which are whole
-    numbers: a new frame adds its own.
+    Scores are those of `recognition.signs`, each frame without the mean of its sequence as in
+    `memory.Vectors`. The products of each frame with the mean of the present sequence are sums of
+    products of frames, which are whole numbers: a new frame adds its own.
 
     Args:
         shape: columns, rows and bytes of the signs of a frame.
@@ -33,6 +36,9 @@ class SignVectors:
         self._kept = self._masks.flatten(2).any(2).double()
         self._signs = GrowingArray(np.uint8, *shape)
         self._total = torch.zeros(shape[0], 8 * shape[1] * shape[2], dtype=torch.double)
+        self._before, self._before_frames = torch.zeros_like(self._total), 0
+        self._means, self._frames = list[Tensor](), list[int]()
+        self._lengths = GrowingArray(np.float64, len(_STEPS))
         self._with_frames = GrowingArray(np.float64, len(_STEPS))
         self._with_moved = GrowingArray(np.float64, len(_STEPS))
 
@@ -47,30 +53,41 @@ class SignVectors:
             raise ValueError(f"frame {frame!r}: expected signs {shape} uint8, got {got}")
         return signs.numpy(force=True)[None]
 
+    def start_sequence(self) -> None:
+        """The next frame starts another sequence: the mean of the present one stays as it is."""
+        first, signs = len(self._lengths.values), self._signs.values
+        if first == len(self):
+            return
+        total, count = self._sum()
+        mean = total / count
+        for with_mean in self._with(self._kept[:, :, None] * mean, first):
+            self._lengths.append(self._row_lengths(with_mean, mean))
+        self._means.append(mean)
+        self._frames.append(len(signs) - first)
+        self._before += self._total
+        self._before_frames = len(signs)
+        self._total = torch.zeros_like(self._total)
+        self._with_frames, self._with_moved = (GrowingArray(np.float64, len(_STEPS)) for _ in "12")
+
     def add(self, frame: Signs) -> None:
         """Appends a frame by its signs."""
-        signs = torch.from_numpy(frame)
+        self._recount()
+        signs, first = torch.from_numpy(frame), len(self._lengths.values)
         frames, others = self._products(signs)
-        self._with_frames.values[:] += frames
+        self._with_frames.values[:] += frames[first:]
         self._with_moved.values[:] += others
-        own, again = (each[0] for each in _products(signs, signs[None], self._masks))
-        self._with_frames.append(frames.sum(0) + own)
-        self._with_moved.append(others[:, ::-1].sum(0) + again)
         self._signs.append(frame)
         self._total += _numbers(signs)
+        [with_frames], [with_moved] = self._with_sum(len(self) - 1)
+        self._with_frames.append(with_frames)
+        self._with_moved.append(with_moved)
 
     def extend(self, signs: Tensor) -> None:
-        """Appends frames to an empty memory."""
+        """Appends frames of a sequence by their signs ``(N, *shape)``."""
         for part in signs:
             self._signs.append(part.numpy())
             self._total += _numbers(part)
-        means = [each * self._total for each in self._kept[:, :, None]]
-        shifts = [moved(self._total[None], step)[0] for step in _STEPS]
-        flat = torch.stack([*means, *shifts]).flatten(1)
-        for part in signs:
-            sums = (flat @ _numbers(part).flatten()).numpy()
-            self._with_frames.append(sums[: len(_STEPS)])
-            self._with_moved.append(sums[len(_STEPS) :])
+        self._with_moved = GrowingArray(np.float64, len(_STEPS))
 
     def descriptors(self, first: int, last: int) -> Signs:
         """``(last - first, columns, rows, bytes)``, a copy."""
@@ -79,23 +96,71 @@ class SignVectors:
     def scores(self, swept: Signs) -> Floats:
         """``(N,)`` float32 cosines of a new frame ``(1, *shape)`` to all others, each for its best
         move."""
-        signs = torch.from_numpy(swept[0])
+        self._recount()
+        signs, first = torch.from_numpy(swept[0]), len(self._lengths.values)
         frames, others = self._products(signs)
-        count, new = len(self) + 1, _numbers(signs)
-        mean = (self._total + new) / count
+        new = _numbers(signs)
+        total, count = self._sum()
+        mean, count = (total + new) / (count + 1), count + 1
+        rows = np.concatenate(
+            (
+                self._lengths.values,
+                self._row_lengths((self._with_frames.values + frames[first:]) / count, mean),
+            )
+        )
         best = np.full(len(self), -np.inf)
         for place, step in enumerate(_STEPS):
-            kept = self._kept[place][:, None] * mean
-            query, off = (moved(each[None], step)[0] for each in (new, mean))
-            with_frames = self._with_frames.values[:, place] + frames[:, place]
-            with_moved = self._with_moved.values[:, place] + others[:, place]
-            counted = float(self._kept[place].sum()) * new.shape[1]
-            rows = counted - 2 * with_frames / count + float(kept.square().sum())
-            score = others[:, place] - with_moved / count + float(((off - query) * kept).sum())
-            length = float((query - off).norm())
-            best = np.maximum(best, score / np.maximum(length * np.sqrt(rows.clip(0)), _LEAST))
+            query = moved((new - mean)[None], step)[0]
+            products = (
+                others[:, place] - (self._with_moved.values[:, place] + others[:, place]) / count
+            )
+            of_means = [float((query * each).sum()) for each in (*self._means, mean)]
+            products -= np.repeat(of_means, (*self._frames, len(self) - first))
+            lengths = np.maximum(float(query.norm()) * rows[:, place], _LEAST)
+            best = np.maximum(best, products / lengths)
         scores: Floats = best.clip(max=1).astype(np.float32)
         return scores
+
+    def _sum(self) -> tuple[Tensor, int]:
+        """The sum of which the mean of the present sequence is a fraction, and of how many."""
+        count = len(self) - len(self._lengths.values)
+        if not self._before_frames:
+            return self._total, count
+        return self._total + self._before * (BEFORE / self._before_frames), count + BEFORE
+
+    def _row_lengths(self, with_mean: npt.NDArray[np.float64], mean: Tensor) -> Any:
+        """``(..., S)`` lengths of rows without the mean, by their products with it."""
+        kept = self._kept[:, :, None]
+        counted = (kept.sum((1, 2)) * mean.shape[1] + (kept * mean.square()).sum((1, 2))).numpy()
+        return np.sqrt((counted - 2 * with_mean).clip(0))
+
+    def _with(self, vectors: Tensor, first: int) -> npt.NDArray[np.float64]:
+        """``(N, V)`` products of the frames from the first on with ``(V, columns, D)``."""
+        flat = vectors.flatten(1)
+        parts = torch.from_numpy(self._signs.values[first:]).split(_FRAMES_AT_ONCE)
+        found = [flat.new_zeros(0, len(flat))]
+        found += [numbers(part).flatten(1).double() @ flat.T for part in parts]
+        return torch.cat(found).numpy()
+
+    def _with_sum(self, first: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """``(N, S)`` products of the frames from the first on with the sum of the sequence, over
+        the columns that are left after each move: where they are, and moved."""
+        total, _ = self._sum()
+        shifts = torch.cat([moved(total[None], step) for step in _STEPS])
+        both = self._with(torch.cat((self._kept[:, :, None] * total, shifts)), first)
+        return both[:, : len(_STEPS)], both[:, len(_STEPS) :]
+
+    def _recount(self) -> None:
+        """Counts the products with the present sequence after it started or frames were loaded."""
+        if len(self._with_moved.values) == len(self):
+            return
+        first = len(self._lengths.values)
+        with_frames, with_moved = self._with_sum(0)
+        self._with_frames, self._with_moved = (GrowingArray(np.float64, len(_STEPS)) for _ in "12")
+        for row in with_frames[first:]:
+            self._with_frames.append(row)
+        for row in with_moved:
+            self._with_moved.append(row)
 
     def _products(self, signs: Tensor) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
         return _products(signs, torch.from_numpy(self._signs.values), self._masks)

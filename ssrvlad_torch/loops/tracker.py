@@ -14,21 +14,24 @@ from torch import Tensor
 
 from ..recognition.filter import Filter
 from ..recognition.fusion import fused, weights_of, z_lead
-from ..recognition.motion import FORWARDS, MIN_SPREAD, Motion, likelihoods, moments, nearness
+from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
 from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
 from .memory import Floats, GrowingArray, Memory, Vectors
 from .result import LoopResult, Reason
 from .sign_memory import SignVectors
 
-MOTION = Motion(change=0.05, jump=0.05, unmapped=0.9, weight=0.3, level=2.5)
-"""A stream comes to new places more often than a query of a map does. These settings and those of
-frames of the same sequence are chosen on the cities on which docs/loops.md learns thresholds, not
-on those that it measures."""
+MOTION = Motion(change=0.01, jump=0.01, unmapped=0.3, weight=0.25, level=0.5)
+"""How a stream moves along its own frames, and those frames run backwards."""
 
-WEIGHT, LEVEL_FRACTION = 0.5, 0.9
-"""For frames of the same sequence: the weight, and the level as a fraction of the z-score that
-three quarters of the frames have with their previous frame."""
+EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
+"""For frames of the same sequence, which share light and network: the level is a fraction of the
+z-score that three quarters of the last `NEIGHBOURS` frames have with their previous frame, and at
+least the highest that so many frames have by chance; twice the level counts so much. Streets that
+repeat run forwards, so the frames run backwards do not tell. Chosen on the cities on which
+docs/loops.md learns thresholds, not on those that it measures."""
+
+NEIGHBOURS = 1000
 
 STRIDE = 50
 """The more frames a stream excludes, the denser it is. Where it excludes 50, the previous frame is
@@ -55,7 +58,7 @@ class Tracker:
     ) -> None:
         self._config, self._memory, self._others = config, memory, others
         self._leads = dict.fromkeys([SSR_VLAD, *others], 0.0)
-        self._filter = Filter(motion=MOTION, ways=[FORWARDS])
+        self._filter = Filter(motion=MOTION)
         self.start_sequence()
 
     @property
@@ -123,9 +126,11 @@ class Tracker:
             z = (float(nearness(scores[previous])) - mean) / deviation
             if math.isfinite(z):
                 self._neighbours.append(z)
-        z_scores = self._neighbours.values
-        level = LEVEL_FRACTION * float(np.quantile(z_scores, 0.25)) if len(z_scores) else 0.0
-        same_sequence = replace(MOTION, weight=WEIGHT, level=max(MOTION.level, level))
+        z_scores = self._neighbours.values[-NEIGHBOURS:]
+        by_chance = math.sqrt(2 * math.log(max(2, len(scores))))
+        alike = LEVEL_FRACTION * float(np.quantile(z_scores, 0.25)) if len(z_scores) else 0.0
+        level = max(MOTION.level, alike, by_chance)
+        same_sequence = replace(MOTION, weight=EVIDENCE / level, level=level)
         earlier, own = scores[: self._start], scores[self._start :]
         return torch.cat(
             (likelihoods(earlier, MOTION, spread), likelihoods(own, same_sequence, spread))

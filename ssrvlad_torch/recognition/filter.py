@@ -23,6 +23,8 @@ from .motion import (
 
 _HIGHEST = 1.001
 """The highest cosine that rounding can give."""
+_ROOM = 8
+"""A map that grows has room for an eighth more."""
 
 
 class Belief(NamedTuple):
@@ -82,6 +84,7 @@ class Filter:
         self.motion, self._ways = motion or Motion(), ways
         self._cells = torch.zeros(0, dtype=torch.int64)
         self._inside = torch.zeros(self.motion.gap)
+        self._rows = 0
         self._sequence: str | None = None
         self._lost: Tensor | None = None
         nothing = torch.zeros(len(ways), len(SPEEDS), self.motion.gap)
@@ -90,27 +93,29 @@ class Filter:
         self.restart()
 
     def __len__(self) -> int:
-        return len(self._cells)
+        return self._rows
 
     def extend(self, sequences: Sequence[str]) -> None:
-        """Adds rows at the end of the map; the belief in them is 0."""
+        """Adds rows at the end of the map; the belief in them is 0. There is room for some more
+        cells than rows, so that most calls copy nothing."""
         if not sequences:
             return
-        gap = self.motion.gap
+        gap, rows = self.motion.gap, self._rows + len(sequences)
         changes = [a != b for a, b in zip(sequences, [self._sequence, *sequences], strict=False)]
-        gaps = torch.tensor(changes).cumsum(0) * gap
-        end = len(self._inside) - (0 if self._sequence is None else gap)
-        start = end - (gap if self._sequence is None else 0)
-        cells = start + gaps + torch.arange(len(sequences))
-        self._sequence = sequences[-1]
-        self._cells = torch.cat((self._cells, cells))
+        first = int(self._cells[self._rows - 1]) + 1 if self._rows else 0
+        cells = first + torch.tensor(changes).cumsum(0) * gap + torch.arange(len(sequences))
+        if rows > len(self._cells):
+            self._cells = F.pad(self._cells, (0, rows + rows // _ROOM - len(self._cells)))
+        self._cells[self._rows : rows] = cells
+        self._rows, self._sequence, self._lost = rows, sequences[-1], None
         length = int(cells[-1]) + 1 + gap
-        self._inside = torch.zeros(length)
-        self._inside[self._cells] = 1
-        self._lost = None
-        more = length - len(self.belief.cells)
-        mapped, cells = (F.pad(each, (0, more)) for each in self.belief[:2])
-        self.belief = self.belief._replace(mapped=mapped, cells=cells)
+        if length > len(self._inside):
+            more = length + (length // _ROOM if self._rows > len(sequences) else 0)
+            more -= len(self._inside)
+            self._inside = F.pad(self._inside, (0, more))
+            mapped, belief = (F.pad(each, (0, more)) for each in self.belief[:2])
+            self.belief = self.belief._replace(mapped=mapped, cells=belief)
+        self._inside[cells] = 1
 
     def restart(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
@@ -136,7 +141,7 @@ class Filter:
 
     def rows(self, belief: Belief | None = None) -> Tensor:
         """``(R,)`` float32, the probability of each row; without a belief, in the present one."""
-        return (belief or self.belief).cells.index_select(0, self._cells)
+        return (belief or self.belief).cells.index_select(0, self._cells[: len(self)])
 
     def likelihood(self, scores: Tensor) -> Tensor:
         """``(cells,)`` float32, by scores ``(R,)`` float, see `motion.likelihoods`; 0 between
@@ -151,7 +156,7 @@ class Filter:
 
     def in_cells(self, rows: Tensor) -> Tensor:
         """``(cells,)``, the values of rows ``(R,)`` in their cells; 0 between sequences."""
-        return torch.zeros_like(self._inside).index_copy_(0, self._cells, rows)
+        return torch.zeros_like(self._inside).index_copy_(0, self._cells[: len(self)], rows)
 
     def after(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
         """The belief one frame later, by the likelihood ``(cells,)`` of the later frame, and how
