@@ -59,6 +59,10 @@ STRIDE = 50
 NEAR, RECENT = 5, 10
 """Rows on each side of a row that show its place, and the least age of the present place."""
 
+MARGIN, APART, TRACK = 1.2, 5, 15
+"""A row counts as seen again where it is so much nearer than different places of its street are:
+excluded frames that are a fifth of them apart, or more, by the mean over so many frames."""
+
 BEFORE = 10
 """How many frames the mean of all earlier sequences counts in that of a sequence."""
 
@@ -229,6 +233,34 @@ class Filter:
         self.mapped, self.unmapped = moved, lost * UNMAPPED + self.unmapped * STAY
 
 
+class Repeats:
+    """For each frame of a sequence, the highest nearness of the frames around it to others of the
+    same street, see `ssrvlad_torch.loops.repeats`."""
+
+    def __init__(self, exclude: int) -> None:
+        self._distances = np.arange(max(1, exclude // APART), exclude + 1)
+        self._last: list[Vector] = []
+        self._highest = np.empty(0, np.float32)
+
+    def after(self, near: Vector) -> Vector:
+        """``(N,)``, by the nearness ``(N,)`` of the next frame to all earlier ones."""
+        more = len(near) + 1 - len(self._highest)
+        self._highest = np.append(self._highest, np.full(more, -np.inf, np.float32))
+        rows = len(near) - self._distances
+        rows = rows[rows >= 0]
+        track = np.full(len(self._distances), -np.inf, np.float32)
+        track[: len(rows)] = near[rows]
+        self._last = [*self._last, track][-TRACK:]
+        if len(self._last) == TRACK and len(rows):
+            track, highest = np.mean(self._last, axis=0), self._highest
+            highest[-TRACK:] = np.maximum(highest[-TRACK:], track.max())
+            for age in range(TRACK):
+                here = rows[rows >= age] - age
+                highest[here] = np.maximum(highest[here], track[: len(here)])
+        earlier: Vector = self._highest[:-1]
+        return earlier
+
+
 class Detector:
     """Decides for each frame of a stream whether its place was seen before."""
 
@@ -251,6 +283,7 @@ class Detector:
             self.filter.restart()
             self.map.start_sequence()
             self.start, self.neighbours = len(self.frames), []
+            self.repeats = Repeats(self.settings.exclude)
         result = self._step(frame, swept)
         self.frames.append(frame)
         self.map.append(swept[len(swept) // 2])
@@ -263,19 +296,25 @@ class Detector:
             before = self.frames[row - 1] if row else ""
             self.filter.extend(not row or _sequence(self.frames[row]) != _sequence(before))
         empty, described = not swept[len(swept) // 2].any(), ~self.map.empty
-        if np.count_nonzero(described[:old]) < 2:
-            reason = "too_recent" if described.any() else "no_candidate"
-            return Loop(frame, "empty_frame" if empty else reason)
+        too_few = np.count_nonzero(described[:old]) < 2
+        if too_few and not described.any():
+            return Loop(frame, "empty_frame" if empty else "no_candidate")
         if empty:
-            self.filter.step(np.zeros(len(self.filter.cells), np.float32))
+            if not too_few:
+                self.filter.step(np.zeros(len(self.filter.cells), np.float32))
             return Loop(frame, "empty_frame")
         scores = self.map.scores(swept)
         nearness = -np.log(np.maximum(1 - scores, np.float32(_ROUNDING)))
+        nearness[~described] = -np.inf
+        repeats = self.repeats.after(nearness[self.start :])
+        if too_few:
+            return Loop(frame, "too_recent")
         candidates = nearness[:old][described[:old]]
-        spread = max(_MIN_SPREAD, float(candidates.std()))
-        z = (nearness - candidates.mean()) / spread
-        z[~described] = -np.inf
-        likelihood = self._log_likelihood(z) if spread > _MIN_SPREAD else np.zeros_like(z)
+        mean, spread = candidates.mean(), max(_MIN_SPREAD, float(candidates.std()))
+        likelihood = np.zeros_like(nearness)
+        if spread > _MIN_SPREAD:
+            z, repeats = (nearness - mean) / spread, (repeats - mean) / spread
+            likelihood = self._log_likelihood(z, repeats)
         rows = self.filter.step(likelihood[: len(self.filter.cells)])
         candidate = int(rows[:old].argmax())
         around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
@@ -283,15 +322,20 @@ class Detector:
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
         return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), probability)
 
-    def _log_likelihood(self, z: Vector) -> Vector:
-        """``(rows,)``, of a frame by its z-scores with all earlier frames."""
+    def _log_likelihood(self, z: Vector, repeats: Vector) -> Vector:
+        """``(rows,)``, of a frame by its z-scores with all earlier frames, and by those that
+        different places of the streets of this sequence have."""
         previous = len(z) - max(1, self.settings.exclude // STRIDE)
         if self.start <= previous and np.isfinite(z[previous]):
             self.neighbours.append(float(z[previous]))
         quartile = np.quantile(self.neighbours[-NEIGHBOURS:], 0.25) if self.neighbours else 0.0
         level = max(LEVEL, LEVEL_FRACTION * quartile, math.sqrt(2 * math.log(max(2, len(z)))))
         log_likelihood = np.float32(WEIGHT) * (z - np.float32(LEVEL))
-        log_likelihood[self.start :] = np.float32(EVIDENCE) * (z[self.start :] / level - 1)
+        same = np.minimum(np.float32(EVIDENCE) * (z[self.start :] / level - 1), MAX_LOG)
+        doubt = EVIDENCE * np.maximum(MARGIN * repeats / level - 1, 0).astype(np.float32)
+        old = max(0, len(same) - self.settings.exclude)
+        same[:old] -= doubt[:old]
+        log_likelihood[self.start :] = same
         return log_likelihood
 
     def _reason(self, probability: float, old: float, recent: float) -> str:

@@ -106,10 +106,10 @@ def test_it_follows_the_rules_of_the_package(stream, config):
             assert one["score"] == pytest.approx(other["score"], abs=1e-3)
 
 
-@pytest.mark.parametrize(("anchors", "exclude"), [(1, 5), (3, 5), (1, 100)])
-def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude):
+@pytest.mark.parametrize(("anchors", "exclude", "places"), [(1, 5, 40), (3, 5, 40), (1, 100, 130)])
+def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, places):
     monkeypatch.setattr(script, "BLOCK_ROWS", 16)
-    got, expected = both(noisy_stream(2, 300, 40, [100], anchors), LoopConfig(exclude=exclude))
+    got, expected = both(noisy_stream(2, 300, places, [100], anchors), LoopConfig(exclude=exclude))
     sure = [row for row, line in enumerate(expected) if line["reason"].value == "accepted"]
     assert len(sure) > 25
     assert_same_answers([got[row] for row in sure], [expected[row] for row in sure])

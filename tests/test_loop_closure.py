@@ -98,11 +98,16 @@ def test_places_seen_again_in_other_light_close_loops_and_other_places_do_not():
     )
 
 
-def test_shuffled_frames_close_no_loop():
+def test_shuffled_frames_close_no_wrong_loop():
+    """Frames that are no sequence, though each shows a place of the map by itself."""
     loops = detector()
     drive(loops, views(range(150)), "day")
     order = np.random.default_rng(1).permutation(150)
-    assert not any(r.accepted for r in drive(loops, lit(order, 3 * PLACES[-1]), "night"))
+    results = drive(loops, lit(order, 3 * PLACES[-1]), "night")
+    pairs = [
+        (r.candidate, f"day/{there}") for r, there in zip(results, order, strict=True) if r.accepted
+    ]
+    assert len(pairs) < 5 and all(found == there for found, there in pairs)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.002])
@@ -142,10 +147,10 @@ def test_an_empty_frame_matches_nothing_and_the_stream_goes_on():
 
 
 def test_two_places_alike_are_ambiguous():
-    places = [*range(60), *range(20, 40), *range(60, 120), *range(20, 40)]
+    places = [*range(80), *range(20, 40), *range(80, 140), *range(20, 40)]
     vectors = views(places)
     results = drive(detector(threshold=0.9), vectors)
-    assert "ambiguous" in reasons(results)[140:]
+    assert "ambiguous" in reasons(results)[160:]
 
 
 def test_clear_frames_must_fit_better_than_noisy_ones():

@@ -18,6 +18,7 @@ from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearn
 from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
 from .memory import Floats, GrowingArray, Memory, Vectors
+from .repeats import MARGIN, Repeats
 from .result import LoopResult, Reason
 from .sign_memory import SignVectors
 
@@ -27,9 +28,8 @@ MOTION = Motion(change=0.01, jump=0.01, unmapped=0.3, weight=0.25, level=0.5)
 EVIDENCE, LEVEL_FRACTION = 3.0, 0.9
 """For frames of the same sequence, which share light and network: the level is a fraction of the
 z-score that three quarters of the last `NEIGHBOURS` frames have with their previous frame, and at
-least the highest that so many frames have by chance; twice the level counts so much. Streets that
-repeat run forwards, so the frames run backwards do not tell. Chosen on the cities on which
-docs/loops.md learns thresholds, not on those that it measures."""
+least the highest that so many frames have by chance; twice the level counts so much. These and the
+settings of `loops.repeats` were chosen on synthetic cities of which docs/loops.md measures none."""
 
 NEIGHBOURS = 1000
 
@@ -70,6 +70,7 @@ class Tracker:
         """Forgets the place: the next frame starts another sequence."""
         self._filter.restart()
         self._start, self._neighbours = len(self._memory), GrowingArray(np.float64)
+        self._repeats = Repeats(self._config.exclude)
 
     def step(self, frame: str, swept: Floats, others: Mapping[str, npt.NDArray[Any]]) -> LoopResult:
         """The result of the next frame.
@@ -86,7 +87,11 @@ class Tracker:
         if np.count_nonzero(described[:old]) < 2:
             if empty:
                 return LoopResult(frame, Reason.EMPTY_FRAME)
-            return LoopResult(frame, Reason.TOO_RECENT if described.any() else Reason.NO_CANDIDATE)
+            if not described.any():
+                return LoopResult(frame, Reason.NO_CANDIDATE)
+            scores = self._scores(swept, others, 0)
+            self._repeats.after(nearness(scores[self._start :]).numpy())
+            return LoopResult(frame, Reason.TOO_RECENT)
         if empty:
             self._filter.step(torch.full((len(self._filter),), -torch.inf))
             return LoopResult(frame, Reason.EMPTY_FRAME)
@@ -108,33 +113,37 @@ class Tracker:
         self._filter.extend([frame.rpartition("/")[0] for frame in fresh])
 
     def _scores(self, swept: Floats, others: Mapping[str, npt.NDArray[Any]], old: int) -> Tensor:
-        """``(N,)`` scores of a frame by all methods, scaled by those of the old frames."""
+        """``(N,)`` scores of a frame by all methods, scaled by those of the old frames, if any."""
         scores = [torch.from_numpy(self._memory.scores(swept))]
         if not others:
             return scores[0]
         scores += [torch.from_numpy(self._others[name].scores(v)) for name, v in others.items()]
         for method, each in zip(self._leads, scores, strict=True):
             self._leads[method] += max(0.0, z_lead(each[:old]))
-        return fused(scores, [*self.weights.values()], old)
+        return fused(scores, [*self.weights.values()], old or None)
 
     def _likelihood(self, scores: Tensor, spread: tuple[float, float]) -> Tensor:
-        """``(N,)``, see `motion.likelihoods`. Frames of the same sequence share light and network:
-        their level is the higher, the more alike neighbouring frames are."""
+        """``(N,)``, see `motion.likelihoods`. The level of frames of the same sequence is the
+        higher, the more alike neighbouring frames are and the more their street repeats."""
         mean, deviation = spread
-        previous = len(self._memory) - max(1, self._config.exclude // STRIDE)
-        if self._start <= previous and deviation > MIN_SPREAD:
-            z = (float(nearness(scores[previous])) - mean) / deviation
-            if math.isfinite(z):
-                self._neighbours.append(z)
+        earlier, own = scores[: self._start], scores[self._start :]
+        near = nearness(own)
+        repeats = self._repeats.after(near.numpy())
+        candidates = max(0, len(own) - self._config.exclude)
+        if deviation <= MIN_SPREAD:
+            return likelihoods(scores, MOTION, spread)
+        previous = len(own) - max(1, self._config.exclude // STRIDE)
+        if previous >= 0 and bool(near[previous] > -torch.inf):
+            self._neighbours.append((float(near[previous]) - mean) / deviation)
         z_scores = self._neighbours.values[-NEIGHBOURS:]
         by_chance = math.sqrt(2 * math.log(max(2, len(scores))))
         alike = LEVEL_FRACTION * float(np.quantile(z_scores, 0.25)) if len(z_scores) else 0.0
         level = max(MOTION.level, alike, by_chance)
-        same_sequence = replace(MOTION, weight=EVIDENCE / level, level=level)
-        earlier, own = scores[: self._start], scores[self._start :]
-        return torch.cat(
-            (likelihoods(earlier, MOTION, spread), likelihoods(own, same_sequence, spread))
-        )
+        same = replace(MOTION, weight=EVIDENCE / level, level=level)
+        above = torch.from_numpy(repeats).sub_(mean).mul_(MARGIN / deviation).sub_(level)
+        own = likelihoods(own, same, spread)
+        own[:candidates] *= above.clamp_(min=0).mul_(-same.weight).exp_()[:candidates]
+        return torch.cat((likelihoods(earlier, MOTION, spread), own))
 
     def _reason(self, probability: float, old: float, recent: float) -> Reason:
         """By the probabilities of the candidate's place, all old frames and all recent frames."""
