@@ -6,7 +6,7 @@ import io
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
 from numpy.lib.format import open_memmap, write_array
 
@@ -16,6 +16,13 @@ from .poses import UNKNOWN, Pose
 
 if TYPE_CHECKING:
     from pyarrow.fs import FileSystem
+
+
+class Skipped(NamedTuple):
+    """A frame that was not encoded, and why."""
+
+    frame: str
+    reason: str
 
 
 @dataclass(frozen=True)

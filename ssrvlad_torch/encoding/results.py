@@ -12,8 +12,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ..datasets.frame_file import Skipped
+
 if TYPE_CHECKING:
     from ..database.frames import FrameRecord
+
+__all__ = ["EncodeOptions", "Encoded", "Progress", "Skipped", "Summary", "cores", "do_nothing"]
 
 Progress = Callable[[int], object]
 """Called with the number of frames done since the last call."""
@@ -25,13 +29,6 @@ class Encoded(NamedTuple):
     record: FrameRecord
     descriptor: npt.NDArray[np.float32]
     beside: dict[str, npt.NDArray[Any]]
-
-
-class Skipped(NamedTuple):
-    """A frame that was not encoded, and why."""
-
-    frame: str
-    reason: str
 
 
 def cores() -> int:

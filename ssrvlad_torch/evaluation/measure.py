@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..datasets.frame_file import Skipped
 from ..recognition.confidence import Estimate, answered
 from ..recognition.matching import Matches
 from ..recognition.recognise import Recognised
@@ -20,9 +21,6 @@ from .outcomes import judge
 from .report import Pictures
 from .thresholds import operating_points
 from .true_matches import Places
-
-if TYPE_CHECKING:
-    from ..encoding.results import Skipped
 
 TOP = 10
 """Candidates of each query that the metrics need."""

@@ -80,9 +80,9 @@ def _recognised(
 ) -> Recognition:
     """The candidates of every query in a database. A convention that needs the scores of all pairs
     measures cosines, without any step."""
+    from ...encoding.pictures import pictures_of_queries, pictures_of_references
     from ...encoding.search import accepted, search
     from ...evaluation.measure import TOP, Recognition, needs_similarity
-    from ...evaluation.pictures import pictures_of_queries, pictures_of_references
     from ...evaluation.thresholds import SURE_PRECISION
     from ...evaluation.true_matches import Places
     from ...recognition.confidence import accept

@@ -11,9 +11,9 @@ from ..datasets.dataset import Dataset
 from ..datasets.frame_files import FrameFile, found_by
 from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
+from ..evaluation.report import Pictures, Pixels
 from ..segmentation.segmenter import Segmenter
 from ..taxonomy import LabelSpace, colourise, label_space
-from .report import Pictures, Pixels
 
 PHOTO, LABELS = "photo", "label map"
 
