@@ -13,6 +13,7 @@ import argparse
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import torch
 from _described import (
     ALONE,
@@ -30,6 +31,7 @@ from _markdown import head_row, row, write
 from ssrvlad_torch.recognition.recognise import Steps
 
 MEMBERS = (OURS, FEATURES, "HOG")
+SUMMED = (*MEMBERS, *reversed(FUSED))
 WAYS = {
     "Picture by picture": (
         ALONE,
@@ -61,6 +63,13 @@ sees, see [features](features.md)), of HOG (pictures), and of their sums:
 - *Against the best* is *together* minus the best of the three members.
 """
 
+ELSEWHERE = """## Elsewhere
+
+VPR_Tutorial prints RecallRate@1 0.85 for HDC-DELF (4096 numbers of a network trained for places),
+each frame alone, on all 200 frames of the Gardens Point walk: night_right among day_right. The
+conditions *night -> right* above are the first 100 frames of both.
+"""
+
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
@@ -78,15 +87,24 @@ def page(described: Described) -> Iterator[str]:
     conditions = [condition for condition in every if condition.suits(FEATURES)]
     for title, (steps, about) in WAYS.items():
         yield f"## {title}\n\n{about}\n"
-        yield from head_row("condition", *MEMBERS, *reversed(FUSED), "against the best")
-        for condition in conditions:
-            rates = {
-                method: float(decide(described, condition, method, steps).right.mean())
-                for method in (*MEMBERS, *reversed(FUSED))
-            }
-            ahead = rates[next(iter(FUSED))] - max(rates[method] for method in MEMBERS)
-            yield row(condition.name, *(f"{r:.3f}" for r in rates.values()), f"{ahead:+.3f}")
+        yield from head_row("condition", *SUMMED, "against the best")
+        rates = np.array(
+            [
+                [decide(described, condition, method, steps).right.mean() for method in SUMMED]
+                for condition in conditions
+            ]
+        )
+        ahead = rates[:, -1] - rates[:, : len(MEMBERS)].max(axis=1)
+        names = [*(condition.name for condition in conditions), "mean"]
+        for name, *figures, best in zip(
+            names,
+            *np.vstack([rates, rates.mean(axis=0)]).T,
+            [*ahead, ahead.mean()],
+            strict=True,
+        ):
+            yield row(name, *(f"{figure:.3f}" for figure in figures), f"{best:+.3f}")
         yield ""
+    yield ELSEWHERE
 
 
 if __name__ == "__main__":
