@@ -138,7 +138,7 @@ def built_once():
         patch.setattr(harmonics, "harmonic_tables", cache(harmonics.harmonic_tables))
         for module in (export, fuse):
             patch.setattr(module, "head_model", model)
-        for name in ("_traced_preparation", "_traced_decision"):
+        for name in ("_traced_preparation", "_traced_decision", "_traced_features"):
             patch.setattr(label_graph, name, stored(getattr(label_graph, name)))
         yield
 

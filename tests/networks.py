@@ -98,13 +98,16 @@ class Street(nn.Module):
         return F.interpolate(self.scores(x), images.shape[2:], mode="bilinear")
 
 
-def write_street(path: Path) -> Path:
-    """`Street` as an ONNX graph with free axes."""
+def write_street(path: Path, half: bool = False) -> Path:
+    """`Street` as an ONNX graph with free axes, perhaps in half precision."""
+    network, example = Street(), torch.rand(2, 3, 64, 96)
+    if half:
+        network, example = network.half(), example.half()
     axes = dict.fromkeys((0, 2, 3), torch.export.Dim.DYNAMIC)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            Street(), (torch.rand(2, 3, 64, 96),), path, input_names=["images"],
+            network, (example,), path, input_names=["images"],
             output_names=["scores"], dynamo=True, verbose=False, dynamic_shapes=(axes,),
             external_data=False,
         )  # fmt: skip

@@ -115,3 +115,15 @@ def test_is_traced_with_free_axes(size, tmp_path):
     [signs] = session.run(["features"], {"a": raw.numpy()})
     assert signs.dtype == np.uint8
     assert (bits(signs) != bits(module(raw))).mean() < 1e-3
+
+
+def test_an_exported_module_gives_the_signs_and_zeros_where_eager_raises():
+    """At other sizes than traced."""
+    dynamic = {0: torch.export.Dim.AUTO, 2: torch.export.Dim.AUTO, 3: torch.export.Dim.AUTO}
+    example = ([activations(0, 20, (9, 13), 2)],)
+    exported = torch.export.export(Features([20]), *example, dynamic_shapes=([dynamic],)).module()
+    raw = activations(0, 20, (24, 32), 4)
+    raw[1], raw[2], raw[3, 5, 0, 0] = 0, 7, torch.nan
+    signs = exported(raw)
+    assert torch.equal(signs[:1], Features([20])(raw[:1]))
+    assert not signs[1:].any()

@@ -1,6 +1,7 @@
 """Fused files against the segmenter and the module run one after the other."""
 
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,14 +15,14 @@ from cases import REAL, needs_real
 from drawings import SPACE, blobs
 from graphs import session
 from helpers import street
-from networks import CLASSES, PLAIN, Strided, photo, write_graph
+from networks import CLASSES, PLAIN, Street, Strided, photo, write_graph, write_street
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.deployment.export import export_head
-from ssrvlad_torch.deployment.fuse import NETWORK, fuse
+from ssrvlad_torch.deployment.fuse import NETWORK, fuse, other_signs
 from ssrvlad_torch.deployment.golden import outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.deployment.runtimes import OnnxRuntime
@@ -29,6 +30,7 @@ from ssrvlad_torch.deployment.verify import compare, verify
 from ssrvlad_torch.encoding.encoder import encode_to_memory
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
+from ssrvlad_torch.stages.features import SHAPE
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 Images = npt.NDArray[Any]
@@ -232,14 +234,66 @@ def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
 def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     config = SSRVLADConfig()
     segmenter = Segmenter.load(REAL / "networks" / f"{name}.yaml", config.labels_as)
-    fuse(segmenter, config, tmp_path / "place.onnx")
+    fused = fuse(segmenter, config, tmp_path / "place.onnx")
     folders = [REAL / "camvid" / "0001TP" / "images", REAL / "uofa" / "evening" / "images"]
     files = [find_image_files([str(folder)])[7] for folder in folders]
-    encoded, _ = encode_to_memory(SSRVLAD(config), files, segmenter=segmenter)
-    whole = session(tmp_path / "place.onnx")
-    for file, descriptor in zip(files, encoded.descriptors, strict=True):
-        (found,) = whole.run(["descriptor"], {"image": read_image(file)[None]})
-        np.testing.assert_allclose(found[0], descriptor, rtol=0, atol=1e-6)
+    extra = [segmenter.features.descriptor]
+    encoded, _ = encode_to_memory(SSRVLAD(config), files, segmenter=segmenter, beside=extra)
+    assert fused.features == extra[0].fingerprint
+    for row, file in enumerate(files):
+        found = run_of(tmp_path / "place.onnx")({"image": read_image(file)[None]})
+        expected = encoded.descriptors[row].numpy()
+        np.testing.assert_allclose(found["descriptor"][0], expected, rtol=0, atol=1e-6)
+        assert other_signs(found["features"][0], encoded.beside["features"][row].numpy()) < 1e-3
+
+
+def random_pictures(height: int, width: int) -> Images:
+    return np.random.default_rng(0).integers(0, 256, (2, height, width, 3), np.uint8)
+
+
+RARE_FEATURES = [pytest.param(form, marks=pytest.mark.slow) for form in ("half", "module")]
+
+
+@pytest.mark.parametrize("form", ["graph", *RARE_FEATURES])
+def test_features_are_those_of_the_segmenter(form, tmp_path):
+    """Of one file, and of the first of two."""
+    network = Street()
+    if form != "module":
+        network = OnnxNetwork(write_street(tmp_path / "seg.onnx", half=form == "half"))
+    segmenter = Segmenter(network, SPACE, replace(PLAIN, multiple=16))
+    paths = tmp_path / "place.onnx", tmp_path / "net.onnx", tmp_path / "head.onnx"
+    fuse(segmenter, CONFIG, paths[0])
+    if form == "graph":
+        fuse(segmenter, CONFIG, *paths[1:])
+        assert verify(paths[0]).passed and verify(paths[1]).passed
+    for size in ((96, 128), (133, 301)):
+        images = random_pictures(*size)
+        expected = np.stack([each.features for each in segmenter.segment([*images], True)])
+        for file in paths[: 2 if form == "graph" else 1]:
+            found = run_of(file)({"image": images})["features"]
+            assert found.shape == expected.shape == (2, *SHAPE)
+            assert other_signs(found, expected) < 1e-3
+
+
+def test_a_file_without_features_and_networks_that_have_none(tmp_path):
+    street, plain = write_street(tmp_path / "street.onnx"), write_graph(tmp_path / "plain.onnx")
+    target = tmp_path / "place.onnx"
+    assert fuse(plain, CONFIG, target).features == ""
+    assert fuse(street, CONFIG, target, features=False).features == ""
+    assert {"labels", "descriptor", "unknown"} == {
+        value.name for value in onnx.load(target).graph.output
+    }
+    target.write_text("before")
+    with pytest.raises(ValueError, match=r"plain\.onnx: .* no activation at a stride from 4 to 32"):
+        fuse(plain, CONFIG, target, features=True)
+    unknown = Segmenter(OnnxNetwork(street), SPACE, replace(PLAIN, features=("nothing",)))
+    with pytest.raises(ValueError, match=r"features: no activation 'nothing'; the nearest are"):
+        fuse(unknown, CONFIG, target)
+    dead = Street()
+    dead.stages[2].weight.data.fill_(torch.nan)
+    with pytest.raises(ValueError, match="the activations of the network are not finite"):
+        fuse(Segmenter(dead, SPACE, PLAIN), CONFIG, target)
+    assert target.read_text() == "before"
 
 
 def test_the_two_files_of_a_split_are_the_one(tmp_path, ssrvlad):

@@ -10,7 +10,8 @@ import onnx
 import pytest
 from drawings import SPACE
 from helpers import write_street
-from networks import write_graph
+from networks import PLAIN, write_graph
+from networks import write_street as write_network
 from onnx import numpy_helper
 from PIL import Image
 
@@ -21,6 +22,8 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.deployment.metadata import PREFIX, Metadata
 from ssrvlad_torch.deployment.runtimes import OnnxRuntime, Run
 from ssrvlad_torch.deployment.verify import compare, verify
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 
@@ -52,6 +55,15 @@ def files(tmp_path_factory) -> dict[str, Path]:
     export_head(CONFIG, paths["logits"], "logits")
     fuse(write_graph(folder / "seg.onnx"), CONFIG, paths["fused"])
     return paths
+
+
+@pytest.fixture(scope="module")
+def with_features(tmp_path_factory) -> Path:
+    """A fused file with features; not to be changed."""
+    folder = tmp_path_factory.mktemp("features")
+    segmenter = Segmenter(OnnxNetwork(write_network(folder / "seg.onnx")), SPACE, PLAIN)
+    fuse(segmenter, CONFIG, folder / "place.onnx")
+    return folder / "place.onnx"
 
 
 @pytest.fixture
@@ -127,6 +139,23 @@ def test_a_network_that_labels_otherwise_is_found(files, tmp_path):
     assert not found.problems
     (problem,) = (check.problem for check in found.checks if check.problem)
     assert "of the pixels have another label" in problem
+
+
+def test_features_that_are_others_are_found(with_features, tmp_path):
+    """Other signs, and features of another network."""
+
+    def edit(model: onnx.ModelProto) -> None:
+        tables = [table for table in float_tables(model) if table.name.startswith("features/")]
+        table = max(tables, key=lambda one: np.prod(one.dims))
+        array = -numpy_helper.to_array(table)
+        table.CopyFrom(numpy_helper.from_array(array, table.name))
+
+    assert verify(with_features).features.startswith("16 x 16 cells, 64 signs of relu_2, ")
+    found = verify(changed(with_features, tmp_path / "edited.onnx", edit))
+    assert found.checks[0].problem.endswith("% of the signs of the features are others")
+    other = with_property("features", lambda _: "others")
+    found = verify(changed(with_features, tmp_path / "other.onnx", other))
+    assert "the features are not those that ssrvlad.features and" in found.problems[0]
 
 
 def test_another_version_is_named(files, ssrvlad, tmp_path):

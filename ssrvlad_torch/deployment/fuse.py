@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing
+from ..segmentation.features import NAME, PROBES, NetworkFeatures
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
@@ -27,9 +28,10 @@ from .trace import interface, join, opset, with_opset
 if TYPE_CHECKING:
     import onnx
 
-NETWORK = f"{PREFIX}network"
+NETWORK, SIGNS = f"{PREFIX}network", f"{PREFIX}features"
+"""Properties of a fused file: `FusedNetwork`, and the fingerprint of its features."""
 
-IMAGE, LABELS = "image", "labels"
+IMAGE, LABELS, FEATURES = "image", "labels", NAME
 HEAD = "ssrvlad/"
 """Prefix of the names of the head's nodes and tables."""
 
@@ -37,8 +39,9 @@ MAX_OTHER_PIXELS = 0.01
 """Fraction of a golden image's pixels whose label may differ where another library or processor
 computes the network in another order."""
 
-_SIZES = ((96, 128), (224, 448), (512, 512), (512, 1024), (1024, 2048))
-"""Sizes of a golden image: a small one, and sizes that are common for networks."""
+MAX_OTHER_SIGNS = 0.01
+"""The same of the signs of the features. A sign can only turn where its projection is near zero, so
+in single precision about one of 10,000 does."""
 
 _PATCHES = 40
 _COLOUR_STEPS = 8
@@ -52,11 +55,13 @@ class FusedNetwork:
         name: name of the network; of a file, its name without the folder.
         key: digest of what it computes and of its settings; see `Segmenter.key`.
         settings: the settings of the preparation, as `SegmenterConfig`.
+        features: fingerprint of the features in the file, as in a database; empty without them.
     """
 
     name: str
     key: str
     settings: dict[str, Any]
+    features: str = ""
 
 
 def fuse(
@@ -64,6 +69,7 @@ def fuse(
     config: SSRVLADConfig,
     path: str | Path,
     head_path: str | Path | None = None,
+    features: bool | None = None,
 ) -> FusedNetwork:
     """Joins a segmentation network and the head in one ONNX file that needs ONNX Runtime only; or
     writes them as two files, so that the network can run on an accelerator and the head on the
@@ -76,7 +82,9 @@ def fuse(
     Shape:
         - input: ``image (B, H, W, 3)`` uint8 in RGB, of any size.
         - outputs: those of `export_head`, and ``labels (B, H, W)`` uint8, or int64 for wider ids.
-          Of two files, the first gives ``labels`` alone, and the second takes them.
+          With features also ``features (B, 16, 16, 8)`` uint8, the signs that `Segmenter.segment`
+          gives; all 0 for activations that are not finite or the same everywhere. Of two files,
+          the first gives ``labels`` and ``features``, and the second takes the labels.
 
     Args:
         network: a segmenter, or the name of a network; see `open_network`.
@@ -84,10 +92,13 @@ def fuse(
         path: the file; an existing one is replaced, whole or not at all. Above 2 GB the weights
             go to a second file beside it.
         head_path: file of the head, for two files: `path` then takes pictures to label maps.
+        features: whether the file gives features; ``None`` if the network has some, by the rule
+            of `find_activations` or by its setting ``features``.
 
     Raises:
         ValueError: the network cannot be traced, run or converted to opset 18, does not fit the
-            label space, or has a head already.
+            label space, has a head already, or has no features or other activations than its
+            setting names, and they are wanted.
         ImportError: a missing extra.
         OSError: the file cannot be written.
     """
@@ -96,7 +107,9 @@ def fuse(
         segmenter = Segmenter.load(segmenter, config.labels_as)
     name = _name(segmenter, network)
     try:
-        return _fuse(segmenter, name, config, Path(path), Path(head_path) if head_path else None)
+        signs = _features(segmenter, features)
+        both = Path(path), Path(head_path) if head_path else None
+        return _fuse(segmenter, name, config, *both, signs)
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
 
@@ -108,8 +121,27 @@ def _name(segmenter: Segmenter, source: Segmenter | str | Path) -> str:
     return network.path.name if isinstance(network, OnnxNetwork) else type(network).__name__
 
 
+def _features(segmenter: Segmenter, wanted: bool | None) -> NetworkFeatures | None:
+    """The features of a network that go into a file.
+
+    Raises:
+        ValueError: they are wanted or named, and it has none.
+    """
+    try:
+        return None if wanted is False else segmenter.features
+    except ValueError:
+        if wanted or segmenter.config.features:
+            raise
+        return None
+
+
 def _fuse(
-    segmenter: Segmenter, name: str, config: SSRVLADConfig, path: Path, head_path: Path | None
+    segmenter: Segmenter,
+    name: str,
+    config: SSRVLADConfig,
+    path: Path,
+    head_path: Path | None,
+    features: NetworkFeatures | None,
 ) -> FusedNetwork:
     head = SSRVLAD(config)
     if segmenter.label_space != head.label_space:
@@ -120,19 +152,20 @@ def _fuse(
         properties = load_model(segmenter.network.path).metadata_props
         if any(entry.key.startswith(PREFIX) for entry in properties):
             raise ValueError("has a head already; expected the network alone")
-    images, labels = _golden_image(segmenter)
-    model = label_graph(segmenter.labels)
-    (output,) = model.graph.output
+    expected = _golden_image(segmenter, features is not None)
+    model = label_graph(segmenter.labels, features)
+    output = model.graph.output[0]
     dtype = "uint8" if output.type.tensor_type.elem_type == _UINT8 else "int64"
     head_part = head_model(config, LABELS, dtype)
-    fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config))
-    extra = {NETWORK: json.dumps(asdict(fused))}
+    key = features.descriptor.fingerprint if features else ""
+    fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config), key)
+    extra = {NETWORK: json.dumps(asdict(fused))} | ({SIGNS: key} if key else {})
     if head_path is None:
         model = _joined(model, head_part)
     form = interface(model)
 
     def describe(file: Path) -> dict[str, str]:
-        golden = _golden(OnnxRuntime().open(file), images, labels, head)
+        golden = _golden(OnnxRuntime().open(file), expected, head)
         metadata = Metadata.of(head.config, head.label_space, form, golden)
         return metadata.to_properties() | extra
 
@@ -150,47 +183,70 @@ _UINT8 = 2
 
 def _joined(labels: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:
     """Pictures to label maps and descriptors."""
-    output = labels.graph.output[0]
+    first = list(labels.graph.output)
     parts = [labels, with_opset(head, opset(labels))]
     model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
-    model.graph.output.append(output)
+    last = [value for value in model.graph.output if value.name != FEATURES]
+    del model.graph.output[:]
+    model.graph.output.extend([*last, *first])
     return model
 
 
-def _golden_image(segmenter: Segmenter) -> tuple[npt.NDArray[np.uint8], npt.NDArray[Any]]:
-    """Pictures of the first of `_SIZES` that the network takes, and their label maps."""
+def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
+    """Pictures of the smallest of `PROBES` that the network takes, and what the segmenter says."""
     network, error = segmenter.network, ValueError("takes no picture")
     count = (network.batch if isinstance(network, OnnxNetwork) else None) or 1
-    for height, width in _SIZES:
+    for height, width in sorted(PROBES):
         images = _patches((count, height, width))
         try:
-            return images, np.stack(segmenter(list(images)))
+            said = segmenter.segment(list(images), features)
         except ValueError as reason:
             error = reason
+            continue
+        golden = {IMAGE: images, LABELS: np.stack([each.labels for each in said])}
+        signs = [each.features for each in said if each.features is not None]
+        return golden | ({FEATURES: np.stack(signs)} if signs else {})
     raise error
 
 
-def _golden(
-    run: Run, images: npt.NDArray[np.uint8], labels: npt.NDArray[Any], head: SSRVLAD
-) -> Arrays:
-    """The golden image, the labels that the graph gives it, and the module's outputs for those
-    labels if the head is in the graph.
+def _golden(run: Run, expected: Arrays, head: SSRVLAD) -> Arrays:
+    """The golden image, the labels and features that the graph gives it, and the module's outputs
+    for those labels if the head is in the graph.
 
     Raises:
         ValueError: the graph and the segmenter, or the graph and the module, disagree.
     """
-    outputs = run({IMAGE: images})
-    fraction = float((outputs[LABELS] != labels).mean())
-    if fraction > MAX_OTHER_PIXELS:
-        raise ValueError(f"the fused network gives {fraction:.1%} of a golden image another label")
-    golden = {IMAGE: images, LABELS: outputs[LABELS]}
-    if len(outputs) == 1:
+    outputs = run({IMAGE: expected[IMAGE]})
+    golden = {name: outputs.get(name, array) for name, array in expected.items()}
+    if problem := problem_of_network(outputs, expected):
+        raise ValueError(f"of a golden image, {problem}")
+    if "descriptor" not in outputs:
         return golden
-    expected = outputs_of(head, outputs[LABELS])
-    for name, array in expected.items():
+    module = outputs_of(head, outputs[LABELS])
+    for name, array in module.items():
         if not np.allclose(outputs[name], array, rtol=0, atol=1e-6):
             raise ValueError(f"the fused head gives another {name} than the PyTorch module")
-    return golden | expected
+    return golden | module
+
+
+def problem_of_network(got: Arrays, expected: Arrays) -> str:
+    """What is wrong with labels and features of a golden image; empty if they are near enough."""
+    if got[LABELS].shape != expected[LABELS].shape:
+        return f"labels are {got[LABELS].shape}, not {expected[LABELS].shape}"
+    fraction = float((got[LABELS] != expected[LABELS]).mean())
+    if fraction > MAX_OTHER_PIXELS:
+        return f"{fraction:.1%} of the pixels have another label"
+    if FEATURES in expected:
+        fraction = other_signs(got[FEATURES], expected[FEATURES])
+        if fraction > MAX_OTHER_SIGNS:
+            return f"{fraction:.1%} of the signs of the features are others"
+    return ""
+
+
+def other_signs(signs: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> float:
+    """The fraction of signs that differ; 1 for another shape."""
+    same_shape = signs.shape == others.shape
+    return float(np.unpackbits(signs ^ others).mean()) if same_shape else 1.0
 
 
 def _patches(shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:

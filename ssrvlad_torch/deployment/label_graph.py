@@ -1,21 +1,27 @@
-"""Pictures to label maps as an ONNX graph: preparation, network and decision, traced and joined."""
+"""Pictures to label maps and features as an ONNX graph: traced parts, joined with the network."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
+from ..segmentation.features import NAME, NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
 from ..segmentation.onnx_files import load_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.preparation import InputForm, Preparation, SegmenterConfig
+from ..stages.features import SHAPE, Features
 from .trace import OPSET, Axes, join, opset, traced, with_opset
 
 if TYPE_CHECKING:
     import onnx
+
+FEATURES = f"{NAME}/"
+"""Prefix of the names of the nodes and tables that make features of activations."""
 
 _BYTES = 256
 _IMAGE = ("B", "H", "W", 3)
@@ -23,30 +29,39 @@ _EXAMPLE = (66, 98)
 """Height and width of the pictures that a module is traced with; the values are arbitrary."""
 
 
-def label_graph(labels: LabelNetwork) -> onnx.ModelProto:
-    """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64.
+def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -> onnx.ModelProto:
+    """A graph from ``image (B, H, W, 3)`` uint8 to ``labels (B, H, W)`` uint8 or int64, and with
+    features to ``features (B, 16, 16, 8)`` uint8.
 
-    A PyTorch network is traced together with preparation and decision. For an ONNX graph these two
-    are traced and joined to it; a graph below the head's opset is converted to it.
+    A PyTorch network is traced together with preparation, decision and features. For an ONNX graph
+    these are traced and joined to it; a graph below the head's opset is converted to it.
 
     Raises:
         ValueError: the network cannot be traced, or the graph cannot be converted.
         ImportError: the extra ``onnx`` is not installed.
     """
     if not isinstance(labels.network, OnnxNetwork):
-        return _traced_network(labels)
-    network = labels.network
+        return _traced_network(labels, features)
+    from onnx.helper import make_empty_tensor_value_info
+
+    network, names = labels.network, features.names if features else []
     model = with_opset(load_model(network.path), OPSET)
     config, version = labels.config, opset(model)
     prepare = _traced_preparation(config, network.form.dtype, network.form.channels_last)
-    decide = _traced_decision(*_decision(labels))
+    output, *activations = _values(labels, [str(config.output), *names])
+    decide = _traced_decision(*_decision(labels, output))
     parts = [with_opset(prepare, version), model, with_opset(decide, version)]
     joints = [
         [("prepare/numbers", f"network/{network.input}")],
         [(f"network/{config.output}", "decide/output"), ("prepare/picture", "decide/picture")],
     ]
+    model.graph.output.extend(map(make_empty_tensor_value_info, names))
     joined = join(parts, ["prepare/", "network/", "decide/"], joints)
-    outputs = [value for value in joined.graph.output if value.name == "labels"]
+    if features:
+        signs = _traced_features(*((each.shape[1], each.dtype) for each in activations))
+        pairs = [(f"network/{name}", f"{FEATURES}{at}") for at, name in enumerate(names)]
+        joined = join([joined, with_opset(signs, version)], ["", FEATURES], [pairs])
+    outputs = [value for value in joined.graph.output if value.name in ("labels", NAME)]
     del joined.graph.output[:]
     joined.graph.output.extend(outputs)
     return joined
@@ -79,24 +94,39 @@ class _Decision(nn.Module):
         return enlarged(labels, *picture.shape[1:3])
 
 
-class _WithDtype(nn.Module):
-    """A `LabelNetwork` whose labels have a fixed dtype."""
+class _Whole(nn.Module):
+    """A `LabelNetwork` whose labels have a fixed dtype, and its features if they are wanted."""
 
-    def __init__(self, labels: LabelNetwork, dtype: torch.dtype) -> None:
+    def __init__(
+        self, labels: LabelNetwork, dtype: torch.dtype, features: NetworkFeatures | None
+    ) -> None:
         super().__init__()
-        self.labels, self.dtype = labels, dtype
+        self.labels, self.dtype, self.features = labels, dtype, features
 
-    def forward(self, image: Tensor) -> Tensor:
-        labels: Tensor = self.labels(image)
-        return labels.to(self.dtype)
+    def forward(self, image: Tensor) -> tuple[Tensor, ...]:
+        output, activations = self.labels.run(image, self.features.names if self.features else ())
+        labels = enlarged(classes_of(output), *image.shape[1:3]).to(self.dtype)
+        return (labels, self.features(activations)) if self.features else (labels,)
 
 
-def _traced_network(labels: LabelNetwork) -> onnx.ModelProto:
+def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     with torch.inference_mode():
         narrow = labels.outputs(example).is_floating_point()
-    module = _WithDtype(labels, torch.uint8 if narrow else torch.int64)
-    return traced(module, {"image": (example, _IMAGE)}, {"labels": ["B", "H", "W"]})
+    module = _Whole(labels, torch.uint8 if narrow else torch.int64, features)
+    forms: dict[str, Axes] = {"labels": ["B", "H", "W"], NAME: ["B", *SHAPE]}
+    outputs = forms if features else {"labels": forms["labels"]}
+    return traced(module, {"image": (example, _IMAGE)}, outputs)
+
+
+def _traced_features(*forms: tuple[int, torch.dtype]) -> onnx.ModelProto:
+    """Activations of some channels and dtypes, with numbers as names, to signs."""
+    inputs: dict[str, tuple[Tensor, Axes]] = {}
+    for number, (channels, dtype) in enumerate(forms):
+        example = torch.zeros(2, channels, 9 + number, 13 + number, dtype=dtype)
+        inputs[str(number)] = example, ["B", channels, f"h{number}", f"w{number}"]
+    module = Features([channels for channels, _ in forms])
+    return traced(module, inputs, {NAME: ["B", *SHAPE]})
 
 
 def _traced_preparation(
@@ -122,19 +152,24 @@ def _traced_decision(
     return traced(module, inputs, {"labels": ["B", "H", "W"]})
 
 
-def _decision(
-    labels: LabelNetwork,
-) -> tuple[torch.dtype, tuple[int | None, ...], int | None, tuple[int, int]]:
-    """Dtype, shape, axis of the classes and range of the classes of a graph's output."""
+def _values(labels: LabelNetwork, names: Sequence[str]) -> list[Tensor]:
+    """Outputs of a graph for some picture."""
     network, config = labels.network, labels.config
     assert isinstance(network, OnnxNetwork)
     size = config.size if isinstance(config.size, tuple) else (64, 96)
     with torch.inference_mode():
         example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
-        labels.outputs(example)
-        output = network(labels.preparation(example), names=[config.output])[str(config.output)]
+        labels.outputs(example)  # decides the axis of the classes
+        values = network(labels.preparation(example), names=names)
+    return [values[name] for name in names]
+
+
+def _decision(
+    labels: LabelNetwork, output: Tensor
+) -> tuple[torch.dtype, tuple[int | None, ...], int | None, tuple[int, int]]:
+    """Dtype, shape, axis of the classes and range of the classes of a graph's output."""
     shape: list[int | None] = [None] * output.ndim
     if labels.axis is None or output.ndim == 3:
         return output.dtype, tuple(shape), None, (0, 0)
     channels = shape[labels.axis] = output.shape[labels.axis]
-    return output.dtype, tuple(shape), labels.axis, config.classes or (0, channels)
+    return output.dtype, tuple(shape), labels.axis, labels.config.classes or (0, channels)

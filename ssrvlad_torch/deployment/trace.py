@@ -24,6 +24,17 @@ Axes = Sequence[int | str | None]
 """Lengths and names of axes; one with a name, or ``None``, is dynamic."""
 
 
+class _OfList(nn.Module):
+    """A module whose arguments are a list, however many they are."""
+
+    def __init__(self, module: nn.Module) -> None:
+        super().__init__()
+        self.module = module
+
+    def forward(self, inputs: list[Tensor]) -> Any:
+        return self.module(*inputs)
+
+
 def traced(
     module: nn.Module,
     inputs: Mapping[str, tuple[Tensor, Axes]],
@@ -55,11 +66,11 @@ def traced(
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
             program = torch.onnx.export(
-                module.eval(),
-                tuple(example for example, _ in inputs.values()),
+                _OfList(module).eval(),
+                ([example for example, _ in inputs.values()],),
                 input_names=list(inputs),
                 output_names=list(outputs),
-                dynamic_shapes=tuple(dynamic) if any(dynamic) else None,
+                dynamic_shapes=(dynamic,) if any(dynamic) else None,
                 opset_version=OPSET,
                 dynamo=True,
                 verbose=False,

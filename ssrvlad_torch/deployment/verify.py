@@ -18,7 +18,16 @@ from ..descriptor import SSRVLAD, SweepHead
 from ..files import one_line, parse_json
 from ..segmentation.onnx_files import CPU, load_model
 from ..taxonomy import LabelSpace
-from .fuse import HEAD, IMAGE, LABELS, MAX_OTHER_PIXELS, NETWORK, FusedNetwork
+from .fuse import (
+    FEATURES,
+    HEAD,
+    IMAGE,
+    LABELS,
+    NETWORK,
+    SIGNS,
+    FusedNetwork,
+    problem_of_network,
+)
 from .golden import CORPUS_SIZES, as_input, corpus, outputs_of
 from .metadata import PREFIX, Metadata
 from .runtimes import Arrays, Run, Runtime, runtime_of
@@ -59,6 +68,7 @@ class Verification:
         version: version of the package that wrote the file.
         fingerprint, labels_as: fingerprint and label space of the settings in the file.
         network: name of the network in the file, ``None`` for a head alone.
+        features: fingerprint of the features that the file gives, ``None`` without.
         warnings: remarks that are no problems.
         problems: problems of the file as a whole.
         checks: the comparisons.
@@ -72,6 +82,7 @@ class Verification:
     fingerprint: str
     labels_as: str
     network: str | None
+    features: str | None = None
     warnings: list[str] = field(default_factory=list)
     problems: list[str] = field(default_factory=list)
     checks: list[Check] = field(default_factory=list)
@@ -106,9 +117,10 @@ def verify(
 
     The file runs on its golden pair; its head runs on the maps of the `corpus` and on `labels`, and
     is compared with the module on each. Of a fused file, the head is extracted for this, and on the
-    golden image at most 1 % of the pixels may have another label than the recorded one, because
-    runtimes compute networks differently; the head must agree with the module on these labels. Of
-    a network without a head, only the labels are compared.
+    golden image at most 1 % of the pixels may have another label than the recorded one, and at
+    most 1 % of the signs of its features be others, because runtimes compute networks differently;
+    the head must agree with the module on these labels. Of a network without a head, only labels
+    and features are compared.
 
     Args:
         path: the file.
@@ -152,6 +164,7 @@ def _verify(
         metadata.fingerprint,
         metadata.label_space["name"],
         fused.name if fused else None,
+        fused.features or None if fused else None,
     )
     if metadata.version != __version__:
         result.warnings.append(
@@ -164,6 +177,8 @@ def _verify(
         )
     result.warnings.extend(filter(None, [runtime.cpu_fallback(path)]))
     golden, source = metadata.golden_arrays(), path
+    if properties.get(SIGNS) != result.features or (FEATURES in golden) != bool(result.features):
+        result.problems.append(f"the features are not those that {SIGNS} and {NETWORK} name")
     if fused:
         run = _checked(runtime, path)
         result.add(run("golden image", {IMAGE: golden[IMAGE]}, _judge_of_image(golden, module)))
@@ -193,7 +208,7 @@ def _head_of(model: onnx.ModelProto) -> onnx.ModelProto:
     nodes = [node for node in model.graph.node if node.name.startswith(HEAD)]
     tables = [tensor for tensor in model.graph.initializer if tensor.name.startswith(HEAD)]
     inputs = [value for value in model.graph.output if value.name == LABELS]
-    outputs = [value for value in model.graph.output if value.name != LABELS]
+    outputs = [value for value in model.graph.output if value.name not in (LABELS, FEATURES)]
     graph = helper.make_graph(nodes, "ssrvlad", inputs, outputs, tables)
     return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
 
@@ -267,7 +282,8 @@ def _check_defaults(
     if runtime.plain is None:
         return
     given = name if name in golden else LABELS
-    expected = {output: array for output, array in golden.items() if output not in (given, IMAGE)}
+    others = (given, IMAGE, FEATURES)
+    expected = {output: array for output, array in golden.items() if output not in others}
     title = f"golden pair, {runtime.plain.name}"
     try:
         check = compare(title, runtime.plain.open(source)({name: golden[given]}), expected)
@@ -291,17 +307,11 @@ def _check_corpus(head: _Head) -> Check:
 
 def _judge_of_image(golden: Arrays, module: SSRVLAD) -> Callable[[Arrays], Check]:
     """Judges a fused file, or a network without a head, on its golden image."""
-    recorded, has_head = golden[LABELS], "descriptor" in golden
 
     def judge(got: Arrays) -> Check:
-        labels = got[LABELS]
-        if labels.shape != recorded.shape:
-            return Check("golden image", np.inf, f"labels are {labels.shape}, not {recorded.shape}")
-        fraction = float((labels != recorded).mean())
-        if fraction > MAX_OTHER_PIXELS:
-            problem = f"{fraction:.1%} of the pixels have another label"
+        if problem := problem_of_network(got, golden):
             return Check("golden image", np.inf, problem)
-        expected = outputs_of(module, labels) if has_head else {}
+        expected = outputs_of(module, got[LABELS]) if "descriptor" in golden else {}
         return compare("golden image", got, expected)
 
     return judge

@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from ..tracing import is_exporting
 from .grid_pooling import overlaps
 
 COLUMNS, ROWS, SIGNS = 16, 16, 64
@@ -39,7 +40,8 @@ class Features(nn.Module):
 
     Raises:
         ValueError: an activation has another shape, is not finite, or does not vary over the
-            picture, as where it is all zero. A graph cannot raise.
+            picture, as where it is all zero. A graph cannot raise: there all signs are 0, which
+            no other picture has.
 
     Example:
         >>> Features([3])(torch.rand(2, 3, 24, 32)).shape
@@ -58,17 +60,20 @@ class Features(nn.Module):
         """The signs of pictures."""
         means = [cell_means(each) for each in self._of_right_shape(activations)]
         cells = torch.cat([unit_cells(each) for each in means], 1)
-        if not torch.compiler.is_exporting():
+        if not is_exporting():
             for each in means:
                 refuse_empty(each)
         signs = cells.permute(2, 0, 3, 1).flatten(1, 2) @ self.projections > 0
         by_row = signs.unflatten(1, (-1, COLUMNS)).permute(1, 2, 0, 3)
+        if is_exporting():
+            usable = torch.stack([is_usable(each) for each in means]).all(0)
+            by_row = by_row & usable[:, None, None, None]
         packed: Tensor = by_row.unflatten(3, (-1, 8)).float() @ self.bits
         return packed.to(torch.uint8)
 
     def _of_right_shape(self, activations: tuple[Tensor, ...]) -> tuple[Tensor, ...]:
         got = [each.shape[1] if each.ndim == 4 else -1 for each in activations]
-        if not torch.compiler.is_exporting() and got != self.channels:
+        if not is_exporting() and got != self.channels:
             shapes = ", ".join(str(tuple(each.shape)) for each in activations) or "nothing"
             raise ValueError(
                 f"expected activations (B, C, h, w) of {self.channels} channels, got {shapes}"
@@ -99,9 +104,14 @@ def refuse_empty(means: Tensor) -> None:
     the same everywhere but for rounding."""
     if not bool(means.isfinite().all()):
         raise ValueError("the activations of the network are not finite")
-    spread = (means.amax((2, 3)) - means.amin((2, 3))).amax(1)
-    if bool((spread <= _ROUNDING * means.abs().amax((1, 2, 3))).any()):
+    if not bool(is_usable(means).all()):
         raise ValueError("the activations of the network are the same everywhere")
+
+
+def is_usable(means: Tensor) -> Tensor:
+    """``(B,)`` bool, whether the means of a picture are finite and not the same everywhere."""
+    spread = (means.amax((2, 3)) - means.amin((2, 3))).amax(1)
+    return (spread > _ROUNDING * means.abs().amax((1, 2, 3))) & means.sum((1, 2, 3)).isfinite()
 
 
 def projections(channels: int) -> Tensor:

@@ -22,9 +22,13 @@ def fuse(
         "Write the head to this second file. The first file then gives label maps: it can run on "
         "an accelerator and the head on the CPU."
     ),
+    features: bool | None = option(
+        "Give the features of the network too, or do not. Default: if it has some.",
+        "--features/--no-features",
+    ),
 ) -> None:
-    """Join a segmentation network and the head in one ONNX file, from pictures to descriptors.
-    The file prepares the pictures (size, normalisation) as the network requires.
+    """Join a segmentation network and the head in one ONNX file, from pictures to descriptors and
+    features. The file prepares the pictures (size, normalisation) as the network requires.
 
     Example: ssrvlad fuse seg.yaml -o place.onnx --labels-as cityscapes-trainids
     """
@@ -36,9 +40,9 @@ def fuse(
     segmenter = Segmenter.load(network, labels_as, classes=channels(classes))
     space = segmenter.label_space if labels_as == "auto" else labels_as
     config = SSRVLADConfig.from_preset(preset, labels_as=space)
-    join(segmenter, config, output, split)
+    signs = join(segmenter, config, output, split, features).features
     written = f"{output} and {split}" if split else str(output)
     say(
         f"{written}: {network} as {segmenter.label_space.name} to descriptors of fingerprint "
-        f"{config.fingerprint}"
+        f"{config.fingerprint}" + (f" and features: {signs}" if signs else ", without features")
     )
