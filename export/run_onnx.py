@@ -9,7 +9,8 @@ Needs numpy and onnxruntime, and Pillow for pictures; `.npy` arrays do not need 
 a file of `ssrvlad fuse` takes images (H, W, 3). With the two files of `ssrvlad fuse --split` the
 network runs on --provider and the head on the CPU. Every file is run on its golden pair when it is
 loaded, and refused if this runtime gives other outputs. A database is written by `ssrvlad db export
---format npy` or by --save-descriptors. Each frame is judged alone, without the steps of `ssrvlad
+--format npy` or by --save-descriptors. Where the file and the database have features, they are
+fused with the descriptors of label maps. Each frame is judged alone, without the steps of `ssrvlad
 query`; `follow_onnx.py` takes them for drives. Exit code 0 for success, 1 if --check finds the
 golden pair wrong, 2 for wrong use, 3 for finished with some frames skipped.
 """
@@ -44,24 +45,44 @@ MAX_OTHER_PIXELS = 0.01
 """Fraction of a golden image's pixels whose label may differ on another runtime."""
 MIN_COSINE = 0.8
 """Cosine of the descriptors of two label maps that differ so little; unlike maps have less."""
+MAX_OTHER_SIGNS = 0.01
+"""Fraction of the signs of a golden image's features that may differ on another runtime."""
 
-_BLOCK = 1 << 14
+WEIGHTS = (1 / 7, 6 / 7)
+"""Of label maps and of features, as `ssrvlad query` weighs them for single frames."""
+REACH = 2
+"""Columns of cells by which features are moved to each side."""
+
+_BLOCK, _SIGNS_BLOCK = 1 << 14, 1 << 10
+_ONES = np.unpackbits(np.arange(1 << 16, dtype=np.uint16).view(np.uint8)).reshape(-1, 16).sum(1)
+_ROUNDING = 1e-6
 _MAX_ID, _MIN_EVEN = 40, 0.8
 _MAX_GOLDEN_BYTES = 64 << 20
 _NPY = b"\x93NUMPY"
 _ONLY_FATAL = 4
 
 
+class Seen(NamedTuple):
+    """A frame: its descriptor, see `Model.describe`, and its features ``(16, 16, 8)`` uint8, or
+    ``None`` if the file gives none."""
+
+    descriptor: Array
+    features: Array | None = None
+
+
 class Golden(NamedTuple):
     """The result of a golden pair: the largest difference of the descriptor, infinite if a count
-    differs; the fraction of pixels with another label; the cosine to the expected descriptor."""
+    differs; the fraction of pixels with another label; the cosine to the expected descriptor; the
+    fraction of other signs."""
 
     difference: float
     other_pixels: float = 0.0
     cosine: float = 1.0
+    other_signs: float = 0.0
 
     def __str__(self) -> str:
         other = f", {self.other_pixels:.2%} of the labels differ" if self.other_pixels else ""
+        other += f", {self.other_signs:.2%} of the features differ" if self.other_signs else ""
         return f"largest difference for the golden pair: {self.difference:.3g}{other}"
 
     @property
@@ -70,7 +91,8 @@ class Golden(NamedTuple):
         so only a large error of the head is found."""
         is_similar = self.other_pixels > 0 and self.cosine >= MIN_COSINE
         is_right = self.difference <= TOLERANCE or is_similar
-        return self.other_pixels <= MAX_OTHER_PIXELS and is_right
+        is_near = self.other_pixels <= MAX_OTHER_PIXELS and self.other_signs <= MAX_OTHER_SIGNS
+        return is_near and is_right
 
 
 class Model:
@@ -100,6 +122,11 @@ class Model:
         return str(self.properties["ssrvlad.fingerprint"])
 
     @property
+    def features(self) -> str:
+        """Fingerprint of the features that the file gives, or ``""``."""
+        return self.properties.get("ssrvlad.features", "")
+
+    @property
     def anchors(self) -> list[int]:
         """Columns of the anchors of a sweep; empty for single descriptors."""
         return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
@@ -111,12 +138,16 @@ class Model:
         Raises:
             ValueError: it cannot be read, or has ids outside the label space.
         """
+        return self.see(path).descriptor
+
+    def see(self, path: Path) -> Seen:
+        """The descriptor and the features of the frame in a file; errors as of `describe`."""
         if len(self.input.shape) == 3:
             read: Callable[[Path], Array] = self._labels
         else:
             read = self._scores if self.input.name == "logits" else self._image
         try:
-            return self.describe_array(read(path))
+            return self.see_array(read(path))
         except ImportError:
             raise
         except Exception as error:  # decoders raise anything on damaged bytes
@@ -127,12 +158,16 @@ class Model:
 
         Raises:
             ValueError: it has ids outside the label space, more than the file can count, or another
-                size than the fixed size of the file.
+                size than the fixed size of the file; or the network sees nothing in it.
         """
+        return self.see_array(array).descriptor
+
+    def see_array(self, array: Array) -> Seen:
+        """The descriptor and the features of a frame in memory; errors as of `describe_array`."""
         expected, shape = self.input.shape, (1, *array.shape)
         if any(isinstance(n, int) and n != m for n, m in zip(expected, shape, strict=True)):
             raise ValueError(f"the file takes {self.input.name} of {tuple(expected)}, got {shape}")
-        descriptor, unknown = self._run(array[None])
+        descriptor, unknown, *features = self._run(array[None])
         if unknown[0]:
             space = json.loads(self.properties["ssrvlad.label_space"])["name"]
             channels = {"labels": 1, "logits": array.shape[0]}.get(self.input.name, 3)
@@ -144,7 +179,11 @@ class Model:
             raise ValueError(
                 "the frame is too wide, or has too many keypoints, for an exported file"
             )
-        return np.asarray(descriptor[0])
+        if features and not features[0].any():
+            raise ValueError(
+                "the activations of the network are not finite, or the same everywhere"
+            )
+        return Seen(np.asarray(descriptor[0]), features[0][0] if features else None)
 
     def golden(self) -> Golden:
         """Runs the golden pair.
@@ -155,7 +194,8 @@ class Model:
         return _golden(self.session, self.input.name, self.properties)
 
     def _run(self, batch: Array) -> list[Array]:
-        return list(self.session.run(["descriptor", "unknown"], {self.input.name: batch}))
+        names = ["descriptor", "unknown", *["features"] * bool(self.features)]
+        return list(self.session.run(names, {self.input.name: batch}))
 
     def _labels(self, path: Path) -> Array:
         classes = json.loads(self.properties["ssrvlad.label_space"])["classes"]
@@ -207,24 +247,30 @@ class Split(Model):
                 raise ValueError(f"{network} and {head} differ in {name}: expected the two files")
         labels, self.input = self.input, _input(network, self.network)
         outputs = [(output.name, output.type) for output in self.network.get_outputs()]
-        if outputs != [("labels", labels.type)] or labels.name != "labels":
+        if outputs[:1] != [("labels", labels.type)] or labels.name != "labels":
             raise ValueError(f"{network} gives {outputs}, {head} takes {labels.name} {labels.type}")
         if check:
             golden = self.golden()
             _require_golden(network if golden.difference <= TOLERANCE else head, golden)
 
+    @property
+    def features(self) -> str:
+        """As of `Model`; the file of the network gives them."""
+        return self.network_properties.get("ssrvlad.features", "")
+
     def golden(self) -> Golden:
         """Runs the golden pairs of both files."""
         head = _golden(self.session, "labels", self.properties)
         network = _golden(self.network, "image", self.network_properties)
-        return head._replace(other_pixels=network.other_pixels) if head.holds else head
+        others = {"other_pixels": network.other_pixels, "other_signs": network.other_signs}
+        return head._replace(**others) if head.holds else head
 
     def _run(self, batch: Array) -> list[Array]:
         image = onnxruntime.OrtValue.ortvalue_from_numpy(batch)
-        (labels,) = self.network.run_with_ort_values(["labels"], {"image": image})
-        names = ["descriptor", "unknown"]
-        outputs = self.session.run_with_ort_values(names, {"labels": labels})
-        return [output.numpy() for output in outputs]
+        names = ["labels", *["features"] * bool(self.features)]
+        labels, *features = self.network.run_with_ort_values(names, {"image": image})
+        outputs = self.session.run_with_ort_values(["descriptor", "unknown"], {"labels": labels})
+        return [output.numpy() for output in [*outputs, *features]]
 
 
 def open_model(options: argparse.Namespace) -> Model:
@@ -246,55 +292,81 @@ def add_model(parser: argparse.ArgumentParser) -> None:
 class Database:
     """Descriptors of reference frames in a `.npy` file, read block by block, and the frames' ids.
 
-    ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint.
+    ``FILE.frames.txt`` holds the ids, one a line, ``FILE.fingerprint.txt`` the fingerprint, and
+    ``FILE.features.npy`` features, with a fingerprint of their own.
+
+    Args:
+        path: FILE.
+        fingerprint: of the model.
+        features: fingerprint of its features; empty without.
 
     Raises:
         ValueError: the files do not fit each other or the model.
         OSError: a file cannot be read.
     """
 
-    def __init__(self, path: Path, fingerprint: str) -> None:
-        try:
-            self.descriptors = _npy(path, "r")
-        except ValueError as error:
-            raise ValueError(f"{path}: {error}") from error
+    def __init__(self, path: Path, fingerprint: str, features: str = "") -> None:
+        self.descriptors, self.signs = _rows(path, fingerprint, 2), None
+        signs = path.with_name(f"{path.name}.features.npy")
+        if bool(features) != signs.exists():
+            which = "the model" if features else path
+            note(f"only {which} has features: frames are matched by their label maps alone")
+        elif features:
+            self.signs = _rows(signs, features, 4)
         self.frames = beside(path, "frames").read_text(encoding="utf-8").splitlines()
-        if self.descriptors.ndim != 2 or len(self.descriptors) != len(self.frames):
-            raise ValueError(f"{path}: {self.descriptors.shape} for {len(self.frames)} frames")
-        if not beside(path, "fingerprint").exists():
-            note(f"{path} has no fingerprint: it may not fit the model")
-        elif (own := beside(path, "fingerprint").read_text().strip()) != fingerprint:
-            raise ValueError(
-                f"{path} has fingerprint {own}, the model {fingerprint}: they do not compare"
-            )
+        for rows in (self.descriptors, self.signs):
+            if rows is not None and len(rows) != len(self.frames):
+                raise ValueError(f"{path}: {rows.shape} for {len(self.frames)} frames")
 
-    def search(self, query: Array, top: int) -> list[tuple[str, float]]:
-        """The frames with the highest cosines (Eq. 4), best first; of equal ones the earlier first.
+    def search(
+        self, query: Array, top: int, features: Array | None = None
+    ) -> list[tuple[str, float]]:
+        """The frames with the highest scores, best first; of equal ones the earlier first.
 
-        Of several anchors the best one counts. A zero vector, the descriptor of an empty frame,
-        matches nothing.
+        A score is a cosine (Eq. 4), of several anchors the best one, with features in the query
+        and in the database a fused score, see `fused`. A zero vector, the descriptor of an empty
+        frame, matches nothing.
 
         Raises:
             ValueError: the query has another length.
         """
+        scores = self._cosines(query)
+        if features is not None and self.signs is not None:
+            scores = fused([scores, self._cosines_of_signs(features)], WEIGHTS)
+        rows = np.flatnonzero(np.isfinite(scores))
+        rows = rows[np.argsort(-scores[rows], kind="stable")[:top]]
+        return [(self.frames[row], float(scores[row])) for row in rows]
+
+    def _cosines(self, query: Array) -> Array:
+        """``(R,)`` float32, -inf where a vector is zero."""
         anchors = query if query.ndim == 2 else query[None]
         if anchors.shape[1:] != self.descriptors.shape[1:]:
             raise ValueError(
                 f"expected a database of {query.shape[-1]} numbers a frame, "
                 f"got {self.descriptors.shape[1]}"
             )
-        if not query.any():
-            return []
-        best: list[tuple[float, int]] = []
-        for first in range(0, len(self.frames), _BLOCK):
+        cosines = np.full(len(self.frames), -np.inf, np.float32)
+        for first in range(0, len(cosines) if query.any() else 0, _BLOCK):
             block = np.asarray(self.descriptors[first : first + _BLOCK], np.float32)
-            norms = np.linalg.norm(block, axis=1)
-            scores = (block @ anchors.T).max(1) / np.where(norms > 0, norms, 1)
-            rows = np.flatnonzero(norms > 0)
-            rows = rows[np.argsort(-scores[rows], kind="stable")[:top]]
-            best += [(float(scores[row]), first + int(row)) for row in rows]
-            best = sorted(best, key=lambda entry: (-entry[0], entry[1]))[:top]
-        return [(self.frames[row], score) for score, row in best]
+            norms, products = np.linalg.norm(block, axis=1), (block @ anchors.T).max(1)
+            np.divide(products, norms, out=cosines[first : first + len(block)], where=norms > 0)
+        return cosines
+
+    def _cosines_of_signs(self, query: Array) -> Array:
+        """``(R,)`` float32, of the columns of cells that overlap, for the best of all moves."""
+        assert self.signs is not None
+        cosines = np.full(len(self.frames), -1, np.float32)
+        columns = len(query)
+        for first in range(0, len(cosines), _SIGNS_BLOCK):
+            block = np.asarray(self.signs[first : first + _SIGNS_BLOCK])
+            best = cosines[first : first + len(block)]
+            for move in range(-REACH, REACH + 1):
+                ours = query[max(0, -move) : columns - max(0, move)]
+                theirs = block[:, max(0, move) : columns - max(0, -move)]
+                words = np.ascontiguousarray(theirs ^ ours).reshape(len(block), -1).view(np.uint16)
+                different = _ONES[words].sum(1) / np.float32(4 * ours.size)
+                np.maximum(best, np.float32(1) - different.astype(np.float32), out=best)
+        return cosines
 
 
 def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
@@ -313,10 +385,58 @@ def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
             yield f"{path.absolute().parent.name}/{path.stem}", path
 
 
-def save(path: Path, descriptors: Sequence[Array], frames: Sequence[str], fingerprint: str) -> None:
-    """Writes descriptors as a database: the array, and files with ids and fingerprint beside it.
+def _rows(path: Path, fingerprint: str, axes: int) -> Array:
+    """An array of frames with a fingerprint."""
+    try:
+        rows = _npy(path, "r")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    if rows.ndim != axes:
+        raise ValueError(f"{path}: expected an array of {axes} axes, got {rows.shape}")
+    if not beside(path, "fingerprint").exists():
+        note(f"{path} has no fingerprint: it may not fit the model")
+    elif (own := beside(path, "fingerprint").read_text().strip()) != fingerprint:
+        raise ValueError(
+            f"{path} has fingerprint {own}, the model {fingerprint}: they do not compare"
+        )
+    return rows
 
-    The array is written last, whole or not at all.
+
+def fused(scores: Sequence[Array], weights: Sequence[float]) -> Array:
+    """``(R,)`` scores of one query by several methods as one, by the rule of `ssrvlad query`: the
+    weighted means of their z-scores of nearness, minus the logarithm of 1 - cosine. -inf where no
+    method has a score."""
+    parts = []
+    for each, weight in zip(scores, weights, strict=True):
+        known = np.isfinite(each)
+        near = np.where(known, -np.log(np.maximum(1 - each, np.float32(_ROUNDING))), 0)
+        count = max(1, np.count_nonzero(known))
+        mean = near.sum() / count
+        centred = np.where(known, near - mean, 0)
+        spread = np.sqrt(np.square(centred).sum() / count)
+        parts.append((weight * centred / max(spread, _ROUNDING), weight * mean, weight * spread))
+    z, mean, spread = (sum(part) for part in zip(*parts, strict=True))
+    none = ~np.isfinite(scores).any(0)
+    return np.where(none, -np.inf, -np.expm1(-(mean + spread * z)))
+
+
+def save(
+    path: Path,
+    seen: Sequence[Seen],
+    frames: Sequence[str],
+    fingerprint: str,
+    features: str = "",
+) -> None:
+    """Writes frames as a database: the arrays, and files with ids and fingerprints beside them.
+
+    The array of descriptors is written last, every array whole or not at all.
+
+    Args:
+        path: the array of descriptors.
+        seen: the frames.
+        frames: their ids.
+        fingerprint: of the descriptors.
+        features: fingerprint of the features, if the frames have some.
 
     Raises:
         ValueError: an id has several lines.
@@ -325,11 +445,19 @@ def save(path: Path, descriptors: Sequence[Array], frames: Sequence[str], finger
     for frame in frames:
         _require_one_line(frame)
     beside(path, "frames").write_text("".join(f"{frame}\n" for frame in frames), encoding="utf-8")
+    signs = path.with_name(f"{path.name}.features.npy")
+    signs.unlink(missing_ok=True)
+    if features:
+        _save(signs, [each.features for each in seen], features)
+    _save(path, [each.descriptor for each in seen], fingerprint)
+
+
+def _save(path: Path, rows: Sequence[Any], fingerprint: str) -> None:
     beside(path, "fingerprint").write_text(f"{fingerprint}\n")
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
         with temporary.open("wb") as file:
-            np.save(file, np.stack(descriptors))
+            np.save(file, np.stack(rows))
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
@@ -359,28 +487,29 @@ def run(options: argparse.Namespace) -> int:
         return int(not golden.holds)
     if options.save_descriptors and model.anchors:
         raise ValueError("--save-descriptors: expected a file without --sweep")
-    database = options.database and Database(options.database, model.fingerprint)
-    descriptors: dict[str, Array] = {}
+    given = options.database
+    database = given and Database(given, model.fingerprint, model.features)
+    seen: dict[str, Seen] = {}
     skipped = 0
     for frame, path in find_frames(options.source):
-        if frame in descriptors:
+        if frame in seen:
             raise ValueError(f"{path} is a second frame {frame}")
         if options.save_descriptors:
             _require_one_line(frame)
         try:
-            descriptor = model.describe(path)
+            seen[frame] = model.see(path)
         except ValueError as error:
             note(f"{path}: {error}")
             skipped += 1
             continue
-        descriptors[frame] = descriptor
-        candidates = database.search(descriptor, options.top) if database else []
+        descriptor, features = seen[frame]
+        candidates = database.search(descriptor, options.top, features) if database else []
         report(frame, not descriptor.any(), candidates, options.json)
-    if options.save_descriptors and descriptors:
-        rows, frames = list(descriptors.values()), list(descriptors)
-        save(options.save_descriptors, rows, frames, model.fingerprint)
+    if options.save_descriptors and seen:
+        rows, frames = list(seen.values()), list(seen)
+        save(options.save_descriptors, rows, frames, model.fingerprint, model.features)
     if skipped:
-        note(f"skipped {skipped} of {skipped + len(descriptors)} frames")
+        note(f"skipped {skipped} of {skipped + len(seen)} frames")
     return SOME_SKIPPED if skipped else 0
 
 
@@ -474,14 +603,16 @@ def _golden(session: Any, name: str, properties: dict[str, str]) -> Golden:
     if any(outputs[key].shape != array.shape for key, array in golden.items()):
         return Golden(float("inf"), cosine=0.0)
     other = float((outputs["labels"] != golden["labels"]).mean()) if "labels" in golden else 0.0
+    signs = [each["features"] for each in (outputs, golden) if "features" in golden]
+    others = float(np.unpackbits(signs[0] ^ signs[1]).mean()) if signs else 0.0
     if "descriptor" not in golden:
-        return Golden(0.0, other)
+        return Golden(0.0, other, other_signs=others)
     got, expected = outputs["descriptor"], golden["descriptor"]
-    counts = golden.keys() - {"descriptor", "labels"}
+    counts = golden.keys() - {"descriptor", "labels", "features"}
     equal = all(np.array_equal(outputs[key], golden[key]) for key in counts)
     steps = np.nan_to_num(np.abs(got - expected), nan=np.inf)
     cosine = np.nan_to_num((got * expected).sum(-1)).min()
-    return Golden(float(steps.max()) if equal else float("inf"), other, float(cosine))
+    return Golden(float(steps.max()) if equal else float("inf"), other, float(cosine), others)
 
 
 def _require_golden(path: Path, golden: Golden) -> None:

@@ -1,12 +1,21 @@
 """A painted world, photographs of it, and what the tests of segmentation share."""
 
+from pathlib import Path
+
 import numpy as np
 import torch
 from helpers import street
 from networks import photo, write_graph
+from networks import write_street as write_network
 from PIL import Image
 
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.datasets.image_files import find_image_files
+from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.encoding.encoder import encode_to_memory
+from ssrvlad_torch.recognition.recognise import Steps, recognise
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 LABELS = [street(seed) for seed in range(5)]
 PHOTOS = [photo(labels) for labels in LABELS]
@@ -48,3 +57,44 @@ def counted(network):
 
     network.register_forward_pre_hook(count)
     return network
+
+
+def write_drives(folder):
+    """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
+    files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``."""
+    write_network(folder / "seg.onnx")
+    settings = "network: seg.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: camvid-11\n"
+    (folder / "net.yaml").write_text(settings)
+    write_photos(folder / "monday", range(12), (96, 128))
+    write_photos(folder / "today", range(3, 9), (96, 144))
+    config = SSRVLADConfig(labels_as="camvid-11")
+    fuse(folder / "net.yaml", config, folder / "place.onnx")
+    fuse(folder / "net.yaml", config, folder / "net.onnx", folder / "head.onnx")
+    return folder
+
+
+def write_town(folder, path, top=5):
+    """The database of ``monday`` in NumPy's form; the frames and scores of the candidates of the
+    photos of ``today``, judged alone by label maps and features."""
+    segmenter = Segmenter.load(folder / "net.yaml")
+    head, extra = SSRVLAD(SSRVLADConfig(labels_as="camvid-11")), segmenter.features.descriptor
+    (today, _), (monday, _) = (
+        encode_to_memory(head, find_image_files([str(folder / drive)]), 1, segmenter=segmenter,
+                         beside=[extra])
+        for drive in ("today", "monday")
+    )  # fmt: skip
+    for end, values in {"": monday.descriptors, ".features.npy": monday.beside["features"]}.items():
+        np.save(f"{path}{end}", values.numpy())
+    Path(f"{path}.frames.txt").write_text("".join(f"{frame}\n" for frame in monday.frames))
+    Path(f"{path}.fingerprint.txt").write_text(f"{head.config.fingerprint}\n")
+    Path(f"{path}.features.npy.fingerprint.txt").write_text(f"{extra.fingerprint}\n")
+    beside = {"features": (today.beside["features"], monday.beside["features"])}
+    steps = Steps(standardise=False, follow=None)
+    names = ["today"] * len(today.frames), ["monday"] * len(monday.frames)
+    found = recognise(
+        today.descriptors, monday.descriptors, *names, steps=steps, top=top, beside=beside
+    ).matches
+    return [
+        ([monday.frames[row] for row in rows], scores)
+        for scores, rows in zip(found.scores.tolist(), found.indices.tolist(), strict=True)
+    ]

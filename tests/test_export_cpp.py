@@ -14,6 +14,7 @@ from graphs import edit_golden, turned
 from helpers import street
 from networks import photo, write_graph
 from PIL import Image
+from segmenting import write_drives, write_town
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
@@ -158,6 +159,40 @@ def test_photographs_find_their_place_with_one_file_and_with_two(place, drive, m
     assert best == "photos/1"
     assert float(score) == pytest.approx(1, abs=1e-6)
     assert len(lines) == 4
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    return write_drives(tmp_path_factory.mktemp("drives"))
+
+
+def test_features_are_fused_with_the_descriptor_as_in_python(place, drives, tmp_path):
+    """With one file and with two."""
+    town = tmp_path / "town.npy"
+    for number, (frames, scores) in enumerate(write_town(drives, town), 3):
+        np.save(tmp_path / "photo.npy", np.asarray(Image.open(drives / "today" / f"{number}.png")))
+        for model in ("place.onnx",), ("--network", drives / "net.onnx", "head.onnx"):
+            given = (*model[:-1], drives / model[-1], tmp_path / "photo.npy", town)
+            code, lines, errors = place(*given)
+            assert (code, errors) == (0, [])
+            assert [line.split()[0] for line in lines[1:]] == frames
+            assert [float(line.split()[1]) for line in lines[1:]] == pytest.approx(scores, abs=1e-5)
+
+
+def test_features_of_another_network_or_of_one_side_only(place, drives, tmp_path):
+    town, turned_signs = tmp_path / "town.npy", tmp_path / "turned.onnx"
+    write_town(drives, town)
+    np.save(tmp_path / "photo.npy", np.asarray(Image.open(drives / "today" / "5.png")))
+    Path(f"{town}.features.npy.fingerprint.txt").write_text("others\n")
+    code, _, (line,) = place(drives / "place.onnx", tmp_path / "photo.npy", town)
+    assert code == 2 and "features.npy has fingerprint others, the model 16 x 16" in line
+    Path(f"{town}.features.npy").unlink()
+    code, lines, (line,) = place(drives / "place.onnx", tmp_path / "photo.npy", town)
+    assert (code, len(lines)) == (0, 6)
+    assert line == "only the model has features: frames are matched by their label maps alone"
+    edit_golden(drives / "place.onnx", turned_signs, turned("features"))
+    code, _, (line,) = place(turned_signs, tmp_path / "photo.npy")
+    assert code == 2 and " % of its features differ" in line and " 0.000000 % of its lab" in line
 
 
 def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(place, drive, tmp_path):

@@ -18,6 +18,7 @@ from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
+from segmenting import write_drives, write_town
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
@@ -185,6 +186,33 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     assert best[0] == "photos/1"
     assert float(best[1]) == pytest.approx(1, abs=1e-4)
     assert page.run("document.getElementById('golden').value").startswith("golden pair: largest")
+
+
+def test_features_are_fused_with_the_descriptor_as_in_python(page, site, tmp_path):
+    write_drives(tmp_path)
+    shutil.copy(tmp_path / "place.onnx", site / "street.onnx")
+    frames, scores = write_town(tmp_path, site / "town.npy")[2]
+    shutil.copy(tmp_path / "today" / "5.png", site / "street.png")
+    query = "?model=street.onnx&database=town.npy&labels=street.png"
+    open_page(page, query, f"{SHOWN} || {FAILED}")
+    assert page.run(FAILED) is None
+    rows = page.run(
+        "Array.from(document.querySelectorAll('#matches tbody tr'), (row) => row.innerText)"
+    )
+    assert [row.split()[0] for row in rows] == frames
+    assert [float(row.split()[1]) for row in rows] == pytest.approx(scores, abs=1e-4)
+    status = "document.getElementById('status').textContent"
+    assert page.run(status).endswith("Scores are of label map and features together.")
+    other = site / "town.npy.features.npy.fingerprint.txt"
+    other.write_text("others")
+    open_page(page, query, FAILED)
+    assert 'the database has features "others", the model "16 x 16' in page.run(status)
+    (site / "town.npy.features.npy").unlink()
+    open_page(page, query, SHOWN)
+    assert "the database has none: matched by label maps alone." in page.run(status)
+    edit_golden(site / "street.onnx", site / "wrong.onnx", turned("features"))
+    open_page(page, "?model=wrong.onnx", FAILED)
+    assert "% of the features differ" in page.run(status)
 
 
 def test_a_golden_pair_that_comes_out_otherwise_is_refused(page, site):

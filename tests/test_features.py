@@ -120,8 +120,9 @@ def test_is_traced_with_free_axes(size, tmp_path):
 def test_an_exported_module_gives_the_signs_and_zeros_where_eager_raises():
     """At other sizes than traced."""
     dynamic = {0: torch.export.Dim.AUTO, 2: torch.export.Dim.AUTO, 3: torch.export.Dim.AUTO}
-    example = ([activations(0, 20, (9, 13), 2)],)
-    exported = torch.export.export(Features([20]), *example, dynamic_shapes=([dynamic],)).module()
+    example = (activations(0, 20, (9, 13), 2),)
+    dims = ((dynamic,),)
+    exported = torch.export.export(Features([20]), example, dynamic_shapes=dims).module()
     raw = activations(0, 20, (24, 32), 4)
     raw[1], raw[2], raw[3, 5, 0, 0] = 0, 7, torch.nan
     signs = exported(raw)

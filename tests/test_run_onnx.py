@@ -26,6 +26,7 @@ from helpers import (
 from networks import PLAIN, colour_network, photo, write_graph
 from onnx import TensorProto, helper
 from PIL import Image
+from segmenting import write_drives
 from torch import nn
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
@@ -101,6 +102,75 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, m
         for candidate, other in pairs:
             assert candidate["frame"] == other["frame"]
             assert candidate["score"] == pytest.approx(other["score"], abs=1e-5)
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
+    files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
+    return write_drives(tmp_path_factory.mktemp("drives"))
+
+
+def test_with_features_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp_path, run):
+    """In a database of the command line and in its own, with one file and with two."""
+    given = ("--segmenter", drives / "net.yaml", "--with", "features", "--workers", 1)
+    for drive in ("monday", "today"):
+        assert ssrvlad("encode", drives / drive, "-o", tmp_path / drive, *given)[0] == 0
+    alone = ("--no-standardise", "--follow", "no", "--top", 12, "--json")
+    out = ssrvlad("query", tmp_path / "monday", tmp_path / "today", *alone)[1]
+    expected = [json.loads(line) for line in out.splitlines()]
+    assert expected[0]["score_is"] == "fused score"
+    town = tmp_path / "town.npy"
+    assert ssrvlad("db", "export", tmp_path / "monday", "--format", "npy", "-o", town)[0] == 0
+    own = tmp_path / "own.npy"
+    assert run(drives / "place.onnx", drives / "monday", "--save-descriptors", own)[0] == 0
+    np.testing.assert_array_equal(*(np.load(f"{each}.features.npy") for each in (town, own)))
+    two = ("--network", drives / "net.onnx")
+    for model, database, network in (("place", town, ()), ("head", own, two)):
+        arguments = (drives / "today", "--database", database, "--top", 12, "--json", *network)
+        code, out, err = run(drives / f"{model}.onnx", *arguments)
+        assert (code, err) == (0, [])
+        for line, right in zip(out.splitlines(), expected, strict=True):
+            found = json.loads(line)["candidates"]
+            pairs = list(zip(found, right["candidates"], strict=True))
+            assert [a["frame"] for a, _ in pairs] == [b["frame"] for _, b in pairs]
+            np.testing.assert_allclose(
+                *([e["score"] for e in each] for each in zip(*pairs, strict=True)),
+                rtol=0,
+                atol=1e-5,
+            )
+
+
+def test_features_of_one_side_only_and_of_another_network(drives, tmp_path, run):
+    town = tmp_path / "town.npy"
+    frames = (drives / "today" / "5.png",)
+    assert run(drives / "place.onnx", drives / "monday", "--save-descriptors", town)[0] == 0
+    marker = Path(f"{town}.features.npy.fingerprint.txt")
+    own = marker.read_text()
+    marker.write_text("others\n")
+    code, _, (line,) = run(drives / "place.onnx", *frames, "--database", town)
+    assert code == 2
+    assert f"features.npy has fingerprint others, the model {own.strip()}" in line
+    Path(f"{town}.features.npy").unlink()
+    code, out, (line,) = run(drives / "place.onnx", *frames, "--database", town)
+    assert (code, out.startswith("today/5: monday/")) == (0, True)
+    assert line == "only the model has features: frames are matched by their label maps alone"
+
+
+def test_activations_that_say_nothing_are_refused(drives, tmp_path, run):
+    """An image of one colour, of which an exported file gives no sign."""
+    model = onnx.load(drives / "place.onnx")
+    for table in model.graph.initializer:
+        if table.name.startswith("network/") and table.data_type == TensorProto.FLOAT:
+            table.CopyFrom(
+                onnx.numpy_helper.from_array(0 * onnx.numpy_helper.to_array(table), table.name)
+            )
+    onnx.save(model, tmp_path / "dead.onnx")
+    code, _, errors = run(tmp_path / "dead.onnx", drives / "today" / "5.png", "--unchecked")
+    assert code == 3
+    assert errors[0].endswith("activations of the network are not finite, or the same everywhere")
+    code, _, (line,) = run(tmp_path / "dead.onnx", drives / "today" / "5.png")
+    assert code == 2 and "% of the features differ" in line
 
 
 def test_arrays_need_no_pillow_and_pictures_say_so(head, maps, tmp_path):
@@ -207,7 +277,7 @@ def test_an_id_of_several_lines_is_refused_where_ids_are_lines(head, maps, tmp_p
     assert "a database has one id a line; frame 'day/a\\nb' has several" in errors[0]
     assert run(head, folder)[0] == 0
     with pytest.raises(ValueError, match="has several lines"):
-        script.save(out, [np.ones(3)], ["a\x85b"], "")
+        script.save(out, [script.Seen(np.ones(3))], ["a\x85b"], "")
     assert not list(tmp_path.glob("town*"))
 
 
@@ -228,7 +298,7 @@ def test_equal_scores_go_to_the_earlier_frame_across_blocks(tmp_path, monkeypatc
     rng = np.random.default_rng(0)
     vectors = rng.integers(-1, 2, (20, 4)).astype(np.float32)
     frames = [f"s/{row}" for row in range(20)]
-    script.save(tmp_path / "d.npy", list(vectors), frames, "f")
+    script.save(tmp_path / "d.npy", list(map(script.Seen, vectors)), frames, "f")
     database = script.Database(tmp_path / "d.npy", "f")
     query = np.array([1, 0, 0, 0], np.float32)
     scores = {}
@@ -294,6 +364,8 @@ def test_when_a_golden_pair_holds():
     assert golden(0.02, other_pixels=0.004, cosine=0.99).holds
     assert not golden(0.02, other_pixels=0.02, cosine=0.99).holds
     assert not golden(0.02, other_pixels=0.004, cosine=0.5).holds
+    assert golden(0, other_signs=0.009).holds
+    assert not golden(0, other_signs=0.011).holds
 
 
 def test_an_unknown_provider_is_named(head, maps, run):
@@ -422,7 +494,8 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     export_head(config, tmp_path / "sweep.onnx", columns=(-8, 0, 8))
     model = script.Model(tmp_path / "sweep.onnx")
     swept = model.describe(tmp_path / "query.npy")
-    script.save(tmp_path / "town.npy", list(swept), ["left", "middle", "right"], model.fingerprint)
+    seen, names = list(map(script.Seen, swept)), ["left", "middle", "right"]
+    script.save(tmp_path / "town.npy", seen, names, model.fingerprint)
     source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
     code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 3)
     assert (code, out.count("1.0000")) == (0, 3)

@@ -1,7 +1,7 @@
 // Descriptors of label maps and photographs with files of `ssrvlad export` and `ssrvlad fuse`.
 //
 //     ssrvlad::Place place("place.onnx");
-//     ssrvlad::Database town("town.npy", place.fingerprint());
+//     ssrvlad::Database town("town.npy", place.fingerprint(), place.features());
 //     auto query = place.describe(pixels, height, width);
 //     for (const auto& match : town.match(query, 5)) std::cout << match.frame << match.score;
 //
@@ -14,6 +14,7 @@
 #include <zlib.h>
 
 #include <algorithm>
+#include <bitset>
 #include <cctype>
 #include <cmath>
 #include <cstdint>
@@ -38,12 +39,19 @@ constexpr float kTolerance = 1e-6F;
 // cosine of the descriptors of two label maps that differ so little.
 constexpr double kMaxOtherPixels = 0.01;
 constexpr float kMinCosine = 0.8F;
+// Fraction of the signs of a golden image's features that may differ.
+constexpr double kMaxOtherSigns = 0.01;
+// Weights of label maps and of features in a score, and columns of cells by which features are moved
+// to each side, as in `ssrvlad query` for single frames.
+constexpr double kWeights[] = {1.0 / 7, 6.0 / 7};
+constexpr std::int64_t kReach = 2;
 
 // The descriptor of a frame; with `export --sweep` the descriptors of all anchors in sequence. All
 // zeros: the frame is empty and matches nothing.
 struct Described {
   std::vector<float> descriptor;
   std::size_t length = 0;  // of one descriptor
+  std::vector<std::uint8_t> features;  // 16 columns x 16 rows x 8 bytes of signs, if the file gives some
 };
 
 struct Match {
@@ -56,10 +64,12 @@ struct Golden {
   float difference = 0;     // largest difference of the descriptor, infinite if a count differs
   double other_pixels = 0;  // fraction of pixels with another label than recorded
   float cosine = 1;         // cosine to the expected descriptor
+  double other_signs = 0;   // fraction of other signs of the features
 
   bool holds() const {
     const bool is_similar = other_pixels > 0 && cosine >= kMinCosine;
-    return other_pixels <= kMaxOtherPixels && (difference <= kTolerance || is_similar);
+    return other_pixels <= kMaxOtherPixels && other_signs <= kMaxOtherSigns &&
+           (difference <= kTolerance || is_similar);
   }
 };
 
@@ -210,6 +220,61 @@ inline float length_of(const float* vector, std::size_t size) {
   return std::sqrt(std::inner_product(vector, vector + size, vector, 0.0F));
 }
 
+// The number of bits that differ.
+inline std::int64_t different(const std::uint8_t* one, const std::uint8_t* other, std::size_t size) {
+  std::int64_t count = 0;
+  for (std::size_t at = 0; at < size; ++at)
+    count += static_cast<std::int64_t>(std::bitset<8>(one[at] ^ other[at]).count());
+  return count;
+}
+
+// The cosine of signs over the columns of cells that overlap, for the best of all moves.
+inline float cosine_of_signs(const std::uint8_t* query, const std::uint8_t* reference,
+                             std::int64_t columns, std::int64_t column) {
+  float best = -1;
+  for (std::int64_t move = -kReach; move <= kReach; ++move) {
+    const auto size = static_cast<std::size_t>((columns - std::abs(move)) * column);
+    const auto bits = different(query + std::max<std::int64_t>(0, -move) * column,
+                                reference + std::max<std::int64_t>(0, move) * column, size);
+    best = std::max(best, 1 - static_cast<float>(bits) / static_cast<float>(4 * size));
+  }
+  return best;
+}
+
+constexpr float kNoScore = -std::numeric_limits<float>::infinity();
+
+// The scores of one query by several methods as one, by the rule of `ssrvlad query`: the weighted
+// means of their z-scores of nearness, minus the logarithm of 1 - cosine.
+inline std::vector<float> fused(const std::vector<std::vector<float>>& methods) {
+  std::vector<double> z(methods[0].size());
+  std::vector<bool> scored(z.size());
+  double mean = 0, spread = 0;
+  for (std::size_t method = 0; method < methods.size(); ++method) {
+    std::vector<double> near(z.size());
+    double sum = 0, squares = 0, count = 0;
+    for (std::size_t row = 0; row < z.size(); ++row) {
+      if (methods[method][row] == kNoScore) continue;
+      near[row] = -std::log(std::max(1.0 - static_cast<double>(methods[method][row]), 1e-6));
+      scored[row] = true;
+      sum += near[row];
+      ++count;
+    }
+    const double own_mean = sum / std::max(1.0, count);
+    for (std::size_t row = 0; row < z.size(); ++row)
+      if (methods[method][row] != kNoScore) squares += std::pow(near[row] - own_mean, 2);
+    const double own_spread = std::sqrt(squares / std::max(1.0, count));
+    for (std::size_t row = 0; row < z.size(); ++row)
+      if (methods[method][row] != kNoScore)
+        z[row] += kWeights[method] * (near[row] - own_mean) / std::max(own_spread, 1e-6);
+    mean += kWeights[method] * own_mean;
+    spread += kWeights[method] * own_spread;
+  }
+  std::vector<float> scores(z.size(), kNoScore);
+  for (std::size_t row = 0; row < z.size(); ++row)
+    if (scored[row]) scores[row] = static_cast<float>(-std::expm1(-(mean + spread * z[row])));
+  return scores;
+}
+
 // A session and the metadata of its file.
 class Session {
  public:
@@ -314,6 +379,12 @@ class Session {
       }
       return;
     }
+    if (name == "features") {
+      const auto bits = different(output.GetTensorData<std::uint8_t>(), expected.as<std::uint8_t>(),
+                                  expected.bytes.size());
+      golden.other_signs = static_cast<double>(bits) / static_cast<double>(8 * expected.bytes.size());
+      return;
+    }
     const char* got = static_cast<const char*>(output.GetTensorRawData());
     const auto width = type_of(name_of(expected.type)).second;
     std::size_t others = 0;
@@ -365,6 +436,9 @@ class Place {
   // Fingerprint of the settings; descriptors of another one do not compare.
   std::string fingerprint() const { return head_.property("ssrvlad.fingerprint"); }
 
+  // Fingerprint of the features that the file gives; empty if it gives none.
+  std::string features() const { return first().property("ssrvlad.features"); }
+
   // Whether it takes photographs, not label maps.
   bool takes_photographs() const { return first().input() == "image"; }
 
@@ -387,7 +461,10 @@ class Place {
   // files the head is always compared exactly.
   Golden golden() const {
     auto golden = head_.golden();
-    if (network_ && golden.holds()) golden.other_pixels = network_->golden().other_pixels;
+    if (!network_ || !golden.holds()) return golden;
+    const auto network = network_->golden();
+    golden.other_pixels = network.other_pixels;
+    golden.other_signs = network.other_signs;
     return golden;
   }
 
@@ -400,7 +477,8 @@ class Place {
     throw std::runtime_error(
         first().path() + " is computed wrong here: the golden pair differs by " +
         std::to_string(result.difference) + ", and " + std::to_string(100 * result.other_pixels) +
-        " % of its labels differ");
+        " % of its labels and " + std::to_string(100 * result.other_signs) +
+        " % of its features differ");
   }
 
   Described describe_bytes(const void* data, std::int64_t height, std::int64_t width,
@@ -415,10 +493,12 @@ class Place {
     if (takes_photographs()) shape.push_back(3);
     const auto size = static_cast<std::size_t>(height * width) * bytes * (takes_photographs() ? 3 : 1);
     const auto input = detail::Session::value_of(data, size, shape, type);
-    const std::vector<const char*> names{"descriptor", "unknown"};
-    std::vector<Ort::Value> labels;
-    if (network_) labels = network_->run(input, {"labels"});
-    const auto outputs = head_.run(network_ ? labels[0] : input, names);
+    std::vector<const char*> names{"descriptor", "unknown"}, of_network{"labels"};
+    const bool has_features = !features().empty();
+    if (has_features) (network_ ? of_network : names).push_back("features");
+    std::vector<Ort::Value> seen;
+    if (network_) seen = network_->run(input, of_network);
+    const auto outputs = head_.run(network_ ? seen[0] : input, names);
     const auto unknown = outputs[1].GetTensorData<std::int64_t>()[0];
     if (unknown > 0)
       throw std::runtime_error(std::to_string(unknown) +
@@ -432,6 +512,14 @@ class Place {
         throw std::runtime_error(
             "the frame is too wide, or has too many keypoints, for an exported file");
     described.length = static_cast<std::size_t>(info.GetShape().back());
+    if (!has_features) return described;
+    const auto& signs = (network_ ? seen : outputs).back();
+    const auto* first_byte = signs.GetTensorData<std::uint8_t>();
+    const auto count = signs.GetTensorTypeAndShapeInfo().GetElementCount();
+    described.features.assign(first_byte, first_byte + count);
+    if (std::all_of(first_byte, first_byte + count, [](auto byte) { return byte == 0; }))
+      throw std::runtime_error(
+          "the activations of the network are not finite, or the same everywhere");
     return described;
   }
 
@@ -440,18 +528,27 @@ class Place {
 };
 
 // Descriptors of reference frames from `ssrvlad db export --format npy`: FILE.npy,
-// FILE.npy.frames.txt and FILE.npy.fingerprint.txt.
+// FILE.npy.frames.txt and FILE.npy.fingerprint.txt; and their features, FILE.npy.features.npy.
 class Database {
  public:
-  Database(const std::string& path, const std::string& fingerprint) : array_(npy::load(path)) {
+  // The fingerprints are those of the model; features are used if both have some.
+  Database(const std::string& path, const std::string& fingerprint, const std::string& features = "")
+      : array_(npy::load(path)) {
     if (array_.dtype != "<f4" || array_.shape.size() != 2)
       throw std::runtime_error(path + ": expected an (R, D) array of float32");
-    std::string own;
-    if (!(std::ifstream(path + ".fingerprint.txt") >> own))
-      std::cerr << path << " has no fingerprint: it may not fit the model\n";
-    else if (own != fingerprint)
-      throw std::runtime_error(path + " has fingerprint " + own + ", the model " + fingerprint +
-                               ": they do not compare");
+    require_fingerprint(path, fingerprint);
+    const auto file = path + ".features.npy";
+    const bool has_features = std::ifstream(file).good();
+    if (has_features == features.empty())
+      std::cerr << "only " << (has_features ? path : "the model")
+                << " has features: frames are matched by their label maps alone\n";
+    else if (has_features) {
+      signs_ = npy::load(file);
+      if (signs_.dtype != "|u1" || signs_.shape.size() != 4 || signs_.shape[0] != array_.shape[0] ||
+          signs_.shape[1] <= kReach)
+        throw std::runtime_error(file + ": expected an (R, 16, 16, 8) array of uint8");
+      require_fingerprint(file, features);
+    }
     std::ifstream names(path + ".frames.txt");
     for (std::string line; std::getline(names, line);) frames_.push_back(line);
     if (frames_.size() != static_cast<std::size_t>(array_.shape[0]))
@@ -461,26 +558,30 @@ class Database {
 
   std::size_t size() const { return frames_.size(); }
 
-  // The frames with the highest cosines (Eq. 4), best first; of equal ones the earlier first. Of
-  // several anchors the best one counts.
+  // The frames with the highest scores, best first; of equal ones the earlier first. A score is a
+  // cosine (Eq. 4), of several anchors the best one; with features in the query and here, a fused
+  // score.
   std::vector<Match> match(const Described& query, std::size_t top) const {
     const auto length = static_cast<std::size_t>(array_.shape[1]);
     if (query.length != length)
       throw std::runtime_error("expected a database of " + std::to_string(query.length) +
                                " numbers a frame, got " + std::to_string(length));
-    std::vector<std::pair<float, std::size_t>> scores;
+    std::vector<float> cosines(size(), detail::kNoScore);
     for (std::size_t row = 0; row < size(); ++row) {
       const float* reference = array_.as<float>() + row * length;
       const float norm = detail::length_of(reference, length);
-      float best = -2;
+      float& best = cosines[row];
       for (const float* anchor = query.descriptor.data();
            anchor < query.descriptor.data() + query.descriptor.size(); anchor += length) {
         const float norms = norm * detail::length_of(anchor, length);
         const float product = std::inner_product(anchor, anchor + length, reference, 0.0F);
         if (norms > 0) best = std::max(best, product / norms);
       }
-      if (best > -2) scores.emplace_back(best, row);
     }
+    if (!signs_.bytes.empty() && !query.features.empty()) cosines = fused_with(query, cosines);
+    std::vector<std::pair<float, std::size_t>> scores;
+    for (std::size_t row = 0; row < size(); ++row)
+      if (cosines[row] != detail::kNoScore) scores.emplace_back(cosines[row], row);
     const auto last = scores.begin() + static_cast<std::ptrdiff_t>(std::min(top, scores.size()));
     std::partial_sort(scores.begin(), last, scores.end(), [](const auto& a, const auto& b) {
       return a.first != b.first ? a.first > b.first : a.second < b.second;
@@ -492,7 +593,29 @@ class Database {
   }
 
  private:
-  npy::Array array_;
+  static void require_fingerprint(const std::string& path, const std::string& fingerprint) {
+    std::string own;
+    if (!std::getline(std::ifstream(path + ".fingerprint.txt"), own))
+      std::cerr << path << " has no fingerprint: it may not fit the model\n";
+    else if (own != fingerprint)
+      throw std::runtime_error(path + " has fingerprint " + own + ", the model " + fingerprint +
+                               ": they do not compare");
+  }
+
+  std::vector<float> fused_with(const Described& query, const std::vector<float>& cosines) const {
+    const auto length = query.features.size();
+    if (signs_.size() != length * size())
+      throw std::runtime_error("expected features of " + std::to_string(length) + " bytes a frame");
+    std::vector<float> of_signs(size());
+    const auto columns = signs_.shape[1];
+    for (std::size_t row = 0; row < size(); ++row)
+      of_signs[row] = detail::cosine_of_signs(
+          query.features.data(), signs_.as<std::uint8_t>() + row * length, columns,
+          static_cast<std::int64_t>(length) / columns);
+    return detail::fused({cosines, of_signs});
+  }
+
+  npy::Array array_, signs_;
   std::vector<std::string> frames_;
 };
 

@@ -1,31 +1,45 @@
-// Descriptors of reference frames from `ssrvlad db export --format npy`.
+// Descriptors and features of reference frames from `ssrvlad db export --format npy`.
+
+const WEIGHTS = [1 / 7, 6 / 7]; // of label maps and of features, as `ssrvlad query` weighs single frames
+const REACH = 2; // columns of cells by which features are moved to each side
 
 const decoder = new TextDecoder();
 
 export class Database {
-  /** From the bytes of the array and the text files beside it; `fingerprint` may be undefined. */
-  constructor(array, frames, fingerprint) {
-    const { shape, values } = readArray(array);
+  /**
+   * From the bytes of the array and the text files beside it; `fingerprint` may be undefined, and so
+   * may the bytes and the fingerprint of the array of features.
+   */
+  constructor(array, frames, fingerprint, signs, features) {
+    const { shape, rows } = readArray(array, "<f4", 2);
     this.length = shape[1];
-    this.rows = Array.from({ length: shape[0] }, (_, row) =>
-      values.subarray(row * shape[1], (row + 1) * shape[1]),
-    );
+    this.rows = rows;
+    this.signs = signs && readArray(signs, "|u1", 4);
+    this.features = features?.trim();
+    if (signs && this.signs.shape[0] !== shape[0])
+      throw new Error(`the array has ${shape[0]} rows, its features ${this.signs.shape[0]}`);
     this.frames = frames.split("\n").slice(0, -1);
     this.fingerprint = fingerprint?.trim();
     if (this.frames.length !== shape[0])
       throw new Error(`the array has ${shape[0]} rows, the text file ${this.frames.length} ids`);
   }
 
-  /** ``[{frame, score}]``, highest cosines (Eq. 4) first. A zero vector matches nothing. */
-  search(query, top) {
+  /**
+   * ``[{frame, score}]``, highest first: cosines (Eq. 4), or with features, here and of the query,
+   * fused scores. A zero vector matches nothing.
+   */
+  search(query, top, features) {
     if (query.length !== this.length)
       throw new Error(`expected a database of ${query.length} numbers a frame, got ${this.length}`);
     const norm = Math.sqrt(product(query, query));
-    return this.rows
-      .map((row, at) => ({
-        frame: this.frames[at],
-        score: product(query, row) / norm / Math.sqrt(product(row, row)),
-      }))
+    let scores = this.rows.map((row) => product(query, row) / norm / Math.sqrt(product(row, row)));
+    if (features && this.signs) {
+      const columns = this.signs.shape[1];
+      const cosines = this.signs.rows.map((row) => cosineOfSigns(features, row, columns));
+      scores = fused([scores, cosines]);
+    }
+    return scores
+      .map((score, at) => ({ frame: this.frames[at], score }))
       .filter(({ score }) => !Number.isNaN(score))
       .sort((a, b) => b.score - a.score)
       .slice(0, top);
@@ -38,16 +52,57 @@ function product(a, b) {
   return sum;
 }
 
-function readArray(file) {
+/** The cosine of signs over the columns of cells that overlap, for the best of all moves. */
+function cosineOfSigns(query, row, columns) {
+  const column = row.length / columns;
+  let best = -1;
+  for (let move = -REACH; move <= REACH; move++) {
+    const [ours, theirs] = [Math.max(0, -move) * column, Math.max(0, move) * column];
+    const size = (columns - Math.abs(move)) * column;
+    let different = 0;
+    for (let at = 0; at < size; at++)
+      for (let bits = query[ours + at] ^ row[theirs + at]; bits; bits &= bits - 1) different++;
+    best = Math.max(best, 1 - different / (4 * size));
+  }
+  return best;
+}
+
+/**
+ * The scores of one query by several methods as one, by the rule of `ssrvlad query`: the weighted
+ * means of their z-scores of nearness, minus the logarithm of 1 - cosine. NaN where there is none.
+ */
+function fused(methods) {
+  const scaled = methods.map((scores) => {
+    const near = scores.map((score) => -Math.log(Math.max(1 - score, 1e-6)));
+    const known = near.filter((value) => !Number.isNaN(value));
+    const meanOf = (values) => values.reduce((sum, value) => sum + value, 0) / Math.max(1, known.length);
+    const mean = meanOf(known);
+    const spread = Math.sqrt(meanOf(known.map((value) => (value - mean) ** 2)));
+    return { near, mean, spread };
+  });
+  const weighted = (value) => scaled.reduce((sum, each, at) => sum + WEIGHTS[at] * value(each), 0);
+  const [mean, spread] = [weighted((each) => each.mean), weighted((each) => each.spread)];
+  return methods[0].map((_, row) => {
+    if (methods.every((scores) => Number.isNaN(scores[row]))) return NaN;
+    const z = weighted((each) => ((each.near[row] - each.mean) || 0) / Math.max(each.spread, 1e-6));
+    return -Math.expm1(-(mean + spread * z));
+  });
+}
+
+/** ``{shape, rows}`` of a ``.npy`` file of a type and a number of axes. */
+function readArray(file, type, axes) {
   const view = new DataView(file.buffer, file.byteOffset, file.byteLength);
   if (decoder.decode(file.subarray(1, 6)) !== "NUMPY") throw new Error("expected a .npy file");
   const [begin, length] = file[6] > 1 ? [12, view.getUint32(8, true)] : [10, view.getUint16(8, true)];
   const header = decoder.decode(file.subarray(begin, begin + length));
-  const [, shape] = /'shape': \((\d+, \d+)\)/.exec(header) ?? [];
-  if (!header.includes("'<f4'") || !header.includes("False") || !shape)
-    throw new Error("expected an (R, D) float32 array in C order");
-  const sizes = shape.split(", ").map(Number);
+  const shape = /'shape': \(([\d, ]+)\)/.exec(header)?.[1].split(", ").map(Number) ?? [];
+  if (!header.includes(`'${type}'`) || !header.includes("False") || shape.length !== axes)
+    throw new Error(`expected an array of ${axes} axes of ${type} in C order`);
   const content = file.slice(begin + length);
-  if (content.length !== sizes[0] * sizes[1] * 4) throw new Error("the .npy file is cut short");
-  return { shape: sizes, values: new Float32Array(content.buffer) };
+  const size = shape.slice(1).reduce((product, axis) => product * axis, 1);
+  const isBytes = type === "|u1";
+  if (content.length !== shape[0] * size * (isBytes ? 1 : 4)) throw new Error("the .npy file is cut short");
+  const values = isBytes ? content : new Float32Array(content.buffer);
+  const rows = Array.from({ length: shape[0] }, (_, row) => values.subarray(row * size, (row + 1) * size));
+  return { shape, rows };
 }

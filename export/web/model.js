@@ -9,6 +9,7 @@ ort.env.wasm.numThreads = 1;
 const FORMAT = "2";
 const TOLERANCE = 1e-6;
 const MAX_OTHER_PIXELS = 0.01;
+const MAX_OTHER_SIGNS = 0.01;
 const MIN_COSINE = 0.8;
 const MAX_GOLDEN_BYTES = 1 << 26;
 const PIXELS_OF_WORD = 3;
@@ -49,6 +50,7 @@ export class Model {
     this.session = session;
     this.skeleton = skeleton;
     this.fingerprint = metadata.fingerprint;
+    this.features = metadata.features;
     this.config = JSON.parse(metadata.config);
     this.space = JSON.parse(metadata.label_space);
     this.golden = JSON.parse(metadata.golden);
@@ -81,11 +83,13 @@ export class Model {
   }
 
   #described(outputs, height, width) {
-    const { unknown, descriptor, skeleton } = outputs;
+    const { unknown, descriptor, features, skeleton } = outputs;
     if (unknown[0])
       throw new Error(`${unknown[0]} pixels have an id outside label space ${this.space.name}`);
     if (!descriptor.every(Number.isFinite))
       throw new Error("the picture is too wide, or has too many keypoints, for an exported file");
+    if (features && !features.some((signs) => signs))
+      throw new Error("the activations of the network are not finite, or the same everywhere");
     const grid = workingGrid(this.config.working_size, height, width);
     return { ...outputs, ...grid, skeleton: skeleton && unpackedSkeleton(skeleton, grid) };
   }
@@ -101,7 +105,9 @@ export class Model {
     for (const name of Object.keys(this.golden))
       if (name !== this.input) expected[name] = (await this.#array(name)).values;
     const other = expected.labels ? fractionOfOthers(outputs.labels, expected.labels) : 0;
-    const counts = Object.keys(expected).filter((name) => name !== "descriptor" && name !== "labels");
+    const signs = expected.features ? fractionOfOtherBits(outputs.features, expected.features) : 0;
+    const near = ["descriptor", "labels", "features"];
+    const counts = Object.keys(expected).filter((name) => !near.includes(name));
     const difference = counts.some((name) => largestDifference(outputs[name], expected[name]))
       ? Infinity
       : largestDifference(outputs.descriptor, expected.descriptor);
@@ -109,11 +115,15 @@ export class Model {
     const cosine = smallestCosine(outputs.descriptor, expected.descriptor, images);
     const isSimilar = other > 0 && cosine >= MIN_COSINE;
     return {
-      holds: other <= MAX_OTHER_PIXELS && (difference <= TOLERANCE || isSimilar),
+      holds:
+        other <= MAX_OTHER_PIXELS &&
+        signs <= MAX_OTHER_SIGNS &&
+        (difference <= TOLERANCE || isSimilar),
       difference,
       text:
         `golden pair: largest difference ${difference.toExponential(2)}` +
-        (other ? `, ${(100 * other).toFixed(2)} % of the labels differ` : ""),
+        (other ? `, ${(100 * other).toFixed(2)} % of the labels differ` : "") +
+        (signs ? `, ${(100 * signs).toFixed(2)} % of the features differ` : ""),
     };
   }
 
@@ -151,6 +161,14 @@ function fractionOfOthers(got, expected) {
   let count = 0;
   for (let at = 0; at < expected.length; at++) count += got[at] !== Number(expected[at]);
   return count / expected.length;
+}
+
+function fractionOfOtherBits(got, expected) {
+  if (got.length !== expected.length) return 1;
+  let count = 0;
+  for (let at = 0; at < expected.length; at++)
+    for (let bits = got[at] ^ expected[at]; bits; bits &= bits - 1) count++;
+  return count / (8 * expected.length);
 }
 
 /** The smallest cosine of several images; descriptors have length 1. */

@@ -29,7 +29,8 @@ const textOf = (bytes) => bytes && new TextDecoder().decode(bytes);
 /** Opens files, ``{name: bytes}``, by the ends of their names, and describes the frame. */
 async function openFiles(files) {
   const named = (ending) => Object.keys(files).find((name) => name.endsWith(ending));
-  const [model, array] = [".onnx", ".npy"].map(named);
+  const model = named(".onnx");
+  const array = Object.keys(files).find((name) => /(?<!\.features)\.npy$/.test(name));
   const frame = PHOTOS.map(named).find((name) => name);
   if (model) {
     say("Loading the model …");
@@ -45,7 +46,9 @@ async function openFiles(files) {
       textOf(files[`${array}.${what}.txt`]),
     );
     if (frames === undefined) throw new Error(`choose ${array}.frames.txt together with ${array}`);
-    open.database = new Database(files[array], frames, fingerprint);
+    const signs = `${array}.features.npy`;
+    const features = textOf(files[`${signs}.fingerprint.txt`]);
+    open.database = new Database(files[array], frames, fingerprint, files[signs], features);
   }
   if (frame) open.frame = { name: frame, bytes: files[frame] };
   if (!model && !array && !frame) throw new Error("expected .onnx, .npy with .txt, or picture files");
@@ -70,6 +73,9 @@ async function describe() {
   const own = database?.fingerprint;
   if (own && own !== model.fingerprint)
     throw new Error(`the database has fingerprint ${own}, the model ${model.fingerprint}`);
+  const both = database?.signs && model.features;
+  if (both && database.features !== model.features)
+    throw new Error(`the database has features "${database.features}", the model "${model.features}"`);
   if (!frame && model.takesPhotos) return say("Choose a photograph.");
   if (!frame) return say(`Labels of ${model.space.name}: choose a label map.`);
   const picture = model.takesPhotos
@@ -81,9 +87,14 @@ async function describe() {
   element("result").hidden = false;
   drawMap(model, { ...picture, labels: described.labels ?? picture.labels }, described);
   drawTargets(model, described);
-  listMatches(database?.search(described.descriptor, TOP) ?? []);
+  listMatches(database?.search(described.descriptor, TOP, described.features) ?? []);
   const unchecked = database && !own ? " The database has no fingerprint." : "";
-  say(`${frame.name}: ${picture.height} x ${picture.width}, ${milliseconds} ms.${unchecked}`);
+  const [some, none] = model.features ? ["model", "database"] : ["database", "model"];
+  const apart = database && !both && (database.signs || model.features);
+  const alone = apart ? ` The ${some} has features, the ${none} has none: matched by label maps alone.` : "";
+  const scores = both ? " Scores are of label map and features together." : "";
+  const size = `${picture.height} x ${picture.width}`;
+  say(`${frame.name}: ${size}, ${milliseconds} ms.${scores}${unchecked}${alone}`);
 }
 
 function drawMap({ space }, { labels, height, width }, { skeleton, rows, columns }) {
@@ -167,7 +178,8 @@ async function bytesOf(list) {
 /** The file of a URL and, for an array, the text files beside it. */
 async function fetched(address) {
   const files = {};
-  const texts = address.endsWith(".npy") ? [".frames.txt", ".fingerprint.txt"] : [];
+  const beside = [".frames.txt", ".fingerprint.txt", ".features.npy", ".features.npy.fingerprint.txt"];
+  const texts = address.endsWith(".npy") ? beside : [];
   for (const ending of ["", ...texts]) {
     const response = await fetch(address + ending);
     if (response.ok) files[(address + ending).split("/").pop()] = new Uint8Array(await response.arrayBuffer());

@@ -28,7 +28,8 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     Args:
         database: the database.
         form: ``npy``: an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON
-            file with fingerprint and settings, and an array for each extra descriptor.
+            file with fingerprint and settings, and an array for each extra descriptor, with its
+            fingerprint in a text file.
             ``hloc``: an HDF5 file with one group per frame, named by its id. The group holds
             ``global_descriptor``, ``(D,)`` float32, as hloc's ``extract_features`` writes it
             (https://github.com/cvg/Hierarchical-Localization), and a data set for each extra
@@ -60,6 +61,8 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     if database.fingerprint:
         texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
     arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.beside.items()}
+    for extra in database.beside:
+        texts[f".{extra.name}.npy.fingerprint.txt"] = f"{extra.fingerprint}\n"
     for path, values in {file: frames.descriptors, **arrays}.items():
         with _replacing(path) as temporary, temporary.open("wb") as stream:
             np.save(stream, values.numpy())
