@@ -7,7 +7,6 @@ import errno
 import math
 import os
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,11 +21,12 @@ from .database.metadata import Origin
 from .datasets.frame_file import FrameFile
 from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
-from .descriptor import SSRVLAD, mirrored, query_head
+from .descriptor import SSRVLAD, query_head
 from .encoding.encoder import encode_to_database
 from .encoding.extra_descriptors import extra_descriptors, extra_methods, require_same
 from .encoding.results import Summary
-from .recognition.recognise import SSR_VLAD, Steps, recognise
+from .encoding.search import recognise_in
+from .recognition.recognise import Steps
 from .recognition.sweep import COLUMNS
 from .segmentation.features import NAME as FEATURES
 from .segmentation.networks import AUTO, runs_code
@@ -175,19 +175,8 @@ class Localiser:
         beside = {each.name: each.encode_query([frame]) for each in self._methods}
         if said.features is not None:
             beside[FEATURES] = torch.from_numpy(said.features)[None]
-        found = recognise(
-            self._locate(torch.from_numpy(said.labels)[None]),
-            references.descriptors,
-            ["picture"],
-            references.sequences,
-            _ALONE,
-            top=1,
-            beside={name: (each, references.beside[name]) for name, each in beside.items()},
-            mirrors={
-                SSR_VLAD: partial(mirrored, config=self.database.config),
-                **{each.name: each.mirrored for each in self._methods},
-            },
-        )
+        vectors = self._locate(torch.from_numpy(said.labels)[None])
+        found = recognise_in(self.database, references, vectors, beside, ["picture"], _ALONE, top=1)
         row = int(found.matches.indices[0, 0])
         if row < 0:
             return None

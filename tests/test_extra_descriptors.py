@@ -304,7 +304,7 @@ def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
 
 
 def test_a_detector_closes_more_loops_with_both():
-    noisy = laps(0, 2.0), laps(1, 2.0)
+    noisy = laps(0, 2.5), laps(1, 2.5)
     alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
     seen = OWN._replace(name="hog", width=480, fingerprint=HOG_STORED.fingerprint)
     detector = LoopDetector(LoopConfig(exclude=20), beside=[seen])

@@ -27,8 +27,6 @@ from ..evaluation.metrics import Convention
 if TYPE_CHECKING:
     from ..recognition.recognise import Steps
 
-TYPED = "COMMANDLINE"
-
 NETWORK = (
     "FILE.onnx, FILE.yaml (a network and its settings), hf:ORG/NAME[@REVISION], a folder, "
     "torchhub:REPO/MODEL or MODULE:NAME."
@@ -247,7 +245,7 @@ class StepOptions:
     )
 
     def steps(self) -> Steps:
-        """The steps that the options choose."""
+        """The chosen steps."""
         from ..recognition.recognise import AS_PAPER, Steps
 
         if getattr(self, "as_paper", False):
@@ -375,8 +373,8 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def run(*, context: typer.Context, **values: Any) -> None:
-        sources = {name: context.get_parameter_source(name) for name in values}
-        typed = [name for name, source in sources.items() if source and source.name == TYPED]
+        source_of = context.get_parameter_source
+        typed = [n for n in values if (s := source_of(n)) and s.name == "COMMANDLINE"]
         for name, kind in classes.items():
             values[name] = kind(**{each.name: values.pop(each.name) for each in fields(kind)})
             if hasattr(kind, "check"):

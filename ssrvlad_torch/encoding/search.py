@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
 from typing import NamedTuple
 
@@ -87,21 +87,48 @@ def search(
     references, t = _references(database, *reach)
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = _queries(database, source, columns, extra, progress)
-    recognised = recognise(
-        queries.descriptors,
+    vectors, without = queries.descriptors, excluded(queries, references)
+    recognised = recognise_in(
+        database, references, vectors, queries.beside, queries.sequences, steps, top, without
+    )
+    return Found(queries, references, recognised, t, skipped, folders)
+
+
+def recognise_in(
+    database: Database,
+    references: FrameSet,
+    queries: Tensor,
+    beside: Mapping[str, Tensor],
+    sequences: Sequence[str],
+    steps: Steps,
+    top: int,
+    excluded: Tensor | None = None,
+) -> Recognised:
+    """Candidates of queries among the frames of a database, with all its methods; see `recognise`.
+
+    Args:
+        database: gives the settings and the methods of pictures.
+        references: its frames.
+        queries: ``(Q, D)`` or ``(Q, S, D)``.
+        beside: descriptors of pictures by name, for each query.
+        sequences: of the queries.
+        steps, top, excluded: see `recognise`.
+    """
+    methods = extra_methods([each for each in database.beside if each.name in beside])
+    return recognise(
+        queries,
         references.descriptors,
-        queries.sequences,
+        sequences,
         references.sequences,
         steps,
         top,
-        excluded(queries, references),
-        {name: (values, references.beside[name]) for name, values in queries.beside.items()},
+        excluded,
+        {name: (values, references.beside[name]) for name, values in beside.items()},
         {
             SSR_VLAD: partial(mirrored, config=database.config),
-            **{method.name: method.mirrored for method in extra_methods(extra)},
+            **{method.name: method.mirrored for method in methods},
         },
     )
-    return Found(queries, references, recognised, t, skipped, folders)
 
 
 def search_index(
