@@ -248,9 +248,10 @@ class Repeats:
         self._highest = np.append(self._highest, np.full(more, -np.inf, np.float32))
         rows = len(near) - self._distances
         rows = rows[rows >= 0]
-        track = np.full(len(self._distances), -np.inf, np.float32)
-        track[: len(rows)] = near[rows]
-        self._last = [*self._last, track][-TRACK:]
+        seen = np.full(len(self._distances) + 2, -np.inf, np.float32)
+        seen[1 : len(rows) + 1] = near[rows]
+        widest = np.maximum(np.maximum(seen[:-2], seen[1:-1]), seen[2:])
+        self._last = [*self._last, widest][-TRACK:]
         if len(self._last) == TRACK and len(rows):
             track, highest = np.mean(self._last, axis=0), self._highest
             highest[-TRACK:] = np.maximum(highest[-TRACK:], track.max())

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -59,8 +60,18 @@ Tours = dict[str, list[Tour]]
 """Tours by their condition."""
 
 
-def all_tours(cities: Sequence[int]) -> Tours:
-    return {name: [render(city, name) for city in cities] for name in CONDITIONS}
+def all_tours(cities: Sequence[int], cached: Path) -> Tours:
+    return {name: [tour(city, name, cached) for city in cities] for name in CONDITIONS}
+
+
+def tour(city: int, condition: str, cached: Path) -> Tour:
+    """A tour, kept in a folder."""
+    file = cached / f"tour {city} {condition} {head().config.fingerprint}.pt"
+    if not file.exists():
+        cached.mkdir(parents=True, exist_ok=True)
+        torch.save(render(city, condition), file)
+    kept: Tour = torch.load(file, weights_only=False)
+    return kept
 
 
 def render(city: int, condition: str) -> Tour:

@@ -21,8 +21,8 @@ APART = 5
 """Excluded frames that are a fifth of them apart, or more, show different places."""
 
 TRACK = 15
-"""Frames over which the nearness of two parts of a drive is averaged, at the same distance: single
-frames of a street with noisy labels are alike by chance."""
+"""Frames over which the nearness of two parts of a drive is averaged, at the same distance or one
+frame nearer or farther: single frames of a street with noisy labels are alike by chance."""
 
 
 class Repeats:
@@ -45,9 +45,9 @@ class Repeats:
             self._highest.append(-np.inf)
         highest, rows = self._highest.values, len(near) - self._distances
         rows = rows[rows >= 0]
-        track = np.full(len(self._distances), -np.inf, np.float32)
-        track[: len(rows)] = near[rows]
-        self._last.append(track)
+        seen = np.full(len(self._distances) + 2, -np.inf, np.float32)
+        seen[1 : len(rows) + 1] = near[rows]
+        self._last.append(np.maximum(np.maximum(seen[:-2], seen[1:-1]), seen[2:]))
         if len(self._last) == TRACK and len(rows):
             track = np.mean(self._last, axis=0)
             highest[-TRACK:] = np.maximum(highest[-TRACK:], track.max())
