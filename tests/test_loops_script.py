@@ -55,22 +55,23 @@ def plain_loops(made, threshold):
 
 
 def test_the_page_says_what_the_detectors_did(script, tmp_path):
-    learned, measured = (
+    learned, measured, checked = (
         {
             "perfect labels": [tour(script, seed, 0.01) for seed in seeds],
             "noisy labels": [tour(script, seed, 0.05) for seed in seeds],
         }
-        for seeds in ((10,), (20, 22))
+        for seeds in ((10,), (20, 22), (30,))
     )
-    page = "\n".join(script.sections(learned, measured, tmp_path / "loops.md"))
+    page = "\n".join(script.sections(learned, measured, checked, tmp_path / "loops.md"))
     assert "nan" not in page
     for condition in measured:
         head, *rows = table(page, f"## {condition.capitalize()}")
         assert head[2:5] == ["loops", "wrong", "elsewhere"]
         curve = script.curve([script.detect(made) for made in learned[condition]])
         thresholds = {"default": LoopConfig.threshold, "learned": script.surest_point(curve).score}
-        assert [line[0] for line in rows] == [*thresholds]
-        for line, threshold in zip(rows, thresholds.values(), strict=True):
+        assert [line[0] for line in rows] == [*thresholds, "check"]
+        assert rows[2][2] == str(len(plain_loops(checked[condition][0], 0.8)))
+        for line, threshold in zip(rows, thresholds.values(), strict=False):
             wrong = right = 0
             for made in measured[condition]:
                 for row, candidate in plain_loops(made, threshold).items():
@@ -102,3 +103,19 @@ def test_frames_that_come_back(script):
     same, opposite = made.comes_back(50, 1.0), made.comes_back(50, 1.0, opposite=True)
     assert np.flatnonzero(same).tolist() == [*range(LAP, 2 * LAP)]
     assert np.flatnonzero(opposite).tolist() == [*range(2 * LAP, 2 * LAP + BACK)]
+
+
+def test_real_drives_are_counted_frame_by_frame(monkeypatch):
+    """A second drive that sees a part of the first, and one of another place."""
+    real = load("_loops_real", monkeypatch)
+    first, other = (descriptors(seed, 90)[:, None] for seed in (0, 1))
+    truth = [np.array([row]) for row in range(20, 60)]
+    pair = real.Pair("a", first, first[20:60], {}, {}, truth)
+    found = real.detect(pair, ())
+    assert (found.right.sum() > 30, found.wrong, found.elsewhere) == (True, 0, 0)
+    moved = real.detect(pair._replace(truth=[each + 2 for each in truth]), ())
+    assert (moved.right.sum(), moved.wrong, moved.elsewhere) == (0, found.right.sum(), 0)
+    nowhere = [np.zeros(0, int)] * 90
+    assert real.detect(real.Pair("b", first, other, {}, {}, nowhere), ()).wrong == 0
+    cells = real.counted([found, moved])
+    assert cells[0].startswith(f"{found.right.mean() / 2:.2f} [") and cells[1] == str(moved.wrong)

@@ -42,7 +42,7 @@ from ssrvlad_torch.picture import write_picture
 
 LEARNED_ON = range(100, 104)
 MEASURED_ON = range(6)
-CHECKED_ON = range(6, 9)
+CHECKED_ON = range(6, 8)
 METRES, ELSEWHERE = 10.0, 25.0
 RESAMPLES = 2000
 
@@ -79,7 +79,7 @@ labels (the errors of a segmentation network, and a camera that sways).
   reach without one.
 - `default` is the threshold of `LoopConfig()`. `learned` is the threshold that `ssrvlad loops
   --tolerance-metres` suggests for {len(LEARNED_ON)} other cities under the same condition.
-- *check* is the default threshold in {len(CHECKED_ON)} other cities.
+- *check* is the default threshold in {len(CHECKED_ON)} more cities.
 - In brackets are 95 % bootstrap intervals over the cities ({RESAMPLES} resamples). Without wrong
   loops, the interval of the precision has no width.
 
@@ -98,10 +98,11 @@ def main() -> None:
     arguments.add_argument("--output", type=Path, default=Path("docs/loops.md"))
     options = arguments.parse_args()
     with threads(1):
-        of_cities = (
+        learned, measured, checked = (
             all_tours(each, options.cache) for each in (LEARNED_ON, MEASURED_ON, CHECKED_ON)
         )
-        lines = [*real_drives(options.data, options.cache), *sections(*of_cities, options.output)]
+        lines = [*real_drives(options.data, options.cache)]
+        lines += sections(learned, measured, checked, options.output)
     write(options.output, "\n".join(lines) + "\n")
 
 
