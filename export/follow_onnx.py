@@ -4,14 +4,15 @@
 python export/follow_onnx.py place.onnx photos/today --database photos.npy
 
 Takes the steps of `ssrvlad query` that need no torch. Own mean off: descriptors lose the mean of
-their drive if it has 30 frames, else that of all. Follow: a hidden Markov model over the rows of
-the map finds each folder as a sequence, with its later frames too. It does not ask whether the
-frames are a sequence along the map, which `ssrvlad query` does, and it takes every drive to run at
-0 to 4 rows a frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each
-frame the best rows with their probabilities; the first is that of the place, a few rows wide. Needs
-numpy, onnxruntime, and `run_onnx.py` and `loops_onnx.py` beside it. Memory: 28 bytes for each pair
-of a frame and a row. Exit code 0 for success, 2 for wrong use, 3 for finished with some frames
-skipped.
+their drive if it has 30 frames, else that of all; so do features, which are fused with them where
+the file and the database have some. Follow: a hidden Markov model over the rows of the map finds
+each folder as a sequence, with its later frames too. It does not ask whether the frames are a
+sequence along the map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a
+frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each frame the best
+rows with their probabilities; the first is that of the place, a few rows wide. Needs numpy,
+onnxruntime, and `run_onnx.py` and `loops_onnx.py` beside it. Memory: 28 bytes for each pair of a
+frame and a row, and 128 kB for each frame and row with features. Exit code 0 for success, 2 for
+wrong use, 3 for finished with some frames skipped.
 """
 
 from __future__ import annotations
@@ -27,10 +28,14 @@ import numpy as np
 import numpy.typing as npt
 from loops_onnx import CHANGE, GAP, MAX_LOG, NEAR, SPEEDS, STAY, WEIGHT
 from run_onnx import (
+    REACH,
     SOME_SKIPPED,
+    WEIGHTS,
     Database,
+    Seen,
     add_model,
     find_frames,
+    fused,
     note,
     one_line,
     open_model,
@@ -44,6 +49,10 @@ JUMP, UNMAPPED, LEVEL = 0.01, 0.1, 0.5
 MIN_FRAMES = 30
 """Least number of frames of a drive whose own mean is subtracted."""
 
+ELSEWHERE = 5
+"""Rows beyond which a candidate is another place than the first."""
+
+_SAMPLE = 200
 _PRIOR = np.array([probability for probability, _ in SPEEDS], np.float32)[:, None]
 _ROUNDING = 1e-6
 
@@ -61,6 +70,50 @@ def without_means(descriptors: Floats, sequences: Sequence[str]) -> Floats:
         mean = of[of.any(axis=2)].mean(axis=0, dtype=np.float64).astype(np.float32)
         after[rows] = np.where(anchors[rows].any(axis=2, keepdims=True), anchors[rows] - mean, 0)
     return after / np.maximum(np.linalg.norm(after, axis=2, keepdims=True), _ROUNDING)
+
+
+def scores_of_signs(queries: Floats, references: Floats) -> Floats:
+    """``(Q, R)`` cosines of features as numbers ``(N, 16, 1024)``, for the best move of a query."""
+    best = np.full((len(queries), len(references)), -1, np.float32)
+    columns = queries.shape[1]
+    for move in range(-REACH, REACH + 1):
+        ours = queries[:, max(0, -move) : columns - max(0, move)].reshape(len(queries), -1)
+        theirs = references[:, max(0, move) : columns - max(0, -move)].reshape(len(references), -1)
+        lengths = [np.maximum(np.linalg.norm(each, axis=1), _ROUNDING) for each in (ours, theirs)]
+        np.maximum(best, ours @ theirs.T / np.outer(*lengths), out=best)
+    return best
+
+
+def numbers(signs: Any, sequences: Sequence[str], standardised: bool) -> Floats:
+    """Features ``(N, 16, 16, 8)`` as 1 and -1, without the mean of their drive if standardised."""
+    bits = np.unpackbits(np.asarray(signs), axis=-1, bitorder="little")
+    signed = bits.reshape(len(bits), -1).astype(np.float32) * 2 - 1
+    rows = without_means(signed, sequences)[:, 0] if standardised else signed
+    return rows.reshape(len(bits), bits.shape[1], -1)
+
+
+def weights_of(methods: Sequence[Floats]) -> Sequence[float]:
+    """The weights of methods by the leads of their first candidates over other places, as `ssrvlad
+    query` weighs them for a drive."""
+    known = [
+        weight
+        * max(0.0, float(np.mean([_lead(row) for row in each[:: max(1, len(each) // _SAMPLE)]])))
+        for weight, each in zip(WEIGHTS, methods, strict=True)
+    ]
+    return [weight / sum(known) for weight in known] if sum(known) > 0 else WEIGHTS
+
+
+def _lead(scores: Floats) -> float:
+    """How much nearer the first candidate is than the best other place, in standard deviations."""
+    if len(scores) <= 2 * ELSEWHERE + 1:
+        return 0.0
+    known = np.isfinite(scores)
+    near = np.where(known, -np.log(np.maximum(1 - scores, np.float32(_ROUNDING))), 0)
+    near = np.where(known, near - near.sum() / max(1, known.sum()), 0)
+    first = near.argmax()
+    elsewhere = np.abs(np.arange(len(near)) - first) > ELSEWHERE
+    spread = np.sqrt(np.square(near).sum() / max(1, known.sum()))
+    return float((near[first] - near[elsewhere].max()) / max(spread, _ROUNDING))
 
 
 class Track:
@@ -155,14 +208,14 @@ def candidates(rows: Floats, frames: Sequence[str], top: int) -> list[tuple[str,
 def run(options: argparse.Namespace) -> int:
     """Runs the program; the exit code."""
     model = open_model(options)
-    database = Database(options.database, model.fingerprint)
-    described: dict[str, Any] = {}
+    database = Database(options.database, model.fingerprint, model.features)
+    described: dict[str, Seen] = {}
     skipped = 0
     for frame, path in find_frames(options.source):
         try:
             if frame in described:
                 raise ValueError(f"a second frame {frame}")
-            described[frame] = model.describe(path)
+            described[frame] = model.see(path)
         except ValueError as error:
             note(f"{path}: {one_line(error)}")
             skipped += 1
@@ -171,13 +224,21 @@ def run(options: argparse.Namespace) -> int:
     track = Track(names)
     for sequence, group in groupby(described, lambda frame: frame.rpartition("/")[0]):
         drive = list(group)
-        queries = np.stack([described[frame] for frame in drive])
+        queries = np.stack([described[frame].descriptor for frame in drive])
         standardised = len(drive) >= MIN_FRAMES
         swept = without_means(queries, [sequence] * len(drive))
         rows = references if standardised else np.asarray(database.descriptors, np.float32)
         scores = (swept @ rows.T).max(axis=1)
         scores[:, ~rows.any(axis=1)] = -np.inf
         scores[~queries.reshape(len(drive), -1).any(axis=1)] = -np.inf
+        if database.signs is not None:
+            signs = np.stack([described[frame].features for frame in drive])
+            ours = numbers(signs, [sequence] * len(drive), standardised)
+            cosines = scores_of_signs(ours, numbers(database.signs, names, standardised))
+            methods = [scores, cosines]
+            weights = weights_of(methods) if standardised else WEIGHTS
+            pairs = zip(*methods, strict=True)
+            scores = np.stack([fused(pair, weights) for pair in pairs]).astype(np.float32)
         for frame, found, row in zip(drive, track.rows(scores), scores, strict=True):
             empty = not np.isfinite(row).any()
             ranked = [] if empty else candidates(found, database.frames, options.top)

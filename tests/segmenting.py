@@ -59,14 +59,14 @@ def counted(network):
     return network
 
 
-def write_drives(folder):
+def write_drives(folder, monday=range(12), today=range(3, 9), size=(96, 144)):
     """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
     files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``."""
     write_network(folder / "seg.onnx")
     settings = "network: seg.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: camvid-11\n"
     (folder / "net.yaml").write_text(settings)
-    write_photos(folder / "monday", range(12), (96, 128))
-    write_photos(folder / "today", range(3, 9), (96, 144))
+    write_photos(folder / "monday", monday, (96, 128))
+    write_photos(folder / "today", today, size)
     config = SSRVLADConfig(labels_as="camvid-11")
     fuse(folder / "net.yaml", config, folder / "place.onnx")
     fuse(folder / "net.yaml", config, folder / "net.onnx", folder / "head.onnx")

@@ -8,14 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from cases import REAL, needs_real
+from segmenting import write_drives, write_town
 
 from ssrvlad_torch import SSRVLADConfig, export_head
 from ssrvlad_torch.datasets.synthetic_city import write_city
+from ssrvlad_torch.recognition.fusion import FusedScores
+from ssrvlad_torch.recognition.signs import SignQueries, SignRows
 from ssrvlad_torch.recognition.standardise import standardise
+from ssrvlad_torch.stages.features import SHAPE
 
 EXPORT = Path(__file__).parents[1] / "export"
 SPACE = "cityscapes-trainids"
+MEMBERS = ("ssr-vlad", "features")
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -62,6 +68,45 @@ def test_a_drive_is_found_as_by_query(program, main_of, ssrvlad, town, tmp_path)
     alike = [found[query]["frame"] == expected[query]["frame"] for query in found]
     assert np.mean(alike) > 0.95
     assert all(0.5 < each["score"] <= 1 for each in found.values())
+
+
+def test_scores_of_features_and_weights_are_those_of_query(program):
+    """Of a drive of which the leads are known, and of one that is too short."""
+    rng = np.random.default_rng(0)
+    signs = rng.integers(0, 256, (80, *SHAPE), np.uint8)
+    signs[40:] = np.where(rng.random(signs[40:].shape) < 0.6, np.roll(signs[:40], 1, 1), signs[40:])
+    references, queries = signs[:40], signs[40:]
+    cosines = rng.uniform(-1, 1, (40, 40)).astype(np.float32)
+    cosines[3], cosines[:, 5] = -np.inf, -np.inf
+    for frames in (40, 20):
+        names, whole = ["a"] * frames, frames == 40
+        rows = SignRows(torch.from_numpy(references), ["b"] * 40 if whole else None)
+        expected = SignQueries(torch.from_numpy(queries[:frames]), rows, whole).scores()
+        got = program.scores_of_signs(
+            program.numbers(queries[:frames], names, whole),
+            program.numbers(references, ["b"] * 40, whole),
+        )
+        np.testing.assert_allclose(got, expected, atol=1e-5)
+        both = [cosines[:frames], got]
+        fused = FusedScores(
+            {name: torch.from_numpy(v) for name, v in zip(MEMBERS, both, strict=True)}
+        )
+        weights = program.weights_of(both) if whole else program.WEIGHTS
+        np.testing.assert_allclose(weights, [*fused.weights.values()], atol=1e-5)
+        for row, right in zip(zip(*both, strict=True), fused.whole(), strict=True):
+            np.testing.assert_allclose(program.fused(row, weights), right, atol=1e-5)
+
+
+def test_a_drive_with_features_is_found(program, main_of, tmp_path):
+    """By the features: the label maps are of random scores."""
+    write_drives(tmp_path, range(36), range(2, 35), (96, 128))
+    write_town(tmp_path, tmp_path / "town.npy")
+    given = (tmp_path / "today", "--database", tmp_path / "town.npy", "--json")
+    code, out, err = main_of(program.main, "follow_onnx.py", tmp_path / "place.onnx", *given)
+    assert (code, err) == (0, [])
+    found = first(out)
+    right = [each["frame"].replace("monday", "today") == query for query, each in found.items()]
+    assert np.mean(right) > 0.9
 
 
 @pytest.mark.parametrize("frames", [(40,), (12, 40), (5, 6), (20, 20)])

@@ -3,7 +3,15 @@
 const WEIGHTS = [1 / 7, 6 / 7]; // of label maps and of features, as `ssrvlad query` weighs single frames
 const REACH = 2; // columns of cells by which features are moved to each side
 
+const ONES = Uint8Array.from({ length: 256 }, (_, byte) => byte.toString(2).replaceAll("0", "").length);
 const decoder = new TextDecoder();
+
+/** The number of bits that differ between two parts of arrays of bytes. */
+export function differentBits(one, other, size, begin = 0, otherBegin = 0) {
+  let count = 0;
+  for (let at = 0; at < size; at++) count += ONES[one[begin + at] ^ other[otherBegin + at]];
+  return count;
+}
 
 export class Database {
   /**
@@ -59,10 +67,7 @@ function cosineOfSigns(query, row, columns) {
   for (let move = -REACH; move <= REACH; move++) {
     const [ours, theirs] = [Math.max(0, -move) * column, Math.max(0, move) * column];
     const size = (columns - Math.abs(move)) * column;
-    let different = 0;
-    for (let at = 0; at < size; at++)
-      for (let bits = query[ours + at] ^ row[theirs + at]; bits; bits &= bits - 1) different++;
-    best = Math.max(best, 1 - different / (4 * size));
+    best = Math.max(best, 1 - differentBits(query, row, size, ours, theirs) / (4 * size));
   }
   return best;
 }

@@ -1,6 +1,7 @@
 // A file of `ssrvlad export` or `ssrvlad fuse`, run by onnxruntime-web on the CPU.
 
 import * as ort from "./node_modules/onnxruntime-web/dist/ort.wasm.min.mjs";
+import { differentBits } from "./database.js";
 import { inflated } from "./label_png.js";
 import { metadataOf, skeletonTensor, withOutput } from "./onnx_file.js";
 
@@ -105,7 +106,8 @@ export class Model {
     for (const name of Object.keys(this.golden))
       if (name !== this.input) expected[name] = (await this.#array(name)).values;
     const other = expected.labels ? fractionOfOthers(outputs.labels, expected.labels) : 0;
-    const signs = expected.features ? fractionOfOtherBits(outputs.features, expected.features) : 0;
+    const { length } = expected.features ?? [];
+    const signs = length ? differentBits(outputs.features, expected.features, length) / (8 * length) : 0;
     const near = ["descriptor", "labels", "features"];
     const counts = Object.keys(expected).filter((name) => !near.includes(name));
     const difference = counts.some((name) => largestDifference(outputs[name], expected[name]))
@@ -161,14 +163,6 @@ function fractionOfOthers(got, expected) {
   let count = 0;
   for (let at = 0; at < expected.length; at++) count += got[at] !== Number(expected[at]);
   return count / expected.length;
-}
-
-function fractionOfOtherBits(got, expected) {
-  if (got.length !== expected.length) return 1;
-  let count = 0;
-  for (let at = 0; at < expected.length; at++)
-    for (let bits = got[at] ^ expected[at]; bits; bits &= bits - 1) count++;
-  return count / (8 * expected.length);
 }
 
 /** The smallest cosine of several images; descriptors have length 1. */

@@ -19,7 +19,7 @@ from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
 from .export import head_model
-from .golden import outputs_of
+from .golden import PATCHES, outputs_of, patches
 from .label_graph import label_graph
 from .metadata import PREFIX, Metadata
 from .runtimes import Arrays, OnnxRuntime, Run
@@ -43,7 +43,6 @@ MAX_OTHER_SIGNS = 0.01
 """The same of the signs of the features. A sign can only turn where its projection is near zero, so
 in single precision about one of 10,000 does."""
 
-_PATCHES = 40
 _COLOUR_STEPS = 8
 
 
@@ -197,7 +196,8 @@ def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
     network, error = segmenter.network, ValueError("takes no picture")
     count = (network.batch if isinstance(network, OnnxNetwork) else None) or 1
     for height, width in sorted(PROBES):
-        images = _patches((count, height, width))
+        rng = np.random.default_rng(0)
+        images = np.stack([_picture(rng, height, width) for _ in range(count)])
         try:
             said = segmenter.segment(list(images), features)
         except ValueError as reason:
@@ -249,21 +249,8 @@ def other_signs(signs: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
     return float(np.unpackbits(signs ^ others).mean()) if same_shape else 1.0
 
 
-def _patches(shape: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
-    """``(B, H, W, 3)``: each pixel has the colour of the nearest of some random points. The colours
-    are few, so that the image compresses well."""
-    _, height, width = shape
-    rng = np.random.default_rng(0)
-    images = np.empty((*shape, 3), np.uint8)
-    rows, columns = np.mgrid[:height, :width]
-    for image in images:
-        y, x = rng.uniform(0, height, _PATCHES), rng.uniform(0, width, _PATCHES)
-        nearest = np.zeros((height, width), np.int64)
-        smallest = np.full((height, width), np.inf)
-        for point in range(_PATCHES):
-            distance = np.hypot(rows - y[point], columns - x[point])
-            nearest[distance < smallest] = point
-            smallest = np.minimum(smallest, distance)
-        colours = rng.integers(0, _COLOUR_STEPS + 1, (_PATCHES, 3)) * 255 // _COLOUR_STEPS
-        image[:] = colours[nearest]
-    return images
+def _picture(rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np.uint8]:
+    """``(height, width, 3)``, patches of a few colours, so that the image compresses well."""
+    drawn = patches(rng, height, width)
+    colours = rng.integers(0, _COLOUR_STEPS + 1, (PATCHES, 3)) * 255 // _COLOUR_STEPS
+    return colours[drawn].astype(np.uint8)

@@ -25,7 +25,7 @@ CORPUS_SIZES = ((1, 1), (1, 23), (19, 1), (17, 23), (60, 81), (121, 160), (240, 
 """Rows and columns of the corpus for files of any size."""
 
 _IMAGES = 2
-_PATCHES = 40
+PATCHES = 40
 _SPECKS = 60
 _OPEN = [CATEGORIES[k] for k in OPEN_LAYERS]
 
@@ -115,16 +115,27 @@ def as_input(labels: Array, channels: int, input: str, dtype: str) -> Array:
     return np.equal(labels[:, None], np.arange(channels)[:, None, None]).astype(np.float32)
 
 
+def patches(rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np.int64]:
+    """``(height, width)``, the number of the nearest of `PATCHES` random points."""
+    y, x = rng.uniform(0, height, PATCHES), rng.uniform(0, width, PATCHES)
+    rows, columns = np.mgrid[:height, :width]
+    nearest = np.zeros((height, width), np.int64)
+    smallest = np.full((height, width), np.inf)
+    for point in range(PATCHES):
+        distance = np.hypot(rows - y[point], columns - x[point])
+        nearest[distance < smallest] = point
+        smallest = np.minimum(smallest, distance)
+    return nearest
+
+
 def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.NDArray[np.int64]:
     """``(H, W)``: each pixel has the id of the nearest of some random points, or is a speck. Every
     second map has a strip of open layers from top to bottom, which moves the vanishing column."""
     height, width = size
     rng = np.random.default_rng(seed)
     ids = np.random.default_rng(0).permutation(ids)
-    y, x = rng.uniform(0, height, _PATCHES), rng.uniform(0, width, _PATCHES)
-    rows, columns = np.mgrid[:height, :width]
-    nearest = np.hypot(rows[..., None] - y, columns[..., None] - x).argmin(-1)
-    labels: npt.NDArray[np.int64] = ids[(nearest + seed * _PATCHES) % len(ids)].astype(np.int64)
+    nearest = patches(rng, height, width)
+    labels: npt.NDArray[np.int64] = ids[(nearest + seed * PATCHES) % len(ids)].astype(np.int64)
     open_classes = [each.id for each in head.label_space.classes if each.category in _OPEN]
     open_ids = ids[np.isin(ids, open_classes)]
     if seed % 2 and open_ids.size:

@@ -26,6 +26,15 @@ Form = tuple[str, Sequence[int | str]]
 """Dtype and shape of an input or output; an axis with a name is dynamic."""
 
 
+def _operator(name: str, reflected: bool = False) -> Callable[[Symbol, Any], Symbol]:
+    """An operator of Python that is a node of two inputs."""
+
+    def node(symbol: Symbol, other: Symbol | float) -> Symbol:
+        return symbol.graph.node(name, *((other, symbol) if reflected else (symbol, other)))
+
+    return node
+
+
 class Symbol:
     """A tensor of a `Graph`.
 
@@ -88,47 +97,14 @@ class Symbol:
     def __rshift__(self, bits: int | npt.NDArray[np.int64]) -> Symbol:
         return self // self.graph.constant(np.left_shift(1, bits).astype(np.int32))
 
-    def __add__(self, other: Symbol | float) -> Symbol:
-        return self.graph.Add(self, other)
-
-    def __radd__(self, other: float) -> Symbol:
-        return self.graph.Add(other, self)
-
-    def __sub__(self, other: Symbol | float) -> Symbol:
-        return self.graph.Sub(self, other)
-
-    def __rsub__(self, other: float) -> Symbol:
-        return self.graph.Sub(other, self)
-
-    def __mul__(self, other: Symbol | float) -> Symbol:
-        return self.graph.Mul(self, other)
-
-    def __rmul__(self, other: float) -> Symbol:
-        return self.graph.Mul(other, self)
-
-    def __floordiv__(self, other: Symbol | int) -> Symbol:
-        return self.graph.Div(self, other)
-
-    def __truediv__(self, other: Symbol | float) -> Symbol:
-        return self.graph.Div(self, other)
-
-    def __rfloordiv__(self, other: int) -> Symbol:
-        return self.graph.Div(other, self)
-
-    def __mod__(self, other: Symbol | int) -> Symbol:
-        return self.graph.Mod(self, other)
-
-    def __lt__(self, other: Symbol | float) -> Symbol:
-        return self.graph.Less(self, other)
-
-    def __le__(self, other: Symbol | float) -> Symbol:
-        return self.graph.LessOrEqual(self, other)
-
-    def __gt__(self, other: Symbol | float) -> Symbol:
-        return self.graph.Greater(self, other)
-
-    def __ge__(self, other: Symbol | float) -> Symbol:
-        return self.graph.GreaterOrEqual(self, other)
+    __add__ = __radd__ = _operator("Add")
+    __mul__ = __rmul__ = _operator("Mul")
+    __sub__, __rsub__ = _operator("Sub"), _operator("Sub", reflected=True)
+    __floordiv__ = __truediv__ = _operator("Div")
+    __rfloordiv__ = _operator("Div", reflected=True)
+    __mod__ = _operator("Mod")
+    __lt__, __le__ = _operator("Less"), _operator("LessOrEqual")
+    __gt__, __ge__ = _operator("Greater"), _operator("GreaterOrEqual")
 
     def equals(self, other: Symbol | int) -> Symbol:
         """bool, whether the numbers are equal."""

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ...bitplanes import LAYERS
 from ...stages.shape_context import PAIRS_AT_ONCE
 from ..graph import Graph, Symbol
 from ..words import GraphPoints, Grid, by_image_in_graph
 
-Step = tuple[Symbol, Symbol, Symbol]
-"""Columns and rows from the reference point, and the change of the bin there, int32."""
-
 _BASE = 512
 _DIGITS = 5
 """Digits of a slope after the point: 45 bits. A digit times a row is exact in float32."""
-
-_FAR = 1 << 20
 
 
 class GraphBins(NamedTuple):
@@ -83,74 +78,40 @@ def too_many_in_graph(
 def log_polar_bins_in_graph(
     graph: Graph, grid: Grid, limits: Symbol, rings: int, sectors: int
 ) -> GraphBins:
-    """`log_polar_bins` in a graph.
-
-    Along a row dy the bin changes where a ring ends and where a sector begins. These columns are
-    computed in whole numbers, and the changes are summed along the row.
-    """
+    """`log_polar_bins` in a graph. Squares are compared by their differences, because some runtimes
+    compare int32 in float32."""
     height, width = grid.height, grid.width
-    pitch, middle, total = height * 2 - 1, width - 1, rings * sectors
-    steps = [
-        *_ring_steps(graph, height, limits, rings, sectors),
-        *_sector_steps(graph, height, sectors),
-    ]
-    indices, changes = [], []
-    for x, y, change in steps:
-        column = graph.Max(graph.Min(x + middle, width * 2 - 1), 0)
-        index = column * pitch + y + (height - 1)
-        indices.append(index.reshape(-1))
-        changes.append(graph.Expand(change, graph.Shape(index)).reshape(-1))
-    index, amounts = graph.Concat(*indices, axis=0), graph.Concat(*changes, axis=0)
-    summed = graph.sums(index, amounts, pitch * width * 2).reshape(-1, pitch)
-    table = graph.Min(graph.CumSum(summed, 0), total)
-    return GraphBins(table.reshape(-1), pitch, middle * pitch + height - 1, total)
+    pitch, total = height * 2 - 1, rings * sectors
+    dy = (graph.arange(pitch) - (height - 1)).reshape(1, -1)
+    dx = (graph.arange(width * 2 - 1) - (width - 1)).reshape(-1, 1)
+    squared = dy * dy + dx * dx
+    *beyond, outside = (squared - limits[number] > 0 for number in range(rings))
+    ring = sum(each.to("int32") for each in beyond)
+    bins = _sectors(graph, dy, dx, sectors) + ring * sectors
+    table = graph.Where(outside | squared.equals(0), total, bins)
+    return GraphBins(table.reshape(-1), pitch, (width - 1) * pitch + height - 1, total)
 
 
-def _ring_steps(
-    graph: Graph, height: Symbol, limits: Symbol, rings: int, sectors: int
-) -> list[Step]:
-    """Steps at the ends of rings. Far left, and at the reference point, no ring is entered yet."""
-    dy = (graph.arange(height * 2 - 1) - (height - 1)).reshape(-1, 1)
-    squared = limits - dy * dy
-    reach = graph.Sqrt(graph.Max(squared, 0).to("float32")).to("int32")
-    reach = reach + (squared - (reach + 1) * (reach + 1) >= 0).to("int32")
-    reach = reach - (squared - reach * reach < 0).to("int32")
-    change = (squared >= 0).to("int32") * sectors
-    origin = graph.full([1, 1], 0, "int32")
-    total = graph.full([1, 1], rings * sectors, "int32")
-    return [
-        (origin - _FAR, dy, total),
-        (reach * -1, dy, change * -1),
-        (reach + 1, dy, change),
-        (origin, origin, total),
-        (origin + 1, origin, total * -1),
-    ]
-
-
-def _sector_steps(graph: Graph, height: Symbol, sectors: int) -> list[Step]:
-    """Steps at the boundaries of sectors. A boundary at angle a is crossed at dx = dy / tan(a);
-    points on it are in the sector that begins there."""
+def _sectors(graph: Graph, dy: Symbol, dx: Symbol, sectors: int) -> Symbol:
+    """The sector of each offset. A boundary at angle a is crossed at dx = dy / tan(a); points on it
+    are in the sector that begins there. Offsets above are turned by half a circle."""
     half, odd = divmod(sectors, 2)
-    lines = half + odd - 1
-    dy = graph.arange(height).reshape(-1, 1)
-    origin = graph.full([1, 1], 0, "int32")
-    one = graph.full([1, 1], 1, "int32")
-    steps: list[Step] = [
-        (origin - _FAR, dy, one * lines),
-        (origin - _FAR, dy[1:] * -1, one * half),
-        (origin - _FAR, origin, one * (half - lines)),
-        (origin + 1, origin, one * (lines - half)),
-    ]
-    if lines:
-        below = _crossings(graph, dy, [2 * np.pi * b / sectors for b in range(1, lines + 1)])
-        above = _crossings(
-            graph, dy[1:], [2 * np.pi * (b + half) / sectors - np.pi for b in range(1, lines + 1)]
-        )
-        steps += [(below + 1, dy, one * -1), (above * -1, dy[1:] * -1, one)]
-    return steps
+    above = (dy < 0) | (dy.equals(0) & (dx < 0))
+    sector, column = above.to("int32") * half, graph.Where(above, dx * -1, dx)
+    if half + odd == 1:
+        return sector
+    angles = 2 * np.pi * np.arange(1, half + odd) / sectors
+    row = graph.Abs(dy).reshape(-1, 1)
+    crossings = _crossings(graph, row, angles)
+    if odd:
+        turned = _crossings(graph, row, angles + 2 * np.pi * half / sectors - np.pi)
+        crossings = graph.Where(dy.reshape(-1, 1) < 0, turned, crossings)
+    for crossing in graph.split(crossings, len(angles), axis=1):
+        sector = sector + (column <= crossing.reshape(1, -1)).to("int32")
+    return sector
 
 
-def _crossings(graph: Graph, dy: Symbol, angles: Sequence[float]) -> Symbol:
+def _crossings(graph: Graph, dy: Symbol, angles: npt.NDArray[np.float64]) -> Symbol:
     """``(n, angles)`` int32, dy / tan(angle) rounded down, from digits to the base 512."""
     slopes = np.round(np.cos(angles) / np.sin(angles) * _BASE**_DIGITS).astype(np.int64)
     digits = [slopes // _BASE**_DIGITS]
