@@ -73,8 +73,10 @@ class FrontEnd(nn.Module):
         table = self.table.to(device)
         if size is None:
             categories = categorise(labels, table, self.origin)  # Table II
+            if is_exporting():
+                categories = categories.int()  # old runtimes do not compare bytes
             unknown = (categories == UNKNOWN).sum((1, 2))
-            return categories.clamp(max=NO_LAYER), unknown
+            return categories.clamp(max=NO_LAYER).to(torch.uint8), unknown
         _, height, width = labels.shape
         shorter = torch.sym_min(height, width)
         size = torch.sym_min(shorter, size)

@@ -362,7 +362,8 @@ def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
     anywhere = {kinds.INT32, kinds.INT64, kinds.FLOAT, kinds.DOUBLE}
     operators = {"Add", "Sub", "Mul", "Div", "Mod", "Min", "Max", "Abs", "Equal", "Less", "Greater"}
     seen = set()
-    for node, known in all_nodes(model_of(of_preset(preset)).graph):
+    model = onnx.shape_inference.infer_shapes(model_of(of_preset(preset)))
+    for node, known in all_nodes(model.graph):
         if node.op_type in operators or node.op_type.startswith(("Reduce", "Arg")):
             dtypes = {known[name] for name in node.input[:1] if name in known}
             extremes = {kinds.UINT8} if node.op_type in ("ReduceMin", "ReduceMax") else set()
