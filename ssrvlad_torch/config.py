@@ -38,21 +38,15 @@ AREA_LAYERS = 6
 
 BOUNDARY_DIRECTIONS = 4
 
-_FAINT, _STEEPEST = 1e-4, 25
-"""See `faint`."""
+FAINT = 1e-4
+"""Coefficients of harmonics far below it are not raised to a power: that would make 5e-6 of the
+1e-7 by which float32 misses a zero."""
 
 _ONLY_RESIDUALS = ("opening", "closing", "hole_area", "region_area", "thinning", "context")
 _ONLY_HARMONICS = ("anchor", "harmonics", "boundary_harmonics", "spectral_weight", "power")
 
 _AREA_UNIT = 10**6
 _RING_UNIT = 10**9
-
-
-def faint(power: float) -> float:
-    """The size of a coefficient of harmonics far below which it is not raised to a power: that
-    would make more than 1e-6 of the 1e-7 by which float32 misses a zero. It multiplies numbers near
-    zero by ``faint ** (power - 1)``, 25 at most."""
-    return max(_FAINT, _STEEPEST ** (-1 / (1 - power))) if power < 1 else _FAINT
 
 
 @dataclass(frozen=True)

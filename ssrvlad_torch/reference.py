@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .config import AREA_LAYERS, CATEGORY_COUNT, SSRVLADConfig, faint
+from .config import AREA_LAYERS, CATEGORY_COUNT, FAINT, SSRVLADConfig
 from .taxonomy import NO_LAYER, LabelSpace, label_space
 
 try:
@@ -129,7 +129,7 @@ def harmonics(layers: list[Mask], config: SSRVLADConfig) -> Description:
         count = config.harmonics if k < AREA_LAYERS else config.boundary_harmonics
         coefficients += [(function * histogram).sum() for function in basis(config, count)]
     vector = np.array(coefficients)  # to a power next, but for those close to zero
-    vector = vector * ((vector / faint(config.power)) ** 2 + 1) ** ((config.power - 1) / 2)
+    vector = vector * ((vector / FAINT) ** 2 + 1) ** ((config.power - 1) / 2)
     return Description({"bins": np.stack(histograms)}, normalise(vector).astype(np.float32))
 
 

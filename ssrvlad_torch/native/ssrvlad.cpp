@@ -53,7 +53,7 @@ constexpr double PI = 3.14159265358979323846;
 
 constexpr int CELL_ROWS = 24, CELL_COLUMNS = 32, CELLS = CELL_ROWS * CELL_COLUMNS;
 constexpr int AREA_LAYERS = 6, DIRECTIONS = 4;
-constexpr double FAINT = 1e-4, STEEPEST = 25;  // see `faint`
+constexpr double FAINT = 1e-4;  // coefficients far below it are not raised to a power
 constexpr double BOUNDARY_WIDTH = 2;  // a straight boundary is counted at 2 pixels across it
 
 inline int lowest_bit(Word word) {
@@ -1385,11 +1385,8 @@ struct ssrvlad_head {
       const double *wave = basis.data() + bin * waves;
       for (int i = 0; i < count; ++i) held[i] += there * wave[i];
     }
-    const double power = settings.power;
-    const double faint =
-        power < 1 ? std::max(FAINT, std::pow(STEEPEST, -1 / (1 - power))) : FAINT;
     for (int i = 0; i < count; ++i)
-      held[i] *= std::pow(held[i] / faint * (held[i] / faint) + 1, (power - 1) / 2);
+      held[i] *= std::pow(held[i] / FAINT * (held[i] / FAINT) + 1, (settings.power - 1) / 2);
   }
 
   // Bins for an image size; those of the last few sizes are cached.

@@ -16,7 +16,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, SSRVLADConfig, faint
+from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, FAINT, SSRVLADConfig
 from ..tracing import MAX_WHOLE, is_exporting
 from .boundaries import DIRECTIONS, WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
@@ -144,7 +144,7 @@ def coefficients(
         basis: `basis_table`.
         numbers: how many coefficients each area has, and each direction.
         power: exponent of the power normalisation: it applies to each number's absolute value, far
-            above `config.faint`; the sign stays.
+            above `FAINT`; the sign stays.
 
     Returns:
         ``(B, 6 * numbers[0] + 4 * numbers[1])`` float32 of length 1; exact zeros for an image
@@ -161,8 +161,8 @@ def coefficients(
 
 
 def damped(numbers: Tensor, power: float) -> Tensor:
-    """``sign(x) * abs(x) ** power`` up to a factor, but a straight line for x far below `faint`."""
-    result: Tensor = numbers * ((numbers * (1 / faint(power))).square() + 1) ** ((power - 1) / 2)
+    """``sign(x) * abs(x) ** power`` up to a factor, but a straight line for x far below `FAINT`."""
+    result: Tensor = numbers * ((numbers * (1 / FAINT)).square() + 1) ** ((power - 1) / 2)
     return result
 
 
