@@ -180,6 +180,21 @@ def test_other_settings(name):
         assert_parity(labels[None], config)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("power", "weight", "largest"),
+    [(0.75, 1.0, 1e-6), (1.0, 4.0, 1e-6), (0.5, 1.0, 2e-5), (0.75, 4.0, 1e-5), (0.5, 4.0, 3e-4)],
+)
+def test_settings_that_enlarge_rounding_errors(power, weight, largest):
+    """What export/README.md says of them; a map of one class shows it best."""
+    config = of_preset("default", power=power, spectral_weight=weight)
+    maps = [np.full((9, 1), 3, np.uint8), *map(random_blobs, range(5)), *map(noise, range(5))]
+    errors = [np.abs(run_of(config)(m[None])[0] - SSRVLAD(config)(m[None]).numpy()) for m in maps]
+    worst = max(float(error.max()) for error in errors)
+    assert worst < largest
+    assert largest == 1e-6 or worst > 1e-6, "the page should say less"
+
+
 @presets
 def test_a_batch_equals_its_images_one_by_one(preset):
     run = run_of(of_preset(preset))
