@@ -1,0 +1,192 @@
+#!/usr/bin/env python3
+"""Writes docs/recipes.md: what settings of a network cost that docs/guides/own-network.md names.
+
+    .venv/bin/python scripts/pages/recipes.py --data ../shared/data
+
+ESPNetv2 of the folder `networks` labels every fourth picture of a drive of CamVid with right and
+wrong preparations, and two real pairs of traverses with a background channel. It wins where no
+class has a probability of one half, as in a network that says background where it is unsure. A
+Segformer with random weights runs in PyTorch and in ONNX Runtime. About five minutes on one thread.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from _described import ALONE, REAL
+from _markdown import head_row, paragraph, row
+from torch import Tensor, nn
+from transformers import SegformerConfig, SegformerForSemanticSegmentation
+
+from ssrvlad_torch import SSRVLAD, Segmenter
+from ssrvlad_torch.cli.bench import threads, time_in_turn
+from ssrvlad_torch.datasets.image_files import decode_image
+from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.recognition.recognise import Steps, recognise
+from ssrvlad_torch.segmentation.network_outputs import classes_of, enlarged
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.taxonomy import NO_LAYER, label_space
+
+SPACE, CLASSES, VOID, LEAST = "cityscapes-trainids", 19, 255, 0.5
+EVERY = 4
+WRONG = {
+    "as the network was trained": {},
+    "BGR for RGB": {"colour_order": "bgr"},
+    "0 to 255 for 0 to 1": {"white": 255.0},
+    "no mean and deviation": {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)},
+    "half the size": {"size": (288, 384)},
+}
+PAIRS = (("UofA", "evening -> day"), ("Gardens Point", "right -> left"))
+SIDES = (512, 1024)
+
+
+def preparations(settings: Path, camvid: Path) -> Iterator[str]:
+    """A table: the fraction of pixels in the right category, by preparation."""
+    right = Segmenter.load(settings, SPACE)
+    truth = find_label_files([str(camvid / "labels")])[::EVERY]
+    yield "## The preparation\n"
+    yield paragraph(
+        f"{settings.stem} on {len(truth)} pictures of CamVid, {camvid.name}: the pixels that fall "
+        "into the right category, of those that have one. Nothing but this shows what is wrong."
+    )
+    yield from head_row("preparation", "right")
+    for name, changes in WRONG.items():
+        wrong = Segmenter(right.network, SPACE, replace(right.config, **changes))
+        counts = np.zeros(2, np.int64)
+        for file in truth:
+            known = categories(read_label_map(file, label_space("camvid-11")), "camvid-11")
+            (seen,) = wrong([decode_image(picture_of(camvid / "images", file.name).read_bytes())])
+            counts += [
+                (categories(seen, SPACE) == known)[known < NO_LAYER].sum(),
+                (known < NO_LAYER).sum(),
+            ]
+        yield row(name, f"{counts[0] / counts[1]:.3f}")
+    yield ""
+
+
+def background(settings: Path, data: Path) -> Iterator[str]:
+    """A table: RecallRate@1 with the channel as void, and with every pixel in a class."""
+    segmenter = Segmenter.load(settings, SPACE)
+    head = SSRVLAD.from_preset("default", labels_as=SPACE)
+    yield "## A background channel\n"
+    yield paragraph(
+        f"{settings.stem} with a channel that wins where no class has a probability of {LEAST}: "
+        "RecallRate@1 of `default`, each query alone and with all steps. As void it belongs to no "
+        "layer; `classes: 0:19` gives each pixel its best class."
+    )
+    yield from head_row(
+        "traverses",
+        "pixels that it wins",
+        "void",
+        "classes",
+        "void, all steps",
+        "classes, all steps",
+    )
+    for dataset, name in PAIRS:
+        queries, references, rows = REAL[dataset][name]
+        sides = [described(data / folder, segmenter, head) for folder in (queries, references)]
+        (here, lost), (there, _) = sides
+        near = abs(np.arange(len(here[0]))[:, None] - np.arange(len(there[0]))) <= rows
+        rates = [
+            rate(here[kind], there[kind], near, steps)
+            for steps in (ALONE, Steps(sweep=False))
+            for kind in (0, 1)
+        ]
+        yield row(f"{dataset}, {name}", f"{lost:.1%}", *(f"{rate:.2f}" for rate in rates))
+    yield ""
+
+
+def described(
+    folder: Path, segmenter: Segmenter, head: SSRVLAD
+) -> tuple[tuple[Tensor, Tensor], float]:
+    """Descriptors of a traverse with the channel as void and without it, and what it wins."""
+    found, won = (list[Tensor](), list[Tensor]()), list[float]()
+    for picture in sorted((folder / "images").iterdir()):
+        pixels = torch.from_numpy(decode_image(picture.read_bytes()))[None]
+        scores = segmenter.labels.outputs(pixels)
+        background = scores.logsumexp(1, keepdim=True) + math.log(LEAST)
+        for kind, channels in zip(found, (torch.cat((scores, background), 1), scores), strict=True):
+            labels = enlarged(classes_of(channels), *pixels.shape[1:3])
+            kind.append(head(torch.where(labels < CLASSES, labels, VOID)))
+        won.append(float((scores.softmax(1).amax(1) < LEAST).float().mean()))
+    return (torch.cat(found[0]), torch.cat(found[1])), float(np.mean(won))
+
+
+def rate(here: Tensor, there: Tensor, near: np.ndarray, steps: Steps) -> float:
+    """RecallRate@1."""
+    alone = [str(n) for n in range(len(here))] if steps == ALONE else ["q"] * len(here)
+    first = recognise(here, there, alone, ["r"] * len(there), steps, 1).matches.indices[:, 0]
+    return float(near[np.arange(len(here)), first.numpy()].mean())
+
+
+def runtimes(repetitions: int) -> Iterator[str]:
+    """A paragraph: the time of a network in PyTorch over that in ONNX Runtime."""
+    network = _Scores(SegformerForSemanticSegmentation(SegformerConfig(num_labels=CLASSES))).eval()
+    picture = torch.rand(1, 3, *SIDES)
+    with tempfile.TemporaryDirectory() as folder, torch.inference_mode(), threads(1):
+        file = Path(folder) / "net.onnx"
+        torch.onnx.export(network, (picture,), file, dynamo=True, verbose=False)
+        graph = OnnxNetwork(file)
+        (answer,) = graph(picture).values()
+        assert torch.allclose(answer, network(picture), atol=1e-3)
+        ways = {"eager": partial(network, picture), "graph": partial(graph, picture)}
+        timings = time_in_turn(ways, repetitions)
+    ratio = timings["graph"].times_faster_than(timings["eager"])
+    yield "## ONNX or PyTorch\n"
+    yield paragraph(
+        f"Segformer-B0 with {CLASSES} classes and random weights, a picture of {SIDES[0]} x "
+        f"{SIDES[1]}, one thread: ONNX Runtime is {ratio['median']:.2f} [{ratio['min']:.2f}, "
+        f"{ratio['max']:.2f}] times as fast as eager PyTorch ({repetitions} runs in turn)."
+    )
+
+
+class _Scores(nn.Module):
+    def __init__(self, network: nn.Module) -> None:
+        super().__init__()
+        self.network = network
+
+    def forward(self, images: Tensor) -> Tensor:
+        scores: Tensor = self.network(images).logits
+        return scores
+
+
+def categories(labels: np.ndarray, name: str) -> np.ndarray:
+    """The category of each pixel, `NO_LAYER` where it has none."""
+    table = np.full(256, NO_LAYER, np.uint8)
+    for entry in label_space(name).classes:
+        table[entry.id % 256] = min(entry.category_index, NO_LAYER)
+    return table[labels]
+
+
+def picture_of(folder: Path, name: str) -> Path:
+    return next(folder.glob(f"{name}.*"))
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    arguments.add_argument("--data", type=Path, required=True)
+    arguments.add_argument("--output", type=Path, default=Path("docs/recipes.md"))
+    arguments.add_argument("--repetitions", type=int, default=5)
+    options = arguments.parse_args()
+    settings = options.data / "networks" / "espnetv2.yaml"
+    text = ["# Recipes for networks\n", paragraph("Written by `scripts/pages/recipes.py`.")]
+    sections = [
+        runtimes(options.repetitions),
+        preparations(settings, options.data / "camvid" / "0001TP"),
+        background(settings, options.data),
+    ]
+    for section in sections:
+        text += section
+        options.output.write_text("\n".join(text).rstrip() + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
