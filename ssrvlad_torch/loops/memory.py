@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+import torch
 from torch import Tensor
 
 BLOCK_ROWS = 1024
@@ -140,7 +141,8 @@ class Vectors:
         products = np.empty((len(columns), len(self)), np.float32)
         for number, block in enumerate(self._blocks):
             part = slice(number * len(block), min((number + 1) * len(block), len(self)))
-            np.matmul(columns, block[: part.stop - part.start].T, out=products[:, part])
+            rows = torch.from_numpy(block[: part.stop - part.start])
+            products[:, part] = torch.from_numpy(columns) @ rows.T
         own = products[:-1, first:]
         own -= (centred @ mean)[:, None]
         own /= np.sqrt(np.maximum(1 - 2 * products[-1, first:] + mean @ mean, _MIN_SQUARE))
