@@ -175,7 +175,7 @@ def test_it_finds_what_the_detector_finds():
         detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
         for number, seed in enumerate(SEEDS)
     ]
-    assert sum(result.accepted for result in expected) == 9
+    assert sum(result.accepted for result in expected) == 12
     assert seen(core) == expected
 
 
@@ -430,7 +430,7 @@ def test_the_node_over_a_bag(node, store, monkeypatch, tmp_path):
     core.set_labels(CAMVID)
     closed = [result for result in seen(core, start=1) if result.accepted]
     pairs = [(int(r.frame[-19:-9]), int(r.candidate[-19:-9])) for r in closed]
-    assert len(pairs) == 9
+    assert len(pairs) == 12
     assert [(m.header.stamp.sec, m.time_ref.sec) for m in found["loops"]] == pairs
     assert {(m.header.stamp.nanosec, m.time_ref.nanosec) for m in found["loops"]} == {(7, 7)}
     assert {m.source for m in found["loops"]} == {"drive"}
