@@ -98,7 +98,7 @@ class SSRVLADConfig:
         ValueError: a setting is outside its range; the message names it, what was got and what
             was expected.
 
-    Example:
+    Examples:
         >>> SSRVLADConfig.from_preset("paper", labels_as="camvid-11").preset
         'paper'
     """

@@ -70,7 +70,7 @@ class SSRVLAD(nn.Module):
             the offender, what was got and what was expected.
         RuntimeError: under ``torch.jit.trace``, which would record the numbers of one input.
 
-    Example:
+    Examples:
         >>> head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
         >>> head(torch.zeros(2, 240, 320, dtype=torch.uint8)).shape
         torch.Size([2, 480])

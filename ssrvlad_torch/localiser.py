@@ -70,7 +70,7 @@ class Localiser:
     Raises:
         ValueError: another network labelled frames of the database, or made its features.
 
-    Example:
+    Examples:
         >>> localiser = Localiser.from_pretrained("net.yaml", "town.ssrdb")  # doctest: +SKIP
         >>> localiser.add("images/monday")  # doctest: +SKIP
         >>> localiser.locate("images/today/000007.jpg").frame  # doctest: +SKIP

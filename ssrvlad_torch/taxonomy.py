@@ -72,7 +72,7 @@ class LabelSpace:
         source: where the ids are defined: a paper, a data set, a network.
         classes: one for each id.
 
-    Example:
+    Examples:
         >>> path = {"id": 7, "name": "path", "category": "ground"}
         >>> space = LabelSpace.from_dict({"name": "mine", "source": "me", "classes": [path]})
         >>> space.classes[0].category_index
@@ -169,7 +169,7 @@ def label_space(labels_as: str | os.PathLike[str] | LabelSpace) -> LabelSpace:
         ValueError: the name is unknown, or the file does not define a label space; the message
             names the entry.
 
-    Example:
+    Examples:
         >>> label_space("camvid-11").classes[0].category
         'sky'
     """

@@ -95,7 +95,7 @@ def page(described: Described) -> Iterator[str]:
             ]
         )
         ahead = rates[:, -1] - rates[:, : len(MEMBERS)].max(axis=1)
-        names = [*(condition.name for condition in conditions), "mean"]
+        names = [*(f"{each.dataset}, {each.name}" for each in conditions), "mean"]
         for name, *figures, best in zip(
             names,
             *np.vstack([rates, rates.mean(axis=0)]).T,

@@ -75,7 +75,7 @@ def train_vocabulary(
         ImportError: scikit-learn is not installed.
         ValueError: there is no image, an image cannot be read, or there are too few regions.
 
-    Example:
+    Examples:
         >>> train_vocabulary("images", "vocabulary.npy", RegionFeatures())  # doctest: +SKIP
     """
     regions = list(features(_images(Path(folder))))

@@ -66,7 +66,7 @@ class Database(StoredFrames):
     Attributes:
         path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
 
-    Example:
+    Examples:
         >>> database = Database.create("town.ssrdb", width=3)
         >>> database.append(["morning/000001"], torch.eye(3)[:1])
         >>> len(database)

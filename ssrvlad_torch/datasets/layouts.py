@@ -42,7 +42,7 @@ def open_dataset(
             lacks files that the layout requires, a file is damaged, or ``labels`` is given without
             ``labels_as``. The message is one line.
 
-    Example:
+    Examples:
         >>> city = open_dataset("/data/SYNTHIA", labels_as="synthia")  # doctest: +SKIP
         >>> night = city.select(["SYNTHIA-SEQS-04-NIGHT-Stereo_Left-Omni_F"])  # doctest: +SKIP
         >>> night.label_files()[0].frame  # doctest: +SKIP

@@ -29,7 +29,7 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
         ValueError: a folder has several names, or no name is free; or its name belongs to a
             sequence whose folder is missing or unknown, so that it may be the same one.
 
-    Example:
+    Examples:
         >>> sequence_names(["/data/00/labels", "/data/01/labels", "/data/park"])
         {'/data/00/labels': '00/labels', '/data/01/labels': '01/labels', '/data/park': 'park'}
         >>> sequence_names(["/data/01/labels"], [("/data/00/labels", "labels")])

@@ -85,7 +85,7 @@ class SyntheticCity:
         estates: numbers of the east-west streets, 0 for the first street of the route, on which all
             blocks have the same houses, kerbs, lamps and trees.
 
-    Example:
+    Examples:
         >>> frame = next(SyntheticCity(seed=0).traverse(frames=1))
         >>> frame.labels.shape, frame.name
         ((240, 320), '000000')

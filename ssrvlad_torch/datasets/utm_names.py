@@ -23,7 +23,7 @@ def read_name(name: str) -> tuple[Pose, float]:
     """The pose and the time in seconds from a file name without its suffix; NaN where missing.
     Both are NaN if the name does not begin with ``@``, two numbers and ``@``.
 
-    Example:
+    Examples:
         >>> read_name("@0303189.3@5787193.0@31@U@@@@@90@@@@@@")[0]
         Pose(x=303189.3, y=5787193.0, heading=0.0)
     """
@@ -38,7 +38,7 @@ def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
     """A file name that holds the pose, the time if it is known, and ``name`` as its note. An
     unknown position is a ValueError.
 
-    Example:
+    Examples:
         >>> write_name("000007", Pose(303189.3, 5787193.0, 0.0))
         '@0303189.30@5787193.00@@@@@@@90.00@@@@@000007@'
     """

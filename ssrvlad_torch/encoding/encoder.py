@@ -58,7 +58,7 @@ def encode_to_database(
             and there is no segmenter, or features of another one.
         OSError: the database cannot be written.
 
-    Example:
+    Examples:
         >>> database = Database.create("town.ssrdb", head.config)
         >>> encode_to_database(head, find_label_files(["maps/monday"]), database).encoded
         1000

@@ -50,7 +50,7 @@ class LoopDetector:
         beside: further methods that describe frames by their pictures. The scores of all methods
             are fused; a method weighs by the lead of its first candidates so far.
 
-    Example:
+    Examples:
         >>> detector = LoopDetector(head=SSRVLAD())
         >>> detector.update(torch.full((60, 80), 7), "drive/000000").reason.value
         'no_candidate'

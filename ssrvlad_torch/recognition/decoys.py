@@ -53,7 +53,7 @@ def lead_over_decoys(
         rows, decoy_rows: ``(N,)`` and ``(M,)`` int64, rising, of the map; without, all rows.
         deviation: of the nearness of all rows and decoys; without, of these scores.
 
-    Example:
+    Examples:
         >>> lead_over_decoys(torch.eye(20)[3], torch.zeros(20)).value > 1
         True
     """

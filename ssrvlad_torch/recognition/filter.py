@@ -67,7 +67,7 @@ class Filter:
         gain: how much likelier the frames since `restart` are as a sequence than each alone, as a
             logarithm.
 
-    Example:
+    Examples:
         >>> track = Filter(["drive"] * 30)
         >>> for scores in torch.eye(30)[10:20]:
         ...     track.step(scores)

@@ -100,7 +100,7 @@ def follow(
         ValueError: the scores do not fit the sequences, are NaN or above 1; the frames of a
             sequence do not stand together; or a setting is outside its range.
 
-    Example:
+    Examples:
         >>> scores = torch.eye(30)[10:20]
         >>> follow(scores, ["drive"] * 30).indices[:, 0].tolist()
         [10, 11, 12, 13, 14, 15, 16, 17, 18, 19]

@@ -42,7 +42,7 @@ class FusedScores(Scores):
     Raises:
         ValueError: there is no method, or the shapes differ.
 
-    Example:
+    Examples:
         >>> here, there = torch.eye(20), torch.eye(20).roll(1, 0)
         >>> FusedScores({"hog": here, "ssr-vlad": there}).whole().argmax(1).equal(torch.arange(20))
         True

@@ -59,7 +59,7 @@ def match(
         ValueError: the vectors are not two matrices of equal width or hold values that are not
             finite, ``top`` is below 1, or ``excluded`` has another shape.
 
-    Example:
+    Examples:
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
         tensor([[0]])
     """
@@ -100,7 +100,7 @@ class Rows(NamedTuple):
         vectors: ``(R, D)`` float.
         lengths: ``(R,)`` float32.
 
-    Example:
+    Examples:
         >>> rows = Rows.of(torch.eye(3))
         >>> match(torch.eye(3)[1:2], rows, top=1).indices
         tensor([[1]])

@@ -126,7 +126,7 @@ def recognise(
     Raises:
         ValueError: shapes do not fit, or a method has no mirror.
 
-    Example:
+    Examples:
         >>> frames = torch.eye(20)
         >>> recognise(frames[5:9], frames, ["a"] * 4, ["b"] * 20).matches.indices[:, 0].tolist()
         [5, 6, 7, 8]

@@ -147,7 +147,7 @@ class SignQueries:
     Attributes:
         moves: number of moves of each query.
 
-    Example:
+    Examples:
         >>> signs = torch.arange(96, dtype=torch.uint8).view(3, 4, 2, 4)
         >>> SignQueries(signs[1:2], SignRows(signs)).scores().argmax(1)
         tensor([1])

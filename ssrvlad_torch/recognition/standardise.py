@@ -38,7 +38,7 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
     Raises:
         ValueError: the descriptors are of another shape, or there is not one sequence for each.
 
-    Example:
+    Examples:
         >>> frames = torch.eye(30) + 5  # a large part in common
         >>> standardise(frames)[0, :3]
         tensor([ 0.9832, -0.0339, -0.0339])

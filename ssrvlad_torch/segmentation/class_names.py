@@ -22,7 +22,7 @@ def category_of_name(name: str) -> str | None:
         One of `CATEGORIES`, `DYNAMIC` for what moves, `VOID` for a known name without a category,
         or ``None`` for a name that is not in the table.
 
-    Example:
+    Examples:
         >>> category_of_name("construction--flat--road")
         'ground'
     """
@@ -42,7 +42,7 @@ def label_space_of_names(names: Mapping[int, str], name: str) -> LabelSpace:
     Raises:
         ValueError: no class has a category.
 
-    Example:
+    Examples:
         >>> label_space_of_names({0: "road", 1: "car"}, "mine").classes[1].category
         'dynamic'
     """

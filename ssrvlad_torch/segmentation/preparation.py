@@ -132,7 +132,7 @@ class Preparation(nn.Module):
         - input: ``(B, H, W, 3)`` uint8 in RGB.
         - output: ``(B, 3, h, w)`` float32, or another form.
 
-    Example:
+    Examples:
         >>> Preparation(SegmenterConfig(size=(64, 128)))(torch.zeros(1, 9, 9, 3)).shape
         torch.Size([1, 3, 64, 128])
     """

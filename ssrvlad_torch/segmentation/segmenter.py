@@ -84,7 +84,7 @@ class Segmenter:
         ValueError: the settings or the label space do not fit the ONNX graph.
         ImportError: an extra is not installed.
 
-    Example:
+    Examples:
         >>> segmenter = Segmenter(nn.Conv2d(3, 19, 1), "cityscapes-trainids")
         >>> (labels,) = segmenter([np.zeros((240, 320, 3), np.uint8)])
         >>> labels.shape

@@ -41,7 +41,7 @@ class SoftSSRVLAD(nn.Module):
         ValueError: the aggregation is another; the temperature is not above 0; `SSRVLAD` refuses
             the input; the input is a label map, or the largest score of a pixel is infinite.
 
-    Example:
+    Examples:
         >>> scores = torch.randn(2, 19, 60, 80, requires_grad=True)
         >>> SoftSSRVLAD()(scores)[0].sum().backward()
     """

@@ -43,7 +43,7 @@ class Features(nn.Module):
             picture, as where it is all zero. A graph cannot raise: there all signs are 0, which
             no other picture has.
 
-    Example:
+    Examples:
         >>> Features([3])(torch.rand(2, 3, 24, 32)).shape
         torch.Size([2, 16, 16, 8])
     """
