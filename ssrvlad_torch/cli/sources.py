@@ -19,7 +19,7 @@ from ..datasets.image_files import find_image_files, read_image
 from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
-from ..encoding.extra_descriptors import extra_descriptors, problem_of_features
+from ..encoding.extra_descriptors import extra_descriptors
 from ..encoding.search import only_label_space
 from ..encoding.source import Source
 from ..localiser import origin_of, require_network
@@ -117,7 +117,7 @@ def extra_of(source: Source, names: Sequence[str] | None, new: bool) -> list[Ext
         return []
     found = extra_descriptors(names, segmenter)
     if names is None and segmenter and FEATURES not in {each.name for each in found}:
-        note(f"stored without features: {problem_of_features(segmenter)}")
+        note(f"stored without features: {segmenter.problem_of_features}")
     return found
 
 

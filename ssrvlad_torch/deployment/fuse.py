@@ -126,12 +126,9 @@ def _features(segmenter: Segmenter, wanted: bool | None) -> NetworkFeatures | No
     Raises:
         ValueError: they are wanted or named, and it has none.
     """
-    try:
-        return None if wanted is False else segmenter.features
-    except ValueError:
-        if wanted or segmenter.config.features:
-            raise
+    if wanted is False or (wanted is None and segmenter.problem_of_features):
         return None
+    return segmenter.features
 
 
 def _fuse(

@@ -25,28 +25,20 @@ def extra_descriptors(
         segmenter: labels the pictures; without it there are no pictures.
 
     Raises:
-        ValueError: a name is unknown, there are no pictures, or the network has no features.
+        ValueError: a name is unknown, there are no pictures, or the network has no features or not
+            those that its settings name.
     """
     if isinstance(names, str):
         raise ValueError(f"expected a list of methods of pictures, got the text {names!r}")
     if names is None:
         if segmenter is None:
             return []
-        names = [HOG.name] if problem_of_features(segmenter) else [FEATURES, HOG.name]
+        names = [HOG.name] if segmenter.problem_of_features else [FEATURES, HOG.name]
     if NONE in names:
         if len(names) > 1:
             raise ValueError(f"expected {NONE} alone, got {', '.join(names)}")
         return []
     return [_of(name, segmenter) for name in dict.fromkeys(names)]
-
-
-def problem_of_features(segmenter: Segmenter) -> str:
-    """Why a network has no features, in one line; empty if it has."""
-    try:
-        _ = segmenter.features
-    except ValueError as error:
-        return str(error)
-    return ""
 
 
 def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None) -> None:

@@ -164,6 +164,21 @@ class Segmenter:
         except ValueError as error:
             raise ValueError(f"{self.name or 'the network'}: {error}") from error
 
+    @property
+    def problem_of_features(self) -> str:
+        """Why the rule of `find_activations` finds no features, in one line; empty if it does.
+
+        Raises:
+            ValueError: the setting ``features`` names what cannot be taken.
+        """
+        try:
+            _ = self.features
+        except ValueError as error:
+            if self.config.features:
+                raise
+            return str(error)
+        return ""
+
     def __call__(self, images: Sequence[Pixels]) -> list[LabelMap]:
         """The label maps of pictures in memory, without the cache; see `segment`."""
         return [each.labels for each in self.segment(images)]
