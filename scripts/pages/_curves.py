@@ -1,7 +1,8 @@
-"""The figure of precision over recall, a column for each condition."""
+"""The figure of precision over recall, a panel for each condition."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -19,6 +20,8 @@ COLOURS = (
     *("#8c564b", "#7f7f7f", "#bcbd22", "#17becf", "#d62728", "#ff9896"),
     *("#1f77b4", "#aec7e8", "#2ca02c", "#9467bd", "#e377c2"),
 )
+COLUMNS = 2
+"""Panels beside each other, so that text is readable in a page."""
 Curves = Mapping[str, PrecisionRecall]
 Panel = tuple[str, dict[str, Trial]]
 """A title, and the outcomes of the methods."""
@@ -34,7 +37,7 @@ def draw(
     """Curves above, areas below; methods on images beside methods on labels.
 
     Args:
-        problems: a column for each that has label maps, and for images that have no such other.
+        problems: a panel for each that has label maps, and for images that have no such other.
         outcomes: what the methods found.
         names: methods that are drawn, in order.
         convention: of the curve.
@@ -42,9 +45,13 @@ def draw(
     """
     panels = _panels(problems, outcomes, names)
     colours = dict(zip(names, COLOURS, strict=False))
-    figure = Figure(figsize=(4 * len(panels), 6.6), layout="constrained")
-    axes = figure.subplots(2, len(panels), squeeze=False, height_ratios=(3, 2))
-    for (title, found), (above, below) in zip(panels, axes.T, strict=True):
+    rows = math.ceil(len(panels) / COLUMNS)
+    figure = Figure(figsize=(4 * COLUMNS, 6.2 * rows), layout="constrained")
+    axes = figure.subplots(2 * rows, COLUMNS, height_ratios=(3, 2) * rows)
+    places = axes.reshape(rows, 2, COLUMNS).swapaxes(1, 2).reshape(-1, 2)
+    for unused in places[len(panels) :].flat:
+        unused.set_axis_off()
+    for (title, found), (above, below) in zip(panels, places, strict=False):
         above.set_title(title, fontsize=10)
         curves = {name: trial.curve(convention) for name, trial in found.items()}
         _draw_curves(above, curves, colours)

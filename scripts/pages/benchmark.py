@@ -178,7 +178,9 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
         ends = [[of["median"] - of["min"] for of in ways.values()]]
         ends += [[of["max"] - of["median"] for of in ways.values()]]
         bars = axes.barh(list(ways), medians, xerr=ends)
-        axes.bar_label(bars, [f" {median:.3g}" for median in medians], padding=4)
+        axes.bar_label(
+            bars, [f" {median:,.{0 if median >= 100 else 1}f}" for median in medians], padding=4
+        )
         axes.set_xscale("log")
         axes.set_xlim(right=max(medians) * 8)
         axes.invert_yaxis()
