@@ -1,30 +1,34 @@
-"""What README.md quotes of the results is what the results say."""
+"""What README.md and the guides quote of the pages is what the pages say."""
 
-from pathlib import Path
+import re
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from scripts import SCRIPTS, load
+
+ROOT = SCRIPTS.parents[1]
 
 
-@pytest.fixture
-def results(monkeypatch):
-    monkeypatch.syspath_prepend(str(ROOT / "scripts" / "pages"))
-    return pytest.importorskip("results", reason="the scripts are not part of an installed copy")
+@pytest.mark.parametrize(
+    ("script", "file"),
+    [("results", "README.md"), ("fusion", "README.md"), ("loops", "docs/guides/robot.md")],
+)
+def test_what_is_quoted_is_what_the_page_says(script, file, monkeypatch):
+    text = (ROOT / file).read_text(encoding="utf-8")
+    [quoted] = re.findall(f"<!-- {script} -->(.*?)<!-- /{script} -->", text, re.S)
+    page = (ROOT / "docs" / f"{script}.md").read_text(encoding="utf-8")
+    assert quoted == load(script, monkeypatch).excerpt(page)
+    assert len(re.findall(r"\b0\.\d\d", quoted)) >= 4
 
 
-def test_readme_quotes_the_results(results):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    quoted = readme.partition("<!-- results -->\n")[2].partition("\n<!-- /results -->")[0]
-    assert quoted == results.excerpt((ROOT / "docs" / "results.md").read_text(encoding="utf-8"))
-    assert "SSR-VLAD, default" in quoted
-
-
-def test_quoting_changes_nothing_else(results, tmp_path):
-    readme = tmp_path / "README.md"
-    readme.write_text("before\n<!-- results -->\nold\n<!-- /results -->\nafter\n")
-    results.quote_in_readme(ROOT / "docs" / "results.md", readme)
-    lines = readme.read_text().splitlines()
-    assert lines[:2] == ["before", "<!-- results -->"]
-    assert lines[-2:] == ["<!-- /results -->", "after"]
-    assert "old" not in lines
+def test_quoting_changes_nothing_else(monkeypatch, tmp_path):
+    quote = load("_markdown", monkeypatch).quote
+    file = tmp_path / "page.md"
+    file.write_text(
+        "before <!-- a -->old<!-- /a --> between\n<!-- b -->\nkept\n<!-- /b -->\nafter\n"
+    )
+    quote(file, "a", "new")
+    expected = "before <!-- a -->new<!-- /a --> between\n<!-- b -->\nkept\n<!-- /b -->\nafter\n"
+    assert file.read_text() == expected
+    with pytest.raises(ValueError, match="<!-- c -->"):
+        quote(file, "c", "new")

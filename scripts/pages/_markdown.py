@@ -1,16 +1,22 @@
-"""Parts of pages that scripts write: paragraphs, tables, numbers, the machine."""
+"""What scripts that write pages share: arguments, tables, numbers, quotes, figures."""
 
 from __future__ import annotations
 
 import math
 import platform
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
+from itertools import dropwhile, takewhile
 from pathlib import Path
 from textwrap import fill
 
 import torch
+from matplotlib.figure import Figure
 
 from ssrvlad_torch.files import replacing
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
 
 
 def paragraph(text: str) -> str:
@@ -61,6 +67,56 @@ def _model() -> str:
     lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()
+
+
+def kept(page: str, heading: str) -> str:
+    """A section of a page of docs/ as it stands, of a study that has ended.
+
+    Raises:
+        ValueError: the page has no such section.
+    """
+    text = (DOCS / page).read_text(encoding="utf-8")
+    start = text.index(f"{heading}\n")
+    return text[start:].partition("\n## ")[0].rstrip() + "\n"
+
+
+def quote(file: Path, mark: str, text: str) -> None:
+    """Writes text between ``<!-- mark -->`` and ``<!-- /mark -->``, and nothing else.
+
+    Raises:
+        ValueError: the file has no such marks.
+    """
+    before, begin, rest = file.read_text(encoding="utf-8").partition(f"<!-- {mark} -->")
+    _, end, after = rest.partition(f"<!-- /{mark} -->")
+    if not end:
+        raise ValueError(f"{file}: expected <!-- {mark} --> and <!-- /{mark} -->, found not both")
+    write(file, f"{before}{begin}{text}{end}{after}")
+
+
+def first_table(page: str, heading: str) -> list[list[str]]:
+    """The cells of the first table after a heading, without its second line."""
+    after = page[page.index(heading) :].splitlines()
+    rows = takewhile(lambda line: line.startswith("|"), dropwhile(lambda x: x[:1] != "|", after))
+    cells = [line.strip("| ").split(" | ") for line in rows]
+    return [cells[0], *cells[2:]]
+
+
+def parser(about: str, page: str, cache: str = "", needs_data: bool = True) -> ArgumentParser:
+    """The arguments of a script: ``--data``, ``--cache`` where it has one, ``--output``."""
+    made = ArgumentParser(description=about, formatter_class=RawDescriptionHelpFormatter)
+    made.add_argument("--data", type=Path, required=needs_data, help="folder of the real drives")
+    if cache:
+        made.add_argument("--cache", type=Path, default=Path(".cache") / cache)
+    made.add_argument("--output", type=Path, default=Path("docs") / page)
+    return made
+
+
+def save(figure: Figure, path: Path) -> None:
+    """Writes a figure as PNG or SVG, without dates, and makes its folder."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    about = {"Date": None} if path.suffix == ".svg" else {"Software": None}
+    with replacing(path) as temporary:
+        figure.savefig(temporary, format=path.suffix[1:], dpi=110, metadata=about)
 
 
 def write(path: Path, page: str) -> None:

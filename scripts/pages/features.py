@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes docs/features.md: how features are stored, and what else was tried.
+"""Writes docs/features.md: how features are stored.
 
     .venv/bin/python scripts/pages/features.py --data ../shared/data
 
@@ -9,7 +9,6 @@ both networks are averaged in 24 x 32 cells and cached in `--cache`, 1 GB: 20 mi
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache, partial
 from itertools import product
@@ -19,11 +18,10 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from _described import LAST, NETWORKS, REAL, Described, real
-from _markdown import head_row, row, write
+from _markdown import head_row, kept, parser, row, write
 from torch import Tensor
 
 from ssrvlad_torch.datasets.image_files import decode_image
-from ssrvlad_torch.taxonomy import CATEGORIES, label_space
 
 FINE = (24, 32)
 GRID = (12, 16)
@@ -61,30 +59,21 @@ of the last activation of the encoder says why an earlier one is taken. Where al
 projections, luck decides: three draws.
 """
 
-TRIED = """## What was tried
-
-Floats of 12 x 16 cells, one change in each line. Moves and instance norm are needed. Of the rest
-nothing gains everywhere: weights of cells by their spread on the map gain 0.01 on floats, and
-nothing on signs; row means off help in the evening and harm at night.
-"""
-
 Activations = Callable[[str, str], Tensor]
 Scores = Callable[[Tensor, Tensor], Tensor]
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, required=True)
-    arguments.add_argument("--output", type=Path, default=Path("docs/features.md"))
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/activations"))
-    options = arguments.parse_args()
+    options = parser(__doc__, "features.md", "activations").parse_args()
     torch.set_num_threads(1)
     options.cache.mkdir(parents=True, exist_ok=True)
     known = partial(pooled, options.data, options.cache)
-    write(options.output, "\n".join(page(known, options.data)) + "\n")
+    write(
+        options.output, "\n".join([*page(known), kept("features.md", "## What was tried")]) + "\n"
+    )
 
 
-def page(known: Callable[[str, str, str], Tensor], data: Path) -> Iterator[str]:
+def page(known: Callable[[str, str, str], Tensor]) -> Iterator[str]:
     yield HEAD
     ways = ("raw", "own means off")
     names = [f"{way}, {name}" for way, name in product(ways, (*ROUTES, *HALVES))]
@@ -102,37 +91,6 @@ def page(known: Callable[[str, str, str], Tensor], data: Path) -> Iterator[str]:
         shared = signs(known, GRID, 85, False, draw)
         yield from lines("12 x 16 cells, 85 signs, shared projections", shared, best_move)
     yield ""
-    yield TRIED
-    yield from head_row("change", "network", *names)
-    for change, activations, score in tries(known, data):
-        yield from lines(change, activations, score)
-    yield ""
-
-
-def tries(
-    known: Callable[[str, str, str], Tensor], data: Path
-) -> Iterator[tuple[str, Activations, Scores]]:
-    """Each change, with its cells and its scores."""
-    floats = partial(cells, known, "fine")
-    yield "none", floats, best_move
-    yield "no move", floats, partial(best_move, moves=(0,))
-    yield "moves of 3 columns", floats, partial(best_move, moves=range(-3, 4))
-    yield "also a row up and down", floats, partial(best_move, rows=(-1, 0, 1))
-    yield "a move costs 0.01 a column", floats, partial(best_move, cost=0.01)
-    yield "zero outside the picture", floats, zero_outside
-    yield "scales 0.88, 1, 1.14", floats, scaled
-    yield "no instance norm", partial(cells, known, "fine", norm=False), best_move
-    yield "row means off", partial(cells, known, "fine", row_mean=1.0), best_move
-    yield "half of the row means off", partial(cells, known, "fine", row_mean=0.5), best_move
-    yield "mean of the map off both", floats, map_mean_off
-    yield "cells weighed by their spread", floats, by_spread
-    yield "32 principal components of the map", floats, principal
-    yield "cells of 24 x 32", partial(cells, known, "fine", grid=FINE), best_move
-    for rings, sectors in ((5, 12), (8, 24)):
-        name = f"{rings} rings x {sectors} sectors around five anchors"
-        yield name, partial(log_polar, known, rings, sectors), by_anchor
-    name = "3 rings x 8 sectors around the centre of each category"
-    yield name, partial(by_category, known, data, 3, 8), partial(best_move, moves=(0,))
 
 
 def lines(name: str, activations: Activations, score: Scores) -> Iterator[str]:
@@ -253,99 +211,6 @@ def best_move(
 def overlap(grids: Tensor, move: int, axis: int) -> Tensor:
     kept = grids.shape[axis] - abs(move)
     return grids.narrow(axis, max(0, move), kept)
-
-
-def zero_outside(queries: Tensor, references: Tensor) -> Tensor:
-    there = F.normalize(references.flatten(1)).T
-    moved = [F.pad(overlap(queries, m, 3), (max(0, -m), max(0, m))) for m in SIDES]
-    length = queries.flatten(1).norm(dim=1, keepdim=True)
-    return torch.stack([each.flatten(1) @ there / length for each in moved]).amax(0)
-
-
-def scaled(queries: Tensor, references: Tensor) -> Tensor:
-    found = []
-    for scale in (0.88, 1.0, 1.14):
-        turn = torch.tensor([[1 / scale, 0, 0], [0, 1 / scale, 0]]).expand(len(queries), 2, 3)
-        places = F.affine_grid(turn, list(queries.shape), align_corners=False)
-        found.append(F.grid_sample(queries, places, padding_mode="border", align_corners=False))
-    return torch.stack([best_move(each, references) for each in found]).amax(0)
-
-
-def map_mean_off(queries: Tensor, references: Tensor) -> Tensor:
-    mean = references.mean(0)
-    return best_move(queries - mean, references - mean)
-
-
-def by_spread(queries: Tensor, references: Tensor) -> Tensor:
-    spread = (references - references.mean(0)).square().sum(1).mean(0)
-    return best_move(queries, references * spread)
-
-
-def principal(queries: Tensor, references: Tensor, count: int = 32) -> Tensor:
-    numbers = references.transpose(0, 1).flatten(1)
-    centred = numbers - numbers.mean(1, keepdim=True)
-    _, axes = torch.linalg.eigh(centred @ centred.T)
-    chosen = axes[:, -count:]
-    return best_move(*(torch.einsum("nchw,ck->nkhw", x, chosen) for x in (queries, references)))
-
-
-def log_polar(
-    known: Callable[[str, str, str], Tensor], rings: int, sectors: int, network: str, drive: str
-) -> Tensor:
-    """``(N, C, anchors, bins)``: means over rings and sectors around five columns."""
-    grids = instance_norm(known(network, "fine", drive).float())
-    down, across = places()
-    found = []
-    for side in SIDES:
-        member = bins_of(down, across - 4 * side / GRID[1], rings, sectors)
-        found.append(F.normalize(grids.flatten(2) @ (member / member.sum(0).clamp(min=1)), dim=1))
-    return torch.stack(found, 2)
-
-
-def by_category(
-    known: Callable[[str, str, str], Tensor],
-    data: Path,
-    rings: int,
-    sectors: int,
-    network: str,
-    drive: str,
-) -> Tensor:
-    """``(N, C, categories, bins)``: as `log_polar`, of the cells of each category around its
-    centre; a bin weighs as the root of its area."""
-    grids = instance_norm(known(network, "fine", drive).float()).flatten(2)
-    seen = real(data / drive, network)
-    space, maps = label_space(seen.labels_as), torch.from_numpy(seen.maps)
-    found = []
-    for category in range(len(CATEGORIES)):
-        ids = [each.id for each in space.classes if each.category == CATEGORIES[category]]
-        mask = F.adaptive_avg_pool2d(torch.isin(maps, torch.tensor(ids))[:, None].float(), FINE)
-        area = mask.sum((1, 2, 3)).clamp(min=1e-6)[:, None, None]
-        away = [each - (mask[:, 0] * each).sum((1, 2), True) / area for each in places()]
-        member = bins_of(*away, rings, sectors) * mask.flatten(1)[..., None]
-        found.append(F.normalize(grids @ member, dim=1) * member.sum(1, True).sqrt())
-    return torch.stack(found, 2)
-
-
-def places() -> tuple[Tensor, Tensor]:
-    """``(24, 32)`` each, how far down and across cells are from the middle."""
-    y, x = (torch.arange(n).add(0.5).div(n).sub(0.5) for n in FINE)
-    down, across = torch.meshgrid(3 * y, 4 * x, indexing="ij")
-    return down, across
-
-
-def bins_of(down: Tensor, across: Tensor, rings: int, sectors: int) -> Tensor:
-    """``(..., cells, rings * sectors)``, the bin of each cell by its offset, as 0 and 1."""
-    turn = torch.atan2(down, across).div(2 * torch.pi).remainder(1)
-    ring = torch.log2(torch.hypot(across, down) / 2.5).add(rings).floor().clamp(0, rings - 1)
-    sector = turn.mul(sectors).floor().clamp(max=sectors - 1)
-    return F.one_hot((ring * sectors + sector).long().flatten(-2), rings * sectors).float()
-
-
-def by_anchor(queries: Tensor, references: Tensor) -> Tensor:
-    """The best anchor of a query against the middle one of the references."""
-    there = F.normalize(references[:, :, len(SIDES) // 2].flatten(1)).T
-    anchors = queries.unbind(2)
-    return torch.stack([F.normalize(each.flatten(1)) @ there for each in anchors]).amax(0)
 
 
 if __name__ == "__main__":

@@ -9,9 +9,7 @@ The folder holds `camvid`, `uofa`, `gardens_walk` and `networks`; descriptors ar
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -21,12 +19,13 @@ from _described import (
     FUSED,
     NETWORKS,
     OURS,
+    TOGETHER,
     Described,
     camvid_conditions,
     decide,
     real_conditions,
 )
-from _markdown import head_row, row, write
+from _markdown import DOCS, ROOT, first_table, head_row, parser, quote, row, write
 
 from ssrvlad_torch.recognition.recognise import Steps
 
@@ -72,13 +71,12 @@ conditions *night -> right* above are the first 100 frames of both.
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, required=True)
-    arguments.add_argument("--output", type=Path, default=Path("docs/fusion.md"))
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
-    options = arguments.parse_args()
+    options = parser(__doc__, "fusion.md", "described").parse_args()
     torch.set_num_threads(1)
-    write(options.output, "\n".join(page(Described(options.data, options.cache))) + "\n")
+    text = "\n".join(page(Described(options.data, options.cache))) + "\n"
+    write(options.output, text)
+    if options.output.resolve().parent == DOCS:
+        quote(ROOT / "README.md", "fusion", excerpt(text))
 
 
 def page(described: Described) -> Iterator[str]:
@@ -105,6 +103,16 @@ def page(described: Described) -> Iterator[str]:
             yield row(name, *(f"{figure:.3f}" for figure in figures), f"{best:+.3f}")
         yield ""
     yield ELSEWHERE
+
+
+def excerpt(page: str) -> str:
+    """The means of single pictures, for README.md."""
+    names, *_, means = first_table(page, "## Picture by picture")
+    found = dict(zip(names, means, strict=True))
+    return (
+        f"`default` alone {found[OURS]}, HOG {found['HOG']},\n  features {found[FEATURES]}, "
+        f"all three {found[TOGETHER]}"
+    )
 
 
 if __name__ == "__main__":

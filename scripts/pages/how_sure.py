@@ -10,7 +10,6 @@ instead, fitted to the conditions of `CHOSEN`.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import cache, partial
 from pathlib import Path
@@ -22,7 +21,7 @@ import torch
 import torch.nn.functional as F
 from _described import NETWORKS
 from _halves import DRIVES, ROUTES
-from _markdown import head_row, row, write
+from _markdown import head_row, parser, row, write
 from _searches import by_hog, by_labels, searches
 from conditions import BATCH, CITY_CONDITIONS, METRES, city
 from torch import Tensor
@@ -135,10 +134,7 @@ class Outcome(NamedTuple):
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, required=True)
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/how-sure"))
-    arguments.add_argument("--output", type=Path, default=Path("docs/how-sure.md"))
+    arguments = parser(__doc__, "how-sure.md", "how-sure")
     arguments.add_argument("--fit", action="store_true", help="print the priors of confidence")
     options = arguments.parse_args()
     torch.set_num_threads(1)

@@ -10,15 +10,15 @@ are not measured. Descriptors are cached. Needs the extra `dev`.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from _halves import ROUTES
 from _loops_real import real_drives
-from _markdown import head_row, interval, paragraph, row, write
+from _markdown import DOCS, first_table, head_row, interval, paragraph, parser, quote, row, write
 from _tours import Tour, Tours, all_tours, head
 from matplotlib.figure import Figure
 
@@ -92,18 +92,17 @@ first run of this page had 14 wrong loops in the estate of one measured city wit
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, required=True)
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/loops"))
-    arguments.add_argument("--output", type=Path, default=Path("docs/loops.md"))
-    options = arguments.parse_args()
+    options = parser(__doc__, "loops.md", "loops").parse_args()
     with threads(1):
         learned, measured, checked = (
             all_tours(each, options.cache) for each in (LEARNED_ON, MEASURED_ON, CHECKED_ON)
         )
         lines = [*real_drives(options.data, options.cache)]
         lines += sections(learned, measured, checked, options.output)
-    write(options.output, "\n".join(lines) + "\n")
+    text = "\n".join(lines) + "\n"
+    write(options.output, text)
+    if options.output.resolve().parent == DOCS:
+        quote(DOCS / "guides" / "robot.md", "loops", excerpt(text))
 
 
 def sections(learned: Tours, measured: Tours, checked: Tours, page: Path) -> Iterator[str]:
@@ -239,6 +238,21 @@ def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:
     axes.legend(loc="lower left", frameon=False)
     with replacing(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+
+
+def excerpt(page: str) -> str:
+    """Recalls and wrong loops of the real drives, for the guide of robots."""
+    names, *rows = first_table(page, "## Real second drives")
+    cells = {(line[0], name): cell for line in rows for name, cell in zip(names, line, strict=True)}
+    lines = [*head_row("", *ROUTES, "wrong")]
+    for network, written in (("espnetv2", "ESPNetv2"), ("dabnet", "DABNet")):
+        shown = {"label maps": f"label maps of {written}", "with features": "with its features"}
+        for method, words in shown.items():
+            of = [(f"{drive}, {network}", method) for drive in ROUTES]
+            recalls = (cells[drive, f"{name}: recall"].partition(" ")[0] for drive, name in of)
+            wrong = sum(int(cells[drive, f"{name}: wrong"]) for drive, name in of)
+            lines.append(row(words, *recalls, str(wrong)))
+    return "\n".join(["", *lines, ""])
 
 
 if __name__ == "__main__":

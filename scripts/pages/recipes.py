@@ -11,7 +11,6 @@ Segformer with random weights runs in PyTorch and in ONNX Runtime. About five mi
 
 from __future__ import annotations
 
-import argparse
 import math
 import tempfile
 from collections.abc import Iterator
@@ -22,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from _described import ALONE, REAL
-from _markdown import head_row, paragraph, row
+from _markdown import head_row, paragraph, parser, row
 from torch import Tensor, nn
 from transformers import SegformerConfig, SegformerForSemanticSegmentation
 
@@ -171,9 +170,7 @@ def picture_of(folder: Path, name: str) -> Path:
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    arguments.add_argument("--data", type=Path, required=True)
-    arguments.add_argument("--output", type=Path, default=Path("docs/recipes.md"))
+    arguments = parser(__doc__, "recipes.md")
     arguments.add_argument("--repetitions", type=int, default=5)
     options = arguments.parse_args()
     settings = options.data / "networks" / "espnetv2.yaml"

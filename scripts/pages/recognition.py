@@ -4,20 +4,16 @@
     .venv/bin/python scripts/pages/recognition.py --data ../shared/data
 
 The data sets are those of `_described.py`; descriptors are cached in `--cache`. With them, the page
-takes ten minutes on one thread. The table of filter settings is read from docs/motion.csv, see
-`choose_motion.py`.
+takes ten minutes on one thread. How the filter was chosen is kept as the page has it.
 """
 
 from __future__ import annotations
 
-import argparse
-import csv
 from collections.abc import Iterator
-from pathlib import Path
 
 import torch
 from _described import FEATURES, OURS, TOGETHER, Described, all_conditions, decide
-from _markdown import head_row, interval, paragraph, row, write
+from _markdown import head_row, interval, kept, parser, row, write
 from conditions import CITY_SEEDS, METRES, RESAMPLES
 
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
@@ -76,27 +72,15 @@ The label grid and HOG of the pictures are baselines. They get the same steps, e
   easier.
 """
 
-CHOICE = """`scripts/pages/choose_motion.py` chooses three settings of `Motion`: `weight`, `level`
-and `change`. Each data set has two rows: with the setting that is best on the *other* three data
-sets, and with the setting that is best on all, which the package uses. If both rows are equal,
-the data set did not influence its own setting. *As they are* and *cut up* are RecallRate@1;
-drives cut up have a stop, a stretch at double speed, two jumps and a stretch in reverse order.
-*Half of the map* is the area under the precision-recall curve when half of the places are missing
-from the map."""
-
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, help="folder of camvid, uofa and gardens_walk")
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
-    arguments.add_argument("--output", type=Path, default=Path("docs/recognition.md"))
-    options = arguments.parse_args()
+    options = parser(__doc__, "recognition.md", "described", needs_data=False).parse_args()
     torch.set_num_threads(1)
     described = Described(options.data, options.cache)
-    write(options.output, "\n".join(page(described, options.output.parent / "motion.csv")) + "\n")
+    write(options.output, "\n".join(page(described)) + "\n")
 
 
-def page(described: Described, motion: Path) -> Iterator[str]:
+def page(described: Described) -> Iterator[str]:
     yield HEAD
     for method in METHODS:
         yield f"## {method}\n"
@@ -111,19 +95,7 @@ def page(described: Described, motion: Path) -> Iterator[str]:
                 cells.append(interval(value, ends))
             yield row(condition.name, *cells)
         yield ""
-    if motion.exists():
-        yield "## How the filter was chosen\n"
-        yield paragraph(CHOICE)
-        yield from table(motion)
-        yield ""
-
-
-def table(file: Path) -> Iterator[str]:
-    """The lines of a CSV file."""
-    with file.open(encoding="utf-8") as lines:
-        names, *rows = csv.reader(lines)
-    yield from head_row(*names)
-    yield from (row(*cells) for cells in rows)
+    yield kept("recognition.md", "## How the filter was chosen")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,6 @@ it for CoHOG and LoST-X. Descriptors are cached in `--cache`. The page takes ten
 
 from __future__ import annotations
 
-import argparse
 import csv
 import io
 from collections.abc import Iterator, Mapping
@@ -31,7 +30,7 @@ from _described import (
     all_conditions,
     decide,
 )
-from _markdown import head_row, paragraph, row, write
+from _markdown import DOCS, ROOT, first_table, head_row, paragraph, parser, quote, row, write
 from conditions import CITY_FRAMES, CITY_SEEDS, METRES, RESAMPLES
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -104,11 +103,7 @@ If all of these are right, the last one is replaced by a wrong one.
 
 
 def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("--data", type=Path, help="folder of camvid, uofa and gardens_walk")
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
-    arguments.add_argument("--output", type=Path, default=Path("docs/results.md"))
-    options = arguments.parse_args()
+    options = parser(__doc__, "results.md", "described", needs_data=False).parse_args()
     torch.set_num_threads(1)
     described = Described(options.data, options.cache)
     measured = measure(described)
@@ -116,7 +111,8 @@ def main() -> None:
     text = "\n".join([HEAD, *page(described, measured, folder), *sums(described, measured)])
     write(folder / "results.csv", to_csv(measured))
     write(options.output, text + "\n")
-    quote_in_readme(options.output)
+    if options.output.resolve().parent == DOCS:
+        quote(ROOT / "README.md", "results", excerpt(text))
 
 
 def measure(described: Described) -> Measured:
@@ -286,19 +282,11 @@ def to_csv(measured: Measured) -> str:
     return text.getvalue()
 
 
-def quote_in_readme(results: Path, readme: Path = Path("README.md")) -> None:
-    """Writes the summary between its marks in README.md."""
-    before, _, after = readme.read_text(encoding="utf-8").partition("<!-- results -->\n")
-    _, mark, after = after.partition("<!-- /results -->")
-    text = excerpt(results.read_text(encoding="utf-8"))
-    readme.write_text(f"{before}<!-- results -->\n{text}\n{mark}{after}", encoding="utf-8")
-
-
 def excerpt(page: str) -> str:
     """The summary of a results page, without AUC-PR."""
-    lines = page.partition("## In short\n")[2].partition("\n##")[0].splitlines()
-    rows = [line.strip("| ").split(" | ") for line in lines if line.startswith("|")]
-    return "\n".join(row(*(cell.partition(" (")[0] for cell in cells)) for cells in rows)
+    cells, *rows = first_table(page, "## In short")
+    shown = [*head_row(*cells), *(row(*(cell.partition(" (")[0] for cell in one)) for one in rows)]
+    return "\n".join(["", *shown, ""])
 
 
 if __name__ == "__main__":

@@ -22,18 +22,17 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from _markdown import head_row, row
+from _markdown import ROOT, head_row, quote, row
 
-ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from test_export import city, hundreds_of_label_maps  # noqa: E402
+from test_export import city, hundreds_of_label_maps
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head  # noqa: E402
-from ssrvlad_torch.config import PRESETS  # noqa: E402
-from ssrvlad_torch.deployment.golden import outputs_of  # noqa: E402
-from ssrvlad_torch.deployment.verify import compare  # noqa: E402
-from ssrvlad_torch.files import one_line  # noqa: E402
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
+from ssrvlad_torch.config import PRESETS
+from ssrvlad_torch.deployment.golden import outputs_of
+from ssrvlad_torch.deployment.verify import compare
+from ssrvlad_torch.files import one_line
 
 README = ROOT / "export" / "README.md"
 WORKER = Path(__file__).with_name("_one_runtime.py")
@@ -134,14 +133,8 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, default=README)
     options = parser.parse_args()
     text = "\n".join(table(options.runtime, options.head or sorted(PRESETS)))
-    before, begin, rest = options.readme.read_text(encoding="utf-8").partition(
-        "<!-- runtimes -->\n"
-    )
-    _, end, after = rest.partition("<!-- /runtimes -->")
-    if not end:
-        raise SystemExit(f"{options.readme} has no <!-- runtimes --> and <!-- /runtimes -->")
     where = f"Measured on {platform.system()} {platform.machine()}, the CPU."
-    options.readme.write_text(f"{before}{begin}{where}\n\n{text}\n{end}{after}", encoding="utf-8")
+    quote(options.readme, "runtimes", f"\n{where}\n\n{text}\n")
 
 
 if __name__ == "__main__":

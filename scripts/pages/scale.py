@@ -6,8 +6,8 @@
 Every step runs in a new process with one thread, so that its memory and its time are not mixed with
 others. The descriptors are made from those of the synthetic city: parts of two of them, and noise.
 Results stay in the folder, and a second run resumes. The script needs two kilobytes a frame on disk
-and the same in memory. A million frames take about ten minutes. Kinds of index are compared on
-200,000 frames.
+and the same in memory. A million frames take about ten minutes. Kinds of index are kept as the page
+has them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from _index_kinds import KINDS, compare
+from _markdown import kept
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, follow, match
 from ssrvlad_torch.database.database import Database
@@ -43,7 +43,6 @@ LABELS_AS = "cityscapes-trainids"
 SEEDS, FRAMES_OF_A_SEED, FRAMES_OF_A_SEQUENCE = 4, 64, 10_000
 BACK, ONLINE = 3000, 20
 QUERIES, ALONE, NOISE, ON_PAPER = 1000, 5, 0.15, 100_000_000
-KINDS_OF, KIND_QUERIES = 200_000, 100
 
 Report = dict[str, Any]
 
@@ -62,8 +61,7 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     steps = [*NAMES, "online"]
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    kinds = run_all(KINDS_OF, given.folder, ["kinds"])["kinds"]["kinds"]
-    given.out.write_text(page(results, kinds), encoding="utf-8")
+    given.out.write_text(page(results), encoding="utf-8")
 
 
 def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
@@ -223,16 +221,6 @@ def online(frames: int, folder: Path) -> Report:
     return {"search": search / ONLINE, "follow": follows, "swept": swept / ALONE}
 
 
-def kinds(frames: int, folder: Path) -> Report:
-    """Compares kinds of index on a new table, whose rows were written once and in order."""
-    path = folder / "kinds"
-    path.mkdir(exist_ok=True)
-    write(frames, path)
-    references, wanted = opened(frames, path).load().descriptors, queries(path)[:KIND_QUERIES]
-    best = match(wanted, references, 10)
-    return {"kinds": list(compare(path / f"{frames}.ssrdb", wanted, best, list(KINDS)))}
-
-
 def opened(frames: int, folder: Path) -> Database:
     return Database.open(folder / f"{frames}.ssrdb")
 
@@ -261,7 +249,6 @@ STEPS: dict[str, Callable[[int, Path], Report]] = {
     "by index": by_index,
     "followed": follow_by_index,
     "online": online,
-    "kinds": kinds,
 }
 
 NAMES = {
@@ -278,7 +265,7 @@ NAMES = {
 }
 
 
-def page(results: dict[int, dict[str, Report]], kinds: list[Report]) -> str:
+def page(results: dict[int, dict[str, Report]]) -> str:
     lines = [
         "# Large databases",
         "",
@@ -295,7 +282,7 @@ def page(results: dict[int, dict[str, Report]], kinds: list[Report]) -> str:
     for frames, reports in results.items():
         lines += ["", f"## {frames:,} frames", "", *table(reports), "", *facts(frames, reports)]
     frames = max(results)
-    lines += ["", *table_of_kinds(kinds)]
+    lines += ["", kept("scale.md", "## Kinds of index").rstrip()]
     return "\n".join([*lines, "", *on_paper(frames, results[frames]), ""])
 
 
@@ -326,24 +313,6 @@ def facts(frames: int, reports: dict[str, Report]) -> list[str]:
         f"search and following take {1 + more / swept:.2f} times that.",
         f"- The index has {built['lists']} lists. Its recall is {built['recall']['1']:.3f} for the "
         f"best row and {built['recall']['10']:.3f} for the best 10 rows of the exact search.",
-    ]
-
-
-def table_of_kinds(kinds: list[Report]) -> list[str]:
-    return [
-        "## Kinds of index",
-        "",
-        f"{KINDS_OF:,} frames, {KIND_QUERIES} queries. A list has 4096 rows unless the name says "
-        "otherwise. A query searches a tenth of the lists, and its 100 candidates get exact "
-        "scores. `db index` builds the first kind.",
-        "",
-        "| kind | build, CPU s | bytes a frame | recall@1 | recall@10 | CPU ms a query |",
-        "|---|---|---|---|---|---|",
-        *(
-            f"| {of['kind']} | {of['build']:.0f} | {of['bytes']:.0f} | {of['recall']['1']:.3f} | "
-            f"{of['recall']['10']:.3f} | {of['query']:.1f} |"
-            for of in kinds
-        ),
     ]
 
 

@@ -41,8 +41,7 @@ _ROUNDING = 1e-6
 class Motion:
     """How a sequence is expected to move, and how much one frame counts.
 
-    The change, weight and level were chosen by `scripts/pages/choose_motion.py`; see
-    docs/recognition.md.
+    The change, weight and level were chosen as docs/recognition.md says.
 
     Attributes:
         change: probability that the speed changes from one frame to the next.
