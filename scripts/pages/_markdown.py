@@ -97,7 +97,7 @@ def first_table(page: str, heading: str) -> list[list[str]]:
     """The cells of the first table after a heading, without its second line."""
     after = page[page.index(heading) :].splitlines()
     rows = takewhile(lambda line: line.startswith("|"), dropwhile(lambda x: x[:1] != "|", after))
-    cells = [line.strip("| ").split(" | ") for line in rows]
+    cells = [line.removeprefix("| ").removesuffix(" |").split(" | ") for line in rows]
     return [cells[0], *cells[2:]]
 
 
