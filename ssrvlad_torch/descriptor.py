@@ -42,9 +42,9 @@ AGGREGATIONS: dict[str, Callable[[SSRVLADConfig], Aggregation]] = {
 class SSRVLAD(nn.Module):
     """Label maps or class scores -> place descriptors (Nie, Feng et al., arXiv 2202.03677).
 
-    The module has no weights and needs no training. It runs on the device of its input, CPU or
-    CUDA, and counts the same integers on both. Its tables are buffers: they follow ``to(device)``,
-    ``half()`` does not round them, and the ``state_dict()`` is empty.
+    The module has no weights and needs no training. It runs on CPU and CUDA, and counts the same
+    integers on both. Its tables are buffers: they follow ``to(device)``, ``half()`` does not round
+    them, and the ``state_dict()`` is empty.
 
     On a CPU the native core computes the descriptors as one operator. ``torch.compile`` and
     ``torch.export`` keep this operator and do not make it faster. On CUDA, without a built core,
@@ -65,9 +65,9 @@ class SSRVLAD(nn.Module):
           shows no category.
 
     Raises:
-        ValueError: wrong rank or dtype, an empty batch or image, an id outside the label space,
-            NaN scores, or a class count that does not fit the label space. The message names
-            the offender, what was got and what was expected.
+        ValueError: input on another device than the module, wrong rank or dtype, an empty batch or
+            image, an id outside the label space, NaN scores, or a class count that does not fit
+            the label space. The message names the offender, what was got and what was expected.
         RuntimeError: under ``torch.jit.trace``, which would record the numbers of one input.
 
     Examples:
@@ -97,7 +97,7 @@ class SSRVLAD(nn.Module):
 
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
-        labels = as_tensor(labels)
+        labels = self._input(labels)
         if is_exporting() and self.config.aggregation == "harmonics":
             found, unknown = self.counted(labels)
             return torch.where((unknown > 0).view(-1, *[1] * (found.ndim - 1)), torch.nan, found)
@@ -110,6 +110,12 @@ class SSRVLAD(nn.Module):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
         return descriptor
+
+    def _input(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
+        tensor, own = as_tensor(labels), self._front_end.table.device
+        if tensor.device != own:
+            raise ValueError(f"expected labels on {own}, as the head is, got {tensor.device}")
+        return tensor
 
     def counted(self, labels: Tensor) -> tuple[Tensor, Tensor]:
         """The descriptors of a batch, and the number of pixels of each image with an unknown id,
@@ -146,7 +152,7 @@ class SSRVLAD(nn.Module):
     def _describe_by_core(self, labels: Tensor) -> Tensor:
         """The descriptors of a batch from the native core: the same numbers."""
         labels = label_map(labels, self.label_space)
-        table, origin = self._front_end.table.to(labels.device), self._front_end.origin
+        table, origin = self._front_end.table, self._front_end.origin
         try:
             run = operator if torch.compiler.is_compiling() else describe
             descriptor: Tensor = run(labels, table, origin, self._method)
@@ -161,7 +167,7 @@ class SSRVLAD(nn.Module):
         Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
         ``default`` do not use them.
         """
-        labels = as_tensor(labels)
+        labels = self._input(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
             ids, space = label_map(labels, self.label_space), self.label_space
@@ -189,7 +195,7 @@ class SSRVLAD(nn.Module):
             raise ValueError(
                 f"a sweep needs the aggregation harmonics, got {self.config.aggregation}"
             )
-        labels = as_tensor(labels)
+        labels = self._input(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
             return self._sweep_layers(layers, columns)

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .bitplanes import unpack
 from .config import AREA_LAYERS, SSRVLADConfig
-from .picture import new_figure
+from .figures import new_figure
 from .stages.boundaries import DIRECTIONS, boundaries
 from .stages.centroid import centre_table, centroids
 from .stages.harmonics import HarmonicHistograms

@@ -69,10 +69,9 @@ class FrontEnd(nn.Module):
         Args:
             labels: ``(B, H, W)`` label ids.
         """
-        device, size = labels.device, self.config.working_size
-        table = self.table.to(device)
+        size = self.config.working_size
         if size is None:
-            categories = categorise(labels, table, self.origin)  # Table II
+            categories = categorise(labels, self.table, self.origin)  # Table II
             if is_exporting():
                 categories = categories.int()  # old runtimes do not compare bytes
             unknown = (categories == UNKNOWN).sum((1, 2))
@@ -83,9 +82,8 @@ class FrontEnd(nn.Module):
         rows, columns = (
             length((2 * side * size + shorter) // (2 * shorter)) for side in (height, width)
         )
-        entries, first = entries_of(labels, table, self.origin)
-        votes = self.votes.to(device)[:, first:]
-        return reduce_by_majority(entries, votes, self.kinds.to(device), (rows, columns))
+        entries, first = entries_of(labels, self.table, self.origin)
+        return reduce_by_majority(entries, self.votes[:, first:], self.kinds, (rows, columns))
 
 
 def label_map(labels: Tensor, space: LabelSpace) -> Tensor:

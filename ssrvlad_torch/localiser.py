@@ -41,7 +41,7 @@ class Place(NamedTuple):
 
     Attributes:
         frame: id of the best frame of the database.
-        score: its cosine (Eq. 4), at most 1; with further methods the fused score of all.
+        score: its cosine (Eq. 4), at most 1; with extra descriptors the fused score of all.
         confidence: probability that the place is right, 0 to 1; 0 if the database has too few
             frames to estimate it.
         pose: of the frame, in metres and radians, with a heading of NaN if only that is unknown;
@@ -82,9 +82,9 @@ class Localiser:
         require_network(database, segmenter)
         config = dataclasses.replace(database.config, labels_as=segmenter.label_space)
         self._add, self._locate = SSRVLAD(config), query_head(config, COLUMNS)
-        require_same(database.beside, segmenter)
-        self._methods = extra_methods(database.beside)
-        self._features = any(each.name == FEATURES for each in database.beside)
+        require_same(database.extra, segmenter)
+        self._methods = extra_methods(database.extra)
+        self._features = any(each.name == FEATURES for each in database.extra)
         self._loaded: FrameSet | None = None
         self._version = 0
 
@@ -95,7 +95,7 @@ class Localiser:
         database: str | Path,
         labels_as: str | LabelSpace = AUTO,
         preset: str | None = None,
-        beside: Sequence[str] | None = None,
+        extra: Sequence[str] | None = None,
     ) -> Localiser:
         """A localiser with a network by its name.
 
@@ -105,22 +105,22 @@ class Localiser:
             labels_as: label space of the network's classes; with ``"auto"`` the names of the
                 classes decide.
             preset: of a new database; without, ``"default"``.
-            beside: further methods for a new database, ``"features"`` and ``"hog"``, or ``"none"``;
+            extra: extra descriptors of a new database, ``"features"`` and ``"hog"``, or ``"none"``;
                 recognition fuses all. Without, features if the network has them.
 
         Raises:
             ValueError: as for the class, or the network cannot be used, or an existing database has
-                another preset or other methods beside.
+                another preset or other extra methods.
             OSError: downloading the network or writing the database failed.
             ImportError: an extra is not installed.
         """
         segmenter = Segmenter.load(network, labels_as)
         exists = Database.exists(database)
-        if exists and preset is None and beside is None:
+        if exists and preset is None and extra is None:
             return cls(segmenter, Database.open(database))
-        extra = [] if exists and beside is None else extra_descriptors(beside, segmenter)
+        stored = [] if exists and extra is None else extra_descriptors(extra, segmenter)
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=segmenter.label_space)
-        return cls(segmenter, Database.open_or_create(database, config, extra))
+        return cls(segmenter, Database.open_or_create(database, config, stored))
 
     @classmethod
     def open(cls, database: str | Path) -> Localiser:
@@ -172,11 +172,11 @@ class Localiser:
         references = self._references()
         (said,) = self.segmenter.segment([picture], features=self._features)
         frame = Frame("picture", image=picture)
-        beside = {each.name: each.encode_query([frame]) for each in self._methods}
+        extra = {each.name: each.encode_query([frame]) for each in self._methods}
         if said.features is not None:
-            beside[FEATURES] = torch.from_numpy(said.features)[None]
+            extra[FEATURES] = torch.from_numpy(said.features)[None]
         vectors = self._locate(torch.from_numpy(said.labels)[None])
-        found = recognise_in(self.database, references, vectors, beside, ["picture"], _ALONE, top=1)
+        found = recognise_in(self.database, references, vectors, extra, ["picture"], _ALONE, top=1)
         row = int(found.matches.indices[0, 0])
         if row < 0:
             return None

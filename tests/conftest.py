@@ -23,7 +23,6 @@ from hypothesis import settings
 from ssrvlad_torch import native
 from ssrvlad_torch.deployment import export, fuse, label_graph
 from ssrvlad_torch.files import replacing
-from ssrvlad_torch.stages import harmonics
 from ssrvlad_torch.taxonomy import label_space_names
 
 torch.set_num_threads(1)
@@ -122,7 +121,7 @@ def stored(build):
 
 @pytest.fixture(scope="session", autouse=True)
 def built_once():
-    """Caches the commands, the tables of a head, its graph where the label space has a name, and
+    """Caches the commands, the graph of a head where the label space has a name, and
     the traced parts of fused graphs."""
     head_model = export.head_model
     stored_head = stored(head_model)
@@ -135,7 +134,6 @@ def built_once():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", cache(typer.main.get_command))
-        patch.setattr(harmonics, "harmonic_tables", cache(harmonics.harmonic_tables))
         for module in (export, fuse):
             patch.setattr(module, "head_model", model)
         for name in ("_traced_preparation", "_traced_decision", "_traced_features"):

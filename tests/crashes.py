@@ -57,7 +57,7 @@ def work(path: Path, report: int) -> None:
 def check(path: Path, steps: int) -> None:
     """After a crash: reported changes are stored, no change is partial, and work can go on."""
     if Database.exists(path):
-        assert Database.open(path).verify() == []
+        assert Database.open(path).damage() == []
         frames = Database.open(path).load()
         rows = dict(zip(frames.frames, frames.descriptors, strict=True))
     else:

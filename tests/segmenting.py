@@ -80,19 +80,19 @@ def write_town(folder, path, top=5):
     head, extra = SSRVLAD(SSRVLADConfig(labels_as="camvid-11")), segmenter.features.descriptor
     (today, _), (monday, _) = (
         encode_to_memory(head, find_image_files([str(folder / drive)]), 1, segmenter=segmenter,
-                         beside=[extra])
+                         extra=[extra])
         for drive in ("today", "monday")
     )  # fmt: skip
-    for end, values in {"": monday.descriptors, ".features.npy": monday.beside["features"]}.items():
+    for end, values in {"": monday.descriptors, ".features.npy": monday.extra["features"]}.items():
         np.save(f"{path}{end}", values.numpy())
     Path(f"{path}.frames.txt").write_text("".join(f"{frame}\n" for frame in monday.frames))
     Path(f"{path}.fingerprint.txt").write_text(f"{head.config.fingerprint}\n")
     Path(f"{path}.features.npy.fingerprint.txt").write_text(f"{extra.fingerprint}\n")
-    beside = {"features": (today.beside["features"], monday.beside["features"])}
+    extra = {"features": (today.extra["features"], monday.extra["features"])}
     steps = Steps(standardise=False, follow=None)
     names = ["today"] * len(today.frames), ["monday"] * len(monday.frames)
     found = recognise(
-        today.descriptors, monday.descriptors, *names, steps=steps, top=top, beside=beside
+        today.descriptors, monday.descriptors, *names, steps=steps, top=top, extra=extra
     ).matches
     return [
         ([monday.frames[row] for row in rows], scores)

@@ -144,7 +144,7 @@ def test_images_and_a_segmenter_give_what_label_maps_give(ssrvlad, database, pho
     assert code == 0
     assert out == ssrvlad("query", database, tmp_path / "monday", "--top", 1)[1]
 
-    options = ["--tolerance-frames", 1, "--json", "--no-fuse", *alike]
+    options = ["--tolerance-frames", 1, "--json", "--no-extra", *alike]
     code, out, _ = ssrvlad("evaluate", database, photos, *options, *segmenter)
     assert code == 0
     assert out == ssrvlad("evaluate", db, tmp_path / "monday", *options)[1]

@@ -74,22 +74,22 @@ def refused(ssrvlad, *arguments):
 
 def test_features_are_stored_by_default(town, photos, ssrvlad):
     database, segmenter = Database.open(town), Segmenter.load(photos / "net.yaml")
-    assert [each.name for each in database.beside] == ["features", "hog"]
-    assert database.beside[0] == segmenter.features.descriptor
-    assert database.beside[0].cells == SHAPE
-    stored = database.load().beside["features"]
+    assert [each.name for each in database.extra] == ["features", "hog"]
+    assert database.extra[0] == segmenter.features.descriptor
+    assert database.extra[0].cells == SHAPE
+    stored = database.load().extra["features"]
     said = segmenter.segment(pictures_of(photos / "monday"), features=True)
     assert torch.equal(stored, torch.from_numpy(np.stack([each.features for each in said])))
-    assert database.verify() == []
+    assert database.damage() == []
     network = ("--segmenter", photos / "net.yaml")
     again = ("encode", photos / "monday", photos / "today", "-o", town, *network)
     code, out, _ = ssrvlad(*again)
     assert code == 0
     assert "32 frames encoded" in out and "32 already there" in out
     for option in ("none", "hog", "features"):
-        given, other = (*network, "--with", option), photos / option
+        given, other = (*network, "--extra", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
-        stored = [each.name for each in Database.open(other).beside]
+        stored = [each.name for each in Database.open(other).extra]
         assert stored == ([] if option == "none" else [option])
 
 
@@ -101,14 +101,14 @@ def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs)
     ssrvlad("encode", photos / "monday", "-o", photos / "two", *network)
     assert runs[0] == 32 + 2 * probe
     one, two = (Database.open(photos / name).load() for name in ("one", "two"))
-    assert torch.equal(one.beside["features"], two.beside["features"])
+    assert torch.equal(one.extra["features"], two.extra["features"])
     assert torch.equal(one.descriptors, two.descriptors)
 
 
 def test_queries_use_features(town, photos, ssrvlad):
     network, found = ("--segmenter", photos / "net.yaml"), {}
     query = ("query", town, photos / "today", *network)
-    for fuse in ((), ("--no-fuse",)):
+    for fuse in ((), ("--no-extra",)):
         code, out, _ = ssrvlad(*query, "--follow", "no", *fuse, "--json")
         assert code == 0
         lines = [json.loads(line) for line in out.splitlines()]
@@ -116,7 +116,7 @@ def test_queries_use_features(town, photos, ssrvlad):
         if not fuse:
             firsts = [line["candidates"][0]["frame"] for line in lines]
             assert firsts == [line["query"].replace("today", "monday") for line in lines]
-    assert found == {(): {"ssr-vlad", "features", "hog"}, ("--no-fuse",): set()}
+    assert found == {(): {"ssr-vlad", "features", "hog"}, ("--no-extra",): set()}
     code, out, _ = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
     assert code == 0
     assert out.startswith("today/7: monday/7, fused score ")
@@ -124,8 +124,8 @@ def test_queries_use_features(town, photos, ssrvlad):
     weights = json.loads(out.splitlines()[0])["steps"]["weights"]["monday"]
     assert weights.keys() == {"ssr-vlad", "features", "hog"}
     line = refused(ssrvlad, *query, "--temporal", "2")
-    assert "features are signs, which have no temporal sum; expected --no-fuse" in line
-    assert ssrvlad(*query, "--temporal", "2", "--no-fuse")[0] == 0
+    assert "features are signs, which have no temporal sum; expected --no-extra" in line
+    assert ssrvlad(*query, "--temporal", "2", "--no-extra")[0] == 0
 
 
 def test_the_localiser_uses_features(photos, runs):
@@ -136,10 +136,10 @@ def test_the_localiser_uses_features(photos, runs):
     assert runs[0] == before + 1
     again = Localiser.open(photos / "town")
     assert again.locate(pictures_of(photos / "today")[9]).frame == "monday/9"
-    plain = Localiser.from_pretrained(photos / "net.yaml", photos / "plain", beside=["none"])
-    assert plain.database.beside == ()
+    plain = Localiser.from_pretrained(photos / "net.yaml", photos / "plain", extra=["none"])
+    assert plain.database.extra == ()
     with pytest.raises(ValueError, match="expected a list of methods of pictures, got the text"):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "x", beside="hog")
+        Localiser.from_pretrained(photos / "net.yaml", photos / "x", extra="hog")
 
 
 def test_loops_use_features(photos, ssrvlad):
@@ -149,7 +149,7 @@ def test_loops_use_features(photos, ssrvlad):
     assert code == 0
     assert "features" in out
     database = Database.open(photos / "memory")
-    assert [each.name for each in database.beside] == ["features", "hog"]
+    assert [each.name for each in database.extra] == ["features", "hog"]
     code, out, _ = ssrvlad("loops", photos / "today", *network, *memory, "--json")
     results = [json.loads(line) for line in out.splitlines()]
     assert code == 0 and len(results) == 32
@@ -166,15 +166,15 @@ def test_a_detector_takes_features(photos, tmp_path):
     said = segmenter.segment(pictures_of(photos / "monday")[:6], features=True)
     for row, each in enumerate(said):
         detector.update(each.labels, f"drive/{row}", features=each.features)
-    database = Database.create(tmp_path / "memory", head.config, beside=detector.beside)
+    database = Database.create(tmp_path / "memory", head.config, extra=detector.extra)
     detector.save(database)
     features = torch.from_numpy(np.stack([each.features for each in said]))
-    assert torch.equal(database.load().beside["features"], features)
-    with pytest.raises(ValueError, match="expected features beside, got nothing"):
+    assert torch.equal(database.load().extra["features"], features)
+    with pytest.raises(ValueError, match="expected extra features, got nothing"):
         detector.update(said[0].labels, "drive/7")
     with pytest.raises(ValueError, match="expected signs"):
         detector.update(said[0].labels, "drive/7", features=said[0].features[1:])
-    with pytest.raises(ValueError, match="no method beside"):
+    with pytest.raises(ValueError, match="no extra method"):
         detector.update(said[0].labels, "drive/7", picture=np.zeros((9, 9, 3), np.uint8))
 
 
@@ -183,13 +183,13 @@ def test_a_network_without_features(photos, ssrvlad):
     settings = "network: plain.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: " + SPACE
     (photos / "plain.yaml").write_text(settings)
     given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter")
-    line = refused(ssrvlad, *given, photos / "plain.yaml", "--with", "features")
+    line = refused(ssrvlad, *given, photos / "plain.yaml", "--extra", "features")
     assert "plain.yaml: the encoder has no activation at a stride from 4 to 32" in line
     assert not (photos / "none").exists()
     code, _, err = ssrvlad(*given, photos / "plain.yaml")
     assert code == 0
     assert len(err) == 1 and "stored without features: " in err[0]
-    assert [each.name for each in Database.open(photos / "none").beside] == ["hog"]
+    assert [each.name for each in Database.open(photos / "none").extra] == ["hog"]
 
 
 @pytest.mark.parametrize(
@@ -207,8 +207,8 @@ def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
     if features == "[flat]":
         flat = photos / "net.onnx"
         flat.write_bytes(_with_flat_mean(flat.read_bytes()))
-    for beside in (("--with", "features"), ()):
-        assert message in refused(ssrvlad, *given, *beside)
+    for extra in (("--extra", "features"), ()):
+        assert message in refused(ssrvlad, *given, *extra)
         assert not (photos / "none").exists()
 
 

@@ -52,7 +52,7 @@ def town(network, ssrvlad, tmp_path):
     (tmp_path / "poses.csv").write_text("\n".join(poses))
     town = tmp_path / "town"
     cache = ("--segmenter-cache", tmp_path / "cache")
-    given = ("--segmenter", network, "--with", "none", *cache)
+    given = ("--segmenter", network, "--extra", "none", *cache)
     ssrvlad("encode", tmp_path / "photos", "-o", town, *given)
     return town
 
@@ -120,7 +120,7 @@ def test_every_command_takes_the_network_of_the_database(
         assert (code, without_version(out)) == (0, without_version(expected)), command
         clear()
         assert err[0] == f"ssrvlad: {network}, the network of {town}, labels the pictures"
-    code, _, err = ssrvlad("query", town, maps, "--no-fuse")
+    code, _, err = ssrvlad("query", town, maps, "--no-extra")
     assert (code, len(err)) == (0, 1), "label maps need no network"
 
 

@@ -57,13 +57,13 @@ def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
         (("--sweep",), "--sweep"),
         (("--follow", "online", "--delay", 2), "--follow and --delay"),
         (("--temporal", 1), "--temporal"),
-        (("--fuse",), "--fuse"),
+        (("--extra",), "--extra"),
     ]:
         code, _, err = ssrvlad("query", database, maps, "--as-paper", *option)
         assert (code, len(err)) == (2, 1), option
         assert err[0].startswith("ssrvlad: --as-paper means --no-standardise --no-sweep")
         assert err[0].endswith(f"it contradicts {name}")
-    alike = ("--no-sweep", "--follow", "no", "--temporal", 3, "--no-fuse")
+    alike = ("--no-sweep", "--follow", "no", "--temporal", 3, "--no-extra")
     as_paper = ssrvlad("query", database, maps, "--as-paper")
     assert ssrvlad("query", database, maps, "--as-paper", *alike) == as_paper
     assert as_paper[0] == 0
@@ -149,7 +149,7 @@ def test_info(ssrvlad, database):
     assert code == 0
     assert "frames: 6" in out
     assert "sequences: monday 6" in out
-    assert "beside" not in out and "thinning" not in out and "anchor vanishing-column" in out
+    assert "extra" not in out and "thinning" not in out and "anchor vanishing-column" in out
     info = json.loads(ssrvlad("db", "info", database, "--json")[1])
     assert info["preset"] == "default"
     assert info["label_spaces"] == {"camvid-11": 6}

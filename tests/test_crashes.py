@@ -107,7 +107,7 @@ def test_a_full_disk_is_an_error_and_the_database_is_unchanged(tmp_path, size, c
             return
     assert torch.equal(Database.open(path).load().descriptors, descriptors(0, 2))
     getattr(database, change)(frames, numbers)
-    assert Database.open(path).verify() == []
+    assert Database.open(path).damage() == []
     assert len(Database.open(path)) == (4 if change == "append" else 2)
 
 

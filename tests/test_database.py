@@ -535,7 +535,7 @@ def test_a_changed_byte_of_a_data_file_is_reported_or_has_no_effect(path):
             refused += 1
             assert str(path) in str(error)
             assert "\n" not in str(error)
-            assert Database.open(path).verify() != []
+            assert Database.open(path).damage() != []
     assert refused > len(positions) * 0.8
     data_file(path).write_bytes(whole)
     assert loaded(path) == before
@@ -550,10 +550,10 @@ def test_a_damaged_descriptor_is_reported_and_dropped(path):
     ):
         Database.open(path).load()
     database = Database.open(path)
-    damage = database.verify()
+    damage = database.damage()
     assert [(entry.file, entry.rows) for entry in damage] == [(f"data/{data_file(path).name}", 1)]
     assert damage == database.drop_damaged()
-    assert database.verify() == Database.open(path).verify() == []
+    assert database.damage() == Database.open(path).damage() == []
     del expected["day/9"]
     assert loaded(path) == expected
     fill(database, ["day/9"])
@@ -571,7 +571,7 @@ def test_a_missing_or_truncated_file_is_reported_and_its_rows_are_dropped(path, 
     with pytest.raises(ValueError, match="is damaged") as refusal:
         Database.open(path).load()
     one_line(refusal)
-    [damage] = Database.open(path).verify()
+    [damage] = Database.open(path).damage()
     assert (damage.file, damage.rows) == (f"data/{lost.name}", 4)
     Database.open(path).drop_damaged()
     assert list(loaded(path)) == ["other/1"]
@@ -595,7 +595,7 @@ def test_a_manifest_that_a_power_cut_left_half_written_is_named(path):
     assert loaded(path) == before
     fill(Database.open(path), ["lost/1"])
     assert len(loaded(path)) == len(before) + 1
-    assert Database.open(path).verify() == []
+    assert Database.open(path).damage() == []
 
 
 def test_a_custom_label_space_is_stored_whole(tmp_path):

@@ -18,7 +18,7 @@ def test_a_database_lives_in_a_bucket(bucket):
         database.append(["a/1"], numbers[:1])
     opened = Database.open(uri)
     assert Database.exists(uri)
-    assert opened.verify() == []
+    assert opened.damage() == []
     assert opened.load().frames == ("a/1", "a/3")
     assert torch.equal(opened.load().descriptors[1], numbers[2])
     assert [entry.frames for entry in opened.history()] == [0, 3, 3, 2]

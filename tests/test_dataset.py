@@ -8,7 +8,14 @@ import pytest
 from helpers import write_street
 from trees import outline, plant
 
-from ssrvlad_torch.datasets.dataset import Dataset, Frame, Traverse, files_in, folders_in, shortened
+from ssrvlad_torch.datasets.dataset import (
+    Dataset,
+    DatasetFrame,
+    Traverse,
+    files_in,
+    folders_in,
+    shortened,
+)
 from ssrvlad_torch.datasets.poses import UNKNOWN, Pose
 
 HERE = Pose(1, 2, 0.5)
@@ -19,7 +26,7 @@ def made(*traverses, root=Path("root"), **fields):
 
 
 def drive(name, *frames, role=None, **fields):
-    return Traverse(name, tuple(Frame(name, frame, **fields) for frame in frames), role)
+    return Traverse(name, tuple(DatasetFrame(name, frame, **fields) for frame in frames), role)
 
 
 def photos(root, *names):
@@ -41,9 +48,9 @@ def test_a_traverse_joins_images_label_maps_and_poses_by_name():
     traverse = Traverse.of("monday", images, labels, {"9": HERE, "12": HERE}, "query")
     assert traverse.role == "query"
     assert traverse.frames == (
-        Frame("monday", "9", Path("9.jpg"), Path("9.png"), HERE),
-        Frame("monday", "10", Path("10.jpg")),
-        Frame("monday", "11", None, Path("11.png")),
+        DatasetFrame("monday", "9", Path("9.jpg"), Path("9.png"), HERE),
+        DatasetFrame("monday", "10", Path("10.jpg")),
+        DatasetFrame("monday", "11", None, Path("11.png")),
     )
     assert traverse.frames[0].frame == "monday/9"
 
@@ -90,7 +97,11 @@ def test_a_choice_of_nothing_is_refused():
 
 def test_frames_without_pose_are_dropped_when_asked():
     half = Pose(1, math.nan, 0)
-    frames = (Frame("a", "1", pose=HERE), Frame("a", "2"), Frame("a", "3", pose=half))
+    frames = (
+        DatasetFrame("a", "1", pose=HERE),
+        DatasetFrame("a", "2"),
+        DatasetFrame("a", "3", pose=half),
+    )
     assert outline(made(Traverse("a", frames), drive("b", "1")).posed()) == {"a": ["1"], "b": []}
     with pytest.raises(ValueError, match=r"no frame of root \(made\) has a pose"):
         made(drive("a", "1")).posed()
@@ -101,9 +112,9 @@ def test_frames_without_pose_are_dropped_when_asked():
 
 def test_files_carry_id_and_pose():
     frames = (
-        Frame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
-        Frame("a", "2", None, Path("2.png")),
-        Frame("a", "3", Path("3.jpg"), None),
+        DatasetFrame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
+        DatasetFrame("a", "2", None, Path("2.png")),
+        DatasetFrame("a", "3", Path("3.jpg"), None),
     )
     dataset = made(Traverse("a", frames))
     labels, images = dataset.label_files(), dataset.image_files()
@@ -139,9 +150,9 @@ def test_what_is_not_there_at_all_is_refused():
 
 def test_gaps_are_counted_and_the_first_is_named():
     frames = (
-        Frame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
-        Frame("a", "2", Path("2.jpg"), None, HERE),
-        Frame("a", "3", Path("3.jpg")),
+        DatasetFrame("a", "1", Path("1.jpg"), Path("1.png"), HERE),
+        DatasetFrame("a", "2", Path("2.jpg"), None, HERE),
+        DatasetFrame("a", "3", Path("3.jpg")),
     )
     assert made(Traverse("a", frames), notes=("no vehicle",)).warnings == [
         "no vehicle",

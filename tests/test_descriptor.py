@@ -371,3 +371,9 @@ def test_a_custom_label_space_survives_json():
 def test_a_tensor_without_values_is_an_error(labels):
     with pytest.raises(ValueError, match="expected a dense tensor in memory"):
         SSRVLAD.from_preset("default", labels_as="camvid-11")(labels)
+
+
+def test_input_on_another_device_is_refused():
+    head = SSRVLAD.from_preset("default").to("meta")
+    with pytest.raises(ValueError, match="expected labels on meta, as the head is, got cpu"):
+        head(torch.zeros(1, 4, 4, dtype=torch.uint8))

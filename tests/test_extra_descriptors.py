@@ -1,4 +1,4 @@
-"""Descriptors of pictures beside those of label maps: stored, verified, exported, fused."""
+"""Descriptors of pictures besides those of label maps: stored, verified, exported, fused."""
 
 import json
 
@@ -31,7 +31,7 @@ OWN = ExtraDescriptor("own", 7, "seven numbers")
 
 @pytest.fixture
 def made(tmp_path):
-    database = Database.create(tmp_path / "town", CONFIG, beside=[OWN])
+    database = Database.create(tmp_path / "town", CONFIG, extra=[OWN])
     database.append(FRAMES, descriptors(0, 3), {"own": descriptors(1, 3, 7)})
     return database
 
@@ -41,13 +41,13 @@ def test_extra_descriptors_are_loaded_bit_for_bit_and_in_order(made):
     frames = opened.load()
     assert frames.frames == ("day/2", "day/10", "night/1")
     assert torch.equal(frames.descriptors, descriptors(0, 3)[[1, 0, 2]])
-    assert torch.equal(frames.beside["own"], descriptors(1, 3, 7)[[1, 0, 2]])
-    assert opened.beside == (OWN,)
-    assert opened.info()["beside"] == {"own": "seven numbers"}
+    assert torch.equal(frames.extra["own"], descriptors(1, 3, 7)[[1, 0, 2]])
+    assert opened.extra == (OWN,)
+    assert opened.info()["extra"] == {"own": "seven numbers"}
     assert "descriptors of 480 and own" in repr(opened)
     assert "descriptors of 480 and own" in repr(frames)
     opened.merge(["day/2"], descriptors(2, 1), {"own": descriptors(3, 1, 7)})
-    assert torch.equal(opened.load().beside["own"][0], descriptors(3, 1, 7)[0])
+    assert torch.equal(opened.load().extra["own"][0], descriptors(3, 1, 7)[0])
 
 
 def test_every_frame_has_all_descriptors(made):
@@ -66,12 +66,12 @@ def test_signs_are_bytes_on_a_grid(tmp_path):
     grid = ExtraDescriptor("features", 48, "signs of a network", (4, 6, 2))
     signs = torch.randint(0, 256, (300, 4, 6, 2), dtype=torch.uint8)
     names = [f"day/{row}" for row in reversed(range(300))]
-    database = Database.create(tmp_path / "town", CONFIG, beside=[grid])
+    database = Database.create(tmp_path / "town", CONFIG, extra=[grid])
     database.append(names, descriptors(0, 300), {"features": signs})
     opened = Database.open(tmp_path / "town")
-    assert opened.beside == (grid,)
-    assert torch.equal(opened.load().beside["features"], signs.flip(0))
-    assert opened.verify() == []
+    assert opened.extra == (grid,)
+    assert torch.equal(opened.load().extra["features"], signs.flip(0))
+    assert opened.damage() == []
     assert opened.table().to_table()["features"].type.value_type == pa.uint8()
     assert not intact(_changed(opened.table().to_table(), "features")).all()
     for wrong, message in (
@@ -98,9 +98,9 @@ def _changed(table, name):
 
 @pytest.mark.parametrize("names", [["frame"], ["descriptor"], ["own", "own"]])
 def test_names_of_columns_are_unique(tmp_path, names):
-    beside = [OWN._replace(name=name) for name in names]
-    with pytest.raises(ValueError, match="expected unique names beside that no column has"):
-        Database.create(tmp_path / "town", CONFIG, beside=beside)
+    extra = [OWN._replace(name=name) for name in names]
+    with pytest.raises(ValueError, match="expected unique names of extra descriptors"):
+        Database.create(tmp_path / "town", CONFIG, extra=extra)
 
 
 def test_the_checksum_covers_extra_descriptors(made):
@@ -112,16 +112,16 @@ def test_the_checksum_covers_extra_descriptors(made):
 def test_exports_hold_extra_descriptors(made, tmp_path):
     files = export_database(made, "npy", tmp_path / "out.npy")
     assert tmp_path / "out.npy.own.npy" in files
-    np.testing.assert_array_equal(np.load(tmp_path / "out.npy.own.npy"), made.load().beside["own"])
-    assert json.loads((tmp_path / "out.npy.json").read_text())["beside"] == {"own": "seven numbers"}
+    np.testing.assert_array_equal(np.load(tmp_path / "out.npy.own.npy"), made.load().extra["own"])
+    assert json.loads((tmp_path / "out.npy.json").read_text())["extra"] == {"own": "seven numbers"}
     h5py = pytest.importorskip("h5py", reason="needs the extra hloc")
     export_database(made, "hloc", tmp_path / "out.h5")
     with h5py.File(tmp_path / "out.h5", "r") as stored:
-        np.testing.assert_array_equal(stored["day/2"]["own"], made.load().beside["own"][0])
+        np.testing.assert_array_equal(stored["day/2"]["own"], made.load().extra["own"][0])
 
 
 def test_an_index_holds_the_descriptors_of_the_method(tmp_path):
-    database = Database.create(tmp_path / "town", CONFIG, beside=[OWN])
+    database = Database.create(tmp_path / "town", CONFIG, extra=[OWN])
     names = [f"day/{row}" for row in range(300)]
     database.append(names, descriptors(0, 300), {"own": descriptors(1, 300, 7)})
     build_index(database)
@@ -139,7 +139,7 @@ def test_two_methods_with_independent_errors_are_better_fused():
         for here, there in zip(seen, maps, strict=True)
     ]
     both = recognise(
-        seen[0], maps[0], ["a"] * 40, ["b"] * 40, single, beside={"own": (seen[1], maps[1])}
+        seen[0], maps[0], ["a"] * 40, ["b"] * 40, single, extra={"own": (seen[1], maps[1])}
     )
     right = [
         int((found.matches.indices[:, 0] == torch.arange(40)).sum()) for found in (*alone, both)
@@ -150,7 +150,7 @@ def test_two_methods_with_independent_errors_are_better_fused():
     assert weights.keys() == {"ssr-vlad", "own"}
     assert sum(weights.values()) == pytest.approx(1)
     with pytest.raises(ValueError, match="expected a sequence for each of 39 queries, got 40"):
-        recognise(seen[0], maps[0], ["a"] * 40, ["b"] * 40, beside={"own": (seen[1][1:], maps[1])})
+        recognise(seen[0], maps[0], ["a"] * 40, ["b"] * 40, extra={"own": (seen[1][1:], maps[1])})
 
 
 # ---- with pictures
@@ -168,23 +168,23 @@ def photos(tmp_path, monkeypatch):
 
 @pytest.fixture
 def town(photos, ssrvlad):
-    given = ("--segmenter", photos / "net.yaml", "--with", "hog", "--workers", 1)
+    given = ("--segmenter", photos / "net.yaml", "--extra", "hog", "--workers", 1)
     assert ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)[0] == 0
     return photos / "town"
 
 
 def test_encode_stores_the_descriptor_of_each_picture(town, photos, ssrvlad):
     database = Database.open(town)
-    assert database.beside == (HOG_STORED,)
+    assert database.extra == (HOG_STORED,)
     frames = database.load()
     images = [np.asarray(Image.open(photos / f"{frame}.png")) for frame in frames.frames]
     expected = HOG().encode_query([Frame("", image=image) for image in images])
-    assert torch.equal(frames.beside["hog"], expected)
+    assert torch.equal(frames.extra["hog"], expected)
     again = ("encode", photos / "monday", photos / "today", "-o", town)
     code, out, _ = ssrvlad(*again, "--segmenter", photos / "net.yaml", "--workers", 2)
     assert code == 0
     assert "31 frames encoded (0 of them empty), 31 already there" in out
-    assert torch.equal(Database.open(town).load().beside["hog"][:31], expected)
+    assert torch.equal(Database.open(town).load().extra["hog"][:31], expected)
     (photos / "monday" / "31.png").write_bytes(b"no picture")
     assert ssrvlad(*again, "--segmenter", photos / "net.yaml")[0] == 3
 
@@ -199,9 +199,9 @@ def test_queries_are_fused_by_default(town, photos, ssrvlad):
     ]
     weights = lines[0]["steps"]["weights"]["today"]
     assert weights.keys() == {"ssr-vlad", "hog"}
-    _, _, err = ssrvlad("query", town, photos / "today", *given, "--fuse")
+    _, _, err = ssrvlad("query", town, photos / "today", *given, "--extra")
     assert f"fused: ssr-vlad {weights['ssr-vlad']:.2f} + hog {weights['hog']:.2f}" in err[-1]
-    for option in ("--no-fuse", "--as-paper"):
+    for option in ("--no-extra", "--as-paper"):
         _, out, _ = ssrvlad("query", town, photos / "today", *given, option, "--json")
         assert json.loads(out.splitlines()[0])["steps"]["weights"]["today"] == {}
     _, out, _ = ssrvlad(
@@ -218,25 +218,25 @@ def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
     assert code == 0
     assert out.startswith("today/7: monday/7, fused score ")
     assert "fused: ssr-vlad 0.33 + hog 0.67" in err[-1]
-    by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", beside=["hog"])
+    by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", extra=["hog"])
     assert by_name.add(photos / "monday").encoded == 31
     place = by_name.locate(photos / "today" / "7.png")
     assert place.frame == "monday/7"
     found = json.loads(ssrvlad("locate", photos / "today" / "7.png", "--in", town, "--json")[1])
     assert (place.score, place.confidence) == pytest.approx((found["score"], found["confidence"]))
-    alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside=["none"])
-    assert alone.database.beside == ()
+    alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone", extra=["none"])
+    assert alone.database.extra == ()
     with pytest.raises(ValueError, match="has no descriptors by hog"):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "alone", beside=["hog"])
+        Localiser.from_pretrained(photos / "net.yaml", photos / "alone", extra=["hog"])
     with pytest.raises(
         ValueError, match="expected a method of pictures, features, hog, none, got 'sift'"
     ):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "other", beside=["sift"])
+        Localiser.from_pretrained(photos / "net.yaml", photos / "other", extra=["sift"])
 
 
 def test_descriptors_of_another_version_are_refused(photos):
     changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
-    database = Database.create(photos / "town", CONFIG, beside=[changed])
+    database = Database.create(photos / "town", CONFIG, extra=[changed])
     with pytest.raises(ValueError, match=r"hog gives other descriptors here \(6 x 10 cells, 8"):
         Localiser.from_pretrained(photos / "net.yaml", database.path)
 
@@ -250,29 +250,29 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
-    message = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
-    assert "--with hog needs images as SOURCE and --segmenter" in message
+    message = refused("encode", maps, "-o", plain, *labels, "--extra", "hog")
+    assert "--extra hog needs images as SOURCE and --segmenter" in message
     assert not plain.exists()
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
-    alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
+    alone = ("encode", photos / "today", "-o", plain, *network, "--extra", "none")
     assert ssrvlad(*alone)[0] == 0
-    message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
+    message = refused("encode", photos / "today", "-o", plain, *network, "--extra", "hog")
     assert "has no descriptors by hog" in message
-    message = refused("query", plain, photos / "today", *network, "--fuse")
-    assert "holds no descriptors of pictures; encode a new database with --with features" in message
+    message = refused("query", plain, photos / "today", *network, "--extra")
+    assert "holds no extra descriptors; encode a new database with --extra features" in message
     for source in (maps, plain):
         message = refused("query", town, source)
-        assert "expected images and --segmenter, or --no-fuse" in message
-        assert ssrvlad("query", town, source, "--no-fuse")[0] == 0
-    assert "--as-paper" in refused("query", town, maps, "--fuse", "--as-paper")
-    assert "or --fuse" in refused("query", town, maps, "--fuse", "--index")
+        assert "expected images and --segmenter, or --no-extra" in message
+        assert ssrvlad("query", town, source, "--no-extra")[0] == 0
+    assert "--as-paper" in refused("query", town, maps, "--extra", "--as-paper")
+    assert "or --extra" in refused("query", town, maps, "--extra", "--index")
 
 
 def test_an_index_says_that_it_leaves_out_what_was_stored_beside(ssrvlad, maps, tmp_path):
     path, generator = tmp_path / "town", torch.Generator().manual_seed(0)
-    database = Database.create(path, CONFIG, beside=[HOG_STORED])
-    vectors, beside = (torch.randn(300, n, generator=generator) for n in (480, HOG_STORED.width))
-    database.append([f"a/{number}" for number in range(300)], vectors, {"hog": beside})
+    database = Database.create(path, CONFIG, extra=[HOG_STORED])
+    vectors, extra = (torch.randn(300, n, generator=generator) for n in (480, HOG_STORED.width))
+    database.append([f"a/{number}" for number in range(300)], vectors, {"hog": extra})
     build_index(database)
     code, _, (err, *_) = ssrvlad("query", path, maps, "--labels-as", SPACE, "--index")
     assert code == 0
@@ -292,11 +292,11 @@ def laps(seed: int, noise: float, length: int = 60) -> torch.Tensor:
 
 def run(detector: LoopDetector, *methods: torch.Tensor) -> int:
     """The number of right loops in the second lap; asserts that there are no wrong ones."""
-    names = [one.name for one in detector.beside]
+    names = [one.name for one in detector.extra]
     right = 0
     for row, (own, *others) in enumerate(zip(*methods, strict=True)):
-        beside = dict(zip(names, others, strict=True))
-        found = detector.observe(FrameRecord("drive", str(row)), own, beside)
+        extra = dict(zip(names, others, strict=True))
+        found = detector.observe(FrameRecord("drive", str(row)), own, extra)
         if found.accepted:
             assert abs(int(found.candidate.partition("/")[2]) - (row - 60)) <= 2
             right += 1
@@ -307,21 +307,21 @@ def test_a_detector_closes_more_loops_with_both():
     noisy = laps(0, 2.5), laps(1, 2.5)
     alone = [run(LoopDetector(LoopConfig(exclude=20)), one) for one in noisy]
     seen = OWN._replace(name="hog", width=480, fingerprint=HOG_STORED.fingerprint)
-    detector = LoopDetector(LoopConfig(exclude=20), beside=[seen])
+    detector = LoopDetector(LoopConfig(exclude=20), extra=[seen])
     assert run(detector, *noisy) > max(alone) + 5
     assert detector.weights.keys() == {"ssr-vlad", "hog"}
     assert LoopDetector().weights == {}
 
 
 def test_a_detector_stores_extra_descriptors(tmp_path):
-    detector = LoopDetector(LoopConfig(exclude=2), beside=[HOG_STORED])
-    database = Database.create(tmp_path / "memory", detector.head.config, beside=detector.beside)
+    detector = LoopDetector(LoopConfig(exclude=2), extra=[HOG_STORED])
+    database = Database.create(tmp_path / "memory", detector.head.config, extra=detector.extra)
     pictures = [photo(street(seed, 60, 80)) for seed in range(6)]
     for row, picture in enumerate(pictures):
         detector.update(torch.full((60, 80), row), f"drive/{row}", picture=picture)
     detector.save(database)
     expected = HOG().encode_query([Frame("", image=picture) for picture in pictures])
-    assert torch.equal(database.load().beside["hog"], expected)
+    assert torch.equal(database.load().extra["hog"], expected)
     again = LoopDetector.load(database, detector.config)
     both = [
         each.update(torch.full((60, 80), 2), "later/0", picture=pictures[2])
@@ -330,9 +330,9 @@ def test_a_detector_stores_extra_descriptors(tmp_path):
     assert both[0] == both[1]
     with pytest.raises(ValueError, match="needs images, but frame later/1 has none"):
         again.update(torch.full((60, 80), 2), "later/1")
-    with pytest.raises(ValueError, match="expected hog beside, got nothing"):
+    with pytest.raises(ValueError, match="expected extra hog, got nothing"):
         again.observe(FrameRecord("later", "1"), torch.zeros(480))
-    with pytest.raises(ValueError, match="no method beside"):
+    with pytest.raises(ValueError, match="no extra method"):
         LoopDetector().update(torch.zeros(60, 80).int(), "a/1", picture=pictures[0])
     with pytest.raises(ValueError, match="has no descriptors by hog"):
         detector.save(Database.create(tmp_path / "other", detector.head.config))
@@ -341,14 +341,14 @@ def test_a_detector_stores_extra_descriptors(tmp_path):
 def test_loops_take_pictures(photos, ssrvlad):
     given = ("--segmenter", photos / "net.yaml", "--exclude", 5, "--memory", photos / "memory")
     code, out, _ = ssrvlad(
-        "loops", photos / "monday", *given, "--labels-as", SPACE, "--with", "hog"
+        "loops", photos / "monday", *given, "--labels-as", SPACE, "--extra", "hog"
     )
     assert code == 0
     assert "followed online, fused: ssr-vlad 0." in out
-    assert Database.open(photos / "memory").beside == (HOG_STORED,)
+    assert Database.open(photos / "memory").extra == (HOG_STORED,)
     code, out, _ = ssrvlad("loops", photos / "today", *given, "--labels-as", SPACE)
     assert code == 0
     assert "31 frames" in out
-    code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--with", "hog")
+    code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--extra", "hog")
     assert code == 2
-    assert "--with hog needs images as SOURCE and --segmenter" in line
+    assert "--extra hog needs images as SOURCE and --segmenter" in line

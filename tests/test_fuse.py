@@ -239,13 +239,13 @@ def test_a_real_network_gives_what_encoding_its_pictures_gives(name, tmp_path):
     folders = [REAL / "camvid" / "0001TP" / "images", REAL / "uofa" / "evening" / "images"]
     files = [find_image_files([str(folder)])[7] for folder in folders]
     extra = [segmenter.features.descriptor]
-    encoded, _ = encode_to_memory(SSRVLAD(config), files, segmenter=segmenter, beside=extra)
+    encoded, _ = encode_to_memory(SSRVLAD(config), files, segmenter=segmenter, extra=extra)
     assert fused.features == extra[0].fingerprint
     for row, file in enumerate(files):
         found = run_of(tmp_path / "place.onnx")({"image": read_image(file)[None]})
         expected = encoded.descriptors[row].numpy()
         np.testing.assert_allclose(found["descriptor"][0], expected, rtol=0, atol=1e-6)
-        assert other_signs(found["features"][0], encoded.beside["features"][row].numpy()) < 1e-3
+        assert other_signs(found["features"][0], encoded.extra["features"][row].numpy()) < 1e-3
 
 
 def random_pictures(height: int, width: int) -> Images:

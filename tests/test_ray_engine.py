@@ -47,15 +47,15 @@ def database(tmp_path):
     return Database.create(tmp_path / "db", HEAD.config)
 
 
-def assert_same_as_local(path, files, segmenter=None, beside=()):
+def assert_same_as_local(path, files, segmenter=None, extra=()):
     """Asserts that a database holds the rows that the local engine makes of the same files."""
-    local = Database.create(path.with_name("local"), HEAD.config, beside=beside)
+    local = Database.create(path.with_name("local"), HEAD.config, extra=extra)
     encode_to_database(HEAD, files, local, EncodeOptions(workers=0), segmenter)
     expected, found = local.load(), Database.open(path).load()
     assert found.frames == expected.frames
     assert torch.equal(found.descriptors, expected.descriptors)
-    assert found.beside.keys() == expected.beside.keys()
-    assert all(torch.equal(found.beside[name], expected.beside[name]) for name in found.beside)
+    assert found.extra.keys() == expected.extra.keys()
+    assert all(torch.equal(found.extra[name], expected.extra[name]) for name in found.extra)
     rows = [repr(sorted(database.known().values())) for database in (Database.open(path), local)]
     assert rows[0] == rows[1]
 
@@ -157,9 +157,9 @@ def segmenter(tmp_path):
 @pytest.fixture
 def pictures(tmp_path, segmenter):
     """A database with features and HOG beside the descriptors."""
-    beside = extra_descriptors(None, segmenter)
-    assert [extra.name for extra in beside] == ["features", "hog"]
-    return Database.create(tmp_path / "db", HEAD.config, beside=beside)
+    extra = extra_descriptors(None, segmenter)
+    assert [each.name for each in extra] == ["features", "hog"]
+    return Database.create(tmp_path / "db", HEAD.config, extra=extra)
 
 
 def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
@@ -167,7 +167,7 @@ def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
     photos[7].path.write_text("no image")
     summary = encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
     assert (summary.encoded, [frame.frame for frame in summary.skipped]) == (19, ["photos/7"])
-    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.beside)
+    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.extra)
     write_photos(tmp_path / "photos", [7], size=(96, 128))
     write_photos(tmp_path / "photos", [3], size=(96, 160))
     summary = encode_with_ray(HEAD, photos, Database.open(tmp_path / "db"), TWO, segmenter)
@@ -190,7 +190,7 @@ def test_a_killed_actor_with_a_network_loses_nothing(
     monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
     assert encode_with_ray(HEAD, photos, pictures, TWO, segmenter).encoded == 20
     assert flag.exists()
-    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.beside)
+    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.extra)
 
 
 def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):

@@ -125,12 +125,12 @@ def exchange(vectors: torch.Tensor) -> torch.Tensor:
     return vectors * torch.tensor([1.0, -1]).repeat(vectors.shape[-1] // 2)
 
 
-@pytest.mark.parametrize("beside", [False, True])
+@pytest.mark.parametrize("extra", [False, True])
 @pytest.mark.parametrize("steps", [Steps(follow=None), AS_PAPER])
-def test_decoys_tell_right_answers_from_wrong_ones(steps, beside):
+def test_decoys_tell_right_answers_from_wrong_ones(steps, extra):
     queries, references = two_traverses(120, 1.3 if steps.standardise else 0.8)
     foreign = two_traverses(240, 1.3)[0][120:]
-    pairs = {"own": (queries, references)} if beside else None
+    pairs = {"own": (queries, references)} if extra else None
     mirrors = {SSR_VLAD: exchange, "own": exchange}
     names = ["q"] * 120, ["r"] * 120
     found = recognise(queries, references, *names, steps, 1, None, pairs, mirrors)
@@ -140,7 +140,7 @@ def test_decoys_tell_right_answers_from_wrong_ones(steps, beside):
     kept = accept(found.sure, 0.1)
     assert kept.accepted > 30
     assert wrong[sure >= kept.confidence].float().mean() <= kept.high
-    pairs = {"own": (foreign, references)} if beside else None
+    pairs = {"own": (foreign, references)} if extra else None
     lost = recognise(foreign, references, *names, steps, 1, None, pairs, mirrors)
     assert accept(lost.sure, 0.1).accepted == 0
     assert 40 <= (lost.sure.decoy > 0).sum() <= 80

@@ -94,8 +94,8 @@ def test_pictures_from_a_bucket(bucket, ssrvlad, tmp_path, monkeypatch, engine):
     expected, stored = Database.open(here).load(), Database.open(there).load()
     assert stored.frames == expected.frames
     assert torch.equal(stored.descriptors, expected.descriptors)
-    assert list(stored.beside) == ["features", "hog"]
-    assert all(torch.equal(stored.beside[name], expected.beside[name]) for name in stored.beside)
+    assert list(stored.extra) == ["features", "hog"]
+    assert all(torch.equal(stored.extra[name], expected.extra[name]) for name in stored.extra)
 
 
 def test_from_a_bucket_into_a_bucket(bucket, ssrvlad, tmp_path, engine):

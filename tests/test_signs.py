@@ -140,7 +140,7 @@ def test_recognise_takes_signs(follow, monkeypatch):
     seen = frames[10:50] ^ noise
     numbers_only = torch.nn.functional.normalize(torch.rand(60, 16), dim=1)
     names, steps = (["q"] * 40, ["r"] * 60), Steps(follow=follow)
-    beside = {"features": (seen, frames)}
-    found = recognise(numbers_only[10:50], numbers_only, *names, steps, beside=beside)
+    extra = {"features": (seen, frames)}
+    found = recognise(numbers_only[10:50], numbers_only, *names, steps, extra=extra)
     assert found.matches.indices[:, 0].tolist() == list(range(10, 50))
     assert set(found.used["weights"]["q"]) == {"ssr-vlad", "features"}

@@ -306,7 +306,7 @@ def decide(
             members = FUSED.get(method, {})
             own = described.pair(search, OURS if members else method)
             beside = {name: described.pair(search, member) for name, member in members.items()}
-            one = recognise(*own, *names, steps, 5, beside=beside)
+            one = recognise(*own, *names, steps, 5, extra=beside)
         else:
             queries, references = described.pair(search, method)
             one = recognise(queries, temporal_sum(references, names[1], reach), *names, steps, 5)

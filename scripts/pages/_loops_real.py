@@ -172,7 +172,7 @@ def nothing(name: str, pairs: Sequence[Pair], beside: tuple[str, ...]) -> str:
 def detect(pair: Pair, beside: tuple[str, ...]) -> Outcome:
     """Runs a detector over the first drive and then over the second."""
     extra = [ExtraDescriptor(name, 2048, "page", (16, 16, 8)) for name in beside]
-    loops = LoopDetector(beside=extra)
+    loops = LoopDetector(extra=extra)
     right, wrong, elsewhere = np.zeros(len(pair.second), bool), 0, 0
     drives = (("first", pair.first, pair.beside_first), ("second", pair.second, pair.beside_second))
     for drive, vectors, others in drives:

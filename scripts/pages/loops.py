@@ -34,11 +34,11 @@ from ssrvlad_torch.evaluation.loops import (
     score_loops,
     surest_point,
 )
+from ssrvlad_torch.figures import write_picture
 from ssrvlad_torch.files import replacing
 from ssrvlad_torch.loops.picture import draw_loops
 from ssrvlad_torch.loops.result import LoopResult, Reason
 from ssrvlad_torch.loops.stream import candidates_of, loops_of
-from ssrvlad_torch.picture import write_picture
 
 LEARNED_ON = range(100, 104)
 MEASURED_ON = range(6)

@@ -18,7 +18,7 @@ from ..datasets.image_files import read_image
 from ..datasets.label_files import read_label_map
 from ..evaluation.measure import TOP, Recognition, measure, needs_similarity
 from ..evaluation.metrics import Convention
-from ..evaluation.true_matches import Places, TrueMatches
+from ..evaluation.true_matches import TrueMatches, Viewpoints
 from ..recognition.follow import runs
 from ..recognition.fusion import FusedScores
 from ..recognition.matching import Matches
@@ -96,7 +96,7 @@ def _measured(
     """The rows of each method: of single frames, and with the steps."""
     true, convention, steps, workers, to_fuse, progress = protocol
     parts, whole, rows = (drives.references, drives.queries), drives.whole, dict[str, list[Row]]()
-    references, queries = (Places.of(part.frames, whole) for part in parts)
+    references, queries = (Viewpoints.of(part.frames, whole) for part in parts)
     truth = true.among(references, queries, note)
     all_steps = None if needs_similarity(convention) or steps == AS_PAPER else steps
     no_following = replace(steps, follow=None, delay=0)
@@ -164,8 +164,8 @@ def run_method(
     )
     matches = Matches(retrieval.scores, retrieval.indices)
     single = Recognition(
-        references=Places.of(references),
-        queries=Places.of(queries),
+        references=Viewpoints.of(references),
+        queries=Viewpoints.of(queries),
         matches=matches,
         similarity=_similarity(matches, len(references)) if all_pairs else None,
         details={

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from .gray import grays, resize
 from .protocol import Frame, image_shape
-from .vectors import Grid
+from .vectors import GridMethod
 
 CELL = 16
 """Side of a cell in pixels, after the picture has become ``CELL`` times the grid."""
@@ -18,7 +18,7 @@ CELL = 16
 ORIENTATIONS = 8
 
 
-class HOG(Grid):
+class HOG(GridMethod):
     """A trivial method: one histogram of gradient directions for each cell of a grid.
 
     The gray picture is resized to 16 pixels a cell. Gradients are central differences, zero at the

@@ -12,10 +12,10 @@ from torch import Tensor
 from ..stages.layers import UNKNOWN, categorise, category_table, refuse_unknown
 from ..taxonomy import CATEGORIES, label_space
 from .protocol import Frame, label_kind, labels_of
-from .vectors import Grid
+from .vectors import GridMethod
 
 
-class LabelGrid(Grid):
+class LabelGrid(GridMethod):
     """Square roots of the categories' fractions in the cells of a grid, normalised.
 
     If the grid does not divide the image, neighbouring cells share pixels. Pixels of no category

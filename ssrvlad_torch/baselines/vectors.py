@@ -41,7 +41,7 @@ class VectorMethod:
         raise NotImplementedError
 
 
-class Grid(VectorMethod):
+class GridMethod(VectorMethod):
     """A method with eight numbers in each cell of a grid over the frame.
 
     Args:

@@ -58,12 +58,12 @@ MaybePreset = Annotated[
         "for a new one.",
     ),
 ]
-With = Annotated[
+Extra = Annotated[
     list[str] | None,
     typer.Option(
-        "--with",
+        "--extra",
         metavar="features|hog|none",
-        help="Also describe each image by this method; recognition then uses all. features: by "
+        help="Extra descriptor of each image; recognition then uses all. features: by "
         "what the encoder of the network sees, in the pass that labels the image. Can be repeated; "
         "needs --segmenter. Default: both, or hog if the network has no features. A database has "
         "these descriptors from its first frame on, or never.",
@@ -269,8 +269,8 @@ class RecognitionOptions(StepOptions):
         "--as-paper",
         default=False,
     )
-    fuse: bool | None = option(
-        "Also use the descriptors of pictures that ssrvlad encode --with has written. Default: use "
+    extra: bool | None = option(
+        "Also use the extra descriptors of pictures, see ssrvlad encode --extra. Default: use "
         "them if the database has them."
     )
     min_confidence: float = option(
@@ -298,7 +298,7 @@ class RecognitionOptions(StepOptions):
         """
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
-        paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "fuse": False}
+        paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "extra": False}
         contradicting = [
             name for name, value in paper.items() if name in typed and getattr(self, name) != value
         ]
@@ -308,13 +308,13 @@ class RecognitionOptions(StepOptions):
             names = " and ".join(f"--{name}" for name in contradicting)
             raise ValueError(
                 f"--as-paper means --no-standardise --no-sweep --follow no --temporal "
-                f"{PAPER_REACH} --no-fuse; it contradicts {names}"
+                f"{PAPER_REACH} --no-extra; it contradicts {names}"
             )
 
     @property
-    def fused(self) -> bool | None:
-        """Whether to use the descriptors of pictures; ``None`` if there are any."""
-        return False if self.as_paper else self.fuse
+    def with_extra(self) -> bool | None:
+        """Whether to use extra descriptors; ``None`` if there are any."""
+        return False if self.as_paper else self.extra
 
     @property
     def reach(self) -> Reach:

@@ -16,7 +16,7 @@ from ..evaluation.measure import Recognition
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
-from ..evaluation.true_matches import Places, TrueMatches
+from ..evaluation.true_matches import TrueMatches, Viewpoints
 from ..recognition.sweep import score
 from .words import proof, score_name, steps_in_words, without_truth
 
@@ -80,7 +80,7 @@ def title_and_settings(
     }
 
 
-def _selected(places: Places, rows: Sequence[int]) -> Places:
+def _selected(places: Viewpoints, rows: Sequence[int]) -> Viewpoints:
     frames = tuple(places.frames[row] for row in rows)
     return replace(places, frames=frames, poses=places.poses[rows])
 

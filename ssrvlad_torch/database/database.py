@@ -96,7 +96,7 @@ class Database(StoredFrames):
         path: str | Path,
         config: SSRVLADConfig | None = None,
         width: int | None = None,
-        beside: Sequence[ExtraDescriptor] = (),
+        extra: Sequence[ExtraDescriptor] = (),
     ) -> Database:
         """Creates an empty database.
 
@@ -104,7 +104,7 @@ class Database(StoredFrames):
             path: a new or an empty folder, or a URI.
             config: the settings of all descriptors; a custom label space is stored with them.
             width: instead of ``config``, the length of descriptors that another method makes.
-            beside: extra descriptors that every frame has.
+            extra: extra descriptors that every frame has.
 
         Raises:
             ValueError: ``path`` is in use, not exactly one of config and width is given, or the
@@ -114,10 +114,11 @@ class Database(StoredFrames):
         text = str(path)
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
-        names = [extra.name for extra in beside]
+        names = [each.name for each in extra]
         if len({*names, DESCRIPTOR, *schema({}).names}) < len(names) + 1 + len(schema({})):
             raise ValueError(
-                f"expected unique names beside that no column has, got {', '.join(names)}"
+                "expected unique names of extra descriptors that no column has, got "
+                f"{', '.join(names)}"
             )
         if cls.exists(text):
             raise ValueError(f"{text} is a database already")
@@ -126,8 +127,8 @@ class Database(StoredFrames):
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
         shapes = {DESCRIPTOR: (config.length if config else width or 0,)}
-        columns = schema({**shapes, **{extra.name: extra.shape for extra in beside}})
-        table = engine.create(text, columns.with_metadata(Meta.to_dict(config, beside)))
+        columns = schema({**shapes, **{each.name: each.shape for each in extra}})
+        table = engine.create(text, columns.with_metadata(Meta.to_dict(config, extra)))
         return cls(text, table, read_only=False)
 
     @classmethod
@@ -168,7 +169,7 @@ class Database(StoredFrames):
 
     @classmethod
     def open_or_create(
-        cls, path: str | Path, config: SSRVLADConfig, beside: Sequence[ExtraDescriptor] = ()
+        cls, path: str | Path, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()
     ) -> Database:
         """Opens the database at ``path``, or creates it if it does not exist.
 
@@ -177,12 +178,12 @@ class Database(StoredFrames):
         """
         if not cls.exists(path):
             try:
-                return cls.create(path, config, beside=beside)
+                return cls.create(path, config, extra=extra)
             except (OSError, ValueError):
                 if not cls.exists(path):  # not created by another process meanwhile
                     raise
         database = cls.open(path)
-        database.require(config, beside)
+        database.require(config, extra)
         return database
 
     def add_origin(
@@ -210,7 +211,7 @@ class Database(StoredFrames):
         self,
         frames: Sequence[FrameRecord | str],
         descriptors: Vectors,
-        beside: Mapping[str, Vectors] | None = None,
+        extra: Mapping[str, Vectors] | None = None,
     ) -> None:
         """Adds new frames in one commit, flushed to disk when this returns.
 
@@ -218,20 +219,20 @@ class Database(StoredFrames):
             frames: N records, or only ids: ``<sequence>/<name>``, or a name without ``/``. Neither
                 part is empty or starts or ends with white space.
             descriptors: ``(N, D)`` float32, raw: neither summed over time nor centred.
-            beside: for each extra descriptor by name ``(N, D')`` float32, or uint8 signs ``(N,
+            extra: for each extra descriptor by name ``(N, D')`` float32, or uint8 signs ``(N,
                 *cells)``.
 
         Raises:
             ValueError: a shape is wrong; a row is not finite, or its length overflows or underflows
                 float32; or an id is invalid or is in the database.
         """
-        self.adopt([self.write_apart(frames, descriptors, beside)])
+        self.adopt([self.write_apart(frames, descriptors, extra)])
 
     def merge(
         self,
         frames: Sequence[FrameRecord | str],
         descriptors: Vectors,
-        beside: Mapping[str, Vectors] | None = None,
+        extra: Mapping[str, Vectors] | None = None,
         check: Check | None = None,
     ) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
@@ -240,7 +241,7 @@ class Database(StoredFrames):
         Arguments and errors as for `append`; ``check`` as for `adopt`.
         """
         records = self._with_arrivals(_records(frames))
-        self._change([self.write_apart(records, descriptors, beside)], "merge", check)
+        self._change([self.write_apart(records, descriptors, extra)], "merge", check)
 
     def _with_arrivals(self, records: Sequence[FrameRecord]) -> list[FrameRecord]:
         stored = self._columns(["frame", "arrival"]).filter(pc.field("arrival") >= 0)
@@ -258,7 +259,7 @@ class Database(StoredFrames):
         self,
         frames: Sequence[FrameRecord | str],
         descriptors: Vectors,
-        beside: Mapping[str, Vectors] | None = None,
+        extra: Mapping[str, Vectors] | None = None,
     ) -> StagedRows:
         """Writes rows to disk without a commit; `adopt` commits them, also in another process.
 
@@ -266,7 +267,7 @@ class Database(StoredFrames):
         """
         self._require_writable()
         records = _records(frames)
-        arrays = {DESCRIPTOR: descriptors, **(beside or {})}
+        arrays = {DESCRIPTOR: descriptors, **(extra or {})}
         if arrays.keys() != self._shapes.keys():
             names, got = ", ".join(self._shapes), ", ".join(arrays)
             raise ValueError(f"{self.path} holds {names} of every frame, got {got}")

@@ -45,7 +45,7 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
         OSError: the files cannot be written.
     """
     frames, info = database.load(), database.info()
-    about = {name: info[name] for name in ("fingerprint", "config", "beside", "label_spaces")}
+    about = {name: info[name] for name in ("fingerprint", "config", "extra", "label_spaces")}
     if form == "hloc":
         _write_hloc(frames, about, file)
         return [file]
@@ -60,9 +60,9 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     }
     if database.fingerprint:
         texts[".fingerprint.txt"] = f"{database.fingerprint}\n"
-    arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.beside.items()}
-    for extra in database.beside:
-        texts[f".{extra.name}.npy.fingerprint.txt"] = f"{extra.fingerprint}\n"
+    arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.extra.items()}
+    for each in database.extra:
+        texts[f".{each.name}.npy.fingerprint.txt"] = f"{each.fingerprint}\n"
     for path, values in {file: frames.descriptors, **arrays}.items():
         with _replacing(path) as temporary, temporary.open("wb") as stream:
             np.save(stream, values.numpy())
@@ -94,7 +94,7 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
         _reserve_space(temporary, frames)
         with h5py.File(temporary, "w", libver="latest") as target:
             target.attrs["ssrvlad"] = json.dumps(about)
-            arrays = {"global_descriptor": frames.descriptors, **frames.beside}
+            arrays = {"global_descriptor": frames.descriptors, **frames.extra}
             for row, frame in enumerate(frames.frames):
                 group = target.create_group(frame)
                 for name, values in arrays.items():
@@ -108,7 +108,7 @@ def _reserve_space(file: Path, frames: FrameSet) -> None:
         OSError: the disk has not enough space.
     """
     names = sum(len(frame.encode()) for frame in frames.frames)
-    arrays = [frames.descriptors, *frames.beside.values()]
+    arrays = [frames.descriptors, *frames.extra.values()]
     groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)
     expected = sum(values.nbytes for values in arrays) + groups + names
     if shutil.disk_usage(file.parent).free < expected:

@@ -83,13 +83,13 @@ def frame_set(table: pa.Table, descriptors: Mapping[str, npt.NDArray[Any]]) -> F
     """The frames of a table with `FRAME_SET_COLUMNS`, and their descriptors by column."""
     import torch
 
-    beside = {name: torch.from_numpy(values) for name, values in descriptors.items()}
+    extra = {name: torch.from_numpy(values) for name, values in descriptors.items()}
     return FrameSet(
         frames=tuple(table["frame"].to_pylist()),
         sequences=tuple(pc.dictionary_encode(table["sequence"]).to_pylist()),
-        descriptors=beside.pop(DESCRIPTOR),
+        descriptors=extra.pop(DESCRIPTOR),
         poses=np.stack([table[axis].to_numpy() for axis in POSE], axis=1),
         stamps=table["stamp"].to_numpy(),
         empty=table["empty"].to_numpy(),
-        beside=beside,
+        extra=extra,
     )

@@ -88,7 +88,7 @@ class FrameSet:
         poses: ``(R, 3)`` float64, x and y in metres and heading in radians, NaN if unknown.
         stamps: ``(R,)`` float64, seconds, NaN if unknown.
         empty: ``(R,)`` bool, frames whose descriptor is zero; they match nothing.
-        beside: each extra descriptor by name, see `Database.beside`: ``(R, D')`` float32, or uint8
+        extra: each extra descriptor by name, see `Database.extra`: ``(R, D')`` float32, or uint8
             signs ``(R, *cells)``.
     """
 
@@ -98,17 +98,17 @@ class FrameSet:
     poses: npt.NDArray[np.float64]
     stamps: npt.NDArray[np.float64]
     empty: npt.NDArray[np.bool_]
-    beside: Mapping[str, Tensor] = field(default_factory=dict)
+    extra: Mapping[str, Tensor] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.frames)
 
     def __repr__(self) -> str:
         posed = int((~np.isnan(self.poses[:, 0])).sum())
-        beside = "".join(f" and {name}" for name in self.beside)
+        extra = "".join(f" and {name}" for name in self.extra)
         return (
             f"<FrameSet: {len(self)} frames of {len(set(self.sequences))} sequences, descriptors "
-            f"of {self.descriptors.shape[-1]}{beside}, {int(self.empty.sum())} empty, {posed} with "
+            f"of {self.descriptors.shape[-1]}{extra}, {int(self.empty.sum())} empty, {posed} with "
             "a pose>"
         )
 

@@ -16,7 +16,7 @@ _META, _DIGEST, _ORIGIN = "ssrvlad", "ssrvlad-digest", "origin:"
 
 
 class ExtraDescriptor(NamedTuple):
-    """A descriptor that every frame has beside that of the method, made from its picture.
+    """A further descriptor of every frame, made from its picture.
 
     Attributes:
         name: name of its method, and of its column.
@@ -76,12 +76,12 @@ class Meta(NamedTuple):
     """A table's metadata: settings (or ``None``), extra descriptors, and origins by their keys."""
 
     config: SSRVLADConfig | None
-    beside: tuple[ExtraDescriptor, ...]
+    extra: tuple[ExtraDescriptor, ...]
     origins: dict[str, Origin]
 
     @staticmethod
     def to_dict(
-        config: SSRVLADConfig | None, beside: Sequence[ExtraDescriptor] = ()
+        config: SSRVLADConfig | None, extra: Sequence[ExtraDescriptor] = ()
     ) -> dict[str, str]:
         """The entries of a new table, which has no origins."""
         text = json.dumps(
@@ -89,7 +89,7 @@ class Meta(NamedTuple):
                 "format": FORMAT,
                 "fingerprint": config.fingerprint if config else "",
                 "config": config and config.to_dict(),
-                "beside": [extra._asdict() for extra in beside],
+                "beside": [each._asdict() for each in extra],
             }
         )
         return {_META: text, _DIGEST: _digest(text)}
@@ -120,11 +120,11 @@ class Meta(NamedTuple):
             if origin.key != key:
                 raise ValueError(f"{path} is damaged: origin {key} does not match its content")
         content = json.loads(text)
-        beside = tuple(
-            ExtraDescriptor(**{**extra, "cells": tuple(extra.get("cells", ()))})
-            for extra in content.get("beside", ())
+        extra = tuple(
+            ExtraDescriptor(**{**each, "cells": tuple(each.get("cells", ()))})
+            for each in content.get("beside", ())
         )
-        return cls(_config(content, path), beside, origins)
+        return cls(_config(content, path), extra, origins)
 
 
 def _config(content: dict[str, Any], path: str) -> SSRVLADConfig | None:

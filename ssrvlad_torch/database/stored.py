@@ -60,9 +60,9 @@ class StoredFrames:
 
     def __repr__(self) -> str:
         kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
-        beside = "".join(f" and {extra.name}" for extra in self.beside)
+        extra = "".join(f" and {each.name}" for each in self.extra)
         return (
-            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}{beside}, "
+            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}{extra}, "
             f"{kind}, version {self.version}>"
         )
 
@@ -93,13 +93,13 @@ class StoredFrames:
         return int(self._table.schema.field(DESCRIPTOR).type.list_size)
 
     @property
-    def beside(self) -> tuple[ExtraDescriptor, ...]:
+    def extra(self) -> tuple[ExtraDescriptor, ...]:
         """The extra descriptors of every frame."""
-        return self._meta.beside
+        return self._meta.extra
 
     @property
     def _shapes(self) -> dict[str, Shape]:
-        return {DESCRIPTOR: (self.width,), **{extra.name: extra.shape for extra in self.beside}}
+        return {DESCRIPTOR: (self.width,), **{each.name: each.shape for each in self.extra}}
 
     @property
     def origins(self) -> dict[str, Origin]:
@@ -112,21 +112,21 @@ class StoredFrames:
         spaces = [self._meta.origins.get(key, Origin()).label_space for key in keys]
         return list({space.digest: space for space in spaces if space}.values())
 
-    def require(self, config: SSRVLADConfig, beside: Sequence[ExtraDescriptor] = ()) -> None:
+    def require(self, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()) -> None:
         """Requires descriptors made with these settings.
 
         Args:
             config: the settings.
-            beside: extra descriptors that every frame must have.
+            extra: extra descriptors that every frame must have.
 
         Raises:
             ValueError: the settings differ, shown with both fingerprints, or an extra descriptor is
                 missing.
         """
-        for extra in beside:
-            if extra not in self.beside:
+        for each in extra:
+            if each not in self.extra:
                 raise ValueError(
-                    f"{self.path} has no descriptors by {extra.name}, {extra.fingerprint}: they "
+                    f"{self.path} has no descriptors by {each.name}, {each.fingerprint}: they "
                     "can only be added when a database is created"
                 )
         if config.fingerprint == self.fingerprint:
@@ -166,17 +166,17 @@ class StoredFrames:
         """
         return load_frame_set(self._table, self._shapes)
 
-    def verify(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
+    def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
         """Reads everything and reports all damage.
 
         Args:
             progress: called with the number of frames done since the last call.
         """
-        damage: list[Damage] = []
-        for batch in read_rows(self._table, damage):
+        found: list[Damage] = []
+        for batch in read_rows(self._table, found):
             if progress:
                 progress(len(batch))
-        return damage
+        return found
 
     def table(self) -> LanceDataset:
         """The version that is read, as a table of Lance, for what this class does not offer."""
@@ -208,7 +208,7 @@ class StoredFrames:
             "width": self.width,
             "preset": config.preset if config else None,
             "fingerprint": self.fingerprint,
-            "beside": {extra.name: extra.fingerprint for extra in self.beside},
+            "extra": {each.name: each.fingerprint for each in self.extra},
             "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
             "version": self.version,
         }

@@ -23,7 +23,7 @@ Role = Literal["reference", "query"]
 
 
 @dataclass(frozen=True)
-class Frame:
+class DatasetFrame:
     """One frame of a data set.
 
     Attributes:
@@ -77,7 +77,7 @@ class Traverse:
     """
 
     name: str
-    frames: tuple[Frame, ...]
+    frames: tuple[DatasetFrame, ...]
     role: Role | None = None
 
     @classmethod
@@ -92,7 +92,7 @@ class Traverse:
         """A traverse of all frames that have an image or a label map; the mappings are by the
         names of the frames."""
         frames = tuple(
-            Frame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
+            DatasetFrame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
             for key in sorted({*images, *labels}, key=natural_key)
         )
         return cls(name, frames, role)
@@ -124,7 +124,7 @@ class Dataset:
             raise ValueError(f"{self.root} has more than one sequence {repeated[0]!r}")
 
     @property
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[DatasetFrame]:
         """All frames, one traverse after another."""
         return (frame for traverse in self.traverses for frame in traverse.frames)
 
@@ -170,7 +170,9 @@ class Dataset:
             raise ValueError(f"{self.root} does not say which of {candidates} is a {role}; name it")
         return replace(self, traverses=tuple(t for t in selected if role in (None, t.role)))
 
-    def with_frames(self, change: Callable[[tuple[Frame, ...]], Iterable[Frame]]) -> Dataset:
+    def with_frames(
+        self, change: Callable[[tuple[DatasetFrame, ...]], Iterable[DatasetFrame]]
+    ) -> Dataset:
         """The data set with ``change`` applied to the frames of each traverse."""
         traverses = tuple(replace(t, frames=tuple(change(t.frames))) for t in self.traverses)
         return replace(self, traverses=traverses)
@@ -222,7 +224,7 @@ class Dataset:
         return self._files(lambda frame: frame.image, "no images", every, start)
 
     def _files(
-        self, path_of: Callable[[Frame], Path | None], missing: str, every: int, start: int
+        self, path_of: Callable[[DatasetFrame], Path | None], missing: str, every: int, start: int
     ) -> list[FrameFile]:
         if not any(map(path_of, self.frames)):
             raise ValueError(f"{self.root} ({self.layout}) has {missing}")
@@ -301,13 +303,13 @@ def shortened(names: Sequence[str], most: int = 8) -> str:
     return ", ".join(names[:most]) + rest
 
 
-def _label_finder(dataset: Dataset, folder: Path) -> Callable[[Frame], Path | None]:
+def _label_finder(dataset: Dataset, folder: Path) -> Callable[[DatasetFrame], Path | None]:
     """A function from a frame to its label map; it lists each folder once."""
     files = cache(lambda folder: files_in(folder, LABEL_SUFFIXES))
     names = [frame.name for frame in dataset.frames]
     unambiguous = len(set(names)) == len(names)
 
-    def find(frame: Frame) -> Path | None:
+    def find(frame: DatasetFrame) -> Path | None:
         path = frame.image or frame.label or dataset.root / frame.name
         folders = [folder / frame.sequence, folder / path.parent.relative_to(dataset.root)]
         if folder.name == str(folder):

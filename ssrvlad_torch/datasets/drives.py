@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
-from .dataset import Dataset, Frame
+from .dataset import Dataset, DatasetFrame
 from .layouts import open_dataset
 
-KINDS: dict[str, Callable[[Frame], Path | None]] = {
+KINDS: dict[str, Callable[[DatasetFrame], Path | None]] = {
     "images": lambda frame: frame.image,
     "labels": lambda frame: frame.label,
 }
@@ -110,7 +110,7 @@ class Drives:
         return complete
 
     @property
-    def frames(self) -> Iterator[Frame]:
+    def frames(self) -> Iterator[DatasetFrame]:
         """The references, then the queries."""
         return chain(self.references.frames, self.queries.frames)
 
@@ -118,7 +118,7 @@ class Drives:
     def _parts(self) -> tuple[tuple[str, Dataset], ...]:
         return ("reference", self.references), ("query", self.queries)
 
-    def _filter(self, has: Callable[[Frame], object], what: str) -> Drives:
+    def _filter(self, has: Callable[[DatasetFrame], object], what: str) -> Drives:
         """The drives with only the frames that ``has`` accepts; an error if none is left."""
         references, queries = (
             part.with_frames(lambda frames: filter(has, frames)) for _, part in self._parts
@@ -142,7 +142,7 @@ class Drives:
 def _unambiguous(dataset: Dataset) -> Dataset:
     """The data set with each file as an image or as a label map, not as both."""
 
-    def decide(frame: Frame) -> Frame:
+    def decide(frame: DatasetFrame) -> DatasetFrame:
         if frame.image != frame.label:
             return frame
         return replace(frame, image=None) if dataset.labels_as else replace(frame, label=None)

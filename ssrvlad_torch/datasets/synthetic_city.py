@@ -34,7 +34,7 @@ from ..taxonomy import label_space, palette
 from .city.blocks import block_sides, fixed_bodies
 from .city.bodies import Bodies, pack
 from .city.conditions import Conditions, generator, require
-from .city.picture import background, paint
+from .city.rendering import background, paint
 from .city.streets import camera_poses, nearby_blocks
 from .city.traffic import changing_bodies, vehicles
 from .poses import Pose, write_poses

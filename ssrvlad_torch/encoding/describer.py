@@ -55,21 +55,21 @@ class Describer:
     Args:
         head: the method.
         origin: of the records, see `Database.add_origin`.
-        beside: extra descriptors of the frames, whose files are then images.
+        extra: extra descriptors of the frames, whose files are then images.
     """
 
     def __init__(
-        self, head: SSRVLAD, origin: str = "", beside: Sequence[ExtraDescriptor] = ()
+        self, head: SSRVLAD, origin: str = "", extra: Sequence[ExtraDescriptor] = ()
     ) -> None:
         self.head = head
         self.origin = origin
-        self.beside = tuple(beside)
-        self._methods = extra_methods(beside)
+        self.extra = tuple(extra)
+        self._methods = extra_methods(extra)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles the settings with the whole label space, whose file others may not have."""
         config = replace(self.head.config, labels_as=self.head.label_space)
-        return _restore, (config, self.head.native, self.origin, self.beside)
+        return _restore, (config, self.head.native, self.origin, self.extra)
 
     @property
     def device(self) -> torch.device:
@@ -105,9 +105,9 @@ class Describer:
                 Frame(item.file.frame, image=read_image(item.file))
                 for item in (batch if self._methods else ())
             ]
-            beside = {m.name: m.encode_query(frames).numpy() for m in self._methods}
-            if any(extra.name == FEATURES for extra in self.beside):
-                beside[FEATURES] = np.stack([np.asarray(item.features) for item in batch])
+            extra = {m.name: m.encode_query(frames).numpy() for m in self._methods}
+            if any(each.name == FEATURES for each in self.extra):
+                extra[FEATURES] = np.stack([np.asarray(item.features) for item in batch])
         except ValueError as error:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]
@@ -116,7 +116,7 @@ class Describer:
             Encoded(
                 self._record(item),
                 descriptors[row],
-                {name: values[row] for name, values in beside.items()},
+                {name: values[row] for name, values in extra.items()},
             )
             for row, item in enumerate(batch)
         ]
@@ -131,11 +131,11 @@ class Describer:
 
 
 def _restore(
-    config: SSRVLADConfig, native: bool, origin: str, beside: Sequence[ExtraDescriptor]
+    config: SSRVLADConfig, native: bool, origin: str, extra: Sequence[ExtraDescriptor]
 ) -> Describer:
     head = SSRVLAD(config)
     head.native = head.native and native
-    return Describer(head, origin, beside)
+    return Describer(head, origin, extra)
 
 
 def _read(space: LabelSpace, item: Item) -> Item:

@@ -81,12 +81,12 @@ def prepared(
 ) -> tuple[Plan, Describer]:
     """What to encode into a database, and how; arguments and errors as for `encode_to_database`."""
     database.require(head.config)
-    check_segmenter(head, segmenter, database.beside)
+    check_segmenter(head, segmenter, database.extra)
     network = (segmenter.key(), segmenter.name) if segmenter else ()
     origin = database.add_origin(head.label_space, *network)
     plan = Plan.of(files, database, database.origins[origin])
     options.progress(plan.already_there)
-    return plan, Describer(head, origin, database.beside)
+    return plan, Describer(head, origin, database.extra)
 
 
 def encode_to_memory(
@@ -95,7 +95,7 @@ def encode_to_memory(
     workers: int | None = None,
     progress: Progress = do_nothing,
     segmenter: Segmenter | None = None,
-    beside: Sequence[ExtraDescriptor] = (),
+    extra: Sequence[ExtraDescriptor] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
     """Encodes frames in order; arguments as for `encode`.
 
@@ -104,7 +104,7 @@ def encode_to_memory(
     """
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
-    for frame in encode(head, files, workers, segmenter, beside):
+    for frame in encode(head, files, workers, segmenter, extra):
         if isinstance(frame, Skipped):
             skipped.append(frame)
         else:
@@ -113,7 +113,7 @@ def encode_to_memory(
     records = [frame.record for frame in frames]
     none = np.zeros((0, head.config.length), np.float32)
     descriptors = np.stack([frame.descriptor for frame in frames]) if frames else none
-    names = [extra.name for extra in beside if frames]
+    names = [each.name for each in extra if frames]
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
@@ -121,7 +121,7 @@ def encode_to_memory(
         poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
         empty=~torch.from_numpy(descriptors).flatten(1).any(1).numpy(),
-        beside={n: torch.from_numpy(np.stack([f.beside[n] for f in frames])) for n in names},
+        extra={n: torch.from_numpy(np.stack([f.extra[n] for f in frames])) for n in names},
     ), skipped
 
 
@@ -130,7 +130,7 @@ def encode(
     files: Sequence[FrameFile],
     workers: int | None = None,
     segmenter: Segmenter | None = None,
-    beside: Sequence[ExtraDescriptor] = (),
+    extra: Sequence[ExtraDescriptor] = (),
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames in order.
 
@@ -144,25 +144,25 @@ def encode(
         workers: number of workers, by default the number of cores; with 0 or 1 everything runs in
             the caller's thread.
         segmenter: makes the label maps; without it, files are label maps.
-        beside: extra descriptors, made from the pictures that the segmenter reads.
+        extra: extra descriptors, made from the pictures that the segmenter reads.
 
     Raises:
         ValueError: the segmenter has another label space, or extra descriptors lack a segmenter or
             are of another one.
     """
-    check_segmenter(head, segmenter, beside)
-    return _encode(Describer(head, beside=beside), files, workers, segmenter)
+    check_segmenter(head, segmenter, extra)
+    return _encode(Describer(head, extra=extra), files, workers, segmenter)
 
 
 def check_segmenter(
-    head: SSRVLAD, segmenter: Segmenter | None, beside: Sequence[ExtraDescriptor]
+    head: SSRVLAD, segmenter: Segmenter | None, extra: Sequence[ExtraDescriptor]
 ) -> None:
     """Requires that a segmenter gives what a head and extra descriptors need.
 
     Raises:
         ValueError: it has another label space, or other features; or there is none.
     """
-    require_same(beside, segmenter)
+    require_same(extra, segmenter)
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(
             f"the segmenter gives labels of {segmenter.label_space.name}, the head reads "
@@ -179,7 +179,7 @@ def _encode(
     workers = cores() if workers is None else workers
     items: Iterator[Item] = map(Item, files)
     if segmenter:
-        features = any(extra.name == FEATURES for extra in describer.beside)
+        features = any(each.name == FEATURES for each in describer.extra)
         items = segmented_items(files, segmenter, workers, features)
     batches = iter(lambda: list(islice(items, BATCH)), [])
     reads_only = describer.device.type != "cpu"

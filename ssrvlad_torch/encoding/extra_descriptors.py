@@ -1,4 +1,4 @@
-"""Descriptors of a frame's picture beside that of its label map, for `recognition.fusion`."""
+"""Extra descriptors: of a frame's picture, for `recognition.fusion`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ NONE = "none"
 def extra_descriptors(
     names: Sequence[str] | None, segmenter: Segmenter | None
 ) -> list[ExtraDescriptor]:
-    """The descriptors of pictures with these names.
+    """The extra descriptors with these names.
 
     Args:
         names: ``features``, of the network that labels the pictures; ``hog``; or ``none`` alone.
@@ -48,20 +48,20 @@ def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None)
         ValueError: a method is unknown, or computes other descriptors in this version or by this
             network, or there are no pictures.
     """
-    for extra in stored:
+    for each in stored:
         if segmenter is None:
-            raise ValueError(f"{extra.name} describes pictures: expected images and a segmenter")
-        current = _of(extra.name, segmenter)
-        if current != extra:
+            raise ValueError(f"{each.name} describes pictures: expected images and a segmenter")
+        current = _of(each.name, segmenter)
+        if current != each:
             raise ValueError(
-                f"{extra.name} gives other descriptors here ({current.fingerprint}) than there "
-                f"({extra.fingerprint}): encode them again"
+                f"{each.name} gives other descriptors here ({current.fingerprint}) than there "
+                f"({each.fingerprint}): encode them again"
             )
 
 
 def extra_methods(stored: Sequence[ExtraDescriptor]) -> list[HOG]:
     """The methods that describe pictures themselves; features come with the label maps."""
-    return [_METHODS[extra.name]() for extra in stored if extra.name in _METHODS]
+    return [_METHODS[each.name]() for each in stored if each.name in _METHODS]
 
 
 def _of(name: str, segmenter: Segmenter | None) -> ExtraDescriptor:

@@ -141,12 +141,12 @@ class PartEncoder:
         if not new or not described:
             return Part(results)
         descriptors = np.stack([result.descriptor for result in described])
-        beside = {
-            extra.name: np.stack([result.beside[extra.name] for result in described])
-            for extra in self.describer.beside
+        extra = {
+            each.name: np.stack([result.extra[each.name] for result in described])
+            for each in self.describer.extra
         }
         records = [result.record for result in described]
-        staged = Database.open(self.database).write_apart(records, descriptors, beside)
+        staged = Database.open(self.database).write_apart(records, descriptors, extra)
         skipped = [result for result in results if isinstance(result, Skipped)]
         return Part([*skipped], staged, int((~descriptors.any(axis=1)).sum()))
 
@@ -154,7 +154,7 @@ class PartEncoder:
         if self.network is None:
             return [Item(file) for file in files]
         self._segmenter = self._segmenter or self.network.loaded()
-        features = any(extra.name == FEATURES for extra in self.describer.beside)
+        features = any(each.name == FEATURES for each in self.describer.extra)
         return list(segmented_items(files, self._segmenter, 1, features))
 
 

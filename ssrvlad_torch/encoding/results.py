@@ -28,7 +28,7 @@ class Encoded(NamedTuple):
 
     record: FrameRecord
     descriptor: npt.NDArray[np.float32]
-    beside: dict[str, npt.NDArray[Any]]
+    extra: dict[str, npt.NDArray[Any]]
 
 
 def cores() -> int:

@@ -61,7 +61,7 @@ def search(
     steps: Steps,
     top: int,
     reach: tuple[int, float | None] = (0, None),
-    fuse: bool | None = None,
+    extra: bool | None = None,
     excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
     progress: Progress = do_nothing,
 ) -> Found:
@@ -73,7 +73,7 @@ def search(
         steps: from descriptors to a decision.
         top: number of candidates of each query.
         reach: of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
-        fuse: whether to use the descriptors of pictures; ``None`` if the database has them.
+        extra: whether to use the extra descriptors; ``None`` if the database has them.
         excluded: gives for queries and references ``(Q, R)`` bool, references that are no
             candidates.
         progress: called with the number of queries encoded since the last call.
@@ -81,15 +81,15 @@ def search(
     Raises:
         ValueError: the queries do not fit the database.
     """
-    extra = _extra_descriptors(database, fuse)
-    if any(reach) and any(each.cells for each in extra):
-        raise ValueError("features are signs, which have no temporal sum; expected --no-fuse")
+    methods = _extra_descriptors(database, extra)
+    if any(reach) and any(each.cells for each in methods):
+        raise ValueError("features are signs, which have no temporal sum; expected --no-extra")
     references, t = _references(database, *reach)
     columns = COLUMNS if steps.sweep else ()
-    queries, skipped, folders = _queries(database, source, columns, extra, progress)
+    queries, skipped, folders = _queries(database, source, columns, methods, progress)
     vectors, without = queries.descriptors, excluded(queries, references)
     recognised = recognise_in(
-        database, references, vectors, queries.beside, queries.sequences, steps, top, without
+        database, references, vectors, queries.extra, queries.sequences, steps, top, without
     )
     return Found(queries, references, recognised, t, skipped, folders)
 
@@ -98,7 +98,7 @@ def recognise_in(
     database: Database,
     references: FrameSet,
     queries: Tensor,
-    beside: Mapping[str, Tensor],
+    extra: Mapping[str, Tensor],
     sequences: Sequence[str],
     steps: Steps,
     top: int,
@@ -107,14 +107,14 @@ def recognise_in(
     """Candidates of queries among the frames of a database, with all its methods; see `recognise`.
 
     Args:
-        database: gives the settings and the methods of pictures.
+        database: gives the settings and the extra descriptors.
         references: its frames.
         queries: ``(Q, D)`` or ``(Q, S, D)``.
-        beside: descriptors of pictures by name, for each query.
+        extra: extra descriptors of each query, by name.
         sequences: of the queries.
         steps, top, excluded: see `recognise`.
     """
-    methods = extra_methods([each for each in database.beside if each.name in beside])
+    methods = extra_methods([each for each in database.extra if each.name in extra])
     return recognise(
         queries,
         references.descriptors,
@@ -123,7 +123,7 @@ def recognise_in(
         steps,
         top,
         excluded,
-        {name: (values, references.beside[name]) for name, values in beside.items()},
+        {name: (values, references.extra[name]) for name, values in extra.items()},
         {
             SSR_VLAD: partial(mirrored, config=database.config),
             **{method.name: method.mirrored for method in methods},
@@ -204,14 +204,14 @@ def only_label_space(database: Database) -> LabelSpace | None:
     return spaces[0] if spaces else None
 
 
-def _extra_descriptors(database: Database, fuse: bool | None) -> tuple[ExtraDescriptor, ...]:
+def _extra_descriptors(database: Database, extra: bool | None) -> tuple[ExtraDescriptor, ...]:
     """The extra descriptors of a database, unless they are excluded."""
-    if fuse and not database.beside:
+    if extra and not database.extra:
         raise ValueError(
-            f"--fuse: {database.path} holds no descriptors of pictures; encode a new database "
-            "with --with features"
+            f"--extra: {database.path} holds no extra descriptors; encode a new database with "
+            "--extra features"
         )
-    return () if fuse is False else database.beside
+    return () if extra is False else database.extra
 
 
 def _references(
@@ -229,7 +229,7 @@ def _references(
         ts = frames_within(frames.poses, frames.sequences, metres)
     for run in runs(frames.sequences):
         names = frames.sequences[run.start : run.stop]
-        numbers = (each for each in frames.beside.values() if each.is_floating_point())
+        numbers = (each for each in frames.extra.values() if each.is_floating_point())
         for values in (frames.descriptors, *numbers):
             rows = values[run.start : run.stop]
             temporal_sum(rows, names, ts[names[0]], out=rows)
@@ -256,7 +256,7 @@ def _queries(
     """
     no_pictures = ValueError(
         f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
-        "--no-fuse"
+        "--no-extra"
     )
     if other := source.database:
         if other.fingerprint != database.fingerprint:
@@ -265,10 +265,10 @@ def _queries(
                 f"{database.fingerprint or 'none'}: their descriptors do not compare"
             )
         frames = other.load()
-        if not set(extra) <= set(other.beside):
+        if not set(extra) <= set(other.extra):
             raise no_pictures
-        used = {method.name: frames.beside[method.name] for method in extra}
-        frames = dataclasses.replace(_renamed(frames, other, source), beside=used)
+        used = {method.name: frames.extra[method.name] for method in extra}
+        frames = dataclasses.replace(_renamed(frames, other, source), extra=used)
         return frames, [], () if source.sequence else other.folders()
     config = dataclasses.replace(database.config, labels_as=source.labels_as)
     if extra and not source.segmenter:

@@ -61,8 +61,8 @@ class Writer:
         self._database.adopt(staged, check)
         if frames:
             descriptors = np.stack([frame.descriptor for frame in frames])
-            beside = {n: np.stack([f.beside[n] for f in frames]) for n in frames[0].beside}
-            self._database.merge([frame.record for frame in frames], descriptors, beside, check)
+            extra = {n: np.stack([f.extra[n] for f in frames]) for n in frames[0].extra}
+            self._database.merge([frame.record for frame in frames], descriptors, extra, check)
             reasons = [self._plan.reason(frame.record) for frame in frames]
             self.summary.encoded += reasons.count(NEW)
             self.summary.anew.update(reason for reason in reasons if reason != NEW)

@@ -20,7 +20,7 @@ from .metrics import Convention, evaluate, precision_recall_curve
 from .outcomes import judge
 from .report import Pictures
 from .thresholds import operating_points
-from .true_matches import Places
+from .true_matches import Viewpoints
 
 TOP = 10
 """Candidates of each query that the metrics need."""
@@ -44,8 +44,8 @@ class Recognition:
         details: the method, its steps and its costs, for the report.
     """
 
-    references: Places
-    queries: Places
+    references: Viewpoints
+    queries: Viewpoints
     matches: Matches
     similarity: npt.NDArray[np.float32] | None = None
     descriptors: tuple[Tensor, Tensor] = (torch.zeros(0), torch.zeros(0))

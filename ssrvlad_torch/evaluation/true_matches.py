@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..database.frames import FrameSet, natural_key
-from ..datasets.dataset import Dataset, Frame
+from ..datasets.dataset import Dataset, DatasetFrame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
 from ..datasets.names import KnownFolders
@@ -20,7 +20,7 @@ from .ground_truth_files import PartialTruth, from_file, unmatched_entries
 
 
 @dataclass(frozen=True)
-class Places:
+class Viewpoints:
     """Frames, and where they were taken.
 
     Attributes:
@@ -37,7 +37,9 @@ class Places:
     folders: KnownFolders = ()
 
     @classmethod
-    def of(cls, frames: Iterable[Frame | FrameFile], dataset: Dataset | None = None) -> Places:
+    def of(
+        cls, frames: Iterable[DatasetFrame | FrameFile], dataset: Dataset | None = None
+    ) -> Viewpoints:
         """The places of frames on disk, counted among all frames of the data set."""
         frames = list(frames)
         ids = tuple(frame.frame for frame in frames)
@@ -52,7 +54,7 @@ class Places:
         dataset: Dataset | None,
         folders: KnownFolders,
         skipped: Iterable[str] = (),
-    ) -> Places:
+    ) -> Viewpoints:
         """The places of encoded frames, counted together with the skipped ones."""
         ids = frames.frames
         return cls(ids, frames.poses, _counted([*ids, *skipped], dataset), folders)
@@ -113,7 +115,7 @@ class TrueMatches:
         return f"within {self.metres:g} metres{turned}"
 
     def among(
-        self, references: Places, queries: Places, note: Callable[[str], object]
+        self, references: Viewpoints, queries: Viewpoints, note: Callable[[str], object]
     ) -> PartialTruth:
         """The rows of the references that are true matches of each query; ``None`` if they are not
         known. ``note`` gets the number of these queries, of queries with the id of a reference, and
@@ -128,7 +130,7 @@ class TrueMatches:
         return truth
 
     def _find(
-        self, references: Places, queries: Places, note: Callable[[str], object]
+        self, references: Viewpoints, queries: Viewpoints, note: Callable[[str], object]
     ) -> PartialTruth:
         if self.metres is not None:
             return [*from_poses(queries.poses, references.poses, self.metres, self.degrees)]
@@ -154,7 +156,7 @@ class TrueMatches:
 
 
 def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
-    """`Places.counted` of some frames."""
+    """`Viewpoints.counted` of some frames."""
     ids = {*frames}
     sequences = {frame.rpartition("/")[0] for frame in ids}
     if dataset:
@@ -162,7 +164,7 @@ def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
     return tuple(_in_order(ids))
 
 
-def _rows(truth: PartialTruth, references: Places) -> tuple[PartialTruth, Collection[str]]:
+def _rows(truth: PartialTruth, references: Viewpoints) -> tuple[PartialTruth, Collection[str]]:
     """The rows of the references for positions among the counted references, and the ids of the
     positions that have no row."""
     row = {frame: number for number, frame in enumerate(references.frames)}

@@ -47,7 +47,7 @@ class LoopDetector:
         config: the settings; without, the defaults.
         head: describes label maps; given descriptors must have its settings. Without, the preset
             ``default``.
-        beside: further methods that describe frames by their pictures. The scores of all methods
+        extra: methods that describe frames by their pictures. The scores of all methods
             are fused; a method weighs by the lead of its first candidates so far.
 
     Examples:
@@ -60,15 +60,15 @@ class LoopDetector:
         self,
         config: LoopConfig | None = None,
         head: SSRVLAD | None = None,
-        beside: Sequence[ExtraDescriptor] = (),
+        extra: Sequence[ExtraDescriptor] = (),
     ) -> None:
         self.config = config or LoopConfig()
         self.head = head or SSRVLAD()
-        self.beside, self._methods = tuple(beside), extra_methods(beside)
+        self.extra, self._methods = tuple(extra), extra_methods(extra)
         self._memory = Memory(self.head.config.length)
         self._others = {
-            extra.name: SignVectors(extra.cells) if extra.cells else Vectors(extra.width)
-            for extra in beside
+            each.name: SignVectors(each.cells) if each.cells else Vectors(each.width)
+            for each in extra
         }
         self._tracker = Tracker(self.config, self._memory, self._others)
         self._sequence: str | None = None
@@ -118,7 +118,7 @@ class LoopDetector:
 
     @property
     def weights(self) -> dict[str, float]:
-        """The present weight of each method; empty without further methods."""
+        """The present weight of each method; empty without extra methods."""
         return self._tracker.weights if self._others else {}
 
     def encoder(self) -> SSRVLAD:
@@ -142,8 +142,8 @@ class LoopDetector:
             frame_id: ``<sequence>/<name>``; the filter starts anew with each sequence.
             stamp: seconds, not less than those of earlier frames of the sequence.
             pose: x and y in metres, and heading in radians if it is known.
-            picture: ``(H, W, 3)`` uint8 in RGB, for the methods `beside` that describe pictures.
-            features: from `Segmenter.segment`, if they are `beside`.
+            picture: ``(H, W, 3)`` uint8 in RGB, for the extra methods that describe pictures.
+            features: from `Segmenter.segment`, if they are an extra method.
 
         Raises:
             ValueError: the frame cannot be described, its id has another form or was there before,
@@ -156,7 +156,7 @@ class LoopDetector:
         record = FrameRecord(sequence, name, *place, _stamp(stamp, frame_id))
         tensor = as_tensor(view)
         if picture is not None and not self._methods:
-            raise ValueError("got a picture, but the detector has no method beside to describe it")
+            raise ValueError("got a picture, but the detector has no extra method to describe it")
         frame = Frame(frame_id, image=picture)
         others = {each.name: each.encode_query([frame])[0] for each in self._methods}
         if features is not None:
@@ -174,7 +174,7 @@ class LoopDetector:
         self,
         record: FrameRecord,
         descriptor: Tensor,
-        beside: Mapping[str, Tensor] | None = None,
+        extra: Mapping[str, Tensor] | None = None,
     ) -> LoopResult:
         """As `update`, for a frame that is encoded already.
 
@@ -182,16 +182,16 @@ class LoopDetector:
             record: the frame as a database stores it.
             descriptor: ``(D,)``, or ``(S, D)`` from S anchors with the usual one in the middle; of
                 length 1 or zero.
-            beside: ``(D',)``, or the signs of features, for each name of `beside`.
+            extra: ``(D',)``, or the signs of features, for each name of `extra`.
 
         Raises:
             ValueError: as for `update`.
         """
-        extra = beside or {}
+        extra = extra or {}
         swept = checked_vectors(descriptor, record.frame, self.head.config.length)
         if extra.keys() != self._others.keys():
             names, got = (", ".join(each) or "nothing" for each in (self._others, extra))
-            raise ValueError(f"frame {record.frame!r}: expected {names} beside, got {got}")
+            raise ValueError(f"frame {record.frame!r}: expected extra {names}, got {got}")
         others: dict[str, npt.NDArray[Any]] = {
             name: memory.checked(extra[name], record.frame) for name, memory in self._others.items()
         }
@@ -223,7 +223,7 @@ class LoopDetector:
             OSError: writing failed; the database is unchanged.
         """
         with self._saving:
-            database.require(self.head.config, self.beside)
+            database.require(self.head.config, self.extra)
             with self._updating:
                 fresh, last = self._unsaved.copy(), len(self)
                 saved = last - len(fresh)
@@ -263,7 +263,7 @@ class LoopDetector:
         """
         head = head or SSRVLAD(database.config)
         database.require(head.config)
-        detector = cls(config, head, database.beside)
+        detector = cls(config, head, database.extra)
         frames = database.load()
         known = database.known()
         names = dict.fromkeys(known.column("sequence"))
@@ -284,7 +284,7 @@ class LoopDetector:
                 if not np.isnan(frames.stamps[row]):
                     detector._stamps[sequence] = float(frames.stamps[row])
             for name, others in detector._others.items():
-                others.extend(frames.beside[name][rows])
+                others.extend(frames.extra[name][rows])
         return detector
 
     def _start_sequence(self, sequence: str) -> None:

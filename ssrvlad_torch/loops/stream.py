@@ -39,7 +39,7 @@ def open_detector(
     memory: Path | None,
     preset: str | None,
     labels_as: str | LabelSpace,
-    beside: Sequence[ExtraDescriptor] = (),
+    extra: Sequence[ExtraDescriptor] = (),
 ) -> tuple[LoopDetector, Database | None]:
     """A detector, and the database that it was loaded from and is saved to.
 
@@ -48,10 +48,10 @@ def open_detector(
         memory: folder of the database, created if it does not exist; without, nothing is saved.
         preset: of the descriptors; without, the database's, or ``default``.
         labels_as: label space of the frames.
-        beside: further methods; without, those of the database.
+        extra: extra methods; without, those of the database.
 
     Raises:
-        ValueError: the database is damaged, or of another preset or other further methods.
+        ValueError: the database is damaged, or of another preset or other extra methods.
     """
     if memory is not None and preset is None and Database.exists(memory):
         method = replace(Database.open(memory).config, labels_as=labels_as)
@@ -59,8 +59,8 @@ def open_detector(
         method = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(method)
     if memory is None:
-        return LoopDetector(config, head, beside), None
-    database = Database.open_or_create(memory, method, beside)
+        return LoopDetector(config, head, extra), None
+    database = Database.open_or_create(memory, method, extra)
     return LoopDetector.load(database, config, head), database
 
 
@@ -72,7 +72,7 @@ def encode_files(
 ) -> Iterator[Encoded | Skipped]:
     """Encodes the files whose frames the detector does not know yet; see `encoding.encode`."""
     fresh = [file for file in files if file.frame not in detector]
-    return encode(detector.encoder(), fresh, workers, segmenter, detector.beside)
+    return encode(detector.encoder(), fresh, workers, segmenter, detector.extra)
 
 
 def encode_as_they_come(
@@ -117,7 +117,7 @@ def encode_as_they_come(
         except ValueError as error:
             yield Skipped(frame, str(error))
             continue
-        yield from encode(encoder, posed, 1, segmenter, detector.beside)
+        yield from encode(encoder, posed, 1, segmenter, detector.extra)
 
 
 def detect_loops(
@@ -197,7 +197,7 @@ def report(
 
 def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Skipped:
     try:
-        beside = {name: torch.from_numpy(values) for name, values in frame.beside.items()}
-        return detector.observe(frame.record, torch.from_numpy(frame.descriptor), beside)
+        extra = {name: torch.from_numpy(values) for name, values in frame.extra.items()}
+        return detector.observe(frame.record, torch.from_numpy(frame.descriptor), extra)
     except ValueError as error:
         return Skipped(frame.record.frame, str(error))

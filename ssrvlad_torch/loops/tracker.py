@@ -50,7 +50,7 @@ class Tracker:
     Args:
         config: the settings.
         memory: ids, poses and descriptors of all earlier frames; the detector appends to it.
-        others: their descriptors by further methods.
+        others: their descriptors by extra methods.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class Tracker:
         Args:
             frame: its id.
             swept: ``(S, D)`` descriptors from S anchors, the usual one in the middle.
-            others: its descriptors by the further methods.
+            others: its descriptors by the extra methods.
         """
         frames, exclude = len(self._memory), self._config.exclude
         old = max(0, frames - exclude)

@@ -183,41 +183,29 @@ def _improve(scores: Tensor, indices: Tensor, cosines: Tensor, first: int) -> No
     """
     rows = (cosines.amax(dim=1) > scores[:, -1]).nonzero()[:, 0]
     if len(rows):
-        best, columns = _best(cosines[rows], min(scores.shape[1], cosines.shape[1]))
-        merged = _merge((scores[rows], indices[rows]), (best, columns + first))
-        scores[rows], indices[rows] = merged
+        best, columns = _best(cosines[rows], scores.shape[1])
+        both = torch.cat((scores[rows], best), 1)
+        scores[rows], places = _best(both, scores.shape[1])
+        indices[rows] = torch.cat((indices[rows], columns + first), 1).gather(1, places)
 
 
 def _best(scores: Tensor, top: int) -> tuple[Tensor, Tensor]:
-    """The highest scores of each row and their columns, the first of equals.
+    """The ``top`` highest scores of each row, or all of fewer, and their columns: falling, and the
+    first of equals first.
 
-    ``topk`` takes any of several equal scores. Where more than ``top`` columns are at least as high
+    ``topk`` takes any of several equal scores. Where more columns than it took are at least as high
     as the last score that it took, a stable sort decides.
     """
+    top = min(top, scores.shape[1])
     best, columns = scores.topk(top, dim=1)
     last = best[:, -1:]
-    unclear = ((scores >= last).sum(dim=1) > top) & last[:, 0].isfinite()
+    unclear = ((scores >= last).sum(dim=1, keepdim=True) > top) & last.isfinite()
+    columns = columns.sort(dim=1).values
     if bool(unclear.any()):
-        ranked = scores[unclear].sort(dim=1, descending=True, stable=True)
-        best[unclear], columns[unclear] = ranked.values[:, :top], ranked.indices[:, :top]
-    return best, columns
-
-
-def highest(values: Tensor, count: int) -> Tensor:
-    """``(count,)`` int64, the places of the highest of ``(N,)`` values, the first of equals first.
-
-    Only the ``count`` groups of values with the highest maxima are sorted: each value of another
-    group is lower than, or behind, ``count`` others.
-    """
-    size = max(1, min(len(values), _GROUP))
-    groups = F.pad(values, (0, -len(values) % size), value=-torch.inf).view(-1, size)
-    chosen = groups.amax(1).sort(descending=True, stable=True).indices[:count].sort().values
-    places = (chosen[:, None] * size + torch.arange(size)).flatten()
-    order = groups[chosen].flatten().sort(descending=True, stable=True).indices[:count]
-    return places[order]
-
-
-_GROUP = 1024
+        rows = unclear[:, 0]
+        columns[rows] = scores[rows].sort(dim=1, descending=True, stable=True).indices[:, :top]
+    best, order = scores.gather(1, columns).sort(dim=1, descending=True, stable=True)
+    return best, columns.gather(1, order)
 
 
 def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
@@ -231,23 +219,10 @@ def best_of(values: Tensor, top: int, rows: Tensor | None = None) -> Matches:
     Returns:
         ``(top,)`` float32 values and int64 rows; -inf and -1 where there are fewer.
     """
-    scores, indices = torch.full((top,), -torch.inf), torch.full((top,), -1)
-    count = min(top, int((values > -torch.inf).sum()))
-    places = highest(values, count)
-    scores[:count] = values[places].float()
-    indices[:count] = places if rows is None else rows[places]
-    return Matches(scores, indices)
-
-
-def _merge(best: tuple[Tensor, Tensor], others: tuple[Tensor, Tensor]) -> tuple[Tensor, Tensor]:
-    """The best of two lists of candidates, as many as in the first; equal scores by index."""
-    top = best[0].shape[1]
-    scores, indices = torch.cat((best[0], others[0]), 1), torch.cat((best[1], others[1]), 1)
-    by_index = indices.argsort(dim=1)
-    order = by_index.gather(
-        1, scores.gather(1, by_index).argsort(dim=1, descending=True, stable=True)
-    )
-    return scores.gather(1, order)[:, :top], indices.gather(1, order)[:, :top]
+    padded = F.pad(values, (0, max(0, top - len(values))), value=-torch.inf)
+    (scores,), (places,) = _best(padded[None], top)
+    found = places if rows is None or not len(rows) else rows[places.clamp(max=len(rows) - 1)]
+    return Matches(scores.float(), found.masked_fill(scores == -torch.inf, -1))
 
 
 def _check(queries: Tensor, references: Tensor, top: int) -> None:

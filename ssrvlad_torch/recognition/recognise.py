@@ -104,7 +104,7 @@ def recognise(
     steps: Steps | None = None,
     top: int = 5,
     excluded: Tensor | None = None,
-    beside: Mapping[str, tuple[Vectors, Vectors]] | None = None,
+    extra: Mapping[str, tuple[Vectors, Vectors]] | None = None,
     mirrors: Mapping[str, Mirror] | None = None,
 ) -> Recognised:
     """Candidates of each query, and the confidence in the first.
@@ -117,7 +117,7 @@ def recognise(
         steps: what is done; without, all steps.
         top: number of candidates of each query.
         excluded: ``(Q, R)`` bool, references that are no candidates.
-        beside: queries ``(Q, D')`` and references ``(R, D')`` of further methods by their names,
+        extra: queries ``(Q, D')`` and references ``(R, D')`` of extra methods by their names,
             or signs, see `signs`; the scores of all methods are fused, see `FusedScores`.
         mirrors: of all methods but signs by their names, `SSR_VLAD` for the descriptors: the decoys
             by which queries that are judged alone are calibrated. Without, by their lead over other
@@ -132,7 +132,7 @@ def recognise(
         [5, 6, 7, 8]
     """
     steps = steps or Steps()
-    pairs = {SSR_VLAD: (queries, references), **(beside or {})}
+    pairs = {SSR_VLAD: (queries, references), **(extra or {})}
     queries_of = {name: torch.as_tensor(pair[0]) for name, pair in pairs.items()}
     for vectors in queries_of.values():
         if len(query_sequences) != len(vectors):

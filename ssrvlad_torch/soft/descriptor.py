@@ -9,7 +9,7 @@ from ..config import SSRVLADConfig
 from ..front_end import label_map
 from ..stages.boundaries import WIDTH
 from ..stages.grid_pooling import CELLS, ROWS
-from ..stages.harmonics import harmonic_tables
+from ..stages.harmonics import Harmonics
 from ..taxonomy import label_space
 from .stages.boundaries import soft_boundaries
 from .stages.grid_pooling import soft_pool
@@ -58,7 +58,7 @@ class SoftSSRVLAD(nn.Module):
             )
         self.temperature = temperature
         self._label_space = label_space(self.config.labels_as)
-        self._tables = harmonic_tables(self.config)
+        self._harmonics = Harmonics(self.config)
 
     def forward(self, scores: Tensor) -> Tensor:
         """The descriptors of a batch."""
@@ -79,7 +79,7 @@ class SoftSSRVLAD(nn.Module):
         column = layers.new_zeros(len(layers))
         if config.anchor == "vanishing-column":
             column = soft_vanishing_columns(layers)
-        bins, basis = (table.to(layers) for table in self._tables)
+        bins, basis = (self._harmonics.table(name).to(layers.dtype) for name in ("bins", "basis"))
         unit = min(layers.shape[2:]) / ROWS / WIDTH
         return soft_coefficients(
             soft_pool(layers, column, CELLS),

@@ -10,6 +10,7 @@ It is one of the two aggregations: layers -> histograms -> descriptor. `residual
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -84,7 +85,7 @@ class Harmonics(nn.Module):
         shares = pool(torch.cat((areas, boundaries(numbers)), 1), column)
         side = torch.sym_min(height, width) / ROWS / WIDTH
         cells = torch.cat((shares[:, :AREA_LAYERS], shares[:, AREA_LAYERS:] * side), 1)
-        bins = soft_histograms(cells, self._table("bins", column.device))
+        bins = soft_histograms(cells, self.table("bins"))
         if is_exporting():  # a graph cannot raise an error
             sizes = torch.stack([torch.full((), size) for size in (width, height * width)])
             is_exact = (sizes <= torch.tensor([MAX_WIDTH, MAX_WHOLE])).all()
@@ -95,15 +96,18 @@ class Harmonics(nn.Module):
         """``(B, 6 * harmonics + 4 * boundary_harmonics)`` float32 descriptors."""
         bins, config = histograms.bins.flatten(2), self.config
         numbers = config.harmonics, config.boundary_harmonics
-        return coefficients(bins, self._table("basis", bins.device), numbers, config.power)
+        return coefficients(bins, self.table("basis"), numbers, config.power)
 
-    def _table(self, name: str, device: torch.device) -> Tensor:
+    def table(self, name: str) -> Tensor:
+        """``bins`` or ``basis`` of `harmonic_tables`; in a graph in float32."""
+        table = self.get_buffer(name)
         if is_exporting():
             narrow: Tensor = getattr(self._narrow, name)
-            return narrow.to(device)
-        return self.get_buffer(name).to(device).view(torch.float64)
+            return narrow.to(table.device)
+        return table.view(torch.float64)
 
 
+@lru_cache(maxsize=8)
 @torch.inference_mode(False)
 def harmonic_tables(config: SSRVLADConfig) -> Tables:
     """The tables of a config; never inference tensors, so training can use them too."""

@@ -33,8 +33,8 @@ def info(database: DatabaseFolder, as_of: AsOf = None, as_json: Json = False) ->
         used = opened.config.used()
         settings = report["config"].items()
         report["config"] = {name: value for name, value in settings if name in used}
-    if not report["beside"]:
-        del report["beside"]
+    if not report["extra"]:
+        del report["extra"]
     for name, value in report.items():
         entries = value.items() if isinstance(value, dict) else ()
         text = ", ".join(f"{key} {entry}" for key, entry in entries) if entries else value
@@ -121,7 +121,7 @@ def verify(
     opened = Database.open(database)
     frames = len(opened)
     with progress_bar("verifying", frames) as bar:
-        damage = opened.verify(bar.advance)
+        damage = opened.damage(bar.advance)
     if as_json:
         print_json({"frames": frames, "damage": [entry._asdict() for entry in damage]})
     else:

@@ -6,7 +6,7 @@ import dataclasses
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from ..options import Json, MaybePreset, SourceOptions, With, option
+from ..options import Extra, Json, MaybePreset, SourceOptions, option
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
@@ -28,12 +28,12 @@ def encode(
         "Database to create or extend: a folder or a URI.", "--output", "-o", default=...
     ),
     preset: MaybePreset = None,
-    beside: With = None,
+    extra: Extra = None,
     engine: Engine = option(
         "local: threads of this machine; ray: Ray Data, on this machine or a cluster.",
         default="local",
     ),
-    gpus: float = option("With --engine ray: GPUs for each worker.", default=0.0, min=0),
+    gpus: float = option("Extra --engine ray: GPUs for each worker.", default=0.0, min=0),
     prune: bool = option(
         "Remove frames whose file is no longer in the folders of SOURCE.", "--prune", default=False
     ),
@@ -50,7 +50,7 @@ def encode(
     """
     from ...database.database import Database
 
-    summary = _encode(source, output, preset, beside, engine, gpus, prune)
+    summary = _encode(source, output, preset, extra, engine, gpus, prune)
     if as_json:
         skipped = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
@@ -67,7 +67,7 @@ def _encode(
     options: SourceOptions,
     output: str,
     preset: str | None,
-    beside: Sequence[str] | None,
+    extra: Sequence[str] | None,
     engine: Engine,
     gpus: float,
     prune: bool,
@@ -94,19 +94,19 @@ def _encode(
     files, segmenter, labels_as = source.files, source.segmenter, source.labels_as
     if gpus and not segmenter:
         raise no_gpus
-    extra = extra_of(source, beside, database is None)
+    stored = extra_of(source, extra, database is None)
     if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
     head = SSRVLAD(config)
     if database:
-        database.require(config, extra)
+        database.require(config, stored)
     else:
-        skipped = _skipped_before_the_first(head, files, segmenter, extra)
+        skipped = _skipped_before_the_first(head, files, segmenter, stored)
         if len(skipped) == len(files):
             return Summary(skipped=skipped)
-        database = Database.open_or_create(output, config, extra)
+        database = Database.open_or_create(output, config, stored)
     with progress_bar("encoding", len(files), played(files)) as bar:
         chosen = EncodeOptions(options.workers, whole, prune, bar.advance, bar.skip, gpus)
         run = encode_with_ray if engine == "ray" else encode_to_database

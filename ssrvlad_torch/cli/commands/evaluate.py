@@ -84,7 +84,7 @@ def _recognised(
     from ...encoding.search import accepted, search
     from ...evaluation.measure import TOP, Recognition, needs_similarity
     from ...evaluation.thresholds import SURE_PRECISION
-    from ...evaluation.true_matches import Places
+    from ...evaluation.true_matches import Viewpoints
     from ...recognition.confidence import accept
     from ...recognition.recognise import AS_PAPER
     from ...recognition.sweep import COLUMNS, score
@@ -92,9 +92,9 @@ def _recognised(
 
     pairs = needs_similarity(convention)
     steps = AS_PAPER if pairs else options.steps()
-    fuse = False if pairs else options.fused
+    extra = False if pairs else options.with_extra
     with progress_bar("encoding", len(source.files)) as bar:
-        found = search(database, source, steps, TOP, options.reach, fuse, progress=bar.advance)
+        found = search(database, source, steps, TOP, options.reach, extra, progress=bar.advance)
     queries, references, recognised, t, skipped, folders = found
     if queries.descriptors.ndim == 3:
         middle = queries.descriptors[:, COLUMNS.index(0)].contiguous()
@@ -105,8 +105,8 @@ def _recognised(
     if pairs:
         similarity = score(queries.descriptors, references.descriptors).numpy()
     return Recognition(
-        references=Places.of_set(references, dataset, source.known),
-        queries=Places.of_set(queries, dataset, folders, [f.frame for f in skipped]),
+        references=Viewpoints.of_set(references, dataset, source.known),
+        queries=Viewpoints.of_set(queries, dataset, folders, [f.frame for f in skipped]),
         matches=matches,
         recognised=recognised,
         estimates={

@@ -37,7 +37,7 @@ def locate(
             recognition.steps(),
             1,
             recognition.reach,
-            recognition.fused,
+            recognition.with_extra,
             progress=bar.advance,
         )
     (scores, rows), estimate = accepted(found, recognition.min_confidence, recognition.max_wrong)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from ...evaluation.loops import EVEN
 from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
-from ..options import Json, MaybePreset, SourceOptions, With, option
+from ..options import Extra, Json, MaybePreset, SourceOptions, option
 from ..output import finish, fraction, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ def loops(
         "Measure precision and recall: largest distance of a right loop in metres."
     ),
     preset: MaybePreset = None,
-    beside: With = None,
+    extra: Extra = None,
     as_json: Json = False,
 ) -> None:
     """Find loop closures in a stream of frames, frame by frame.
@@ -53,9 +53,9 @@ def loops(
     """
     from ...database.database import Database
     from ...encoding.results import Skipped
+    from ...figures import require_picture, write_picture
     from ...loops.picture import draw_loops
     from ...loops.stream import candidates_of, detect_loops, loops_of, open_detector, report
-    from ...picture import require_picture, write_picture
     from ..sources import extra_of, resolve
 
     config = LoopConfig(exclude, threshold, sweep)
@@ -63,8 +63,8 @@ def loops(
     if picture:
         require_picture(picture)
     opened = resolve(source, stored, listed=STDIN not in source.paths)
-    extra = extra_of(opened, beside, stored is None)
-    detector, database = open_detector(config, memory, preset, opened.labels_as, extra)
+    methods = extra_of(opened, extra, stored is None)
+    detector, database = open_detector(config, memory, preset, opened.labels_as, methods)
     results: list[LoopResult] = []
     skipped: list[Skipped] = []
     frames = _frames(source, opened, detector, database)
@@ -124,7 +124,7 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
         f"{best.probability:.4f}{unlikely}, --threshold {config.threshold:g}"
     )
     say(
-        "pictures and --with, or frames nearer to each other, may find more; a street driven the "
+        "pictures and --extra, or frames nearer to each other, may find more; a street driven the "
         "other way is never found"
     )
 

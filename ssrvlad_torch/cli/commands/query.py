@@ -41,7 +41,7 @@ def query(
     ),
     index: bool = option(
         "Search with the index on disk (ssrvlad db index). Scores are exact. Sequences are "
-        "followed over the candidates of the index. --sweep and descriptors of pictures are not "
+        "followed over the candidates of the index. --sweep and extra descriptors are not "
         "used.",
         "--index",
         default=False,
@@ -63,13 +63,13 @@ def query(
     from ..sources import resolve
 
     first, last = _window(window)
-    if index and (recognition.reach or window or recognition.fuse):
-        raise ValueError("--index does not go with a temporal sum, --window or --fuse")
+    if index and (recognition.reach or window or recognition.extra):
+        raise ValueError("--index does not go with a temporal sum, --window or --extra")
     opened = Database.open(database, as_of)
     top = min(top, max(1, len(opened)))
     frames = resolve(source, opened, compared=True)
     steps = recognition.steps()
-    if index and (unused := " and ".join(extra.name for extra in opened.beside)):
+    if index and (unused := " and ".join(each.name for each in opened.extra)):
         note(f"--index searches descriptors of label maps, without {unused} of {database}")
 
     def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
@@ -82,8 +82,8 @@ def query(
         if index:
             found = search_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
         else:
-            reach, fuse = recognition.reach, recognition.fused
-            found = search(opened, frames, steps, top, reach, fuse, excluded, bar.advance)
+            reach, extra = recognition.reach, recognition.with_extra
+            found = search(opened, frames, steps, top, reach, extra, excluded, bar.advance)
     least = -math.inf if threshold is None else threshold
     _print(found, recognition, least, "candidates of the index, " * index, as_json)
     finish(found.skipped, len(found.queries))

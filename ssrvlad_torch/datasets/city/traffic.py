@@ -12,7 +12,7 @@ from ..poses import Pose
 from .blocks import KERB_STRIP, Side
 from .bodies import BUS, PARKING, TRUCK, Axis, Body, box, car, person, rider
 from .conditions import Conditions, generator
-from .picture import FAR
+from .rendering import FAR
 from .streets import PITCH, street
 
 
