@@ -14,6 +14,7 @@ from collections.abc import Iterator
 import torch
 from _described import FEATURES, OURS, TOGETHER, Described, all_conditions, decide
 from _markdown import head_row, interval, kept, parser, row, write
+from _no_sequence import no_sequence_section
 from conditions import CITY_SEEDS, METRES, RESAMPLES
 
 from ssrvlad_torch.recognition.recognise import AS_PAPER, Steps
@@ -60,8 +61,8 @@ intervals over the queries ({RESAMPLES} resamples). Each column adds one step to
 
 The columns of following differ in the queries that they use: *online* the queries so far, *online,
 {DELAY} late* (`--follow online --delay {DELAY}`) also the {DELAY} queries after, *offline* all
-queries. A delay helps where single frames are poor. Queries that do not form a sequence are judged
-one by one.
+queries. A delay helps where single frames are poor. Queries that do not form a sequence are
+[judged one by one](#queries-that-are-no-sequence).
 
 The label grid and HOG of the pictures are baselines. They get the same steps, except the sweep.
 
@@ -95,6 +96,7 @@ def page(described: Described) -> Iterator[str]:
                 cells.append(interval(value, ends))
             yield row(condition.name, *cells)
         yield ""
+    yield from no_sequence_section(described)
     yield kept("recognition.md", "## How the filter was chosen")
 
 
