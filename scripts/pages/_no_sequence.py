@@ -49,15 +49,15 @@ def _draw(
     [search] = condition.searches
     members = FUSED.get(method, {})
     queries, references = described.pair(search, OURS if members else method)
-    beside = {name: described.pair(search, member) for name, member in members.items()}
+    extra = {name: described.pair(search, member) for name, member in members.items()}
     names = described.sequences(search)[1]
     random = np.random.default_rng(length)
 
     def recognised(rows: np.ndarray, steps: Steps) -> Recognised:
         drawn = torch.from_numpy(rows)
-        others = {name: (here[drawn], there) for name, (here, there) in beside.items()}
+        others = {name: (here[drawn], there) for name, (here, there) in extra.items()}
         sequence = ["drawn"] * len(rows)
-        return recognise(queries[drawn], references, sequence, names, steps, 1, beside=others)
+        return recognise(queries[drawn], references, sequence, names, steps, 1, extra=others)
 
     results = []
     for _ in range(DRAWS):
