@@ -2,7 +2,7 @@
 """Writes docs/benchmark.md: time and memory of the method, in one run.
 
     .venv/bin/python scripts/pages/benchmark.py --camvid ../shared/data/camvid \
-        --networks ../shared/data/networks
+        --networks ../shared/data/networks --pictures ../shared/data/uofa/*/images
 
 The rows of a table are timed in turn (`ssrvlad_torch.cli.bench.time_in_turn`) with a fixed number
 of threads. Label maps are those of CamVid, enlarged to each size, or without it of the synthetic
@@ -28,6 +28,7 @@ import cv2
 import numpy as np
 import scipy.fft
 import torch
+from _cluster import cluster_section
 from _encoding_rates import encoding_rates
 from _markdown import head_row, paragraph, row
 from _picture_costs import pictures_section
@@ -400,6 +401,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--camvid", type=Path, default=None)
     arguments.add_argument("--networks", type=Path, default=None)
+    arguments.add_argument("--pictures", type=Path, nargs="+", help="folders, for the cluster")
     arguments.add_argument("--output", type=Path, default=Path("docs/benchmark.md"))
     arguments.add_argument("--repetitions", type=int, default=5)
     arguments.add_argument("--references", type=int, default=200_000)
@@ -432,6 +434,7 @@ def main() -> None:
         partial(loops_section),
         partial(batch_section, maps, options.repetitions),
         partial(encoding_section, maps, options.repetitions),
+        partial(cluster_section, options.networks, options.pictures),
         partial(matching_section, options.references),
     ]
     options.output.parent.mkdir(exist_ok=True)
