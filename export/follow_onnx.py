@@ -10,7 +10,7 @@ each folder as a sequence, with its later frames too. It does not ask whether th
 sequence along the map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a
 frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each frame the best
 rows with their probabilities; the first is that of the place, a few rows wide. Needs numpy,
-onnxruntime, and `run_onnx.py` and `loops_onnx.py` beside it. Memory: 28 bytes for each pair of a
+onnxruntime, and the folder `ssrvlad_place` beside it. Memory: 28 bytes for each pair of a
 frame and a row, and 128 kB for each frame and row with features. Exit code 0 for success, 2 for
 wrong use, 3 for finished with some frames skipped.
 """
@@ -26,34 +26,23 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from loops_onnx import CHANGE, GAP, MAX_LOG, NEAR, SPEEDS, STAY, WEIGHT
-from run_onnx import (
-    REACH,
-    SOME_SKIPPED,
-    WEIGHTS,
-    Database,
-    Seen,
-    add_model,
-    find_frames,
-    fused,
-    note,
-    one_line,
-    open_model,
-    report,
-)
+from ssrvlad_place import motion
+from ssrvlad_place.database import Database
+from ssrvlad_place.frames import find_frames
+from ssrvlad_place.model import Seen, add_model, open_model
+from ssrvlad_place.motion import CHANGE, GAP, LEVEL, MAX_LOG, NEAR, PRIOR, STAY, WEIGHT
+from ssrvlad_place.output import SOME_SKIPPED, note, one_line, report
+from ssrvlad_place.scores import REACH, WEIGHTS, fused, lead, nearness, weights_of
 
 Floats = npt.NDArray[np.float32]
 
-JUMP, UNMAPPED, LEVEL = 0.01, 0.1, 0.5
-"""As in `loops_onnx`, for a drive along a map."""
+UNMAPPED = 0.1
+"""Probability of a jump to a place that the map lacks."""
+WAYS = (1,)
 MIN_FRAMES = 30
 """Least number of frames of a drive whose own mean is subtracted."""
 
-ELSEWHERE = 5
-"""Rows beyond which a candidate is another place than the first."""
-
 _SAMPLE = 200
-_PRIOR = np.array([probability for probability, _ in SPEEDS], np.float32)[:, None]
 _ROUNDING = 1e-6
 
 
@@ -92,28 +81,9 @@ def numbers(signs: Any, sequences: Sequence[str], standardised: bool) -> Floats:
     return rows.reshape(len(bits), bits.shape[1], -1)
 
 
-def weights_of(methods: Sequence[Floats]) -> Sequence[float]:
-    """The weights of methods by the leads of their first candidates over other places, as `ssrvlad
-    query` weighs them for a drive."""
-    known = [
-        weight
-        * max(0.0, float(np.mean([_lead(row) for row in each[:: max(1, len(each) // _SAMPLE)]])))
-        for weight, each in zip(WEIGHTS, methods, strict=True)
-    ]
-    return [weight / sum(known) for weight in known] if sum(known) > 0 else WEIGHTS
-
-
-def _lead(scores: Floats) -> float:
-    """How much nearer the first candidate is than the best other place, in standard deviations."""
-    if len(scores) <= 2 * ELSEWHERE + 1:
-        return 0.0
-    known = np.isfinite(scores)
-    near = np.where(known, -np.log(np.maximum(1 - scores, np.float32(_ROUNDING))), 0)
-    near = np.where(known, near - near.sum() / max(1, known.sum()), 0)
-    first = near.argmax()
-    elsewhere = np.abs(np.arange(len(near)) - first) > ELSEWHERE
-    spread = np.sqrt(np.square(near).sum() / max(1, known.sum()))
-    return float((near[first] - near[elsewhere].max()) / max(spread, _ROUNDING))
+def mean_lead(scores: Floats) -> float:
+    """The mean lead of the first candidates over a sample of the queries ``(Q, R)``."""
+    return float(np.mean([lead(row) for row in scores[:: max(1, len(scores) // _SAMPLE)]]))
 
 
 class Track:
@@ -131,22 +101,21 @@ class Track:
         )
         self.inside = np.zeros(int(starts[-1]), np.float32)
         self.inside[self.cells] = 1
-        stayed = self._moved(np.ones((len(SPEEDS), len(self.inside)), np.float32), -1)
-        self._left = 1 - stayed
+        self._left = 1 - self._back(np.ones((len(PRIOR), len(self.inside)), np.float32))
 
     def rows(self, scores: Floats) -> Floats:
         """``(Q, R)`` probabilities of the rows, by ``(Q, R)`` scores; -inf where there is none."""
         likelihoods = [self._likelihood(row) for row in scores]
-        mapped = _PRIOR * (self.inside * np.float32((1 - UNMAPPED) / len(self.cells)))
-        unmapped, beliefs = UNMAPPED, []
+        mapped, unmapped = motion.start(self.inside, UNMAPPED, len(WAYS)), UNMAPPED
+        beliefs = []
         for number, likelihood in enumerate(likelihoods):
             if number:
-                mapped, unmapped = self._after(mapped, unmapped)
+                mapped, unmapped = motion.after(mapped, unmapped, self.inside, UNMAPPED, WAYS)
             mapped = mapped * likelihood
             total = float(mapped.sum()) + unmapped
             mapped, unmapped = mapped / np.float32(total), unmapped / total
-            beliefs.append(mapped)
-        later, later_unmapped = np.ones_like(mapped), 1.0
+            beliefs.append(mapped[0])
+        later, later_unmapped = np.ones_like(mapped[0]), 1.0
         found = np.zeros_like(scores)
         for number in reversed(range(len(likelihoods))):
             each = beliefs[number] * later
@@ -157,7 +126,7 @@ class Track:
         return found
 
     def _likelihood(self, scores: Floats) -> Floats:
-        near, known = -np.log(np.maximum(1 - scores, np.float32(_ROUNDING))), np.isfinite(scores)
+        near, known = nearness(scores), np.isfinite(scores)
         spread = float(near[known].std()) if known.any() else 0.0
         cells = np.zeros_like(self.inside)
         if spread <= _ROUNDING:
@@ -167,31 +136,16 @@ class Track:
         cells[self.cells] = np.exp(np.minimum(WEIGHT * (z - LEVEL), MAX_LOG))
         return cells
 
-    def _moved(self, mapped: Floats, way: int) -> Floats:
-        """By the steps of each speed, along the map (1) or, transposed, against it (-1)."""
-        source = mapped if way > 0 else mapped * self.inside
-        moved = np.zeros_like(mapped)
-        for speed, (_, steps) in enumerate(SPEEDS):
-            for step, probability in steps.items():
-                moved[speed] += np.float32(probability * (1 - JUMP)) * np.roll(
-                    source[speed], way * step
-                )
-        return moved * self.inside
-
-    def _after(self, mapped: Floats, unmapped: float) -> tuple[Floats, float]:
-        mixed = mapped * (1 - CHANGE) + CHANGE * _PRIOR * mapped.sum(axis=0)
-        moved = self._moved(mixed, 1)
-        lost = max(0.0, 1 - unmapped - float(moved.sum()))
-        arriving = lost * (1 - UNMAPPED) + unmapped * (1 - STAY)
-        moved += _PRIOR * (self.inside * np.float32(arriving / len(self.cells)))
-        return moved, lost * UNMAPPED + unmapped * STAY
+    def _back(self, mapped: Floats) -> Floats:
+        """By the transposed steps of each speed."""
+        return motion.moved(mapped * self.inside, self.inside, -1)
 
     def _before(self, mapped: Floats, unmapped: float) -> tuple[Floats, float]:
         """How likely the later frames are from each state one frame earlier; not normalised."""
-        anywhere = float((_PRIOR * mapped * self.inside).sum()) / len(self.cells)
+        anywhere = float((PRIOR * mapped * self.inside).sum()) / len(self.cells)
         elsewhere = UNMAPPED * unmapped + (1 - UNMAPPED) * anywhere
-        before = self._moved(mapped, -1) + self._left * np.float32(elsewhere)
-        before = before * (1 - CHANGE) + CHANGE * (_PRIOR * before).sum(axis=0)
+        before = self._back(mapped) + self._left * np.float32(elsewhere)
+        before = before * (1 - CHANGE) + CHANGE * (PRIOR * before).sum(axis=0)
         before_unmapped = STAY * unmapped + (1 - STAY) * anywhere
         largest = max(float(before.max()), before_unmapped, 1e-30)
         return (before / np.float32(largest)).astype(np.float32), before_unmapped / largest
@@ -236,7 +190,8 @@ def run(options: argparse.Namespace) -> int:
             ours = numbers(signs, [sequence] * len(drive), standardised)
             cosines = scores_of_signs(ours, numbers(database.signs, names, standardised))
             methods = [scores, cosines]
-            weights = weights_of(methods) if standardised else WEIGHTS
+            leads = [mean_lead(each) for each in methods]
+            weights = weights_of(leads) if standardised else WEIGHTS
             pairs = zip(*methods, strict=True)
             scores = np.stack([fused(pair, weights) for pair in pairs]).astype(np.float32)
         for frame, found, row in zip(drive, track.rows(scores), scores, strict=True):

@@ -1,7 +1,7 @@
 """Not run with hloc itself: the tests call it as hloc's `extract_features` does.
 
-A global descriptor for hloc. Copy this file to ``hloc/extractors/ssrvlad.py``, `run_onnx.py` beside
-it, and name it:
+A global descriptor for hloc. Copy this file to ``hloc/extractors/ssrvlad.py``, the folder
+`ssrvlad_place` beside it, and name it:
 
     conf = {
         "output": "global-feats-ssrvlad",
@@ -19,7 +19,7 @@ import numpy as np
 import torch
 
 from ..utils.base_model import BaseModel
-from .run_onnx import Model
+from .ssrvlad_place.model import Model
 
 
 class SSRVLAD(BaseModel):

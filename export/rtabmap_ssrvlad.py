@@ -7,8 +7,9 @@ rtabmap --Mem/GlobalDescriptorStrategy 1 --Kp/TfIdfLikelihoodUsed false \
         --Mem/RehearsalSimilarity 1 --PyDescriptor/Dim 480 \
         --PyDescriptor/Path export/rtabmap_ssrvlad.py
 
-Needs numpy, onnxruntime and `run_onnx.py` beside it, and a file of `ssrvlad fuse`: `place.onnx`
-beside it, or the one that `rtabmap_ssrvlad.json` beside it names: {"model": "other.onnx"}.
+Needs numpy, onnxruntime and the folder `ssrvlad_place` beside it, and a file of `ssrvlad fuse`:
+`place.onnx` beside it, or the one that `rtabmap_ssrvlad.json` beside it names:
+{"model": "other.onnx"}.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ sys.path.append(str(Path(__file__).resolve().parent))
 if not hasattr(sys, "argv"):  # as in an embedded interpreter
     sys.argv = [""]
 
-from run_onnx import Model, note, one_line
+from ssrvlad_place.model import Model
+from ssrvlad_place.output import note, one_line
 
 SETTINGS = Path(__file__).resolve().with_suffix(".json")
 

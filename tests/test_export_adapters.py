@@ -4,6 +4,7 @@ of ours."""
 import importlib
 import io
 import json
+import shutil
 import subprocess
 import sys
 from collections import defaultdict
@@ -154,8 +155,8 @@ def test_images_of_another_form_are_refused(rtabmap):
 
 def test_in_an_interpreter_without_arguments_and_without_torch(place, tmp_path):
     """As RTAB-Map does it: the folder is added to the path, the script imported by its name."""
-    for name in ("rtabmap_ssrvlad.py", "run_onnx.py"):
-        (tmp_path / name).write_bytes((EXPORT / name).read_bytes())
+    shutil.copy(EXPORT / "rtabmap_ssrvlad.py", tmp_path)
+    shutil.copytree(EXPORT / "ssrvlad_place", tmp_path / "ssrvlad_place")
     (tmp_path / "place.onnx").write_bytes(place.read_bytes())
     np.save(tmp_path / "image.npy", painted(LABELS))
     code = AS_THE_HOST.format(
@@ -303,10 +304,10 @@ def extractor(tmp_path, monkeypatch):
         ("hloc/utils/base_model.py", HOST),
         ("hloc/extractors/__init__.py", ""),
         ("hloc/extractors/ssrvlad.py", (EXPORT / "hloc_extractor.py").read_text()),
-        ("hloc/extractors/run_onnx.py", (EXPORT / "run_onnx.py").read_text()),
     ):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text(text)
+    shutil.copytree(EXPORT / "ssrvlad_place", tmp_path / "hloc/extractors/ssrvlad_place")
     monkeypatch.syspath_prepend(tmp_path)
     for name in [name for name in sys.modules if name.partition(".")[0] == "hloc"]:
         monkeypatch.delitem(sys.modules, name)

@@ -1,13 +1,12 @@
 """The program that finds drives without torch, against the command line."""
 
-import importlib.util
 import json
-import sys
 from functools import partial
-from pathlib import Path
 
+import follow_onnx as program
 import numpy as np
 import pytest
+import run_onnx
 import torch
 from cases import REAL, needs_real
 from segmenting import write_drives, write_town
@@ -19,21 +18,10 @@ from ssrvlad_torch.recognition.signs import SignQueries, SignRows
 from ssrvlad_torch.recognition.standardise import standardise
 from ssrvlad_torch.stages.features import SHAPE
 
-EXPORT = Path(__file__).parents[1] / "export"
 SPACE = "cityscapes-trainids"
 MEMBERS = ("ssr-vlad", "features")
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
-
-
-@pytest.fixture(scope="module")
-def program(patch):
-    patch.syspath_prepend(EXPORT)
-    spec = importlib.util.spec_from_file_location("follow_onnx", EXPORT / "follow_onnx.py")
-    module = importlib.util.module_from_spec(spec)
-    patch.setitem(sys.modules, "follow_onnx", module)
-    spec.loader.exec_module(module)
-    return module
 
 
 @pytest.fixture
@@ -55,7 +43,7 @@ def first(out):
     return {line["query"]: line["candidates"][0] for line in lines}
 
 
-def test_a_drive_is_found_as_by_query(program, main_of, ssrvlad, town, tmp_path):
+def test_a_drive_is_found_as_by_query(main_of, ssrvlad, town, tmp_path):
     city = write_city(tmp_path / "city", frames=40, size=(60, 80))
     database, head, exported = town(city.reference)
     code, out, err = main_of(
@@ -70,7 +58,7 @@ def test_a_drive_is_found_as_by_query(program, main_of, ssrvlad, town, tmp_path)
     assert all(0.5 < each["score"] <= 1 for each in found.values())
 
 
-def test_scores_of_features_and_weights_are_those_of_query(program):
+def test_scores_of_features_and_weights_are_those_of_query():
     """Of a drive of which the leads are known, and of one that is too short."""
     rng = np.random.default_rng(0)
     signs = rng.integers(0, 256, (80, *SHAPE), np.uint8)
@@ -91,13 +79,14 @@ def test_scores_of_features_and_weights_are_those_of_query(program):
         fused = FusedScores(
             {name: torch.from_numpy(v) for name, v in zip(MEMBERS, both, strict=True)}
         )
-        weights = program.weights_of(both) if whole else program.WEIGHTS
+        leads = [program.mean_lead(each) for each in both]
+        weights = program.weights_of(leads) if whole else program.WEIGHTS
         np.testing.assert_allclose(weights, [*fused.weights.values()], atol=1e-5)
         for row, right in zip(zip(*both, strict=True), fused.whole(), strict=True):
             np.testing.assert_allclose(program.fused(row, weights), right, atol=1e-5)
 
 
-def test_a_drive_with_features_is_found(program, main_of, tmp_path):
+def test_a_drive_with_features_is_found(main_of, tmp_path):
     """By the features: the label maps are of random scores."""
     write_drives(tmp_path, range(36), range(2, 35), (96, 128))
     write_town(tmp_path, tmp_path / "town.npy")
@@ -110,7 +99,7 @@ def test_a_drive_with_features_is_found(program, main_of, tmp_path):
 
 
 @pytest.mark.parametrize("frames", [(40,), (12, 40), (5, 6), (20, 20)])
-def test_means_are_those_of_standardise(program, frames):
+def test_means_are_those_of_standardise(frames):
     rng = np.random.default_rng(0)
     vectors = rng.normal(size=(sum(frames), 48)).astype(np.float32) + 1
     vectors /= np.linalg.norm(vectors, axis=1, keepdims=True)
@@ -120,7 +109,7 @@ def test_means_are_those_of_standardise(program, frames):
     np.testing.assert_allclose(got, standardise(vectors, names).numpy(), atol=1e-5)
 
 
-def test_wrong_use_is_one_line(program, main_of, town, tmp_path):
+def test_wrong_use_is_one_line(main_of, town, tmp_path):
     city = write_city(tmp_path / "city", frames=2, size=(60, 80))
     _, head, exported = town(city.reference)
     follow = partial(main_of, program.main, "follow_onnx.py", head)
@@ -133,12 +122,10 @@ def test_wrong_use_is_one_line(program, main_of, town, tmp_path):
 
 @pytest.mark.slow
 @needs_real
-def test_what_following_is_worth(program, main_of, ssrvlad, town):
+def test_what_following_is_worth(main_of, ssrvlad, town):
     """The figures of export/README.md: UofA, evening against day, one row to each side."""
     day, evening = (REAL / "uofa" / each / "predicted_espnetv2" for each in ("day", "evening"))
     database, head, exported = town(day)
-    import run_onnx
-
     recalls = []
     for main in (run_onnx.main, program.main):
         out = main_of(main, "x", head, evening, "--database", exported, "--json")[1]

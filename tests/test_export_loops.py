@@ -1,14 +1,13 @@
 """The loop detector without torch: the rules of the package's, and the command line's answers."""
 
 import dataclasses
-import importlib
 import json
 import os
 import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
+import loops_onnx
 import numpy as np
 import onnx
 import pytest
@@ -18,32 +17,25 @@ from hypothesis import given
 from loop_streams import SEEDS, configs, noisy_stream, streams, write_drive
 from onnx import TensorProto, helper
 from PIL import Image
+from segmenting import write_drives
+from ssrvlad_place import stream
+from ssrvlad_place.loops import Detector, Settings
+from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig, export_head
 from ssrvlad_torch.database.frames import FrameRecord
+from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.deployment.export import head_model
 from ssrvlad_torch.loops.config import LoopConfig
 
-EXPORT = Path(__file__).parents[1] / "export"
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
 HEAD = SSRVLAD(CONFIG)
 SETTINGS = ("--exclude", 5, "--threshold", 0.7)
 
 
-def load_script():
-    sys.path.insert(0, str(EXPORT))
-    try:
-        return importlib.import_module("loops_onnx")
-    finally:
-        sys.path.remove(str(EXPORT))
-
-
-script = load_script()
-
-
 @pytest.fixture
 def run(main_of):
-    return partial(main_of, script.main, "loops_onnx.py")
+    return partial(main_of, loops_onnx.main, "loops_onnx.py")
 
 
 @pytest.fixture(scope="module")
@@ -75,19 +67,31 @@ def assert_same_answers(got, expected):
 
 def test_its_defaults_are_those_of_the_package():
     plain = dataclasses.asdict(LoopConfig())
-    assert script.Settings()._asdict() == {name: plain[name] for name in script.Settings._fields}
+    assert Settings()._asdict() == {name: plain[name] for name in Settings._fields}
 
 
-def both(stream, config):
-    """What the script and the package say of a stream."""
-    chosen = {name: getattr(config, name) for name in script.Settings._fields}
-    theirs = script.Detector(script.Settings(**chosen))
-    ours = LoopDetector(config, HEAD)
+SHAPE = (16, 2, 8)
+DRAWN = np.random.default_rng(0).normal(size=(120, 16 * 2 * 64)).astype(np.float32)
+
+
+def signs_of(descriptor):
+    """Features that are as alike as descriptors are."""
+    return np.packbits(descriptor[:120] @ DRAWN > 0).reshape(SHAPE)
+
+
+def both(stream, config, features=False):
+    """What the program and the package say of a stream."""
+    chosen = {name: getattr(config, name) for name in Settings._fields}
+    theirs = Detector(Settings(**chosen))
+    beside = [ExtraDescriptor("features", 2048, "drawn", SHAPE)] * features
+    ours = LoopDetector(config, HEAD, beside)
     got, expected = [], []
     for number, (swept, sequence) in enumerate(zip(*stream, strict=True)):
-        got.append(theirs.update(f"{sequence}/{number}", swept)._asdict())
+        signs = signs_of(swept[len(swept) // 2]) if features else None
+        got.append(theirs.update(f"{sequence}/{number}", Seen(swept, signs))._asdict())
         record = FrameRecord(sequence, str(number))
-        expected.append(ours.observe(record, torch.from_numpy(swept))._asdict())
+        others = {"features": torch.from_numpy(signs)} if features else {}
+        expected.append(ours.observe(record, torch.from_numpy(swept), others)._asdict())
     return got, expected
 
 
@@ -106,13 +110,31 @@ def test_it_follows_the_rules_of_the_package(stream, config):
             assert one["score"] == pytest.approx(other["score"], abs=1e-3)
 
 
+@pytest.mark.parametrize("features", [False, True])
 @pytest.mark.parametrize(("anchors", "exclude", "places"), [(1, 5, 40), (3, 5, 40), (1, 100, 130)])
-def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, places):
-    monkeypatch.setattr(script, "BLOCK_ROWS", 16)
-    got, expected = both(noisy_stream(2, 300, places, [100], anchors), LoopConfig(exclude=exclude))
+def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, places, features):
+    monkeypatch.setattr(stream, "BLOCK_ROWS", 16)
+    drives = noisy_stream(2, 300, places, [100], anchors)
+    got, expected = both(drives, LoopConfig(exclude=exclude), features)
     sure = [row for row, line in enumerate(expected) if line["reason"].value == "accepted"]
     assert len(sure) > 25
     assert_same_answers([got[row] for row in sure], [expected[row] for row in sure])
+
+
+def test_with_features_it_says_what_the_command_line_says(ssrvlad, tmp_path, run):
+    """Of photographs, over a second drive along the first, by one file and by two."""
+    write_drives(tmp_path, range(20), range(4, 18), (96, 128))
+    streams = (tmp_path / "monday", tmp_path / "today")
+    given = ("--segmenter", tmp_path / "net.yaml", "--extra", "features", "--no-sweep")
+    code, out, err = ssrvlad("loops", *streams, *given, *SETTINGS, "--json", "--workers", 1)
+    assert (code, err) == (0, [])
+    expected = objects(out)
+    assert sum(line["reason"] == "accepted" for line in expected) > 5
+    two = (tmp_path / "head.onnx", "--network", tmp_path / "net.onnx")
+    for model in ((tmp_path / "place.onnx",), two):
+        code, out, err = run(*model, *streams, *SETTINGS)
+        assert (code, err) == (0, [])
+        assert_same_answers(objects(out), expected)
 
 
 @pytest.mark.parametrize("live", [False, True])
@@ -123,7 +145,7 @@ def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, 
     )
     assert sum(line["reason"] == "accepted" for line in expected) > 3
     pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    command = (EXPORT / "loops_onnx.py", head, "-" if live else drive, *SETTINGS)
+    command = (Path(loops_onnx.__file__), head, "-" if live else drive, *SETTINGS)
     with subprocess.Popen(without(("torch", "ssrvlad_torch"), *command), **pipes) as process:
         lines = []
         for path in sorted(drive.iterdir()) if live else []:

@@ -1,0 +1,152 @@
+"""Frames on disk: finding them, and reading label maps, class scores and pictures."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+
+SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
+
+_MAX_ID, _MIN_EVEN = 40, 0.8
+_NPY = b"\x93NUMPY"
+
+
+def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
+    """Ids ``<folder>/<name>`` and files of frames, in natural order.
+
+    Raises:
+        ValueError: a source does not exist or holds no frame.
+    """
+    for source in sources:
+        files = [path for path in source.glob("[!.]*") if path.suffix.lower() in SUFFIXES]
+        if source.is_file():
+            files = [source]
+        if not files:
+            raise ValueError(f"{source} holds no frames; expected {', '.join(SUFFIXES)} files")
+        for path in sorted(files, key=lambda path: _natural(path.stem)):
+            yield f"{path.absolute().parent.name}/{path.stem}", path
+
+
+def read_labels(path: Path, classes: list[dict[str, Any]], dtype: Any) -> Array:
+    """The label map in a file, ``(H, W)`` of a dtype, by the classes of a label space.
+
+    Raises:
+        ValueError: it holds something else, or ids that the dtype cannot hold.
+    """
+    labels = read_npy(path) if _is_npy(path) else _label_picture(path, classes)
+    if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
+        raise ValueError(f"expected an (H, W) label map, got {labels.shape} {labels.dtype}")
+    converted = labels.astype(dtype)
+    changed = int((converted != labels).sum())
+    if changed:
+        raise ValueError(f"{changed} of {labels.size} pixels have an id outside {dtype}")
+    return converted
+
+
+def read_scores(path: Path, dtype: Any) -> Array:
+    """The class scores in a ``.npy`` file, ``(C, H, W)`` of a dtype; else a ValueError."""
+    if not _is_npy(path):
+        raise ValueError("expected scores (C, H, W) in a .npy file, got another kind of file")
+    scores = read_npy(path)
+    if scores.ndim != 3 or scores.dtype.kind != "f" or not np.isfinite(scores).all():
+        raise ValueError(f"expected finite scores (C, H, W), got {scores.shape} {scores.dtype}")
+    return scores.astype(dtype)
+
+
+def read_photograph(path: Path) -> Array:
+    """The picture in a file, ``(H, W, 3)`` uint8 in RGB; another file is a ValueError."""
+    pixels = read_npy(path) if _is_npy(path) else _picture(path)
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
+        raise ValueError(f"expected (H, W, 3) uint8, got {pixels.shape} {pixels.dtype}")
+    return pixels
+
+
+def read_npy(path: Path, mmap_mode: Literal["r"] | None = None) -> Array:
+    """The array in a `.npy` file.
+
+    Raises:
+        ValueError: the file holds something else.
+    """
+    with path.open("rb") as file:
+        if file.read(len(_NPY)) != _NPY:
+            raise ValueError("expected an array in a .npy file, got another kind of file")
+    return np.asanyarray(np.load(path, mmap_mode, allow_pickle=False))
+
+
+def _is_npy(path: Path) -> bool:
+    return path.suffix.lower() == ".npy"
+
+
+def _label_picture(path: Path, classes: list[dict[str, Any]]) -> Array:
+    """``(H, W)`` ids; of a palette image see `_ids_of_palette`."""
+    with _open_image(path) as image:
+        stored = str(image.tile[0][3]) if image.tile else ""
+        scaled = image.mode == "L" and ";" in stored
+        if scaled or image.mode not in ("L", "P", "I", "I;16", "I;16B"):
+            raise ValueError(
+                f"expected gray (8 or 16 bits) or a palette, got {image.mode} {stored}"
+            )
+        pixels = np.asarray(image)
+        return _ids_of_palette(pixels, image.getpalette(), classes) if image.mode == "P" else pixels
+
+
+def _ids_of_palette(indices: Array, colours: list[int], classes: list[dict[str, Any]]) -> Array:
+    """The rule of `ssrvlad encode`: ids are the indices, unless the palette shows other ids."""
+    known = sorted((each for each in classes if each.get("colour")), key=lambda each: each["id"])
+    ids = {tuple(each["colour"]): each["id"] for each in known}
+    own = {each["id"]: tuple(each["colour"]) for each in known}
+    shown = {int(i): tuple(colours[3 * i : 3 * i + 3]) for i in np.unique(indices).tolist()}
+    others = [i for i, colour in shown.items() if colour != own.get(i, (0, 0, 0))]
+    moved = {i: ids[shown[i]] for i in others if shown[i] in ids}
+    strays = [i for i in others if i not in moved]
+    unclear = strays if moved else []
+    if all(len(set(colour)) == 1 for colour in shown.values()):
+        is_id = strays and all(colour == (i, i, i) for i, colour in shown.items())
+        moved, unclear = {}, [] if is_id else others
+    if unclear:
+        raise ValueError(
+            f"the palette shows index {unclear[0]} as {shown[unclear[0]]}; expected colours of the "
+            "label space alone, or an image without palette, to tell which is the id"
+        )
+    table = np.arange(256)
+    table[list(moved)] = list(moved.values())
+    return table[indices]
+
+
+def _picture(path: Path) -> Array:
+    """``(H, W, 3)`` uint8 RGB, turned upright by its EXIF orientation."""
+    with _open_image(path) as image:
+        from PIL import ImageOps
+
+        if image.mode in ("L", "P"):
+            _require_photograph(np.asarray(image))
+        return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+
+
+def _require_photograph(values: Array) -> None:
+    """Refuses a label map: small ids, or 255, in even areas. A dark photograph has noise."""
+    ids = np.setdiff1d(values, [255])
+    is_even = np.mean(values[:, 1:] == values[:, :-1]) > _MIN_EVEN
+    if len(ids) > 1 and ids[-1] <= _MAX_ID and is_even:
+        raise ValueError(
+            f"expected a photograph, got a label map: {len(ids)} values, {ids[0]} to {ids[-1]}"
+        )
+
+
+def _open_image(path: Path) -> Any:
+    try:
+        from PIL import Image
+    except ImportError as error:
+        raise ImportError("pictures need: pip install pillow; or give .npy arrays") from error
+    return Image.open(path)
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

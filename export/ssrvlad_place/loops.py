@@ -1,0 +1,238 @@
+"""Loop closures in a stream of descriptors; see `ssrvlad_torch.LoopDetector`."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from . import motion
+from .model import Seen
+from .motion import GAP, LEVEL, MAX_LOG, NEAR, WEIGHT
+from .scores import fused, lead, nearness, weights_of
+from .stream import Map, SignMap
+
+Floats = npt.NDArray[np.float32]
+
+WAYS = (1, -1)
+"""The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
+UNMAPPED = 0.3
+"""Probability of a jump to a new place."""
+EVIDENCE, LEVEL_FRACTION, NEIGHBOURS = 3.0, 0.9, 1000
+"""For rows of the same sequence: what twice the level counts; and the level, as a fraction of the
+z-score that three quarters of the last frames have with their previous frame."""
+STRIDE = 50
+"""The previous frame is one frame before where 50 are excluded, and two where 100 are."""
+RECENT = 10
+"""Least age, in frames, of an excluded frame that can be the present place."""
+
+MARGIN, APART, TRACK = 1.2, 5, 15
+"""A row counts as seen again where it is so much nearer than different places of its street are:
+excluded frames that are a fifth of them apart, or more, by the mean over so many frames."""
+
+_MIN_SPREAD = 1e-6
+
+
+class Settings(NamedTuple):
+    """The settings of the detector, as in `ssrvlad_torch.LoopConfig`: the last `exclude` frames are
+    no candidates, and a loop has at least the probability `threshold`.
+    """
+
+    exclude: int = 50
+    threshold: float = 0.8
+
+
+class Loop(NamedTuple):
+    """The result of a frame, see `ssrvlad_torch.loops.result.LoopResult`; without poses, `ahead` is
+    always `None`."""
+
+    frame: str
+    reason: str
+    candidate: str | None = None
+    score: float | None = None
+    probability: float | None = None
+    ahead: float | None = None
+
+
+class Filter:
+    """A hidden Markov model over the rows of the map, the same rows run backwards, and a new place.
+
+    Cells are the rows in their order, with empty cells between sequences, so that no step leads
+    from one sequence into the next.
+    """
+
+    def __init__(self) -> None:
+        self.cells = np.empty(0, np.int64)
+        self.inside = np.zeros(GAP, np.float32)
+        self.restart()
+
+    def extend(self, starts_sequence: bool) -> None:
+        """Appends a row."""
+        fresh = np.zeros(1 + GAP * starts_sequence, np.float32)
+        self.inside = np.concatenate((self.inside, fresh))
+        self.cells = np.append(self.cells, len(self.inside) - 1 - GAP)
+        self.inside[self.cells[-1]] = 1
+        more = np.zeros((*self.mapped.shape[:2], len(fresh)), np.float32)
+        self.mapped = np.concatenate((self.mapped, more), axis=2)
+
+    def restart(self) -> None:
+        """Forgets the place: the next frame starts another sequence."""
+        self.unmapped = UNMAPPED if len(self.cells) else 1.0
+        self.mapped = motion.start(self.inside, self.unmapped, len(WAYS))
+        self._starting = True
+
+    def step(self, log_likelihood: Floats) -> Floats:
+        """The probability of each row ``(rows,)`` after the next frame.
+
+        Args:
+            log_likelihood: ``(rows,)``, of the frame, -inf where there can be no match.
+        """
+        if not self._starting and len(self.cells):
+            before = self.mapped, self.unmapped
+            self.mapped, self.unmapped = motion.after(*before, self.inside, UNMAPPED, WAYS)
+        self._starting = False
+        likelihood = np.zeros_like(self.inside)
+        likelihood[self.cells] = np.exp(np.minimum(log_likelihood, MAX_LOG))
+        mapped = self.mapped * likelihood
+        total = float(mapped.sum()) + self.unmapped
+        self.mapped, self.unmapped = mapped / np.float32(total), self.unmapped / total
+        rows: Floats = self.mapped[0].sum(axis=0)[self.cells]
+        return rows
+
+
+class Repeats:
+    """For each frame of a sequence, the highest nearness of the frames around it to others of the
+    same street, see `ssrvlad_torch.loops.repeats`."""
+
+    def __init__(self, exclude: int) -> None:
+        self._distances = np.arange(max(1, exclude // APART), exclude + 1)
+        self._last: list[Floats] = []
+        self._highest = np.empty(0, np.float32)
+
+    def after(self, near: Floats) -> Floats:
+        """``(N,)``, by the nearness ``(N,)`` of the next frame to all earlier ones."""
+        more = len(near) + 1 - len(self._highest)
+        self._highest = np.append(self._highest, np.full(more, -np.inf, np.float32))
+        rows = len(near) - self._distances
+        rows = rows[rows >= 0]
+        seen = np.full(len(self._distances) + 2, -np.inf, np.float32)
+        seen[1 : len(rows) + 1] = near[rows]
+        widest = np.maximum(np.maximum(seen[:-2], seen[1:-1]), seen[2:])
+        self._last = [*self._last, widest][-TRACK:]
+        if len(self._last) == TRACK and len(rows):
+            track, highest = np.mean(self._last, axis=0), self._highest
+            highest[-TRACK:] = np.maximum(highest[-TRACK:], track.max())
+            for age in range(TRACK):
+                here = rows[rows >= age] - age
+                highest[here] = np.maximum(highest[here], track[: len(here)])
+        earlier: Floats = self._highest[:-1]
+        return earlier
+
+
+class Detector:
+    """Decides for each frame of a stream whether its place was seen before. Where the frames have
+    features, both scores are fused, by the leads of their first candidates so far."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
+        self.map, self.filter = Map(), Filter()
+        self.signs: SignMap | None = None
+        self.start, self.neighbours = 0, list[float]()
+        self.frames: list[str] = []
+        self._leads = np.zeros(2)
+
+    def update(self, frame: str, seen: Seen) -> Loop:
+        """Looks for the place of the next frame among the earlier frames, then stores it.
+
+        Args:
+            frame: its id, ``<sequence>/<name>``.
+            seen: its descriptor ``(D,)`` of length 1, or zero for an empty frame, or ``(S, D)``
+                from S anchors with the usual one in the middle; and its features, which all frames
+                of a stream have or none.
+        """
+        swept, signs = np.atleast_2d(seen.descriptor), seen.features
+        if signs is not None and not self.frames:
+            self.signs = SignMap(signs.shape)
+        if not self.frames or _sequence(frame) != _sequence(self.frames[-1]):
+            self.filter.restart()
+            for each in filter(None, (self.map, self.signs)):
+                each.start_sequence()
+            self.start, self.neighbours = len(self.frames), []
+            self.repeats = Repeats(self.settings.exclude)
+        products = self.signs.products(signs) if self.signs else None
+        result = self._step(frame, swept, (signs, products))
+        self.frames.append(frame)
+        self.map.append(swept[len(swept) // 2])
+        if self.signs:
+            self.signs.append(signs, products)
+        return result
+
+    def _step(self, frame: str, swept: Floats, signs: tuple[Any, Any]) -> Loop:
+        exclude = self.settings.exclude
+        old = max(0, len(self.frames) - exclude)
+        for row in range(len(self.filter.cells), len(self.frames) - min(RECENT, exclude)):
+            before = self.frames[row - 1] if row else ""
+            self.filter.extend(not row or _sequence(self.frames[row]) != _sequence(before))
+        empty, described = not swept[len(swept) // 2].any(), ~self.map.empty
+        too_few = np.count_nonzero(described[:old]) < 2
+        if too_few and (empty or not described.any()):
+            return Loop(frame, "empty_frame" if empty else "no_candidate")
+        if empty:
+            self.filter.step(np.zeros(len(self.filter.cells), np.float32))
+            return Loop(frame, "empty_frame")
+        scores = self._scores(swept, signs, 0 if too_few else old)
+        near = nearness(scores)
+        repeats = self.repeats.after(near[self.start :])
+        if too_few:
+            return Loop(frame, "too_recent")
+        candidates = near[:old][np.isfinite(near[:old])]
+        mean, spread = candidates.mean(), max(_MIN_SPREAD, float(candidates.std()))
+        likelihood = np.zeros_like(near)
+        if spread > _MIN_SPREAD:
+            z, repeats = (near - mean) / spread, (repeats - mean) / spread
+            likelihood = self._log_likelihood(z, repeats)
+        rows = self.filter.step(likelihood[: len(self.filter.cells)])
+        candidate = int(rows[:old].argmax())
+        around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
+        probability = min(1.0, float(around.sum()))
+        reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
+        return Loop(frame, reason, self.frames[candidate], float(scores[candidate]), probability)
+
+    def _scores(self, swept: Floats, signs: tuple[Any, Any], old: int) -> Floats:
+        """``(rows,)`` float32 scores of a frame, scaled by those of the old frames, if any."""
+        scores = self.map.scores(swept)
+        if self.signs is None:
+            return scores
+        both = [scores, self.signs.scores(*signs)]
+        self._leads += [max(0.0, lead(each[:old])) for each in both]
+        return fused(both, weights_of(self._leads), old or None).astype(np.float32)
+
+    def _log_likelihood(self, z: Floats, repeats: Floats) -> Floats:
+        """``(rows,)``, of a frame by its z-scores with all earlier frames, and by those that
+        different places of the streets of this sequence have."""
+        previous = len(z) - max(1, self.settings.exclude // STRIDE)
+        if self.start <= previous and np.isfinite(z[previous]):
+            self.neighbours.append(float(z[previous]))
+        quartile = np.quantile(self.neighbours[-NEIGHBOURS:], 0.25) if self.neighbours else 0.0
+        level = max(LEVEL, LEVEL_FRACTION * quartile, math.sqrt(2 * math.log(max(2, len(z)))))
+        log_likelihood = np.float32(WEIGHT) * (z - np.float32(LEVEL))
+        same = np.minimum(np.float32(EVIDENCE) * (z[self.start :] / level - 1), MAX_LOG)
+        doubt = EVIDENCE * np.maximum(MARGIN * repeats / level - 1, 0).astype(np.float32)
+        old = max(0, len(same) - self.settings.exclude)
+        same[:old] -= doubt[:old]
+        log_likelihood[self.start :] = same
+        return log_likelihood
+
+    def _reason(self, probability: float, old: float, recent: float) -> str:
+        threshold = self.settings.threshold
+        if probability >= threshold:
+            return "accepted"
+        if recent > max(old, 1 - old - recent):
+            return "too_recent"
+        return "ambiguous" if old >= threshold else "below_threshold"
+
+
+def _sequence(frame: str) -> str:
+    return frame.rpartition("/")[0]

@@ -1,0 +1,258 @@
+"""Files of `ssrvlad export` and `ssrvlad fuse` without torch, through `run_onnx.py`."""
+
+from functools import partial
+
+import numpy as np
+import onnx
+import pytest
+import run_onnx
+import torch
+from graphs import edit_golden, turned
+from helpers import street
+from networks import PLAIN, colour_network, photo, write_graph
+from onnx import TensorProto
+from PIL import Image
+from segmenting import write_drives
+from ssrvlad_place.database import save
+from ssrvlad_place.golden import Golden
+from ssrvlad_place.model import Model, Seen, Split
+from torch import nn
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
+from ssrvlad_torch.deployment.fuse import fuse
+from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=40)
+
+
+@pytest.fixture(scope="module")
+def head(tmp_path_factory):
+    path = tmp_path_factory.mktemp("heads") / "head.onnx"
+    export_head(CONFIG, path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def fused(tmp_path_factory):
+    """A network and the head in one file, ``place.onnx``, and in two, ``net.onnx`` and
+    ``head.onnx``; and the network as a segmenter. Not to be changed."""
+    folder = tmp_path_factory.mktemp("fused")
+    segmenter = Segmenter(OnnxNetwork(write_graph(folder / "seg.onnx")), CONFIG.labels_as, PLAIN)
+    fuse(segmenter, CONFIG, folder / "place.onnx")
+    fuse(segmenter, CONFIG, folder / "net.onnx", folder / "head.onnx")
+    return folder, segmenter
+
+
+@pytest.fixture
+def run(main_of):
+    return partial(main_of, run_onnx.main, "run_onnx.py")
+
+
+@pytest.fixture(scope="module")
+def drives(tmp_path_factory):
+    """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
+    files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
+    return write_drives(tmp_path_factory.mktemp("drives"))
+
+
+def test_activations_that_say_nothing_are_refused(drives, tmp_path, run):
+    """An image of one colour, of which an exported file gives no sign."""
+    model = onnx.load(drives / "place.onnx")
+    for table in model.graph.initializer:
+        if table.name.startswith("network/") and table.data_type == TensorProto.FLOAT:
+            table.CopyFrom(
+                onnx.numpy_helper.from_array(0 * onnx.numpy_helper.to_array(table), table.name)
+            )
+    onnx.save(model, tmp_path / "dead.onnx")
+    code, _, errors = run(tmp_path / "dead.onnx", drives / "today" / "5.png", "--unchecked")
+    assert code == 3
+    assert errors[0].endswith("activations of the network are not finite, or the same everywhere")
+    code, _, (line,) = run(tmp_path / "dead.onnx", drives / "today" / "5.png")
+    assert code == 2 and "% of the features differ" in line
+
+
+def test_a_frame_of_more_than_the_file_can_count_is_skipped(tmp_path, run):
+    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
+    np.save(tmp_path / "panorama.npy", np.zeros((120, 1000), np.uint8))
+    code, out, errors = run(tmp_path / "default.onnx", tmp_path / "panorama.npy")
+    assert (code, out) == (3, "")
+    assert "panorama.npy: the frame is too wide" in errors[0]
+
+
+def test_the_golden_pair_holds_and_a_file_edited_does_not(head, tmp_path, run):
+    code, out, _ = run(head, "--check")
+    assert code == 0
+    assert float(out.split()[-1]) <= 1e-6
+    edit_golden(head, tmp_path / "edited.onnx", lambda g: g["unknown"].update(shape=[1, 2]))
+    assert run(tmp_path / "edited.onnx", "--check")[:2] == (
+        1,
+        "largest difference for the golden pair: inf\n",
+    )
+
+
+def test_a_file_of_another_format_is_refused(head, maps, tmp_path, run, ssrvlad):
+    model = onnx.load(head)
+    (written,) = (entry for entry in model.metadata_props if entry.key == "ssrvlad.format")
+    model.metadata_props.remove(written)
+    onnx.save(model, tmp_path / "old.onnx")
+    message = "old.onnx: a file of format 1; expected 2: export it again"
+    for code, _, (line,) in (
+        run(tmp_path / "old.onnx", maps),
+        ssrvlad("verify", tmp_path / "old.onnx"),
+    ):
+        assert code == 2
+        assert message in line
+
+
+def test_a_runtime_that_gets_the_golden_pair_wrong_is_refused(head, maps, tmp_path, run):
+    wrong = edit_golden(head, tmp_path / "wrong.onnx", turned("labels"))
+    code, out, (line,) = run(wrong, maps)
+    assert (code, out) == (2, "")
+    assert "wrong.onnx is computed wrong here (largest difference for the golden pair: " in line
+    assert run(wrong, maps, "--unchecked")[:2] == run(head, maps)[:2]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda golden: golden["labels"].update(shape=[1 << 20, 1 << 20]), "at most 64 MiB"),
+        (lambda golden: golden.pop("labels"), "no golden pair for input labels"),
+        (lambda golden: golden["labels"].update(data="AAAA"), "run_onnx: "),
+    ],
+)
+def test_a_damaged_golden_pair_is_one_line(head, maps, tmp_path, run, change, message):
+    code, _, (line,) = run(edit_golden(head, tmp_path / "x.onnx", change), maps)
+    assert code == 2
+    assert message in line
+
+
+def test_when_a_golden_pair_holds():
+    golden = Golden
+    assert golden(1e-7).holds
+    assert not golden(1e-5).holds
+    assert not golden(float("nan")).holds
+    assert golden(0.02, other_pixels=0.004, cosine=0.99).holds
+    assert not golden(0.02, other_pixels=0.02, cosine=0.99).holds
+    assert not golden(0.02, other_pixels=0.004, cosine=0.5).holds
+    assert golden(0, other_signs=0.009).holds
+    assert not golden(0, other_signs=0.011).holds
+
+
+def test_an_unknown_provider_is_named(head, maps, run):
+    code, _, (line,) = run(head, maps, "--provider", "Abacus")
+    assert code == 2
+    assert line.startswith("run_onnx: no provider Abacus; expected one of ")
+
+
+def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
+    files = sorted(maps.iterdir())
+    labels = np.asarray(Image.open(files[0]))
+    shape, path = (1, *labels.shape), tmp_path / "fixed.onnx"
+    config = SSRVLADConfig(labels_as="camvid-11")
+    export_head(config, path, "labels", "int32", (), shape)
+    got = Model(path).describe(files[0])
+    np.testing.assert_allclose(got, SSRVLAD(config)(labels[None])[0], rtol=0, atol=1e-6)
+    np.save(tmp_path / "other.npy", labels[:-1])
+    code, _, errors = run(path, tmp_path / "other.npy")
+    assert code == 3
+    assert f"takes labels of {shape}, got {(1, *labels[:-1].shape)}" in errors[0]
+
+
+def test_a_photograph_needs_no_option(fused, tmp_path, run):
+    """It is turned upright, and normalised by the file."""
+    place, segmenter = fused[0] / "place.onnx", fused[1]
+    pixels = photo(street(3, 60, 90))
+    exif = Image.Exif()
+    exif[0x0112] = 3  # upside down
+    Image.fromarray(pixels[::-1, ::-1]).save(tmp_path / "a.png", exif=exif)
+    np.save(tmp_path / "b.npy", pixels)
+    expected = SSRVLAD(CONFIG)(torch.from_numpy(segmenter([pixels])[0])[None]).numpy()
+    out = tmp_path / "out.npy"
+    frames = (tmp_path / "a.png", tmp_path / "b.npy")
+    assert run(place, *frames, "--save-descriptors", out)[0] == 0
+    np.testing.assert_allclose(np.load(out), expected.repeat(2, axis=0), atol=1e-6)
+    assert run(place, "--check")[0] == 0
+    Image.fromarray(street(3, 60, 90)).save(tmp_path / "map.png")
+    code, _, err = run(place, tmp_path / "map.png")
+    assert code == 3 and "expected a photograph, got a label map" in err[0]
+
+
+class Ids(nn.Module):
+    """A network that gives ids, and to one colour one that no label space has."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = colour_network()
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        strange = (images[:, 0] * 255).round() == 254
+        return torch.where(strange, 300, self.network(images).argmax(1))
+
+
+def test_unknown_ids_of_a_network_are_counted_and_skipped(tmp_path, run):
+    fuse(Segmenter(Ids(), CONFIG.labels_as, PLAIN), CONFIG, tmp_path / "place.onnx")
+    pixels = photo(street(3, 60, 90))
+    np.save(tmp_path / "plain.npy", pixels)
+    pixels[7, :11] = 254, 0, 0
+    np.save(tmp_path / "strange.npy", pixels)
+    frames = (tmp_path / "plain.npy", tmp_path / "strange.npy")
+    code, out, err = run(tmp_path / "place.onnx", *frames)
+    assert (code, out.count("\n"), "plain" in out) == (3, 1, True)
+    assert err[0].endswith("11 of 5400 pixels have an id outside label space camvid-11")
+
+
+def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
+    """Each reference is the descriptor of one anchor of the query."""
+    labels = np.random.default_rng(0).integers(0, 11, (6, 9)).repeat(20, 0).repeat(20, 1)
+    np.save(tmp_path / "query.npy", labels.astype(np.uint8))
+    config = SSRVLADConfig(labels_as="camvid-11")
+    export_head(config, tmp_path / "sweep.onnx", columns=(-8, 0, 8))
+    model = Model(tmp_path / "sweep.onnx")
+    swept = model.describe(tmp_path / "query.npy")
+    seen, names = list(map(Seen, swept)), ["left", "middle", "right"]
+    save(tmp_path / "town.npy", seen, names, model.fingerprint)
+    source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
+    code, out, _ = run(*source, "--database", tmp_path / "town.npy", "--top", 3)
+    assert (code, out.count("1.0000")) == (0, 3)
+    code, _, err = run(*source, "--save-descriptors", tmp_path / "no.npy")
+    assert (code, "expected a file without --sweep" in err[0]) == (2, True)
+
+
+def test_network_and_head_in_two_files(fused, tmp_path, run):
+    """They give what one file gives; files that do not belong together are refused."""
+    net, head, place = (fused[0] / f"{name}.onnx" for name in ("net", "head", "place"))
+    pixels = np.stack([photo(street(seed, 60, 90)) for seed in range(2)])
+    for number, image in enumerate(pixels):
+        np.save(tmp_path / f"{number}.npy", image)
+    frames = [tmp_path / "0.npy", tmp_path / "1.npy"]
+    assert run(head, *frames, "--network", net) == run(place, *frames)
+    assert run(head, *frames, "--network", net)[0] == 0
+    one, other = (Split(net, head), Model(place))
+    for frame in frames:
+        np.testing.assert_array_equal(one.describe(frame), other.describe(frame))
+    code, out, _ = run(head, "--network", net, "--check")
+    largest = out.removeprefix("largest difference for the golden pair: ")
+    assert (code, float(largest) < 1e-6) == (0, True), out
+    export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
+    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
+    for wrong, message in (("wide", "takes labels tensor(int64)"), ("default", "fingerprint")):
+        code, _, (line,) = run(tmp_path / f"{wrong}.onnx", *frames, "--network", net)
+        assert code == 2
+        assert message in line
+
+
+def test_a_network_that_labels_otherwise_is_refused(fused, tmp_path, run):
+    model = onnx.load(fused[0] / "net.onnx")
+    (bias,) = (t for t in model.graph.initializer if t.name == "network/bias")
+    bias.CopyFrom(
+        onnx.numpy_helper.from_array(onnx.numpy_helper.to_array(bias)[::-1].copy(), bias.name)
+    )
+    onnx.save(model, tmp_path / "net.onnx")
+    np.save(tmp_path / "a.npy", photo(street(3, 60, 90)))
+    code, _, (line,) = run(
+        fused[0] / "head.onnx", tmp_path / "a.npy", "--network", tmp_path / "net.onnx"
+    )
+    assert code == 2
+    assert "net.onnx is computed wrong here" in line
+    assert "% of the labels differ" in line

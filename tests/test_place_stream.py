@@ -1,0 +1,47 @@
+"""Features of a stream without torch, against those of the package."""
+
+import numpy as np
+import pytest
+import torch
+from ssrvlad_place.stream import SignMap
+from test_signs import SHAPE, drive
+
+from ssrvlad_torch.loops.sign_memory import SignVectors
+
+
+@pytest.mark.parametrize("starts", [(), (1,), (20, 33)])
+def test_scores_are_those_of_the_package(starts):
+    """Over sequences, of which each has its own mean, and more rows than fit at first."""
+    frames, ours, theirs = drive(70).numpy(), SignMap(SHAPE), SignVectors(SHAPE)
+    for number, signs in enumerate(frames):
+        if number in starts:
+            ours.start_sequence()
+            theirs.start_sequence()
+        products = ours.products(signs)
+        if number:
+            got, expected = ours.scores(signs, products), theirs.scores(signs[None])
+            assert got.dtype == np.float32
+            np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+        ours.append(signs, products)
+        theirs.add(signs)
+
+
+def test_products_are_those_of_numbers():
+    """Of one frame with another, where it is and moved by one column to the right."""
+    here, there = drive(2).numpy()
+    one = SignMap(SHAPE)
+    one.append(there, one.products(there))
+    (still,), (moved,) = one.products(here)
+    numbers = torch.from_numpy(np.unpackbits(np.stack((here, there)), axis=-1)).double() * 2 - 1
+    new, row = numbers.flatten(2)
+    assert still[2] == moved[2] == float((new * row).sum())
+    assert still[3] == float((new[1:] * row[1:]).sum())
+    assert moved[3] == float((new[:-1] * row[1:]).sum())
+
+
+def test_equal_frames_have_finite_scores():
+    (signs,), frames = drive(1).numpy(), SignMap(SHAPE)
+    for _ in range(3):
+        products = frames.products(signs)
+        assert np.isfinite(frames.scores(signs, products)).all()
+        frames.append(signs, products)
