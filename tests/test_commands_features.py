@@ -87,7 +87,7 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
     assert code == 0
     assert "32 frames encoded" in out and "32 already there" in out
     for option in ("none", "hog", "features"):
-        given, other = (*network, "--extra", option), photos / option
+        given, other = (*network, "--with", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
         stored = [each.name for each in Database.open(other).extra]
         assert stored == ([] if option == "none" else [option])
@@ -183,7 +183,7 @@ def test_a_network_without_features(photos, ssrvlad):
     settings = "network: plain.onnx\nmean: [0, 0, 0]\nstd: [1, 1, 1]\nlabels_as: " + SPACE
     (photos / "plain.yaml").write_text(settings)
     given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter")
-    line = refused(ssrvlad, *given, photos / "plain.yaml", "--extra", "features")
+    line = refused(ssrvlad, *given, photos / "plain.yaml", "--with", "features")
     assert "plain.yaml: the encoder has no activation at a stride from 4 to 32" in line
     assert not (photos / "none").exists()
     code, _, err = ssrvlad(*given, photos / "plain.yaml")
@@ -207,7 +207,7 @@ def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
     if features == "[flat]":
         flat = photos / "net.onnx"
         flat.write_bytes(_with_flat_mean(flat.read_bytes()))
-    for extra in (("--extra", "features"), ()):
+    for extra in (("--with", "features"), ()):
         assert message in refused(ssrvlad, *given, *extra)
         assert not (photos / "none").exists()
 

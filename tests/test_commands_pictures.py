@@ -52,7 +52,7 @@ def town(network, ssrvlad, tmp_path):
     (tmp_path / "poses.csv").write_text("\n".join(poses))
     town = tmp_path / "town"
     cache = ("--segmenter-cache", tmp_path / "cache")
-    given = ("--segmenter", network, "--extra", "none", *cache)
+    given = ("--segmenter", network, "--with", "none", *cache)
     ssrvlad("encode", tmp_path / "photos", "-o", town, *given)
     return town
 

@@ -168,7 +168,7 @@ def photos(tmp_path, monkeypatch):
 
 @pytest.fixture
 def town(photos, ssrvlad):
-    given = ("--segmenter", photos / "net.yaml", "--extra", "hog", "--workers", 1)
+    given = ("--segmenter", photos / "net.yaml", "--with", "hog", "--workers", 1)
     assert ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)[0] == 0
     return photos / "town"
 
@@ -250,16 +250,16 @@ def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
     network = ("--segmenter", photos / "net.yaml")
     plain = photos / "plain"
     labels = ("--labels-as", SPACE)
-    message = refused("encode", maps, "-o", plain, *labels, "--extra", "hog")
-    assert "--extra hog needs images as SOURCE and --segmenter" in message
+    message = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
+    assert "--with hog needs images as SOURCE and --segmenter" in message
     assert not plain.exists()
     assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
-    alone = ("encode", photos / "today", "-o", plain, *network, "--extra", "none")
+    alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
     assert ssrvlad(*alone)[0] == 0
-    message = refused("encode", photos / "today", "-o", plain, *network, "--extra", "hog")
+    message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in message
     message = refused("query", plain, photos / "today", *network, "--extra")
-    assert "holds no extra descriptors; encode a new database with --extra features" in message
+    assert "holds no extra descriptors; encode a new database with --with features" in message
     for source in (maps, plain):
         message = refused("query", town, source)
         assert "expected images and --segmenter, or --no-extra" in message
@@ -341,7 +341,7 @@ def test_a_detector_stores_extra_descriptors(tmp_path):
 def test_loops_take_pictures(photos, ssrvlad):
     given = ("--segmenter", photos / "net.yaml", "--exclude", 5, "--memory", photos / "memory")
     code, out, _ = ssrvlad(
-        "loops", photos / "monday", *given, "--labels-as", SPACE, "--extra", "hog"
+        "loops", photos / "monday", *given, "--labels-as", SPACE, "--with", "hog"
     )
     assert code == 0
     assert "followed online, fused: ssr-vlad 0." in out
@@ -349,6 +349,6 @@ def test_loops_take_pictures(photos, ssrvlad):
     code, out, _ = ssrvlad("loops", photos / "today", *given, "--labels-as", SPACE)
     assert code == 0
     assert "31 frames" in out
-    code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--extra", "hog")
+    code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--with", "hog")
     assert code == 2
-    assert "--extra hog needs images as SOURCE and --segmenter" in line
+    assert "--with hog needs images as SOURCE and --segmenter" in line

@@ -61,7 +61,7 @@ MaybePreset = Annotated[
 Extra = Annotated[
     list[str] | None,
     typer.Option(
-        "--extra",
+        "--with",
         metavar="features|hog|none",
         help="Extra descriptor of each image; recognition then uses all. features: by "
         "what the encoder of the network sees, in the pass that labels the image. Can be repeated; "
@@ -270,7 +270,7 @@ class RecognitionOptions(StepOptions):
         default=False,
     )
     extra: bool | None = option(
-        "Also use the extra descriptors of pictures, see ssrvlad encode --extra. Default: use "
+        "Also use the extra descriptors of pictures, see ssrvlad encode --with. Default: use "
         "them if the database has them."
     )
     min_confidence: float = option(

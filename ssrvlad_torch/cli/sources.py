@@ -108,11 +108,11 @@ def resolve(
 
 
 def extra_of(source: Source, names: Sequence[str] | None, new: bool) -> list[ExtraDescriptor]:
-    """The extra descriptors that ``--extra`` names; without, the default of a new database, with
+    """The extra descriptors that ``--with`` names; without, the default of a new database, with
     a note why a network has no features, and none of an existing one."""
     segmenter = source.segmenter
     if names and segmenter is None:
-        raise ValueError(f"--extra {names[0]} needs images as SOURCE and --segmenter")
+        raise ValueError(f"--with {names[0]} needs images as SOURCE and --segmenter")
     if names is None and not new:
         return []
     found = extra_descriptors(names, segmenter)

@@ -209,7 +209,7 @@ def _extra_descriptors(database: Database, extra: bool | None) -> tuple[ExtraDes
     if extra and not database.extra:
         raise ValueError(
             f"--extra: {database.path} holds no extra descriptors; encode a new database with "
-            "--extra features"
+            "--with features"
         )
     return () if extra is False else database.extra
 

@@ -124,7 +124,7 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
         f"{best.probability:.4f}{unlikely}, --threshold {config.threshold:g}"
     )
     say(
-        "pictures and --extra, or frames nearer to each other, may find more; a street driven the "
+        "pictures and --with, or frames nearer to each other, may find more; a street driven the "
         "other way is never found"
     )
 
