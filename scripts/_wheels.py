@@ -13,10 +13,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+from hatch_build import FOLDER, PURE, WHEELS
 
-from hatch_build import FOLDER, PURE, WHEELS  # noqa: E402 - it is no module of a package
+ROOT = Path(__file__).resolve().parents[1]
 
 OF_THE_SYSTEM = {
     "linux": r"lib(c|m|pthread|dl)\.so\.\d|ld-linux-(x86-64|aarch64)\.so\.\d",

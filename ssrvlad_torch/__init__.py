@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from .descriptor import SSRVLAD as SSRVLAD
     from .encoding.encoder import encode_to_database as encode_to_database
     from .encoding.results import EncodeOptions as EncodeOptions
-    from .explanation import Explanation as Explanation
     from .localiser import Localiser as Localiser
     from .loops.config import LoopConfig as LoopConfig
     from .loops.detector import LoopDetector as LoopDetector
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from .soft.descriptor import SoftSSRVLAD as SoftSSRVLAD
     from .soft.place_loss import multi_similarity as multi_similarity
     from .soft.surrogate import SurrogateSSRVLAD as SurrogateSSRVLAD
+    from .stages.explanation import Explanation as Explanation
     from .taxonomy import LabelSpace as LabelSpace
 
     __version__: str
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "Database": "database.database",
     "EncodeOptions": "encoding.results",
-    "Explanation": "explanation",
+    "Explanation": "stages.explanation",
     "FrameRecord": "database.frames",
     "FrameSet": "database.frames",
     "LabelSpace": "taxonomy",
@@ -65,7 +65,7 @@ __all__ = sorted(_MODULES)  # noqa: PLE0605 - a list of str
 
 def __getattr__(name: str) -> Any:
     if name == "__version__":
-        return _version()
+        return import_module(".config", __name__).package_version()
     if name not in _MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f".{_MODULES[name]}", __name__), name)
@@ -73,13 +73,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted({*globals(), *_MODULES, "__version__"})
-
-
-def _version() -> str:
-    """The version of the installed package; 0.0 for a checkout that was never installed."""
-    from importlib.metadata import PackageNotFoundError, version
-
-    try:
-        return version("ssrvlad-torch")
-    except PackageNotFoundError:
-        return "0.0"

@@ -1,4 +1,4 @@
-"""The settings of the method: frozen, validated, with presets and a fingerprint."""
+"""The settings of the method: frozen, validated, with presets and a fingerprint; the version."""
 
 from __future__ import annotations
 
@@ -264,6 +264,16 @@ class SSRVLADConfig:
         squares = [(self.radius * self.inner_radius**step) ** 2 for step in steps]
         diagonal = height * height + width * width
         return tuple(_parts(square, _RING_UNIT) * diagonal // _RING_UNIT for square in squares)
+
+
+def package_version() -> str:
+    """The version of the installed package; 0.0 for a checkout that was never installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version("ssrvlad-torch")
+    except PackageNotFoundError:
+        return "0.0"
 
 
 def _parts(fraction: float, unit: int) -> int:

@@ -12,15 +12,15 @@ import torch
 from torch import Tensor, nn
 
 from .config import SSRVLADConfig
-from .explanation import Explanation, explain
-from .front_end import FrontEnd, as_tensor, label_map
 from .native.operator import UnknownIdError, describe, is_built, method_of, operator
 from .stages import harmonics, residuals
+from .stages.explanation import Explanation, explain
+from .stages.front_end import FrontEnd, as_tensor, label_map
 from .stages.harmonics import Harmonics
 from .stages.layers import refuse_unknown
 from .stages.residuals import Residuals
+from .stages.tracing import is_exporting
 from .taxonomy import LabelSpace
-from .tracing import is_exporting
 
 
 class Aggregation(Protocol):

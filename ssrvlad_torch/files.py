@@ -1,5 +1,5 @@
 """Files from outside, read up to a size limit and parsed to plain values; files that are written
-completely or not at all; folders.
+completely or not at all, figures among them; folders, and the order of names.
 
 Whatever a parser raises on damaged or hostile bytes becomes an `InputError` that names the file.
 """
@@ -11,19 +11,25 @@ import io
 import json
 import math
 import os
+import re
 import secrets
 import stat
 import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
 import yaml
+from natsort import natsort_keygen
 from numpy.lib import format as npy
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MAX_YAML_BYTES = 1 << 20
 """Size limit of a YAML file."""
@@ -31,6 +37,8 @@ MAX_YAML_BYTES = 1 << 20
 _MAX_BYTES = 256 << 20
 _MAX_PIXELS = 64_000_000
 _MAX_LEVELS = 20
+_DECIMAL = re.compile(r"(\d+)\.(\d+)")
+_DECIMALS = 20
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -183,14 +191,6 @@ def check_pixels(height: int, width: int) -> None:
         )
 
 
-def parse_number(text: str) -> float:
-    """The number that a text is, also ``nan`` and ``inf``. Unlike `float`, it refuses ``1_000`` and
-    digits of other scripts; both are a ValueError."""
-    if "_" in text or not text.isascii():
-        raise ValueError(f"could not convert string to float: {text!r}")
-    return float(text)
-
-
 def _limit(name: str, default: int) -> int:
     """The value of an environment variable, or a default."""
     text = os.environ.get(name) or str(default)
@@ -283,6 +283,48 @@ def flush(path: Path) -> None:
         os.close(descriptor)
 
 
+def require_picture(path: Path) -> None:
+    """Raises the errors of `write_picture` before the picture is drawn.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+        ValueError: matplotlib cannot write the format.
+        OSError: see `check_output`.
+    """
+    formats = new_figure(1, 1).canvas.get_supported_filetypes()
+    if _format(path) not in formats:
+        raise ValueError(f"{path}: a picture is one of {', '.join(formats)}")
+    check_output(path)
+
+
+def write_picture(figure: Figure, path: Path) -> None:
+    """Writes a figure, completely or not at all, in the format of the suffix, by default PNG.
+
+    Raises:
+        ValueError, OSError: see `require_picture`; or the disk reports an error.
+    """
+    require_picture(path)
+    with replacing(path) as temporary:
+        figure.savefig(temporary, dpi=110, format=_format(path))
+
+
+def new_figure(width: float, height: float) -> Figure:
+    """An empty figure; width and height in inches.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def _format(path: Path) -> str:
+    return path.suffix.removeprefix(".").lower() or "png"
+
+
 def empty_folder(path: Path) -> Path:
     """An empty folder, created if it is missing.
 
@@ -302,13 +344,17 @@ def one_line(error: Exception) -> str:
     return " ".join(reason.split()) or type(error).__name__
 
 
-def absolute_folder(folder: Path) -> Path:
-    """A folder's absolute path, so that ``.`` and ``..`` have a name and a parent too.
+def natural_key(name: str) -> tuple[Any, str]:
+    """Sort key of natural order: ``frame10`` after ``frame9``, and ``1`` after ``01``. A name that
+    is a decimal number counts by its value: ``12.5`` after ``12.25``."""
+    decimal = _DECIMAL.fullmatch(name)
+    text = f"{decimal[1]}.{decimal[2]:0<{_DECIMALS}}" if decimal else name
+    return _natural()(text), name
 
-    A symbolic link keeps its own name.
-    """
-    path = folder.absolute()
-    return path.resolve() if path.name == ".." else path
+
+@cache
+def _natural() -> Callable[[str], Any]:
+    return natsort_keygen()
 
 
 def _restore(before: Path, path: Path) -> None:

@@ -6,6 +6,7 @@ What the tests of the command line share: the command line itself, six frames, a
 """
 
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -17,8 +18,9 @@ from urllib.request import Request, urlopen
 import pytest
 import torch
 import typer
-from drives import write_maps
+from drives import write_maps, write_photos, write_truth
 from hypothesis import settings
+from maps import Maps
 
 from ssrvlad_torch import native
 from ssrvlad_torch.deployment import export, fuse, label_graph
@@ -80,7 +82,7 @@ def core():
     if native.core().library is None:
         if not shutil.which("g++"):
             pytest.skip("no C++ compiler")
-        build = Path(__file__).parents[1] / "hatch_build.py"
+        build = Path(__file__).parents[1] / "scripts" / "hatch_build.py"
         subprocess.run([sys.executable, build], check=True)
         native.core.cache_clear()
     return native.core()
@@ -179,11 +181,52 @@ def maps(tmp_path):
 
 
 @pytest.fixture
+def town(tmp_path):
+    """Folders of label maps and a database of them; write more with `add`."""
+    return Maps(tmp_path)
+
+
+@pytest.fixture
 def database(ssrvlad, maps, tmp_path):
     """A database of ``maps``."""
     path = tmp_path / "town.ssrdb"
     assert ssrvlad("encode", maps, "-o", path, "--labels-as", "camvid-11")[0] == 0
     return path
+
+
+@pytest.fixture
+def compare(ssrvlad):
+    """Runs the command; returns exit code, rows by method, and the lines of stderr. Of the two
+    rows of a method it is that of single frames."""
+
+    def run(*arguments: object):
+        code, out, err = ssrvlad("compare", *arguments, "--json")
+        rows = json.loads(out)["rows"] if out else []
+        return code, {row["method"]: row for row in rows if not row.get("steps")}, err
+
+    return run
+
+
+@pytest.fixture
+def two_drives(tmp_path):
+    """Two drives past six places, with images and label maps, and the truth."""
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", range(6), ".jpg")
+        write_maps(tmp_path / "town" / drive / "labels", range(6))
+    truth = {f"query/{n:03d}": [f"reference/{n:03d}"] for n in range(6)}
+    write_truth(tmp_path / "town" / "ground_truth.json", truth)
+    return tmp_path / "town"
+
+
+@pytest.fixture
+def evaluate(ssrvlad, database, tmp_path):
+    """Evaluates six frames of Tuesday, alike those of Monday, against Monday's database."""
+    tuesday = write_maps(tmp_path / "tuesday", range(6))
+
+    def run(*arguments: object) -> tuple[int, str, list[str]]:
+        return ssrvlad("evaluate", database, tuesday, "--temporal", 0, *arguments)
+
+    return run
 
 
 @pytest.fixture

@@ -5,7 +5,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from ssrvlad_torch.bitplanes import pack
+from ssrvlad_torch.stages.bitplanes import pack
 
 SPACE = "camvid-11"
 SKY, BUILDING, POLE, ROAD, PAVEMENT, TREE = 0, 1, 2, 3, 4, 5

@@ -125,3 +125,16 @@ def without(blocked: Sequence[str], script: Path, *arguments: object) -> list[st
 def _chunk(kind: bytes, content: bytes) -> bytes:
     checksum = struct.pack(">I", zlib.crc32(kind + content))
     return struct.pack(">I", len(content)) + kind + content + checksum
+
+
+def one_line(refusal):
+    message = str(refusal.value)
+    assert "\n" not in message
+    return message
+
+
+def touch(*paths):
+    """Empty files: finding does not look into images."""
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()

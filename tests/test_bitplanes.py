@@ -1,7 +1,7 @@
 import torch
 from drawings import MASKS, RING, mask, planes
 
-from ssrvlad_torch import bitplanes
+from ssrvlad_torch.stages import bitplanes
 
 
 def random_planes(seed: int = 0, shape: tuple[int, int, int] = (3, 13, 17)) -> torch.Tensor:

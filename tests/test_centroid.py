@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.deployment.stages.centroid import centroids_in_graph
 from ssrvlad_torch.stages import centroid
+from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.centroid import centre_table
 
 

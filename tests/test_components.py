@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import pack, unpack
 from ssrvlad_torch.deployment.stages.components import drop_regions_in_graph, fill_holes_in_graph
 from ssrvlad_torch.stages import components
+from ssrvlad_torch.stages.bitplanes import pack, unpack
 
 
 def graph_with_area(graph, words, area):

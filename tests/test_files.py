@@ -5,8 +5,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from ssrvlad_torch.files import absolute_folder, replacing
+from ssrvlad_torch.datasets.names import absolute_folder
+from ssrvlad_torch.files import natural_key, replacing
 
 
 def names(folder):
@@ -82,3 +85,15 @@ def test_a_link_keeps_its_own_name(tmp_path):
     (tmp_path / "target").mkdir()
     (tmp_path / "link").symlink_to(tmp_path / "target")
     assert absolute_folder(tmp_path / "link").name == "link"
+
+
+@given(st.permutations(["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]))
+def test_natural_keys(names):
+    expected = ["9", "10", "f", "f9", "f9a", "f9a2", "f9a10", "f09b", "f10", "g01", "g1"]
+    assert sorted(names, key=natural_key) == expected
+
+
+@given(st.permutations(["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]))
+def test_decimal_times_are_ordered_by_value(names):
+    expected = ["7.5", "102.0", "102.125", "102.25", "102.5", "102.75", "103.000001", "a"]
+    assert sorted(names, key=natural_key) == expected

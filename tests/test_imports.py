@@ -17,7 +17,7 @@ from ssrvlad_torch.baselines import make
 make("label-grid")
 name = "ssrvlad_torch.baselines"
 print(*sorted(m.removeprefix(name) for m in sys.modules if m.startswith(name)))
-import ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.figures
+import ssrvlad_torch.cli.main, ssrvlad_torch.cli.demo, ssrvlad_torch.files
 heavy = "skimage scipy matplotlib kornia onnx onnxscript onnxruntime sklearn"
 assert not {*heavy.split()} & {*sys.modules}
 """

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.deployment.stages.keypoints import end_points_in_graph, intersections_in_graph
 from ssrvlad_torch.stages import keypoints
+from ssrvlad_torch.stages.bitplanes import unpack
 
 
 def both_in_graph(graph, words):

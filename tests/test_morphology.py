@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.deployment.stages.morphology import open_and_close_in_graph
 from ssrvlad_torch.stages import morphology
+from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.morphology import dilate, erode
 
 

@@ -262,7 +262,7 @@ def test_a_library_of_another_source_is_refused(tmp_path, monkeypatch):
 
 
 def test_without_a_compiler(tmp_path, monkeypatch):
-    sys.path.insert(0, str(ROOT))
+    sys.path.insert(0, str(ROOT / "scripts"))
     from hatch_build import build
 
     folder = tmp_path / "ssrvlad_torch" / "native"

@@ -6,8 +6,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ssrvlad_torch.database.frames import FrameSet, natural_key
+from ssrvlad_torch.database.frames import FrameSet
 from ssrvlad_torch.database.selection import excluded_pairs, neighbours, select
+from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.recognition.matching import match
 
 

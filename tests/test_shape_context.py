@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import SSRVLADConfig, reference
-from ssrvlad_torch.bitplanes import points, unpack
 from ssrvlad_torch.deployment.stages.shape_context import (
     log_polar_bins_in_graph,
     shape_contexts_in_graph,
 )
 from ssrvlad_torch.deployment.words import grid_of, points_of
 from ssrvlad_torch.stages import shape_context
+from ssrvlad_torch.stages.bitplanes import points, unpack
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
 
 CPU = torch.device("cpu")

@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.bitplanes import unpack
 from ssrvlad_torch.config import THINNINGS
 from ssrvlad_torch.deployment.stages.skeleton import thin_in_graph
 from ssrvlad_torch.stages import skeleton
+from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.skeleton import RULES, zhang_suen
 
 

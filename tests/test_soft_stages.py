@@ -7,13 +7,13 @@ from drawings import MASKS, SPACE, blobs, mask
 from helpers import street
 from torch import Tensor
 
-from ssrvlad_torch.bitplanes import pack, unpack
 from ssrvlad_torch.soft.stages.boundaries import soft_boundaries
 from ssrvlad_torch.soft.stages.grid_pooling import soft_pool
 from ssrvlad_torch.soft.stages.harmonics import safe_root, soft_coefficients
 from ssrvlad_torch.soft.stages.layers import are_probabilities, membership, soft_layers, soft_merge
 from ssrvlad_torch.soft.stages.reduction import soft_majority
 from ssrvlad_torch.soft.stages.vanishing_column import soft_vanishing_columns
+from ssrvlad_torch.stages.bitplanes import pack, unpack
 from ssrvlad_torch.stages.boundaries import boundaries
 from ssrvlad_torch.stages.grid_pooling import pool
 from ssrvlad_torch.stages.harmonics import basis_table, bin_table, coefficients, soft_histograms

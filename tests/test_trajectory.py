@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ssrvlad_torch.figures import write_picture
+from ssrvlad_torch.files import write_picture
 from ssrvlad_torch.loops.picture import draw_loops
 
 POSES = np.array([(0, 0, 0), (10, 0, 0), (20, 5, 1), (10, 5, 3), (0, 1, 3), (10, 1, 0.1)], float)

@@ -6,7 +6,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
-from ssrvlad_torch import bitplanes
 from ssrvlad_torch.deployment.graph import Graph, Symbol
 from ssrvlad_torch.deployment.words import (
     Words,
@@ -20,6 +19,7 @@ from ssrvlad_torch.deployment.words import (
     runs_of,
     west_of,
 )
+from ssrvlad_torch.stages import bitplanes
 
 shapes = pytest.mark.parametrize(
     "shape", [(1, 1, 1), (2, 5, 7), (3, 4, 8), (2, 13, 17), (1, 3, 65)]

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ssrvlad_torch.bitplanes import Points, count_points, pack, points
 from ssrvlad_torch.config import SSRVLADConfig
 from ssrvlad_torch.descriptor import SSRVLAD
+from ssrvlad_torch.stages.bitplanes import Points, count_points, pack, points
 from ssrvlad_torch.stages.centroid import centroids
 from ssrvlad_torch.stages.residuals import aggregate
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts

@@ -16,8 +16,8 @@ from skimage import measure, morphology
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
-from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.cli.bench import time_in_turn
+from ssrvlad_torch.stages.bitplanes import pack
 
 COPIED = 1 << 28
 Way = Callable[[], Any]

@@ -22,11 +22,11 @@ import torch
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, baselines
-from ssrvlad_torch.bitplanes import pack
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
+from ssrvlad_torch.stages.bitplanes import pack
 from ssrvlad_torch.taxonomy import label_space
 
 RESAMPLES = 1000

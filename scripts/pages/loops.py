@@ -34,8 +34,7 @@ from ssrvlad_torch.evaluation.loops import (
     score_loops,
     surest_point,
 )
-from ssrvlad_torch.figures import write_picture
-from ssrvlad_torch.files import replacing
+from ssrvlad_torch.files import replacing, write_picture
 from ssrvlad_torch.loops.picture import draw_loops
 from ssrvlad_torch.loops.result import LoopResult, Reason
 from ssrvlad_torch.loops.stream import candidates_of, loops_of

@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from .. import __version__
+from ..config import package_version
 from ..native import core
 from .commands.bench import bench
 from .commands.city import city
@@ -56,7 +56,7 @@ def ssrvlad(
     """Place recognition from semantic segmentation (SSR-VLAD)."""
     del debug  # `main` reads it from the whole line
     if version:
-        print(f"ssrvlad {__version__}, on a CPU with {core().status}")
+        print(f"ssrvlad {package_version()}, on a CPU with {core().status}")
     elif context.invoked_subcommand is None:
         print(context.get_help())
 

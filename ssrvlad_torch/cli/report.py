@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from .. import __version__
+from ..config import package_version
 from ..datasets.dataset import shortened
 from ..evaluation.ground_truth_files import PartialTruth, known_matches
 from ..evaluation.measure import Recognition
@@ -90,7 +90,7 @@ def _settings(settings: Mapping[str, object], recognition: Recognition) -> dict[
     details = dict(recognition.details)
     preset = {"preset": details.pop("preset")}
     details["steps"] = steps_in_words(details["steps"], details.pop("temporal"))
-    words = {**preset, **settings, **details, "ssrvlad-torch": __version__}
+    words = {**preset, **settings, **details, "ssrvlad-torch": package_version()}
     return {
         name.replace("_", " "): f"{value:.3f}" if isinstance(value, float) else str(value)
         for name, value in words.items()

@@ -11,8 +11,9 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from ..files import natural_key
 from .checksums import matrix
-from .frames import FrameSet, natural_key
+from .frames import FrameSet
 from .reading import read_rows
 from .rows import DESCRIPTOR, POSE, Shape, dtype_of, schema
 

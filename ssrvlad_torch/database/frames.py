@@ -1,24 +1,18 @@
-"""Frames of a database: their records, sets of them in memory, and the order of their names."""
+"""Frames of a database: their records, and sets of them in memory."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 import numpy.typing as npt
-from natsort import natsort_keygen
 
 if TYPE_CHECKING:
     from torch import Tensor
 
 _NAN = float("nan")
-
-_DECIMAL = re.compile(r"(\d+)\.(\d+)")
-_DECIMALS = 20
 
 _Collection = TypeVar("_Collection", bound=Collection[Any])
 
@@ -123,16 +117,3 @@ def require_list(frames: _Collection) -> _Collection:
 def folder_of(signature: str) -> str:
     """The folder in a frame's signature."""
     return signature.rpartition("|")[0]
-
-
-def natural_key(name: str) -> tuple[Any, str]:
-    """Sort key of natural order: ``frame10`` after ``frame9``, and ``1`` after ``01``. A name that
-    is a decimal number counts by its value: ``12.5`` after ``12.25``."""
-    decimal = _DECIMAL.fullmatch(name)
-    text = f"{decimal[1]}.{decimal[2]:0<{_DECIMALS}}" if decimal else name
-    return _natural()(text), name
-
-
-@cache
-def _natural() -> Callable[[str], Any]:
-    return natsort_keygen()

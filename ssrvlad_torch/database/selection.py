@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from .frames import FrameSet, natural_key
+from ..files import natural_key
+from .frames import FrameSet
 
 if TYPE_CHECKING:
     from torch import Tensor

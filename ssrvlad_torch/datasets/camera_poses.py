@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..files import parse_number, read_bytes
-from .poses import Pose
+from ..files import read_bytes
+from .poses import Pose, parse_number
 
 
 class Ground(NamedTuple):

@@ -17,10 +17,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from ..files import absolute_folder
 from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, folders_in
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .names import absolute_folder
 
 _DRIVE = re.compile(r"(0001TP|0006R0|0016E5|Seq05VD|05VD)(?:_.*)?")
 

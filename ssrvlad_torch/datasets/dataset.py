@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 
 from natsort import natsorted
 
-from ..database.frames import natural_key
+from ..files import natural_key
 from ..taxonomy import label_space
 from .frame_files import FrameFile, every_nth
 from .label_files import SUFFIXES as LABEL_SUFFIXES

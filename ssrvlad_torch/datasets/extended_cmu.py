@@ -14,10 +14,10 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..files import absolute_folder
 from .camera_poses import Z_UP, optical_axis, read_poses
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .names import absolute_folder
 from .poses import Pose
 
 _SLICE = re.compile(r"slice\d+")

@@ -10,12 +10,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..files import absolute_folder
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, itself_or_inside
 from .frame_file import FrameFile
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
-from .names import absolute
+from .names import absolute, absolute_folder
 from .pose_tables import PoseTable
 
 _ROLES: dict[str, Role] = {

@@ -12,8 +12,7 @@ from itertools import tee
 from pathlib import Path
 from typing import TypeVar
 
-from ..database.frames import natural_key
-from ..files import check_regular, npy_header
+from ..files import check_regular, natural_key, npy_header
 from .bags import bag_files, is_bag
 from .frame_file import FrameFile
 from .gps import read_exif

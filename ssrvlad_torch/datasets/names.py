@@ -133,3 +133,12 @@ def absolute(path: Path) -> str:
             f"names of files are read as ASCII here, got {text!a}; expected UTF-8: set PYTHONUTF8=1"
         )
     return text.encode("utf-8", "backslashreplace").decode()
+
+
+def absolute_folder(folder: Path) -> Path:
+    """A folder's absolute path, so that ``.`` and ``..`` have a name and a parent too.
+
+    A symbolic link keeps its own name.
+    """
+    path = folder.absolute()
+    return path.resolve() if path.name == ".." else path

@@ -6,9 +6,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..files import absolute_folder
 from .frame_file import FrameFile
-from .names import is_same_folder, path_ends
+from .names import absolute_folder, is_same_folder, path_ends
 from .poses import FILE_NAME, Pose, read_poses
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from ..files import parse_number, read_text, replacing
+from ..files import read_text, replacing
 from .gps import Fix, eastings_northings, heading_of_course
 
 FILE_NAME = "poses.csv"
@@ -26,6 +26,14 @@ class Pose(NamedTuple):
 
 
 UNKNOWN = Pose(float("nan"), float("nan"), float("nan"))
+
+
+def parse_number(text: str) -> float:
+    """The number that a text is, also ``nan`` and ``inf``. Unlike `float`, it refuses ``1_000`` and
+    digits of other scripts; both are a ValueError."""
+    if "_" in text or not text.isascii():
+        raise ValueError(f"could not convert string to float: {text!r}")
+    return float(text)
 
 
 def read_poses(path: Path) -> dict[str, Pose]:

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..files import absolute_folder
 from .camera_poses import Y_UP_LEFT_HANDED, parse_numbers
 from .dataset import Dataset, GroundTruth, Layout, Traverse, files_in, itself_or_inside
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
 from .label_files import SUFFIXES as LABEL_SUFFIXES
+from .names import absolute_folder
 from .poses import Pose
 
 _LABELS, _IMAGES, _POSES = "GT/LABELS", "RGB", "CameraParams"

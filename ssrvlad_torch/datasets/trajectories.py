@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from ..files import parse_number, read_text
+from ..files import read_text
 from .camera_poses import Y_DOWN, Z_UP, optical_axis
-from .poses import UNKNOWN, Pose, poses_of_fixes
+from .poses import UNKNOWN, Pose, parse_number, poses_of_fixes
 from .tracks import SUFFIXES, read_track
 
 _KITTI, _TUM = 12, 8

@@ -10,9 +10,8 @@ from __future__ import annotations
 import math
 from datetime import UTC, datetime
 
-from ..files import parse_number
 from .gps import heading_of_course
-from .poses import UNKNOWN, Pose
+from .poses import UNKNOWN, Pose, parse_number
 
 _HEADING, _TIME, _NOTE = 9, 13, 14
 _FIELDS = 15

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..files import absolute_folder
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in
 from .image_files import SUFFIXES as IMAGE_SUFFIXES
+from .names import absolute_folder
 
 _FOLDERS: tuple[tuple[str, Role], ...] = (("query", "query"), ("ref", "reference"))
 _TRUTH = "ground_truth_new.npy"

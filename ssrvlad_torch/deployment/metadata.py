@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from .. import __version__
-from ..config import SSRVLADConfig
+from ..config import SSRVLADConfig, package_version
 from ..files import InputError, input_errors, parse_json
 from ..taxonomy import LabelSpace
 
@@ -63,7 +62,7 @@ class Metadata:
             ValueError: a golden array is larger than `golden_arrays` reads.
         """
         return cls(
-            version=__version__,
+            version=package_version(),
             config=config.to_dict(),
             fingerprint=config.fingerprint,
             label_space=space.to_dict(),

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from .. import __version__
-from ..config import SSRVLADConfig
+from ..config import SSRVLADConfig, package_version
 from ..datasets.frame_files import FrameFile
 from ..datasets.label_files import LabelMap, read_label_map
 from ..descriptor import SSRVLAD, SweepHead
@@ -166,9 +165,9 @@ def _verify(
         fused.name if fused else None,
         fused.features or None if fused else None,
     )
-    if metadata.version != __version__:
+    if metadata.version != package_version():
         result.warnings.append(
-            f"written by version {metadata.version} of ssrvlad_torch, this is {__version__}"
+            f"written by version {metadata.version} of ssrvlad_torch, this is {package_version()}"
         )
     if module.config.fingerprint != metadata.fingerprint:
         result.problems.append(
@@ -352,7 +351,7 @@ def _module(metadata: Metadata) -> SSRVLAD:
         config = SSRVLADConfig.from_dict(metadata.config)
     except (ValueError, TypeError) as error:
         raise ValueError(
-            f"settings of version {metadata.version} do not fit version {__version__}: {error}"
+            f"settings of version {metadata.version} do not fit {package_version()}: {error}"
         ) from error
     space = LabelSpace.from_dict({"source": PREFIX, **metadata.label_space})
     config, columns = replace(config, labels_as=space), metadata.interface.get("sweep")

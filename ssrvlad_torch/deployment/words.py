@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..bitplanes import LAYERS, line_neighbours
+from ..stages.bitplanes import LAYERS, line_neighbours
 from .graph import Graph, Symbol
 
 PIXELS = 3

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from ..database.frames import natural_key
+from ..files import natural_key
 from .outcomes import Rows
 
 _ROUNDING = 1e-9

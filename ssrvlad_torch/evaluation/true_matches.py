@@ -10,11 +10,12 @@ from pathlib import Path, PurePath
 import numpy as np
 import numpy.typing as npt
 
-from ..database.frames import FrameSet, natural_key
+from ..database.frames import FrameSet
 from ..datasets.dataset import Dataset, DatasetFrame
 from ..datasets.dataset import GroundTruth as DatasetTruth
 from ..datasets.frame_files import FrameFile
 from ..datasets.names import KnownFolders
+from ..files import natural_key
 from .ground_truth import from_frame_numbers, from_poses
 from .ground_truth_files import PartialTruth, from_file, unmatched_entries
 

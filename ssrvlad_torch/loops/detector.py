@@ -20,8 +20,8 @@ from ..database.metadata import ExtraDescriptor
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.extra_descriptors import extra_methods
-from ..front_end import as_tensor
 from ..segmentation.features import NAME as FEATURES
+from ..stages.front_end import as_tensor
 from .config import LoopConfig
 from .memory import Floats, Memory, Vectors, checked_vectors
 from .result import LoopResult

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..evaluation.outcomes import Floats, Rows
-from ..figures import new_figure
+from ..files import new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

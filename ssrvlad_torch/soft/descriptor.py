@@ -6,8 +6,8 @@ import torch
 from torch import Tensor, nn
 
 from ..config import SSRVLADConfig
-from ..front_end import label_map
 from ..stages.boundaries import WIDTH
+from ..stages.front_end import label_map
 from ..stages.grid_pooling import CELLS, ROWS
 from ..stages.harmonics import Harmonics
 from ..taxonomy import label_space

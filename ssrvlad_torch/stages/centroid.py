@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..bitplanes import LAYERS, Points, by_image, runs
+from .bitplanes import LAYERS, Points, by_image, runs
 
 
 def centroids(planes: Tensor) -> Points:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..bitplanes import Runs, paint, runs
+from .bitplanes import Runs, paint, runs
 
 
 def fill_holes(planes: Tensor, area: int) -> Tensor:

@@ -13,8 +13,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from ..tracing import is_exporting
 from .grid_pooling import overlaps
+from .tracing import is_exporting
 
 COLUMNS, ROWS, SIGNS = 16, 16, 64
 """Columns and rows of cells, and signs of each cell."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..tracing import real
+from .tracing import real
 
 CELLS = ROWS, COLUMNS = 24, 32
 """Rows and columns of cells. The method treats them as square, so every image as one of 4:3."""

@@ -18,10 +18,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ..config import AREA_LAYERS, BOUNDARY_DIRECTIONS, FAINT, SSRVLADConfig
-from ..tracing import MAX_WHOLE, is_exporting
 from .boundaries import DIRECTIONS, WIDTH, boundaries
 from .grid_pooling import CELLS, ROWS, pool
 from .layers import merge
+from .tracing import MAX_WHOLE, is_exporting
 from .vanishing_column import MAX_WIDTH, vanishing_columns
 
 _SAMPLES = 4

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..bitplanes import neighbours, steps_around, three_of_four, two_or_more
+from .bitplanes import neighbours, steps_around, three_of_four, two_or_more
 
 
 def end_points(skeleton: Tensor) -> Tensor:

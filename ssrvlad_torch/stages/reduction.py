@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from ..taxonomy import NO_LAYER
-from ..tracing import length as size
-from ..tracing import real
+from .tracing import length as size
+from .tracing import real
 
 RADIX = 64
 DIGITS = 4

@@ -12,8 +12,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ..bitplanes import Masks, count_points, points
 from ..config import SSRVLADConfig
+from .bitplanes import Masks, count_points, points
 from .centroid import centroids
 from .components import drop_regions, fill_holes
 from .keypoints import end_points, intersections

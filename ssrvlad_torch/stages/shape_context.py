@@ -8,7 +8,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..bitplanes import LAYERS, Points, by_image
+from .bitplanes import LAYERS, Points, by_image
 
 PAIRS_AT_ONCE = 1 << 16
 """Most pairs of points in memory at a time, not counting those of the last reference point: a few

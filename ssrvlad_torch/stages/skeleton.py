@@ -21,7 +21,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from ..bitplanes import Bits, line_neighbours, steps_around, two_or_more
+from .bitplanes import Bits, line_neighbours, steps_around, two_or_more
 
 PIXELS = 8
 """Pixels of a row in a word."""

@@ -10,7 +10,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from ..tracing import real
+from .tracing import real
 
 OPEN_LAYERS = (0, 1, 5)
 """Ground, sidewalk and sky: where one can drive, walk, or see far."""

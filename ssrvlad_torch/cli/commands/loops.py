@@ -53,7 +53,7 @@ def loops(
     """
     from ...database.database import Database
     from ...encoding.results import Skipped
-    from ...figures import require_picture, write_picture
+    from ...files import require_picture, write_picture
     from ...loops.picture import draw_loops
     from ...loops.stream import candidates_of, detect_loops, loops_of, open_detector, report
     from ..sources import extra_of, resolve

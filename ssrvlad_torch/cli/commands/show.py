@@ -28,7 +28,7 @@ def show(
     from ...datasets.image_files import read_image
     from ...datasets.label_files import LabelMap, read_label_map
     from ...descriptor import SSRVLAD
-    from ...figures import require_picture, write_picture
+    from ...files import require_picture, write_picture
     from ..sources import resolve
 
     require_picture(output)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...bitplanes import LAYERS
+from ...stages.bitplanes import LAYERS
 from ..graph import Graph, Symbol
 from ..words import GraphPoints, Words, runs_of
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...bitplanes import LAYERS
+from ...stages.bitplanes import LAYERS
 from ..graph import Graph, Symbol
 from ..words import (
     ALL,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...bitplanes import steps_around, three_of_four, two_or_more
+from ...stages.bitplanes import steps_around, three_of_four, two_or_more
 from ..graph import Graph
 from ..words import Words, neighbourhood
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ...bitplanes import LAYERS
+from ...stages.bitplanes import LAYERS
 from ...stages.shape_context import PAIRS_AT_ONCE
 from ..graph import Graph, Symbol
 from ..words import GraphPoints, Grid, by_image_in_graph

@@ -13,16 +13,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from ..config import AREA_LAYERS, SSRVLADConfig
+from ..files import new_figure
+from ..taxonomy import CATEGORIES, NO_LAYER, LabelSpace, colourise
 from .bitplanes import unpack
-from .config import AREA_LAYERS, SSRVLADConfig
-from .figures import new_figure
-from .stages.boundaries import DIRECTIONS, boundaries
-from .stages.centroid import centre_table, centroids
-from .stages.harmonics import HarmonicHistograms
-from .stages.keypoints import end_points, intersections
-from .stages.layers import merge
-from .stages.residuals import ResidualHistograms, masks_of
-from .taxonomy import CATEGORIES, NO_LAYER, LabelSpace, colourise
+from .boundaries import DIRECTIONS, boundaries
+from .centroid import centre_table, centroids
+from .harmonics import HarmonicHistograms
+from .keypoints import end_points, intersections
+from .layers import merge
+from .residuals import ResidualHistograms, masks_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

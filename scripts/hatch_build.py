@@ -2,8 +2,9 @@
 
 The core is one C++ file that needs a compiler and nothing else. Without one the package is built
 as well: it then describes label maps by torch, more slowly, with the same numbers.
-``python hatch_build.py`` builds the core of a checkout where it lies. `scripts/wheels` builds it
-for the platforms of `WHEELS` with the compiler of ``ziglang``, and names one in ``SSRVLAD_WHEEL``.
+``python scripts/hatch_build.py`` builds the core of a checkout where it lies. `scripts/wheels`
+builds it for the platforms of `WHEELS` with the compiler of ``ziglang``, and names one in
+``SSRVLAD_WHEEL``.
 """
 
 from __future__ import annotations
@@ -131,4 +132,4 @@ def compile_core(folder: Path, compiler: Sequence[str], library: Path) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(build(Path(__file__).parent) or None)
+    sys.exit(build(Path(__file__).resolve().parents[1]) or None)

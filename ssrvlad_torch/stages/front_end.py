@@ -9,8 +9,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from .config import SSRVLADConfig
-from .stages.layers import (
+from ..config import SSRVLADConfig
+from ..taxonomy import NO_LAYER, LabelSpace, label_space
+from .layers import (
     UNKNOWN,
     best_class,
     best_class_operator,
@@ -19,8 +20,7 @@ from .stages.layers import (
     entries_of,
     refuse_unknown,
 )
-from .stages.reduction import ballots, reduce_by_majority
-from .taxonomy import NO_LAYER, LabelSpace, label_space
+from .reduction import ballots, reduce_by_majority
 from .tracing import is_exporting, length
 
 PIXELS_AT_ONCE = 1 << 20

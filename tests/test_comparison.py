@@ -1,0 +1,109 @@
+"""Methods compared on the same frames: each alone, with its steps, and fused."""
+
+import json
+
+import numpy as np
+import pytest
+from drives import write_maps, write_photos
+from PIL import Image
+
+CAMVID = ("--labels-as", "camvid-11")
+SMALL = ("--set", "cohog.size=128")
+
+
+def test_every_method_with_the_steps_that_it_can_take(ssrvlad, tmp_path):
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", range(12), ".jpg")
+        write_maps(tmp_path / "town" / drive / "labels", range(12))
+    names = "ssr-vlad,label-grid,hog,cohog"
+    options = ("--method", names, *CAMVID, "--tolerance-frames", 0, "--json", *SMALL)
+    rows = json.loads(ssrvlad("compare", tmp_path / "town", *options)[1])["rows"]
+    assert [row["method"] for row in rows[::2]] == names.split(",")
+    for single, stepped in zip(rows[::2], rows[1::2], strict=True):
+        assert (single["method"], single["steps"]) == (stepped["method"], None)
+        assert stepped["steps"]["standardise"] == {"query": False}, "of twelve frames"
+        assert stepped["recall_at"]["1"] >= single["recall_at"]["1"]
+    without = ("--no-standardise", "--no-sweep", "--follow", "no")
+    rows = json.loads(ssrvlad("compare", tmp_path / "town", *options, *without)[1])["rows"]
+    assert [row["method"] for row in rows] == names.split(",")
+
+
+def test_methods_taken_together(ssrvlad, tmp_path):
+    """The rows of each stay as they were; two more are those of single frames and followed."""
+    for drive in ("query", "reference"):
+        write_photos(tmp_path / "town" / drive / "images", range(32), ".jpg")
+        write_maps(tmp_path / "town" / drive / "labels", range(32))
+    options = (tmp_path / "town", "--method", "label-grid,hog", *CAMVID, "--tolerance-frames", 0)
+    alone = json.loads(ssrvlad("compare", *options, "--json")[1])["rows"]
+    code, out, _ = ssrvlad("compare", *options, "--fuse", "hog,label-grid", "--json")
+    *rows, single, followed = json.loads(out)["rows"]
+    assert code == 0
+    for row, before in zip(rows, alone, strict=True):
+        for key in ("method", "recall_at", "steps"):
+            assert row[key] == before[key]
+    for row, mode in ((single, "no"), (followed, "offline")):
+        assert row["method"] == "hog + label-grid"
+        assert row["steps"]["standardise"] == {"query": True}
+        assert row["steps"]["follow"] == {"query": mode}
+        assert sum(row["weights"]["query"].values()) == pytest.approx(1)
+        assert row["recall_at"]["1"] >= max(one["recall_at"]["1"] for one in rows) - 0.01
+    assert single["bytes_a_reference"] == 2 * 480 * 4
+
+
+def test_a_member_that_does_not_run(compare, two_drives):
+    code, rows, _ = compare(two_drives, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad")
+    assert code == 3
+    assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
+
+
+def test_a_member_that_fails_on_a_frame(compare, two_drives):
+    Image.fromarray(np.full((60, 80), 99, np.uint8)).save(
+        two_drives / "query" / "labels" / "003.png"
+    )
+    code, rows, _ = compare(
+        two_drives, "--method", "hog,ssr-vlad", "--fuse", "hog,ssr-vlad", *CAMVID
+    )
+    assert code == 3
+    assert "99" in rows["ssr-vlad"]["reason"]
+    assert rows["hog + ssr-vlad"]["reason"] == "ssr-vlad does not run"
+
+
+def test_what_a_method_lacks_is_its_row(compare, two_drives, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    methods = ("--method", "ssr-vlad,hog,netvlad")
+    code, rows, err = compare(two_drives, *methods)
+    assert code == 3
+    assert rows["hog"]["recall_at"]["1"] == 1
+    assert rows["ssr-vlad"] == {
+        "method": "ssr-vlad",
+        "reason": "it needs label maps and their --labels-as",
+    }
+    assert f"no weights at {tmp_path}/.cache/ssrvlad/weights" in rows["netvlad"]["reason"]
+    assert [line.split(":")[1] for line in err] == [" skipped ssr-vlad", " skipped netvlad"]
+
+    for picture in two_drives.glob("query/images/*"):
+        picture.unlink()
+    code, rows, err = compare(two_drives, *methods, *CAMVID)
+    assert (code, rows["ssr-vlad"]["queries"]) == (3, 6)
+    assert rows["hog"]["reason"] == f"no query of {two_drives} (folders) has an image"
+    assert err[0] == "ssrvlad: 6 of 12 frames have no image, the first is query/000"
+
+
+def test_a_frame_that_cannot_be_read_is_the_reason(compare, two_drives):
+    (two_drives / "query" / "images" / "003.jpg").write_text("no image")
+    code, rows, err = compare(two_drives, "--method", "hog,label-grid", *CAMVID)
+    assert (code, len(err)) == (3, 1)
+    assert "003.jpg: is no image file" in rows["hog"]["reason"]
+    assert rows["label-grid"]["queries"] == 6
+
+
+def test_all_methods_get_the_same_frames(compare, two_drives):
+    """Images of one place and the label map of another are missing."""
+    (two_drives / "query" / "labels" / "001.png").unlink()
+    (two_drives / "reference" / "images" / "002.jpg").unlink()
+    _, rows, err = compare(two_drives, "--method", "hog,label-grid", *CAMVID)
+    assert {(row["queries"], row["references"]) for row in rows.values()} == {(5, 5)}
+    assert {row["queries_with_match"] for row in rows.values()} == {4}
+    assert "ssrvlad: 2 of 12 frames are left out: they lack an image or a label map" in err
+    _, rows, _ = compare(two_drives, "--method", "hog", *CAMVID)
+    assert (rows["hog"]["queries"], rows["hog"]["references"]) == (6, 5)

@@ -1,0 +1,68 @@
+"""References and queries: parts of one data set, or two folders."""
+
+import json
+from itertools import chain
+
+from drives import write_maps, write_photos
+
+from ssrvlad_torch.datasets.synthetic_city import write_city
+
+CAMVID = ("--labels-as", "camvid-11")
+SMALL = ("--set", "cohog.size=128")
+
+
+def test_sequences_by_name_and_other_label_maps(compare, tmp_path):
+    for drive in ("monday", "today", "never"):
+        write_photos(tmp_path / "photos" / drive, range(4), ".jpg")
+        write_maps(tmp_path / "maps" / drive, range(4))
+    labels = ("--labels", tmp_path / "maps", *CAMVID)
+    names = ("--references", "mon*", "--queries", "today")
+    methods = ("--method", "label-grid,hog", "--tolerance-frames", 0)
+    code, rows, err = compare(tmp_path / "photos", *names, *labels, *methods)
+    assert (code, err) == (0, [])
+    assert [row["recall_at"]["1"] for row in rows.values()] == [1, 1]
+
+    folders = ("--references", tmp_path / "photos/monday", "--queries", tmp_path / "photos/today")
+    again = compare(*folders, *labels, *methods)[1]
+    assert [row["recall_at"]["1"] for row in again.values()] == [1, 1]
+    assert {row["references"] for row in chain(rows.values(), again.values())} == {4}
+
+
+def test_a_png_is_a_label_map_or_an_image_but_not_both(compare, maps, tmp_path):
+    drives = ("--references", maps, "--queries", write_maps(tmp_path / "today", range(6)))
+    methods = ("--method", "label-grid,hog", "--tolerance-frames", 0)
+    code, rows, _ = compare(*drives, *methods, *CAMVID)
+    assert (code, rows["label-grid"]["recall_at"]["1"]) == (3, 1)
+    assert rows["hog"]["reason"] == f"no reference of {maps} (folders) has an image"
+    code, rows, _ = compare(*drives, *methods)
+    assert code == 3
+    assert "expected a photograph, got a label map" in rows["hog"]["reason"]
+    assert rows["label-grid"]["reason"] == "it needs label maps and their --labels-as"
+
+
+def test_odd_against_even_frames(ssrvlad, compare, maps, tmp_path):
+    options = (*CAMVID, "--tolerance-frames", 1)
+    code, rows, err = compare(maps, "--odd-even", "--method", "ssr-vlad", *options)
+    assert (code, err) == (0, [])
+    db = tmp_path / "even.ssrdb"
+    ssrvlad("encode", maps, "-o", db, *CAMVID, "--every", 2)
+    odd = ("--every", 2, "--start", 1, "--tolerance-frames", 1, "--json")
+    odd += ("--no-standardise", "--no-sweep", "--follow", "no")
+    metrics = json.loads(ssrvlad("evaluate", db, maps, *odd)[1])
+    assert (metrics["references"], metrics["queries"]) == (3, 3)
+    for key in ("recall_at", "auc_pr", "queries", "references", "queries_with_match"):
+        assert rows["ssr-vlad"][key] == metrics[key]
+
+
+def test_poses(compare, tmp_path):
+    write_city(tmp_path / "city", frames=8, seed=1, size=(60, 80))
+    labels = ("--labels-as", "cityscapes-trainids", "--method", "label-grid")
+    by_file = compare(tmp_path / "city", *labels)[1]["label-grid"]
+    by_pose = compare(tmp_path / "city", *labels, "--tolerance-metres", 5)[1]["label-grid"]
+    for key in ("recall_at", "auc_pr", "queries_with_match"):
+        assert by_file[key] == by_pose[key]
+    poses = (tmp_path / "city" / "poses.csv").read_text().splitlines(keepends=True)
+    (tmp_path / "city" / "poses.csv").write_text("".join(poses[:-2]))
+    _, rows, err = compare(tmp_path / "city", *labels, "--tolerance-metres", 5)
+    assert rows["label-grid"]["queries"] + rows["label-grid"]["references"] == 14
+    assert "2 of 16 frames have no pose" in err[0]

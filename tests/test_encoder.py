@@ -1,0 +1,141 @@
+"""Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
+
+import numpy as np
+import pytest
+import torch
+from drawings import VOID
+from helpers import street
+from maps import HEAD, alone, counts
+from PIL import Image
+
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.label_files import digest
+from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
+
+
+def test_descriptors_equal_those_of_single_frames(town):
+    town.add("a", range(20))
+    town.add("b", range(3))
+    (town.folder / "poses.csv").write_text("frame,x,y,heading\na/3,1,2,0.5\n")
+    assert counts(town.encode()) == (23, 0, 0)
+    frames = town.database().load()
+    numbers = [*range(20), *range(3)]
+    assert frames.frames == tuple(f"{'ab'[row > 19]}/{n}" for row, n in enumerate(numbers))
+    for descriptor, number in zip(frames.descriptors, numbers, strict=True):
+        assert torch.equal(descriptor, alone(street(number)))
+    assert frames.poses[3].tolist() == [1, 2, 0.5]
+    assert np.isnan(np.delete(frames.poses, 3, axis=0)).all()
+    record = town.database().known()["a/4"]
+    assert (record.height, record.width, record.digest) == (24, 32, digest(street(4)))
+
+
+def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_encoded(town):
+    """Both in the middle of a batch."""
+    town.add("a", range(12))
+    (town.folder / "a" / "4.png").write_text("no image")
+    unknown = street(7)
+    unknown[2:4, 5:8] = 99
+    town.write("a/7", unknown)
+    reported = []
+    summary = town.encode(skipped=reported.append)
+    assert counts(summary) == (10, 0, 2)
+    assert reported == summary.skipped
+    first, second = summary.skipped
+    assert first.frame == "a/4"
+    assert f"{town.folder}/a/4.png: cannot identify" in first.reason
+    assert second.frame == "a/7"
+    assert f"{town.folder}/a/7.png: label id 99 (6 pixels) is not in label space" in second.reason
+    frames = town.database().load()
+    assert frames.frames == tuple(f"a/{n}" for n in range(12) if n not in (4, 7))
+    for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
+        assert torch.equal(descriptor, alone(street(int(name[2:]))))
+    town.add("a", [4])
+    assert counts(town.encode()) == (1, 10, 1), "a repaired file is encoded in the next run"
+
+
+def test_frames_may_differ_in_size_and_format(town):
+    """Ids in gray images of 8, 16 and 32 bits, and in an array."""
+    sizes = [(24, 32), (30, 20), (24, 32), (130, 150), (24, 33)]
+    for number in range(10):
+        town.add("a", [number], *sizes[number % len(sizes)])
+    labels = street(0)
+    town.write("a/10", labels.astype(np.uint16))
+    Image.fromarray(labels.astype(np.int32)).save(town.folder / "a" / "11.tif")
+    np.save(town.folder / "a" / "12.npy", labels.astype(">u4"))
+    assert counts(town.encode()) == (13, 0, 0)
+    frames = town.database().load()
+    assert frames.frames == tuple(f"a/{n}" for n in range(13)), "in natural order"
+    for number, descriptor in enumerate(frames.descriptors[:10]):
+        assert torch.equal(descriptor, alone(street(number, *sizes[number % len(sizes)])))
+    known = town.database().known()
+    for number in (10, 11, 12):
+        assert torch.equal(frames.descriptors[number], alone(labels))
+        assert known[f"a/{number}"].digest == known["a/0"].digest
+
+
+def test_an_empty_image_has_a_zero_descriptor_and_a_flag(town):
+    town.add("a", [0, 2])
+    town.write("a/1", np.full((24, 32), VOID, np.uint8))
+    summary = town.encode()
+    assert counts(summary) == (3, 0, 0)
+    assert summary.empty == 1
+    frames = town.database().load()
+    assert frames.empty.tolist() == [False, True, False]
+    assert not frames.descriptors[1].any()
+
+
+def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
+    (town.folder / "a").mkdir()
+    for number in range(3):
+        (town.folder / "a" / f"{number}.png").write_text("no image")
+    assert counts(town.encode()) == (0, 0, 3)
+    assert town.database().load().frames == ()
+    assert counts(encode_to_database(HEAD, [], town.database())) == (0, 0, 0)
+    frames, skipped = encode_to_memory(HEAD, town.files())
+    assert len(skipped) == 3
+    assert frames.descriptors.shape == (0, 480)
+    assert frames.poses.shape == (0, 3)
+
+
+def test_memory_and_database_hold_the_same_frames(town):
+    town.add("b", range(3))
+    town.add("a", range(3))
+    (town.folder / "b" / "1.png").write_text("no image")
+    (town.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\nb/2,3,4\n")
+    in_memory, skipped = encode_to_memory(HEAD, town.files())
+    summary = town.encode()
+    on_disk = town.database().load()
+    assert skipped == summary.skipped
+    assert in_memory.frames == on_disk.frames
+    assert in_memory.sequences == on_disk.sequences
+    assert torch.equal(in_memory.descriptors, on_disk.descriptors)
+    np.testing.assert_array_equal(in_memory.poses, on_disk.poses)
+    assert in_memory.empty.tolist() == on_disk.empty.tolist()
+
+
+def test_a_stack_is_encoded_row_by_row(town):
+    np.save(town.folder / "s.npy", np.stack([street(n) for n in range(4)]))
+    frames, _ = encode_to_memory(HEAD, town.files("s.npy"))
+    assert frames.frames == tuple(f"s/s-00000{n}" for n in range(4))
+    for number, descriptor in enumerate(frames.descriptors):
+        assert torch.equal(descriptor, alone(street(number)))
+
+
+def test_another_fingerprint_is_refused_before_anything_is_read(town):
+    town.add("a", [0])
+    town.database()
+    paper = SSRVLAD.from_preset("paper", labels_as="camvid-11")
+    with pytest.raises(ValueError, match="has fingerprint"):
+        encode_to_database(paper, town.files(), town.database())
+
+
+def test_workers_make_the_same_rows(town):
+    threads = torch.get_num_threads()
+    town.add("a", range(70, 110))
+    (town.folder / "a" / "75.png").write_text("no image")
+    frames, skipped = encode_to_memory(HEAD, town.files(), workers=2)
+    assert [frame.frame for frame in skipped] == ["a/75"]
+    assert frames.frames == tuple(f"a/{n}" for n in range(70, 110) if n != 75)
+    for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
+        assert torch.equal(descriptor, alone(street(int(name[2:]))))
+    assert torch.get_num_threads() == threads

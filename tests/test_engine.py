@@ -1,0 +1,264 @@
+"""Versions of a database, and several writers of one."""
+
+import multiprocessing
+import os
+import subprocess
+import sys
+import threading
+
+import pytest
+import torch
+from four_frames import CONFIG, FRAMES, fill, filled, loaded
+from helpers import descriptors, one_line
+
+from ssrvlad_torch import Database
+from ssrvlad_torch.database import engine
+
+
+@pytest.fixture
+def path(tmp_path):
+    return filled(tmp_path)
+
+
+def test_merges_and_removals_are_one_commit_each_and_are_in_the_history(path):
+    database = Database.open(path)
+    database.merge(["day/2", "night/1"], torch.zeros(2, 480))
+    assert database.load().empty.tolist() == [True, False, False, True]
+    database.merge(["day/2", "new/1"], descriptors(5, 2))
+    assert database.load().frames == ("day/2", "day/9", "day/10", "new/1", "night/1")
+    assert not database.load().empty[0]
+    database.remove({"day/9", "day/10", "never/1"})
+    assert database.load().frames == ("day/2", "new/1", "night/1")
+    changes = [(entry.frames, entry.change.split()[0]) for entry in database.history()]
+    assert changes == [(0, "create"), (4, "append"), (4, "merge"), (5, "merge"), (3, "remove")]
+    first = database.history()[1].version
+    assert torch.equal(
+        Database.open(path, first).load().descriptors, descriptors(0, 4)[[1, 3, 0, 2]]
+    )
+    with pytest.raises(ValueError, match="as of version"):
+        Database.open(path, first).remove(["day/2"])
+    with pytest.raises(ValueError, match="has no version 99"):
+        Database.open(path, 99)
+
+
+def test_a_database_takes_frames_after_all_were_removed(path):
+    database = Database.open(path)
+    database.remove(FRAMES)
+    assert len(database.load()) == 0
+    fill(database, ["a/1"])
+    assert list(loaded(path)) == ["a/1"]
+
+
+def test_a_reader_keeps_its_version_while_others_write(path):
+    reader, writer = Database.open(path), Database.open(path)
+    before = reader.load()
+    writer.merge(["day/2"], torch.zeros(1, 480))
+    writer.remove(["day/9"])
+    writer.compact()
+    assert torch.equal(reader.load().descriptors, before.descriptors)
+    assert list(reader.known()) == FRAMES
+
+
+def test_compacting_keeps_the_versions_that_someone_uses(path, monkeypatch):
+    """A reader, and a writer whose change is planned on a version that is then superseded."""
+    reader, writer, plan = Database.open(path), Database.open(path), engine.replacement
+    before = reader.load()
+
+    def meanwhile(*arguments):
+        monkeypatch.setattr(engine, "replacement", plan)
+        other = Database.open(path)
+        other.append(["b/1"], descriptors(1, 1))
+        other.compact(keep_days=0)
+        other.add_origin(None, "network")
+        other.compact(keep_days=0)
+        return plan(*arguments)
+
+    monkeypatch.setattr(engine, "replacement", meanwhile)
+    writer.merge(["a/1", "b/1"], descriptors(2, 2))
+    rows = loaded(path)
+    assert set(rows) == {*FRAMES, "a/1", "b/1"}
+    assert rows["b/1"] == descriptors(2, 2)[1].tolist()
+    assert torch.equal(reader.load().descriptors, before.descriptors)
+    reader.merge(["b/2"], descriptors(3, 1))
+    del writer
+    reader.compact(keep_days=0)
+    assert len(reader.history()) == 1
+
+
+def test_compacting_joins_files_and_deletes_old_versions(path):
+    database = Database.open(path)
+    for number in range(6):
+        fill(database, [f"more/{number}"], number)
+    database.remove(["day/2"])
+    before, files = loaded(path), len(list(path.glob("data/*.lance")))
+    database.compact(keep_days=0)
+    assert loaded(path) == before
+    assert len(list(path.glob("data/*.lance"))) < files
+    assert len(database.history()) == 1
+    fill(database, ["day/2"])
+    assert len(Database.open(path)) == len(before) + 1
+
+
+def test_rows_that_were_written_apart_are_added_when_they_are_adopted(path):
+    database = Database.open(path)
+    written = [database.write_apart([f"a/{n}"], descriptors(n, 1)) for n in range(3)]
+    assert len(Database.open(path)) == len(FRAMES)
+    with pytest.raises(ValueError, match="written twice"):
+        database.adopt([written[0], *written])
+    database.adopt(written)
+    assert loaded(path)["a/1"] == descriptors(1, 1)[0].tolist()
+    with pytest.raises(ValueError, match="'a/0' is in"):
+        database.adopt(written)
+
+
+def test_a_change_is_checked_against_what_others_have_written(path):
+    """Not against the version that the writer has read."""
+    database, seen = Database.open(path), []
+
+    def check(known):
+        seen.append(sorted(known))
+        if "other/0" in known:
+            raise ValueError("other/0 is there")
+
+    database.merge(["a/0"], descriptors(0, 1), check=check)
+    assert not seen
+    Database.open(path).append(["other/0"], descriptors(1, 1))
+    written = [database.write_apart(["a/1"], descriptors(2, 1))]
+    for change in (
+        database.adopt,
+        lambda rows, check: database.merge(["a/2"], descriptors(3, 1), check=check),
+    ):
+        with pytest.raises(ValueError, match="other/0 is there"):
+            change(written, check)
+    assert seen == [sorted([*FRAMES, "a/0", "other/0"])] * 2
+    assert len(Database.open(path)) == len(FRAMES) + 2
+
+
+def add_own(path, name, count):
+    database = Database.open(path)
+    for number in range(count):
+        fill(database, [f"{name}/{number}"], number)
+
+
+def test_two_processes_that_add_at_once_both_succeed(tmp_path):
+    path = tmp_path / "db"
+    Database.create(path, CONFIG)
+    spawn = multiprocessing.get_context("spawn")
+    writers = [spawn.Process(target=add_own, args=(path, name, 5)) for name in "ab"]
+    for writer in writers:
+        writer.start()
+    for writer in writers:
+        writer.join()
+        assert writer.exitcode == 0
+    expected = {f"{name}/{n}": descriptors(n, 1)[0].tolist() for name in "ab" for n in range(5)}
+    assert loaded(path) == expected
+
+
+def in_threads(*works):
+    """Runs functions in threads at once, and returns their errors."""
+    errors, ready = [], threading.Barrier(len(works))
+
+    def attempt(work):
+        ready.wait()
+        try:
+            work()
+        except Exception as error:
+            errors.append(error)
+
+    threads = [threading.Thread(target=attempt, args=(work,)) for work in works]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    return errors
+
+
+def test_writers_that_start_at_once_make_one_database(tmp_path):
+    path = tmp_path / "db"
+    opening = [
+        lambda n=n: fill(Database.open_or_create(path, CONFIG), [f"{n}/0"]) for n in range(4)
+    ]
+    assert in_threads(*opening) == []
+    assert set(loaded(path)) == {f"{n}/0" for n in range(4)}
+
+
+@pytest.mark.parametrize("version", [0, -1, 99])
+def test_a_version_that_is_not_there_is_refused(path, version):
+    with pytest.raises(ValueError, match=f"has no version {version}") as refusal:
+        Database.open(path, version)
+    assert one_line(refusal)
+
+
+FORKED = """
+import os, sys, warnings
+warnings.simplefilter("always")
+from ssrvlad_torch import Database
+database = Database.open(sys.argv[1])
+database.load()
+if os.fork():
+    sys.exit(os.waitstatus_to_exitcode(os.wait()[1]))
+os._exit([len(Database.open(sys.argv[1]).load()), len(database.load())] != [len(database)] * 2)
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system has no fork")
+def test_a_forked_process_reads_on_and_nothing_is_warned_of(path):
+    """As the workers of a DataLoader are."""
+    command = [sys.executable, "-c", FORKED, path]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_two_threads_that_share_a_database_both_succeed(path):
+    database = Database.open(path)
+
+    def adding(name):
+        return lambda: [fill(database, [f"{name}/{n}"], n) for n in range(10)]
+
+    assert in_threads(adding("a"), adding("b")) == []
+    assert len(loaded(path)) == len(FRAMES) + 20
+    assert len(database) == len(FRAMES) + 20
+
+
+@pytest.mark.parametrize("empty", [True, False])
+def test_of_several_writers_of_one_frame_one_succeeds(tmp_path, empty):
+    path = tmp_path / "db"
+    Database.create(path, CONFIG)
+    if not empty:
+        fill(Database.open(path), FRAMES)
+    handles = [Database.open(path) for _ in range(4)]
+    works = [
+        lambda h=h, n=n: h.append(["same/1"], descriptors(n, 1)) for n, h in enumerate(handles)
+    ]
+    errors = in_threads(*works)
+    assert len(errors) == 3
+    assert {str(error) for error in errors} == {f"frame 'same/1' is in {path} already"}
+    assert len(loaded(path)) == (1 if empty else 5)
+
+
+def test_concurrent_changes_of_all_kinds_are_applied_one_after_another(path):
+    """Each writer changes only its own frames, so every order gives the same result."""
+
+    def changing(name):
+        def work():
+            database = Database.open(path)
+            fill(database, [f"{name}/{n}" for n in range(4)])
+            database.remove([f"{name}/0"])
+            database.merge([f"{name}/1"], torch.zeros(1, 480))
+            database.merge([f"{name}/2", f"{name}/5"], descriptors(9, 2))
+            database.add_origin(None, name)
+
+        return work
+
+    def compacting():
+        for _ in range(3):
+            Database.open(path).compact()
+
+    assert in_threads(changing("a"), changing("b"), changing("c"), compacting) == []
+    rows = loaded(path)
+    assert set(rows) == {*FRAMES, *(f"{name}/{n}" for name in "abc" for n in (1, 2, 3, 5))}
+    for name in "abc":
+        assert not any(rows[f"{name}/1"])
+        assert rows[f"{name}/2"] == descriptors(9, 2)[0].tolist()
+        assert rows[f"{name}/3"] == descriptors(0, 4)[3].tolist()
+    assert {origin.segmenter for origin in Database.open(path).origins.values()} == {"a", "b", "c"}

@@ -1,0 +1,253 @@
+"""What a run encodes again, and which folder a sequence is of."""
+
+import os
+import time
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from helpers import street
+from maps import HEAD, alone, counts, rewrite
+
+from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.label_files import digest
+from ssrvlad_torch.encoding import describer
+from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.results import EncodeOptions
+
+
+@pytest.fixture
+def reads(monkeypatch):
+    """Names of the frames that are read."""
+    names, whole = [], describer.read_label_map
+    spy = lambda file, space: (names.append(file.name), whole(file, space))[1]  # noqa: E731
+    monkeypatch.setattr(describer, "read_label_map", spy)
+    return names
+
+
+def test_running_again_reads_only_what_is_missing(town, reads):
+    town.add("a", range(5))
+    assert counts(town.encode()) == (5, 0, 0)
+    reads.clear()
+    assert counts(town.encode()) == (0, 5, 0)
+    assert reads == []
+    town.add("a", [20, 3000])
+    assert counts(town.encode()) == (2, 5, 0)
+    assert sorted(reads) == ["20", "3000"]
+
+
+def test_another_label_space_encodes_all_frames_again(town):
+    town.add("a", range(5))
+    town.encode()
+    synthia = SSRVLAD.from_preset("default", labels_as="synthia")
+    summary = town.encode(head=synthia)
+    assert summary.anew == {"label space changed": 5}
+    assert str(summary) == (
+        "0 frames encoded (0 of them empty), 5 encoded anew: label space changed, "
+        "0 already there, 0 skipped"
+    )
+    frames = town.database().load()
+    assert torch.equal(frames.descriptors[2], synthia(torch.from_numpy(street(2))[None])[0])
+    assert counts(town.encode(head=synthia)) == (0, 5, 0)
+    assert town.encode().anew == {"label space changed": 5}
+
+
+def test_a_changed_label_space_of_the_same_name_encodes_frames_again(town):
+    town.add("a", range(3))
+    classes = [{"id": n, "name": str(n), "category": "ground"} for n in range(12)]
+    path = town.folder / "mine.yaml"
+
+    def head():
+        text = yaml.safe_dump({"name": "mine", "source": "me", "classes": classes})
+        path.write_text(text, encoding="utf-8")
+        return SSRVLAD.from_preset("default", labels_as=str(path))
+
+    assert town.encode(head=head()).encoded == 3
+    assert counts(town.encode(head=head())) == (0, 3, 0)
+    classes[4]["category"] = "sky"
+    before = town.database().load().descriptors
+    assert town.encode(head=head()).anew == {"label space changed": 3}
+    assert not torch.equal(town.database().load().descriptors, before)
+
+
+def test_a_changed_file_is_encoded_again_and_replaces_the_row(town):
+    town.add("a", range(5))
+    town.encode()
+    rewrite(town.folder / "a" / "3.png", 99)
+    summary = town.encode()
+    assert (summary.encoded, summary.anew, summary.already_there) == (0, {"file changed": 1}, 4)
+    frames = town.database().load()
+    assert frames.frames == tuple(f"a/{n}" for n in range(5))
+    assert torch.equal(frames.descriptors[3], alone(street(99)))
+    assert town.database().known()["a/3"].digest == digest(street(99))
+    assert town.encode().already_there == 5
+
+
+def test_a_change_that_keeps_size_and_modification_time_is_noticed(town):
+    """A user cannot set the time of the inode's last change."""
+    path = town.folder / "a" / "0.npy"
+    path.parent.mkdir()
+    np.save(path, street(0))
+    town.encode()
+    before = path.stat()
+    time.sleep(0.02)
+    np.save(path, street(1))
+    os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
+    assert path.stat().st_size == before.st_size
+    assert town.encode().anew == {"file changed": 1}
+    assert torch.equal(town.database().load().descriptors[0], alone(street(1)))
+
+
+def test_a_touched_file_is_read_once(town, reads):
+    town.add("a", range(3))
+    town.encode()
+    (town.folder / "a" / "1.png").touch()
+    reads.clear()
+    assert town.encode().anew == {"file touched, the same label map": 1}
+    assert town.encode().already_there == 3
+    assert reads == ["1"]
+
+
+def test_a_changed_file_that_cannot_be_read_is_skipped_and_its_row_stays(town):
+    town.add("a", range(3))
+    town.encode()
+    (town.folder / "a" / "1.png").write_text("no image")
+    assert counts(town.encode()) == (0, 2, 1)
+    assert torch.equal(town.database().load().descriptors[1], alone(street(1)))
+
+
+def test_a_changed_pose_is_stored(town):
+    town.add("a", range(3))
+    (town.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\na/1,3,4\n")
+    town.encode()
+    (town.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\na/1,3,5\n")
+    summary = town.encode()
+    assert (summary.anew, summary.already_there) == ({"pose changed": 1}, 2)
+    assert town.database().load().poses[1, :2].tolist() == [3, 5]
+    (town.folder / "poses.csv").unlink()
+    (town.folder / "a" / "1.png").touch()
+    assert town.encode().anew.total() == 1
+    assert town.database().load().poses[1, :2].tolist() == [3, 5], "no table says anything else"
+    (town.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\n")
+    assert town.encode().anew == {"pose changed": 1}
+    assert np.isnan(town.database().load().poses[:, 0]).tolist() == [False, True, True]
+
+
+def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(town):
+    town.add("a", range(4))
+    town.add("b", range(2))
+    town.encode()
+    for number in (1, 3):
+        (town.folder / "a" / f"{number}.png").unlink()
+    assert town.encode().gone == [], "the files need not be complete"
+    summary = town.encode("a", complete=True)
+    assert (summary.gone, summary.pruned) == (["a/1", "a/3"], 0)
+    assert len(town.database()) == 6
+    summary = town.encode("a", complete=True, prune=True)
+    assert (summary.gone, summary.pruned) == ([], 2)
+    assert town.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
+    with pytest.raises(ValueError, match="prune needs all files"):
+        EncodeOptions(prune=True)
+
+
+def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(town):
+    for drive in ("00", "01", "02"):
+        town.add(f"{drive}/labels", [int(drive), 7])
+    town.encode("00/labels", "01/labels")
+    assert town.database().load().frames == tuple(
+        f"0{d}/labels/{n}" for d in "01" for n in (int(d), 7)
+    )
+    known = town.database().folders()
+    files = town.files("02/labels", known=known)
+    assert encode_to_database(HEAD, files, town.database()).encoded == 2
+    assert {file.sequence for file in files} == {"02/labels"}
+    files = town.files("02/labels", "00/labels", known=town.database().folders())
+    options = EncodeOptions(complete=True, prune=True)
+    summary = encode_to_database(HEAD, files, town.database(), options)
+    assert (counts(summary), summary.pruned) == ((0, 4, 0), 0)
+    assert len(town.database()) == 6
+
+
+def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(town):
+    town.add("00/labels", range(3))
+    town.add("01/labels", range(2, 5))
+    town.encode("00/labels")
+    before = town.database().load()
+    with pytest.raises(ValueError, match=r"'labels' of the database is .*00/labels, not .*01"):
+        town.encode("01/labels", complete=True, prune=True)
+    files = town.files("01/labels", sequence="labels")
+    with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
+        encode_to_database(HEAD, files, town.database())
+    assert torch.equal(town.database().load().descriptors, before.descriptors)
+    files = town.files("01/labels", known=town.database().folders())
+    assert {file.sequence for file in files} == {"01/labels"}
+    assert encode_to_database(HEAD, files, town.database()).encoded == 3
+    town.add("02/labels", range(3, 5))
+    files = town.files("02/labels", sequence="labels")
+    assert encode_to_database(HEAD, files, town.database()).encoded == 2, "the user gave the name"
+
+
+@pytest.mark.parametrize(
+    ("sequence", "message"),
+    [
+        (None, "'labels' of the database is .*01/labels, not .*00/labels"),
+        ("labels", "frame 'labels/2' of the database is of .*01/labels, not of .*00/labels"),
+    ],
+)
+def test_folders_that_take_the_same_name_at_once_do_not_merge(town, sequence, message):
+    """The other run begins after the plan of this one, and ends before its first commit."""
+    town.add("00/labels", range(3))
+    town.add("01/labels", range(2, 5))
+
+    def other(_done):
+        if not len(town.database()):
+            files = town.files("01/labels", sequence=sequence)
+            assert encode_to_database(HEAD, files, town.database()).encoded == 3
+
+    files = town.files("00/labels", sequence=sequence)
+    with pytest.raises(ValueError, match=message):
+        encode_to_database(HEAD, files, town.database(), EncodeOptions(progress=other))
+    assert town.database().load().frames == tuple(f"labels/{n}" for n in range(2, 5))
+
+
+def test_a_file_is_not_stored_under_two_names(town):
+    town.add("a", range(3))
+    town.encode()
+    files = town.files("a", sequence="new")
+    options = EncodeOptions(complete=True, prune=True)
+    expected = r"a/0\.png is frame 'a/0' of the database: expected --sequence a, got new"
+    with pytest.raises(ValueError, match=expected):
+        encode_to_database(HEAD, files, town.database(), options)
+    assert len(town.database()) == 3
+    town.add("a", range(3, 5))
+    files = [file for file in town.files("a", sequence="new") if file.name in "34"]
+    assert encode_to_database(HEAD, files, town.database()).encoded == 2
+
+
+def test_a_stack_beside_a_folder_of_its_name_is_another_sequence(town):
+    town.add("day", range(3))
+    town.encode("day")
+    np.save(town.folder / "day.npy", np.stack([street(seed) for seed in range(4)]))
+    with pytest.raises(ValueError, match="needs a name"):
+        town.files("day", "day.npy")
+    files = town.files("day.npy", sequence="stack")
+    options = EncodeOptions(complete=True, prune=True)
+    assert encode_to_database(HEAD, files, town.database(), options).encoded == 4
+    assert town.encode("day", complete=True, prune=True).pruned == 0
+    assert len(town.database()) == 7
+
+
+def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
+    town.add("a", range(3))
+    town.encode()
+    (town.folder / "other").mkdir()
+    (town.folder / "a").rename(town.folder / "other" / "a")
+    known = town.database().folders()
+    with pytest.raises(
+        ValueError, match=r"'a' of the database was encoded from .*, which is gone: .*--sequence a"
+    ):
+        town.files("other/a", known=known)
+    files = town.files("other/a", sequence="a", known=known)
+    assert encode_to_database(HEAD, files, town.database()).anew == {"file moved": 3}
+    assert counts(encode_to_database(HEAD, files, town.database())) == (0, 3, 0)

@@ -1,0 +1,100 @@
+"""The search for candidates in a database: of which frames, by which descriptors, how sure."""
+
+import json
+
+import numpy as np
+from drawings import SPACE
+from drives import write_maps
+from helpers import street
+
+from ssrvlad_torch import Database, SSRVLADConfig
+
+REACH = "--temporal: expected frames (3) or metres (10m) up to 1000000"
+
+
+def test_nothing_that_can_be_described(ssrvlad, database, tmp_path):
+    (tmp_path / "other").mkdir()
+    np.save(tmp_path / "other" / "0.npy", np.full((24, 32), 77, np.uint8))
+    code, out, err = ssrvlad("query", database, tmp_path / "other")
+    assert (code, out) == (3, "")
+    assert err[:2] == [
+        "ssrvlad: no query could be described",
+        "ssrvlad: no frame could be described: is --labels-as the label space of these label maps?",
+    ]
+
+
+def test_a_sum_in_metres_tells_its_t(ssrvlad, database, maps):
+    (maps / "poses.csv").write_text(
+        "frame,x,y\n" + "".join(f"{n:03d},{n * 2},0\n" for n in range(6))
+    )
+    ssrvlad("encode", maps, "-o", database)
+    found = json.loads(
+        ssrvlad("query", database, maps, "--temporal", "4.2m", "--json")[1].splitlines()[0]
+    )
+    assert found["temporal"] == {"monday": 2}
+
+
+def test_enough_references_tell_how_sure(ssrvlad, database, maps):
+    write_maps(maps, range(6, 30))
+    ssrvlad("encode", maps, "-o", database)
+    _, out, err = ssrvlad("query", database, maps, "--json")
+    assert 0 < json.loads(out.splitlines()[0])["confidence"] < 1
+    assert not any("too few" in line for line in err)
+
+
+def test_label_maps_of_two_spaces_are_told_apart(ssrvlad, database, maps, tmp_path):
+    other = write_maps(tmp_path / "tuesday", range(3))
+    ssrvlad("encode", other, "-o", database, "--labels-as", "cityscapes-trainids")
+    refused = [
+        "ssrvlad: %s holds frames of camvid-11 and cityscapes-trainids; choose one with --labels-as"
+    ]
+    assert ssrvlad("query", database, maps)[::2] == (2, [refused[0] % database])
+    assert ssrvlad("encode", other, "-o", database)[::2] == (2, [refused[0] % database])
+    assert ssrvlad("query", database, maps, "--labels-as", "camvid-11")[0] == 0
+
+
+def test_a_database_without_frames(ssrvlad, database, maps, tmp_path):
+    db = tmp_path / "bare.ssrdb"
+    Database.create(db, SSRVLADConfig(labels_as="camvid-11"))
+    code, _, err = ssrvlad("query", db, maps)
+    assert (code, err) == (2, [f"ssrvlad: {db} holds no frames yet"])
+
+
+def _first(out: str) -> dict[str, str]:
+    """The first candidate of each query."""
+    return {line.split(": ")[0]: line.split()[1] for line in out.splitlines()}
+
+
+def test_the_frames_of_another_database_are_named_apart(ssrvlad, database, tmp_path):
+    other, others = write_maps(tmp_path / "other" / "monday", range(6)), tmp_path / "b.ssrdb"
+    ssrvlad("encode", other, "-o", others, "--labels-as", "camvid-11")
+    code, _, err = ssrvlad("query", database, others)
+    assert code == 2 and len(err) == 1 and "give --sequence monday if" in err[0]
+    found = _first(ssrvlad("query", database, others, "--sequence", "b", "--top", 1)[1])
+    assert found == {f"b/{n:03d}": f"monday/{n:03d}" for n in range(6)}
+
+
+def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):
+    """The mirrored map is asked, so that no answer is right; then the map itself."""
+    streets = [street(seed) for seed in range(60)]
+    for name, maps in (("town", streets), ("mirrored", [each[:, ::-1] for each in streets])):
+        (tmp_path / name).mkdir()
+        for number, labels in enumerate(maps):
+            np.save(tmp_path / name / f"{number:03}.npy", labels)
+    town = tmp_path / "town.ssrdb"
+    assert ssrvlad("encode", tmp_path / "town", "-o", town, "--labels-as", SPACE)[0] == 0
+    ask = "query", town, tmp_path / "town", "--follow", "no", "--max-wrong", 0.1
+    code, out, err = ssrvlad(*ask)
+    assert code == 0 and all("no candidate" not in line for line in out.splitlines())
+    assert "; accepted 60 answers of confidence " in err[0]
+    assert "; 1.7% estimated to be wrong (95 % interval 0.0% to " in err[0]
+    code, out, _ = ssrvlad(*ask, "--json")
+    lines = [json.loads(line) for line in out.splitlines()]
+    assert lines[0]["estimate"] == lines[-1]["estimate"]
+    assert lines[0]["estimate"]["accepted"] == 60 and lines[0]["estimate"]["low"] == 0
+    ask = "query", town, tmp_path / "mirrored", "--follow", "no", "--max-wrong", 0.1
+    code, out, err = ssrvlad(*ask)
+    assert all("no candidate" in line for line in out.splitlines())
+    assert err[0].endswith("; no answer is accepted")
+    both = "query", town, tmp_path / "town", "--max-wrong", 0.1, "--min-confidence", 0.5
+    assert ssrvlad(*both)[0] == 2
