@@ -1,5 +1,4 @@
-"""The ROS 2 package: its core as it is, the node over a bag, with the messages of rosbags and a
-stand-in for rclpy."""
+"""The ROS 2 package: the node over a bag, with the messages of rosbags and a stand-in for rclpy."""
 
 import ast
 import importlib
@@ -16,234 +15,15 @@ import numpy as np
 import pytest
 from helpers import street
 from loop_streams import SEEDS
+from networks import photo
+from ros_images import CAMVID, CONFIG, picture, seen
+from segmenting import write_drives
+from ssrvlad_ros import live_loops
 
-from ssrvlad_torch import SSRVLAD, Database, LoopDetector, SSRVLADConfig
-from ssrvlad_torch.datasets.label_files import digest
-from ssrvlad_torch.loops.config import LoopConfig
-from ssrvlad_torch.taxonomy import CATEGORIES, label_space, label_space_names
+from ssrvlad_torch import SSRVLAD, Database
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "export" / "ros2"
-sys.path.append(str(PACKAGE))
-label_table = importlib.import_module("ssrvlad_ros.label_table")
-live_loops = importlib.import_module("ssrvlad_ros.live_loops")
-sys.path.remove(str(PACKAGE))
-
-CAMVID = [(each.id, each.name) for each in label_space("camvid-11").classes]
-CONFIG = LoopConfig(exclude=5, sweep=False)
-SECOND = 10**9
-
-
-def picture(labels, encoding="mono8", padding=0, big=0):
-    """A ``sensor_msgs/Image``."""
-    stored = labels.astype(live_loops.DTYPES[encoding].replace("u", ">u" if big else "<u"))
-    rows = [row.tobytes() + b"\x63" * padding for row in stored]
-    return SimpleNamespace(
-        height=labels.shape[0],
-        width=labels.shape[1],
-        encoding=encoding,
-        is_bigendian=big,
-        step=labels.shape[1] * stored.itemsize + padding,
-        data=b"".join(rows),
-    )
-
-
-def categories(labels, space):
-    """``(H, W)`` indices of categories, 8 for none."""
-    table = {each.id: each.category_index for each in label_space(space).classes}
-    return np.vectorize(table.get)(labels)
-
-
-@pytest.mark.parametrize("space", label_space_names())
-def test_ids_come_to_stand_for_the_same_categories(space):
-    """Of every label space of the package, shown as a network publishes it; bridge and tunnel mean
-    in Cityscapes what they do not in CamVid."""
-    known = [each for each in label_space(space).classes if each.id >= 0]
-    table = label_table.LabelTable([(each.id, each.name.upper()) for each in known])
-    ids = np.array([[each.id for each in known]], np.uint8)
-    got = categories(table(ids), label_table.LABELS_AS)
-    differing = {
-        each.name
-        for each, one, other in zip(known, got[0], categories(ids, space)[0], strict=True)
-        if one != other
-    }
-    assert differing <= ({"Bridge", "Tunnel"} if space == "camvid-32" else set())
-
-
-def test_a_table_in_any_order_and_with_gaps():
-    table = label_table.LabelTable([(40, "Traffic_Light"), (7, "road"), (3, "SKY"), (900, "car")])
-    labels = np.array([[3, 7, 40, 900]], np.uint16)
-    assert categories(table(labels), "cityscapes-ids").tolist() == [[5, 0, 3, 8]]
-
-
-def test_names_of_ones_own_are_given_a_meaning():
-    class_map = [(0, "asphalt"), (1, "Sky"), (2, "drone")]
-    with pytest.raises(ValueError, match="3 classes, of unknown meaning: 'asphalt', 'drone'; say"):
-        label_table.LabelTable(class_map)
-    meanings = {"Asphalt": "ground", "drone": "dynamic", "sky": "void"}
-    table = label_table.LabelTable(class_map, meanings)
-    got = categories(table(np.array([[0, 1, 2]], np.uint8)), "cityscapes-ids")
-    assert got.tolist() == [[CATEGORIES.index("ground"), 8, 8]]
-    with pytest.raises(ValueError, match="unknown category 'street'; expected one of ground, "):
-        label_table.LabelTable(class_map, {"asphalt": "street"})
-
-
-def test_the_largest_id_is_unlabelled_unless_the_table_has_it():
-    table = label_table.LabelTable([(1, "sky")])
-    for dtype, largest in ((np.uint8, 255), (np.uint16, 65535)):
-        labels = np.array([[1, largest]], dtype)
-        assert categories(table(labels), "cityscapes-ids").tolist() == [[5, 8]]
-    with pytest.raises(ValueError, match=r"1 of 2 pixels .* such as 255"):
-        table(np.array([[1, 255]], np.uint16))
-    everywhere = label_table.LabelTable([(255, "sky")])
-    assert categories(everywhere(np.full((1, 1), 255, np.uint8)), "cityscapes-ids")[0, 0] == 5
-
-
-def test_an_id_without_a_name_is_refused():
-    table = label_table.LabelTable(CAMVID)
-    with pytest.raises(ValueError, match=r"6 of 24 pixels .* lacks, such as 77"):
-        table(np.repeat([0, 5, 77, 11], 6).reshape(4, 6).astype(np.uint8))
-
-
-@pytest.mark.parametrize(
-    ("class_map", "message"),
-    [
-        ([], "has 0 classes, of unknown meaning: all"),
-        ([(1, "sky"), (1, "road")], "id 1 of 'road' stands twice"),
-        ([(-1, "sky")], "id -1 of 'sky'"),
-        ([(65536, "sky")], "id 65536 of 'sky'"),
-    ],
-)
-def test_wrong_tables_are_refused(class_map, message):
-    with pytest.raises(ValueError, match=message):
-        label_table.LabelTable(class_map)
-
-
-@pytest.mark.parametrize("encoding", live_loops.DTYPES)
-@pytest.mark.parametrize("padding", [0, 6])
-@pytest.mark.parametrize("big", [0, 1])
-def test_images_are_read_whatever_their_rows_and_bytes(encoding, padding, big):
-    labels = np.arange(35).reshape(5, 7) * (7 if "8" in encoding else 1800)
-    image = picture(labels, encoding, padding, big)
-    np.testing.assert_array_equal(live_loops.decode(image), labels)
-    image.data = np.frombuffer(image.data, np.uint8)  # what rclpy gives is an array
-    np.testing.assert_array_equal(live_loops.decode(image), labels)
-
-
-def test_images_of_another_form_are_refused():
-    image = picture(np.zeros((3, 4), int))
-    for changes, message in (
-        ({"encoding": "rgb8"}, "encoding 'rgb8'; expected one of mono8, 8UC1, mono16, 16UC1"),
-        ({"step": 3}, "12 bytes in rows of 3; expected 3 rows of 4"),
-        ({"height": 4}, "12 bytes in rows of 4; expected 4 rows of 4"),
-        ({"height": 0}, "expected 0 rows of 4"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            live_loops.decode(SimpleNamespace(**{**vars(image), **changes}))
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5, -2.0, 3.1])
-def test_the_heading_of_a_rotation(angle):
-    """About the vertical axis, and the same with a little roll before it."""
-    w, z = math.cos(angle / 2), math.sin(angle / 2)
-    assert live_loops.heading(live_loops.Quaternion(0, 0, z, w)) == pytest.approx(angle)
-    r, x = math.cos(0.1), math.sin(0.1)
-    rolled = live_loops.Quaternion(w * x, z * x, z * r, w * r)
-    assert live_loops.heading(rolled) == pytest.approx(angle)
-
-
-def test_meanings_are_given_as_words():
-    assert live_loops.meanings_of(["", "a=b=sky", "x=void"]) == {"a=b": "sky", "x": "void"}
-    for word in ("sky", "=sky", "road="):
-        with pytest.raises(ValueError, match=f"expected name=category, got '{word}'"):
-            live_loops.meanings_of([word])
-
-
-def seen(core, seeds=SEEDS, start=0):
-    """What a core says of a drive, a frame a second."""
-    return [
-        core.update(picture(street(seed)), number * SECOND, (number, -1.0, 0.5)).result
-        for number, seed in enumerate(seeds, start)
-    ]
-
-
-def test_it_finds_what_the_detector_finds():
-    core = live_loops.LiveLoops(CONFIG, "monday")
-    core.set_labels(CAMVID)
-    detector = LoopDetector(CONFIG, SSRVLAD.from_preset("default", labels_as="camvid-11"))
-    expected = [
-        detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
-        for number, seed in enumerate(SEEDS)
-    ]
-    assert sum(result.accepted for result in expected) == 12
-    assert seen(core) == expected
-
-
-def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
-    core = live_loops.LiveLoops(CONFIG)
-    with pytest.raises(ValueError, match="no table of labels has come yet"):
-        seen(core, [1])
-    core.set_labels(CAMVID)
-    with pytest.raises(ValueError, match="unknown meaning: 'x'"):
-        core.set_labels([(1, "x")])
-    assert seen(core, [1])[0].reason == "no_candidate"
-
-
-def test_a_machine_that_describes_otherwise_is_refused(tmp_path, monkeypatch):
-    recorded = {name: array.copy() for name, array in np.load(live_loops.GOLDEN).items()}
-    for preset in ("default", "paper"):
-        head = SSRVLAD.from_preset(preset, labels_as=label_table.LABELS_AS)
-        assert f"{head.config.fingerprint} labels" in recorded, "scripts/pages/ros_golden.py"
-        live_loops.check_head(head)
-    for name, numbers in recorded.items():
-        if name.endswith("descriptor"):
-            numbers[0, 3] += 1e-4
-    np.savez(tmp_path / "golden.npz", **recorded)
-    monkeypatch.setattr(live_loops, "GOLDEN", tmp_path / "golden.npz")
-    with pytest.raises(ValueError, match=r"wrong on this machine.* differ by 0\.0001"):
-        live_loops.LiveLoops(CONFIG)
-    live_loops.LiveLoops(CONFIG, check=False)
-    live_loops.check_head(SSRVLAD(SSRVLADConfig(labels_as="camvid-11", working_size=50)))
-
-
-def test_time_must_not_go_back():
-    core = live_loops.LiveLoops(CONFIG)
-    core.set_labels(CAMVID)
-    seen(core, [1], start=5)
-    with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.0"):
-        seen(core, [1], start=4)
-    with pytest.raises(ValueError, match="was there before"):
-        seen(core, [1], start=5)
-
-
-def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
-    monkeypatch.setattr(live_loops, "CHECKPOINT_FRAMES", 6)
-    whole = live_loops.LiveLoops(CONFIG)
-    whole.set_labels(CAMVID)
-    expected = seen(whole)
-    memory = tmp_path / "drive.ssrdb"
-    first = live_loops.LiveLoops(CONFIG, memory=memory)
-    first.set_labels(CAMVID)
-    got = seen(first, SEEDS[:14])
-    assert len(Database.open(memory)) == 12  # what a crash leaves
-    first.save()
-    second = live_loops.LiveLoops(CONFIG, memory=memory)
-    second.set_labels(CAMVID)
-    got += seen(second, SEEDS[14:], 14)
-    assert [result.frame for result in got] == [result.frame for result in expected]
-    assert got[-1].candidate == expected[-1].candidate
-    second.save()
-    stored = Database.open(memory)
-    assert stored.load().poses[3].tolist() == [3, -1, 0.5]
-    labels = second._table(street(0))
-    assert stored.known()[f"drive/{0:019d}"].digest == digest(labels)
-
-
-def test_a_memory_of_other_frames_is_refused(tmp_path):
-    head = SSRVLAD.from_preset("default", labels_as=label_table.LABELS_AS)
-    Database.create(tmp_path / "db", head.config).append(["monday/a"], head(street(0)[None]))
-    with pytest.raises(ValueError, match="expected a frame <drive>/<nanoseconds>, got 'monday/a'"):
-        live_loops.LiveLoops(CONFIG, memory=tmp_path / "db")
 
 
 TYPES = {
@@ -260,6 +40,7 @@ KINDS = {
     "label_info": "vision_msgs/msg/LabelInfo",
     "odom": "nav_msgs/msg/Odometry",
     "labels": "sensor_msgs/msg/Image",
+    "image": "sensor_msgs/msg/Image",
     "descriptor": "rtabmap_msgs/msg/GlobalDescriptor",
     "loops": "sensor_msgs/msg/TimeReference",
 }
@@ -354,8 +135,8 @@ def label_info(types, classes):
     return types[KINDS["label_info"]](header=header(types, 0), class_map=class_map, threshold=0.0)
 
 
-def image(types, labels, number):
-    fields = {**vars(picture(labels)), "header": header(types, number)}
+def image(types, pixels, number, encoding="mono8"):
+    fields = {**vars(picture(pixels, encoding)), "header": header(types, number)}
     fields["data"] = np.frombuffer(fields["data"], np.uint8)
     return types[KINDS["labels"]](**fields)
 
@@ -457,6 +238,41 @@ def test_the_node_saves_when_it_is_interrupted(node, store, monkeypatch, tmp_pat
     monkeypatch.setattr(node.rclpy, "spin", spin, raising=False)
     node.main()
     assert len(Database.open(tmp_path / "db")) == 1
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """A fused file with features, ``place.onnx``, and one of a head alone, ``head.onnx``."""
+    return write_drives(tmp_path_factory.mktemp("town"), range(1), range(1))
+
+
+def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, town, tmp_path):
+    given = {"model": str(town / "place.onnx"), "exclude": 5, "memory": str(tmp_path / "db")}
+    monkeypatch.setattr(StandInNode, "given", given)
+    running = node.LoopNode()
+    assert running.listeners.keys() == {"odom", "image"}
+    for number, seed in enumerate((*range(20), *range(4, 16)), 1):
+        pixels = photo(street(seed, 96, 128))
+        running._on_image(image(store.types, pixels, number, "rgb8"))
+    running._on_image(image(store.types, street(0), 40, "mono16"))
+    assert running.said == [
+        "frame skipped: encoding 'mono16'; expected one of rgb8, bgr8, rgba8, bgra8, mono8"
+    ]
+    loops = [store.deserialize_cdr(c, KINDS[t]) for t, c in running.published if t == "loops"]
+    assert len(loops) > 5
+    assert all(each.header.stamp.sec - each.time_ref.sec == 16 for each in loops)
+    running.close()
+    assert [each.name for each in Database.open(tmp_path / "db").extra] == ["features"]
+
+
+def test_wrong_parameters_are_one_line(node, monkeypatch, town):
+    monkeypatch.setattr(StandInNode, "given", {"model": str(town / "head.onnx")})
+    with pytest.raises(SystemExit) as end:
+        node.main()
+    assert end.value.code.startswith("ssrvlad_loops: ") and "got one that takes labels" in (
+        end.value.code
+    )
+    assert "\n" not in end.value.code
 
 
 ROS = {

@@ -94,7 +94,7 @@ def _decode(content: bytes) -> Pixels:
     with Image.open(io.BytesIO(content), formats=_FORMATS) as stored:
         image: Image.Image = ImageOps.exif_transpose(stored)
     if image.mode in ("L", "P"):
-        _require_photograph(np.asarray(image))
+        require_photograph(np.asarray(image))
     if image.mode in _SIXTEEN_BIT:
         image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
     elif image.mode not in _EIGHT_BIT:
@@ -106,7 +106,7 @@ def _decode(content: bytes) -> Pixels:
     return np.asarray(image.convert("RGB"))
 
 
-def _require_photograph(values: npt.NDArray[np.uint8]) -> None:
+def require_photograph(values: npt.NDArray[np.uint8]) -> None:
     """Raises a ValueError for a label map: small values, besides 255 for void, in uniform areas. A
     dark photograph has noise instead."""
     ids = np.flatnonzero(np.bincount(values.ravel(), minlength=256)[:255])

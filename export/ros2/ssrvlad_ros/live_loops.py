@@ -1,10 +1,11 @@
-"""The node without ROS: from label images to descriptors and loops."""
+"""The node without ROS: from label images or pictures to descriptors and loops."""
 
 from __future__ import annotations
 
 import math
 import zlib
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -12,14 +13,24 @@ import numpy as np
 import numpy.typing as npt
 
 from ssrvlad_torch import SSRVLAD
+from ssrvlad_torch.datasets.image_files import require_photograph
 from ssrvlad_torch.loops.config import LoopConfig
 from ssrvlad_torch.loops.result import LoopResult
 from ssrvlad_torch.loops.stream import CHECKPOINT_FRAMES, open_detector
 
 from .label_table import LABELS_AS, LabelTable
+from .place_model import PlaceModel
 
 DTYPES = {"mono8": "u1", "8UC1": "u1", "mono16": "u2", "16UC1": "u2"}
 """Encodings of label images, and their dtypes."""
+CHANNELS = {
+    "rgb8": [0, 1, 2],
+    "bgr8": [2, 1, 0],
+    "rgba8": [0, 1, 2],
+    "bgra8": [2, 1, 0],
+    "mono8": [0, 0, 0],
+}
+"""Encodings of pictures, and their channels of red, green and blue."""
 
 _OPENCV_FLOAT32 = 5
 
@@ -29,7 +40,7 @@ GOLDEN = Path(__file__).with_name("golden.npz")
 TOLERANCE = 1e-6
 
 
-class LabelImage(Protocol):
+class RosImage(Protocol):
     """The fields of ``sensor_msgs/Image`` that are read."""
 
     height: int
@@ -62,7 +73,7 @@ class Observation(NamedTuple):
 
 
 class LiveLoops:
-    """Finds loop closures in a stream of label images.
+    """Finds loop closures in a stream of label images, or of pictures that a model labels.
 
     Args:
         config: the settings of the detector.
@@ -71,10 +82,11 @@ class LiveLoops:
         memory: database that stores the frames, created if it does not exist; without, none.
         preset: of the descriptors; without, the memory's, or ``default``.
         check: whether to run `check_head`.
+        model: labels pictures and takes their features; without, frames are label images.
 
     Raises:
-        ValueError: the memory is damaged, has another preset or frames with other ids; or as for
-            `check_head`.
+        ValueError: the memory is damaged, has another preset, frames with other ids or other
+            features; the model has other settings; or as for `check_head`.
     """
 
     def __init__(
@@ -85,16 +97,32 @@ class LiveLoops:
         memory: Path | None = None,
         preset: str | None = None,
         check: bool = True,
+        model: PlaceModel | None = None,
     ) -> None:
-        self.sequence = sequence
+        self.sequence, self._model = sequence, model
         self._meanings = dict(meanings or {})
-        self._detector, self._database = open_detector(config, memory, preset, LABELS_AS)
+        labels_as, extra = (model.labels_as, model.extra) if model else (LABELS_AS, [])
+        self._detector, self._database = open_detector(config, memory, preset, labels_as, extra)
+        self._require_same(memory)
         if check:
             check_head(self._detector.head)
         for frame in self._detector.frames:
             nanoseconds_of(frame)
         self._saved = len(self._detector)
         self._table: LabelTable | None = None
+
+    def _require_same(self, memory: Path | None) -> None:
+        """Refuses a memory or a model whose frames do not compare with those of this stream."""
+        stored, model = self._detector.extra, self._model
+        if list(stored) != (model.extra if model else []):
+            names = ", ".join(each.name for each in stored)
+            raise ValueError(f"{memory} has {names} of its frames, which this stream has not")
+        fingerprint = self._detector.head.config.fingerprint
+        if model and model.fingerprint != fingerprint:
+            raise ValueError(
+                f"the model has settings {model.fingerprint}, this node {fingerprint}: expected "
+                "the preset with which it was fused"
+            )
 
     def set_labels(self, class_map: Iterable[tuple[int, str]]) -> None:
         """Sets the ids and names of the classes, as in ``vision_msgs/LabelInfo``.
@@ -105,24 +133,29 @@ class LiveLoops:
         self._table = LabelTable(class_map, self._meanings)
 
     def update(
-        self, image: LabelImage, nanoseconds: int, pose: tuple[float, float, float] | None = None
+        self, image: RosImage, nanoseconds: int, pose: tuple[float, float, float] | None = None
     ) -> Observation:
         """Looks for the place of the next frame, then stores it.
 
         Args:
-            image: ids of classes; its encoding is one of `DTYPES`.
+            image: ids of classes, its encoding one of `DTYPES`; with a model a picture, its
+                encoding one of `CHANNELS`.
             nanoseconds: time at which it was taken.
             pose: x and y in metres, heading in radians.
 
         Raises:
             ValueError: there is no table of labels yet, the encoding is another, an id is unknown,
-                or the stamp goes back. Nothing is changed.
+                the model fails, or the stamp goes back. Nothing is changed.
         """
-        if self._table is None:
+        if self._model:
+            labels, features = self._model(decode_picture(image))
+        elif self._table is None:
             raise ValueError("no table of labels has come yet")
-        labels = self._table(decode(image))
+        else:
+            labels, features = self._table(decode(image)), None
         frame = f"{self.sequence}/{nanoseconds:019d}"
-        result = self._detector.update(labels, frame, nanoseconds / 1e9, pose)
+        stamp = nanoseconds / 1e9
+        result = self._detector.update(labels, frame, stamp, pose, features=features)
         if len(self._detector) >= self._saved + CHECKPOINT_FRAMES:
             self.save()
         return Observation(result, self._detector.descriptor)
@@ -151,7 +184,8 @@ def check_head(head: SSRVLAD) -> None:
         if f"{fingerprint} labels" not in recorded:
             return
         labels, expected = (recorded[f"{fingerprint} {name}"] for name in ("labels", "descriptor"))
-    difference = np.abs(head(labels).numpy() - expected).max()
+    same = SSRVLAD(replace(head.config, labels_as=LABELS_AS))
+    difference = np.abs(same(labels).numpy() - expected).max()
     if not difference <= TOLERANCE:
         raise ValueError(
             f"descriptors are computed wrong on this machine: those of the golden label maps "
@@ -159,23 +193,47 @@ def check_head(head: SSRVLAD) -> None:
         )
 
 
-def decode(image: LabelImage) -> npt.NDArray[Any]:
-    """``(H, W)`` uint8 or uint16 pixels of an image, without the padding of its rows.
+def decode(image: RosImage) -> npt.NDArray[Any]:
+    """``(H, W)`` uint8 or uint16 pixels of a label image, without the padding of its rows.
 
     Raises:
         ValueError: the encoding is another, or there is less data than the size requires.
     """
-    if image.encoding not in DTYPES:
-        raise ValueError(f"encoding {image.encoding!r}; expected one of {', '.join(DTYPES)}")
-    stored = np.dtype(DTYPES[image.encoding]).newbyteorder(">" if image.is_bigendian else "<")
-    row, content = image.width * stored.itemsize, bytes(image.data)
+    return _pixels(image, _known(image, DTYPES), 1)[..., 0]
+
+
+def decode_picture(image: RosImage) -> npt.NDArray[np.uint8]:
+    """``(H, W, 3)`` uint8 pixels of a picture in RGB; gray becomes three equal channels.
+
+    Raises:
+        ValueError: as for `decode`, or a gray picture looks like a label map.
+    """
+    channels = _known(image, CHANNELS)
+    gray = image.encoding == "mono8"
+    pixels = _pixels(image, "u1", 1 if gray else len(image.encoding) - 1)
+    if gray:
+        require_photograph(pixels[..., 0])
+    return pixels[..., channels]
+
+
+def _known(image: RosImage, encodings: Mapping[str, Any]) -> Any:
+    """The entry of the encoding of an image."""
+    if image.encoding not in encodings:
+        raise ValueError(f"encoding {image.encoding!r}; expected one of {', '.join(encodings)}")
+    return encodings[image.encoding]
+
+
+def _pixels(image: RosImage, dtype: str, channels: int) -> npt.NDArray[Any]:
+    """``(H, W, channels)`` of a dtype."""
+    stored = np.dtype(dtype).newbyteorder(">" if image.is_bigendian else "<")
+    row, content = image.width * channels * stored.itemsize, bytes(image.data)
     if image.step < row or len(content) < image.height * image.step or not image.height * row:
         raise ValueError(
             f"{len(content)} bytes in rows of {image.step}; expected {image.height} rows of {row}"
         )
     rows = np.frombuffer(content, np.uint8, image.height * image.step)
     pixels = rows.reshape(image.height, image.step)[:, :row].copy().view(stored)
-    return pixels.astype(stored.newbyteorder("="))
+    return pixels.reshape(image.height, -1, channels).astype(stored.newbyteorder("="))
 
 
 def as_rtabmap(descriptor: npt.NDArray[np.float32]) -> bytes:

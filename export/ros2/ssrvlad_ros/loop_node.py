@@ -6,6 +6,7 @@ The ROS 2 node: passes messages to `LiveLoops` and publishes its results.
 from __future__ import annotations
 
 import dataclasses
+import sys
 from array import array
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from vision_msgs.msg import LabelInfo
 from ssrvlad_torch.loops.config import LoopConfig
 
 from .live_loops import LiveLoops, as_rtabmap, heading, meanings_of, nanoseconds_of
+from .place_model import PlaceModel
 
 _SECOND = 10**9
 _OF_PYTHON = 1
@@ -28,11 +30,13 @@ _OF_PYTHON = 1
 
 
 class LoopNode(Node):
-    """Reads ``labels``, ``label_info`` and ``odom``; publishes ``descriptor`` and ``loops``.
+    """Reads ``image``, or ``labels`` and ``label_info``, and ``odom``; publishes ``descriptor`` and
+    ``loops``.
 
-    Its parameters are the settings of `LoopConfig`, and ``sequence``, ``memory``, ``preset``,
-    ``meanings``, ``check`` (see `LiveLoops`) and ``latched``: whether ``label_info`` is published
-    once, with durability "transient local".
+    Its parameters are the settings of `LoopConfig`; ``sequence``, ``memory``, ``preset``,
+    ``meanings``, ``check`` (see `LiveLoops`); ``model`` and ``features`` (see `PlaceModel`): with a
+    model it reads ``image``; and ``latched``: whether ``label_info`` is published once, with
+    durability "transient local".
     """
 
     def __init__(self) -> None:
@@ -42,24 +46,30 @@ class LoopNode(Node):
             **{name: self._parameter(name, value) for name, value in settings.items()}
         )
         memory, preset = self._parameter("memory", ""), self._parameter("preset", "")
+        check, path = self._parameter("check", True), self._parameter("model", "")
+        features = self._parameter("features", True)
+        model = PlaceModel(Path(path), features, check) if path else None
         self._loops = LiveLoops(
             config,
             self._parameter("sequence", "drive"),
             meanings_of(self._parameter("meanings", [""])),
             Path(memory) if memory else None,
             preset or None,
-            self._parameter("check", True),
+            check,
+            model,
         )
         self._pose = None
-        once = DurabilityPolicy.TRANSIENT_LOCAL
-        durability = once if self._parameter("latched", True) else DurabilityPolicy.VOLATILE
+        latched = self._parameter("latched", True)
         self._descriptors = self.create_publisher(GlobalDescriptor, "descriptor", 10)
         self._closures = self.create_publisher(TimeReference, "loops", 10)
-        self.create_subscription(
-            LabelInfo, "label_info", self._on_labels, QoSProfile(depth=1, durability=durability)
-        )
         self.create_subscription(Odometry, "odom", self._on_odometry, 10)
-        self.create_subscription(Image, "labels", self._on_image, qos_profile_sensor_data)
+        topic = "image" if model else "labels"
+        self.create_subscription(Image, topic, self._on_image, qos_profile_sensor_data)
+        if model is None:
+            once = DurabilityPolicy.TRANSIENT_LOCAL
+            durability = once if latched else DurabilityPolicy.VOLATILE
+            quality = QoSProfile(depth=1, durability=durability)
+            self.create_subscription(LabelInfo, "label_info", self._on_labels, quality)
 
     def close(self) -> None:
         """Saves the frames."""
@@ -98,9 +108,13 @@ class LoopNode(Node):
 
 
 def main() -> None:
-    """Runs the node until it is interrupted."""
+    """Runs the node until it is interrupted; wrong parameters are one line and exit code 1."""
     rclpy.init()
-    node = LoopNode()
+    try:
+        node = LoopNode()
+    except (ValueError, OSError, ImportError) as error:
+        rclpy.try_shutdown()
+        sys.exit(f"ssrvlad_loops: {error}")
     try:
         rclpy.spin(node)
     except KeyboardInterrupt:

@@ -1,0 +1,252 @@
+"""The core of the ROS 2 node, without ROS: label images, and pictures with a fused model."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import onnx
+import pytest
+from graphs import edit_golden, turned
+from helpers import street
+from loop_streams import SEEDS
+from networks import photo
+from ros_images import CAMVID, CONFIG, SECOND, picture, seen
+from segmenting import write_drives
+from ssrvlad_ros import label_table, live_loops
+from ssrvlad_ros.place_model import PlaceModel
+
+from ssrvlad_torch import SSRVLAD, Database, LoopDetector, SSRVLADConfig
+from ssrvlad_torch.datasets.label_files import digest
+from ssrvlad_torch.loops.config import LoopConfig
+from ssrvlad_torch.segmentation.segmenter import Segmenter
+
+
+@pytest.mark.parametrize("encoding", live_loops.DTYPES)
+@pytest.mark.parametrize("padding", [0, 6])
+@pytest.mark.parametrize("big", [0, 1])
+def test_images_are_read_whatever_their_rows_and_bytes(encoding, padding, big):
+    labels = np.arange(35).reshape(5, 7) * (7 if "8" in encoding else 1800)
+    image = picture(labels, encoding, padding, big)
+    np.testing.assert_array_equal(live_loops.decode(image), labels)
+    image.data = np.frombuffer(image.data, np.uint8)  # what rclpy gives is an array
+    np.testing.assert_array_equal(live_loops.decode(image), labels)
+
+
+def test_images_of_another_form_are_refused():
+    image = picture(np.zeros((3, 4), int))
+    for changes, message in (
+        ({"encoding": "rgb8"}, "encoding 'rgb8'; expected one of mono8, 8UC1, mono16, 16UC1"),
+        ({"step": 3}, "12 bytes in rows of 3; expected 3 rows of 4"),
+        ({"height": 4}, "12 bytes in rows of 4; expected 4 rows of 4"),
+        ({"height": 0}, "expected 0 rows of 4"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            live_loops.decode(SimpleNamespace(**{**vars(image), **changes}))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, -2.0, 3.1])
+def test_the_heading_of_a_rotation(angle):
+    """About the vertical axis, and the same with a little roll before it."""
+    w, z = math.cos(angle / 2), math.sin(angle / 2)
+    assert live_loops.heading(live_loops.Quaternion(0, 0, z, w)) == pytest.approx(angle)
+    r, x = math.cos(0.1), math.sin(0.1)
+    rolled = live_loops.Quaternion(w * x, z * x, z * r, w * r)
+    assert live_loops.heading(rolled) == pytest.approx(angle)
+
+
+def test_meanings_are_given_as_words():
+    assert live_loops.meanings_of(["", "a=b=sky", "x=void"]) == {"a=b": "sky", "x": "void"}
+    for word in ("sky", "=sky", "road="):
+        with pytest.raises(ValueError, match=f"expected name=category, got '{word}'"):
+            live_loops.meanings_of([word])
+
+
+def test_it_finds_what_the_detector_finds():
+    core = live_loops.LiveLoops(CONFIG, "monday")
+    core.set_labels(CAMVID)
+    detector = LoopDetector(CONFIG, SSRVLAD.from_preset("default", labels_as="camvid-11"))
+    expected = [
+        detector.update(street(seed), f"monday/{number * SECOND:019d}", number, (number, -1.0, 0.5))
+        for number, seed in enumerate(SEEDS)
+    ]
+    assert sum(result.accepted for result in expected) == 12
+    assert seen(core) == expected
+
+
+def test_without_a_table_nothing_is_seen_and_a_wrong_one_changes_nothing():
+    core = live_loops.LiveLoops(CONFIG)
+    with pytest.raises(ValueError, match="no table of labels has come yet"):
+        seen(core, [1])
+    core.set_labels(CAMVID)
+    with pytest.raises(ValueError, match="unknown meaning: 'x'"):
+        core.set_labels([(1, "x")])
+    assert seen(core, [1])[0].reason == "no_candidate"
+
+
+def test_a_machine_that_describes_otherwise_is_refused(tmp_path, monkeypatch):
+    recorded = {name: array.copy() for name, array in np.load(live_loops.GOLDEN).items()}
+    for preset in ("default", "paper"):
+        head = SSRVLAD.from_preset(preset, labels_as=label_table.LABELS_AS)
+        assert f"{head.config.fingerprint} labels" in recorded, "scripts/pages/ros_golden.py"
+        live_loops.check_head(head)
+    for name, numbers in recorded.items():
+        if name.endswith("descriptor"):
+            numbers[0, 3] += 1e-4
+    np.savez(tmp_path / "golden.npz", **recorded)
+    monkeypatch.setattr(live_loops, "GOLDEN", tmp_path / "golden.npz")
+    with pytest.raises(ValueError, match=r"wrong on this machine.* differ by 0\.0001"):
+        live_loops.LiveLoops(CONFIG)
+    live_loops.LiveLoops(CONFIG, check=False)
+    live_loops.check_head(SSRVLAD(SSRVLADConfig(labels_as="camvid-11", working_size=50)))
+
+
+def test_time_must_not_go_back():
+    core = live_loops.LiveLoops(CONFIG)
+    core.set_labels(CAMVID)
+    seen(core, [1], start=5)
+    with pytest.raises(ValueError, match=r"expected a stamp from 5\.0 on, got 4\.0"):
+        seen(core, [1], start=4)
+    with pytest.raises(ValueError, match="was there before"):
+        seen(core, [1], start=5)
+
+
+def test_frames_are_kept_and_gone_on_from(tmp_path, monkeypatch):
+    monkeypatch.setattr(live_loops, "CHECKPOINT_FRAMES", 6)
+    whole = live_loops.LiveLoops(CONFIG)
+    whole.set_labels(CAMVID)
+    expected = seen(whole)
+    memory = tmp_path / "drive.ssrdb"
+    first = live_loops.LiveLoops(CONFIG, memory=memory)
+    first.set_labels(CAMVID)
+    got = seen(first, SEEDS[:14])
+    assert len(Database.open(memory)) == 12  # what a crash leaves
+    first.save()
+    second = live_loops.LiveLoops(CONFIG, memory=memory)
+    second.set_labels(CAMVID)
+    got += seen(second, SEEDS[14:], 14)
+    assert [result.frame for result in got] == [result.frame for result in expected]
+    assert got[-1].candidate == expected[-1].candidate
+    second.save()
+    stored = Database.open(memory)
+    assert stored.load().poses[3].tolist() == [3, -1, 0.5]
+    labels = second._table(street(0))
+    assert stored.known()[f"drive/{0:019d}"].digest == digest(labels)
+
+
+def test_a_memory_of_other_frames_is_refused(tmp_path):
+    head = SSRVLAD.from_preset("default", labels_as=label_table.LABELS_AS)
+    Database.create(tmp_path / "db", head.config).append(["monday/a"], head(street(0)[None]))
+    with pytest.raises(ValueError, match="expected a frame <drive>/<nanoseconds>, got 'monday/a'"):
+        live_loops.LiveLoops(CONFIG, memory=tmp_path / "db")
+
+
+@pytest.mark.parametrize("encoding", live_loops.CHANNELS)
+@pytest.mark.parametrize("padding", [0, 5])
+def test_pictures_are_read_in_rgb(encoding, padding):
+    pixels = np.random.default_rng(0).integers(0, 256, (6, 7, 4), np.uint8)
+    order = {"b": [2, 1, 0, 3], "r": [0, 1, 2, 3], "m": [0, 0, 0]}[encoding[0]]
+    sent = pixels[..., 0] if encoding == "mono8" else pixels[..., : len(encoding) - 1]
+    got = live_loops.decode_picture(picture(sent, encoding, padding))
+    np.testing.assert_array_equal(got, pixels[..., order][..., :3])
+
+
+def test_pictures_of_another_form_are_refused():
+    rgb = picture(np.zeros((3, 4, 3), int), "rgb8")
+    for changes, message in (
+        ({"encoding": "8UC3"}, "encoding '8UC3'; expected one of rgb8, bgr8, rgba8, bgra8, mono8"),
+        ({"encoding": "mono16"}, "encoding 'mono16'; expected one of rgb8"),
+        ({"step": 11}, "36 bytes in rows of 11; expected 3 rows of 12"),
+        ({"encoding": "rgba8"}, "36 bytes in rows of 12; expected 3 rows of 16"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            live_loops.decode_picture(SimpleNamespace(**{**vars(rgb), **changes}))
+    with pytest.raises(ValueError, match="expected a photograph, got a label map"):
+        live_loops.decode_picture(picture(street(0, 60, 80)))
+
+
+PLACES = (*range(20), *range(4, 16))
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory):
+    """A network as ``net.yaml``, and the fused files: ``place.onnx``, or ``net.onnx`` and
+    ``head.onnx``. Not to be changed."""
+    return write_drives(tmp_path_factory.mktemp("town"), range(1), range(1))
+
+
+def photos():
+    return [photo(street(seed, 96, 128)) for seed in PLACES]
+
+
+def live(model, start=0, end=None, **given):
+    """A core with a model, and what it says of the photos of `PLACES`."""
+    core = live_loops.LiveLoops(LoopConfig(exclude=5), model=model, **given)
+    results = [
+        core.update(picture(pixels[..., ::-1], "bgr8"), number * SECOND).result
+        for number, pixels in list(enumerate(photos()))[start:end]
+    ]
+    return core, results
+
+
+@pytest.mark.parametrize("file", ["place.onnx", "net.onnx"])
+def test_with_a_model_it_finds_what_the_detector_finds(town, file):
+    """By label maps from several anchors and by features, of one file or of the network's file."""
+    segmenter = Segmenter.load(town / "net.yaml")
+    head = SSRVLAD.from_preset("default", labels_as="camvid-11")
+    detector = LoopDetector(LoopConfig(exclude=5), head, [segmenter.features.descriptor])
+    expected = []
+    for number, said in enumerate(segmenter.segment(photos(), features=True)):
+        frame = f"drive/{number * SECOND:019d}"
+        expected.append(detector.update(said.labels, frame, number, features=said.features))
+    assert sum(result.accepted for result in expected) > 5
+    model = PlaceModel(town / file)
+    assert model.extra == [segmenter.features.descriptor]
+    assert live(model)[1] == expected
+
+
+def test_frames_of_a_model_are_kept_and_gone_on_from(town, tmp_path):
+    model, memory = PlaceModel(town / "place.onnx"), tmp_path / "drive.ssrdb"
+    core, _ = live(model, 0, 20, memory=memory)
+    core.save()
+    core, results = live(model, 20, memory=memory)
+    assert [r.candidate for r in results if r.accepted][-1].endswith(f"{15 * SECOND:019d}")
+    core.save()
+    assert len(Database.open(memory)) == len(PLACES)
+    with pytest.raises(ValueError, match=r"drive\.ssrdb has features of its frames, which this"):
+        live_loops.LiveLoops(CONFIG, memory=memory)
+    plain = PlaceModel(town / "place.onnx", features=False)
+    with pytest.raises(ValueError, match="has features of its frames"):
+        live_loops.LiveLoops(CONFIG, memory=memory, model=plain)
+    with pytest.raises(ValueError, match="the model has settings e79189ee9e88a037, this node fae2"):
+        live_loops.LiveLoops(CONFIG, preset="paper", model=model)
+
+
+def test_models_that_do_not_fit_are_refused(town, tmp_path):
+    model = onnx.load(town / "place.onnx")
+    (signs,) = (each for each in model.metadata_props if each.key == "ssrvlad.features")
+    model.metadata_props.remove(signs)
+    onnx.save(model, tmp_path / "plain.onnx")
+    del model.metadata_props[:]
+    onnx.save(model, tmp_path / "other.onnx")
+    (tmp_path / "torn.onnx").write_bytes(b"torn")
+    edit_golden(town / "place.onnx", tmp_path / "wrong.onnx", turned("features"))
+    for path, message in (
+        (tmp_path / "plain.onnx", "gives no features: fuse it again without --no-features, or"),
+        (tmp_path / "other.onnx", "no metadata ssrvlad"),
+        (tmp_path / "torn.onnx", "cannot run in ONNX Runtime"),
+        (tmp_path / "wrong.onnx", "is computed wrong on this machine: .* of the signs"),
+        (town / "head.onnx", "expected a file of `ssrvlad fuse`, .*; got one that takes labels"),
+        (tmp_path / "none.onnx", "No such file"),
+    ):
+        with pytest.raises((ValueError, OSError), match=message) as error:
+            PlaceModel(path)
+        assert path.name in str(error.value) and "\n" not in str(error.value)
+    assert PlaceModel(tmp_path / "plain.onnx", features=False).extra == []
+    assert PlaceModel(tmp_path / "wrong.onnx", check=False).extra
+
+
+def test_a_picture_that_the_network_cannot_take_changes_nothing(town):
+    core, _ = live(PlaceModel(town / "place.onnx"), 0, 1)
+    with pytest.raises(ValueError, match=r"not finite, or the same everywhere|fails at 1x1"):
+        core.update(picture(np.zeros((1, 1, 3), int), "rgb8"), SECOND)
+    assert len(core._detector) == 1
