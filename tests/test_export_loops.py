@@ -125,7 +125,7 @@ def test_with_features_it_says_what_the_command_line_says(ssrvlad, tmp_path, run
     """Of photographs, over a second drive along the first, by one file and by two."""
     write_drives(tmp_path, range(20), range(4, 18), (96, 128))
     streams = (tmp_path / "monday", tmp_path / "today")
-    given = ("--segmenter", tmp_path / "net.yaml", "--extra", "features", "--no-sweep")
+    given = ("--segmenter", tmp_path / "net.yaml", "--with", "features", "--no-sweep")
     code, out, err = ssrvlad("loops", *streams, *given, *SETTINGS, "--json", "--workers", 1)
     assert (code, err) == (0, [])
     expected = objects(out)
