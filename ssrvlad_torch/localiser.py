@@ -26,6 +26,7 @@ from .encoding.encoder import encode_to_database
 from .encoding.extra_descriptors import extra_descriptors, extra_methods, require_same
 from .encoding.results import Summary
 from .encoding.search import recognise_in
+from .recognition.confidence import Estimate, estimate
 from .recognition.recognise import Steps
 from .recognition.sweep import COLUMNS
 from .segmentation.features import NAME as FEATURES
@@ -46,12 +47,15 @@ class Place(NamedTuple):
             frames to estimate it.
         pose: of the frame, in metres and radians, with a heading of NaN if only that is unknown;
             ``None`` if it is unknown.
+        estimate: how likely this answer is wrong; it accepts none if a decoy fits better, see
+            `recognition.confidence`.
     """
 
     frame: str
     score: float
     confidence: float
     pose: Pose | None
+    estimate: Estimate
 
 
 class Localiser:
@@ -183,7 +187,8 @@ class Localiser:
         score = min(1.0, float(found.matches.scores[0, 0]))
         pose = Pose(*references.poses[row].tolist())
         known = None if math.isnan(pose.x) else pose
-        return Place(references.frames[row], score, float(found.confidence[0]), known)
+        sure = float(found.confidence[0])
+        return Place(references.frames[row], score, sure, known, estimate(found.sure))
 
     def _references(self) -> FrameSet:
         if self._loaded is None or self._version != self.database.version:

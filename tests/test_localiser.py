@@ -37,6 +37,8 @@ def test_a_picture_finds_its_place(settings, folder, tmp_path):
     assert place.frame == "monday/7"
     assert place.pose == (7, -7, 0.5)
     assert 0.5 < place.confidence <= 1
+    assert place.estimate.accepted == 1
+    assert place.estimate.wrong == pytest.approx(1 - place.confidence)
     again = Localiser.open(tmp_path / "town").locate(photo(street(22, 60, 80)))
     assert again.frame == "monday/22"
     assert again.pose is None
@@ -58,7 +60,8 @@ def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
     localiser.add(folder / "1.png", folder / "2.png")
     only_cars = photo(np.full((60, 80), 8))
     assert localiser.locate(only_cars) is None
-    assert localiser.locate(folder / "1.png").confidence == 0, "two frames are nothing to go by"
+    place = localiser.locate(folder / "1.png")
+    assert place.confidence == place.estimate.accepted == 0, "two frames are nothing to go by"
     with pytest.raises(ValueError, match=r"expected a list of \(H, W, 3\) uint8"):
         localiser.locate(np.zeros((3, 4)))
     with pytest.raises(ValueError, match=r"expected a picture as .* got Image"):
