@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,10 +39,22 @@ def by_labels(folder: Path, labels_as: str) -> Tensor:
     return torch.cat([head.sweep(part, COLUMNS) for part in torch.from_numpy(maps).split(BATCH)])
 
 
+def by_grid(folder: Path, labels_as: str) -> Tensor:
+    space = label_space(labels_as)
+    frames = (
+        Frame(file.frame, read_label_map(file, space), labels_as)
+        for file in find_label_files([str(folder)])
+    )
+    return _encoded("label-grid", frames)
+
+
 def by_hog(folder: Path) -> Tensor:
     files = find_image_files([str(folder)])
-    frames = (Frame(file.frame, image=read_image(file)) for file in files)
-    found = baselines.make("hog").encode_query(frames)
+    return _encoded("hog", (Frame(file.frame, image=read_image(file)) for file in files))
+
+
+def _encoded(method: str, frames: Iterable[Frame]) -> Tensor:
+    found = baselines.make(method).encode_query(frames)
     assert isinstance(found, Tensor)
     return found
 

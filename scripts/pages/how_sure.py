@@ -10,8 +10,9 @@ instead, fitted to the conditions of `CHOSEN`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,12 +23,13 @@ import torch.nn.functional as F
 from _described import NETWORKS
 from _halves import DRIVES, ROUTES
 from _markdown import head_row, parser, row, write
-from _searches import by_hog, by_labels, searches
+from _searches import by_grid, by_hog, by_labels, searches
 from conditions import BATCH, CITY_CONDITIONS, METRES, city
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, follow, standardise
 from ssrvlad_torch.baselines.hog import HOG
+from ssrvlad_torch.baselines.label_grid import LabelGrid
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.descriptor import mirrored
@@ -94,8 +96,9 @@ FOREIGN = (
 )
 STREETS = ("clean", "noise 4", "4 m aside", "all together")
 CHOSEN = ("uofa", "0001TP", "city 0")
-METHODS = ("label maps", "features", "HOG")
+METHODS = ("label maps", "features", "HOG", "label grid", "fused")
 STEPS = {
+    "one picture": Steps(follow=None),
     "alone": Steps(follow=None),
     "online": Steps(follow="online"),
     "offline": Steps(),
@@ -113,6 +116,7 @@ class Condition(NamedTuple):
     queries: Tensor
     references: Tensor
     truth: Sequence[np.ndarray]
+    beside: Mapping[str, tuple[Tensor, Tensor]]
 
 
 class Outcome(NamedTuple):
@@ -144,11 +148,11 @@ def main() -> None:
         fit([each for each in found if each.group != "foreign"])
         return
     every = list(found)
-    outcomes: dict[str, list[Outcome]] = {}
-    for name, steps in STEPS.items():
-        some = [each for each in every if name != "offline" or each.group != "city"]
-        run = partial(lambda some, steps: [outcome(each, steps) for each in some], some, steps)
-        outcomes[name] = kept(options.cache / f"outcomes {name}.pt", run)
+    outcomes: dict[str, list[Outcome]] = {name: [] for name in STEPS}
+    for name, method in product(STEPS, METHODS):
+        some = [each for each in every if each.method == method]
+        run = partial(lambda some, name: [outcome(each, name) for each in some], some, name)
+        outcomes[name] += kept(options.cache / f"outcomes {name}, {method}.pt", run)
     figure = options.output.parent / "figures" / "how-sure.png"
     draw(outcomes, figure)
     write(options.output, "\n".join(page(outcomes)) + "\n")
@@ -293,12 +297,14 @@ def draw(outcomes: dict[str, list[Outcome]], file: Path) -> None:
     figure.savefig(file, dpi=110)
 
 
-def outcome(condition: Condition, steps: Steps) -> Outcome:
-    """Recognises the queries of a condition."""
-    names = ["query"] * len(condition.queries), ["map"] * len(condition.references)
-    mirror = HOG().mirrored if condition.method == "HOG" else partial(mirrored, config=CONFIG)
-    pair = condition.queries, condition.references
-    found = recognise(*pair, *names, steps, 1, mirrors={SSR_VLAD: mirror})
+def outcome(condition: Condition, steps: str) -> Outcome:
+    """Recognises the queries of a condition; a sequence of one query is one picture."""
+    numbers = range(len(condition.queries))
+    sequences = [f"{number * (steps == 'one picture')}" for number in numbers]
+    names = sequences, ["map"] * len(condition.references)
+    mirror = MIRRORS.get(condition.method, partial(mirrored, config=CONFIG))
+    pair, beside = (condition.queries, condition.references), condition.beside
+    found = recognise(*pair, *names, STEPS[steps], 1, beside=beside, mirrors={SSR_VLAD: mirror})
     rows = found.matches.indices[:, 0].numpy()
     near = [
         bool(len(true)) and int(abs(true - row).min())
@@ -316,32 +322,51 @@ def outcome(condition: Condition, steps: Steps) -> Outcome:
 
 
 CONFIG = SSRVLADConfig()
+MIRRORS = {"HOG": HOG().mirrored, "label grid": LabelGrid().mirrored}
 
 
 def conditions(data: Path, cached: Path) -> Iterator[Condition]:
     """All conditions, with descriptors."""
-    of = partial(described, data, cached)
-    for method in METHODS:
-        for network in ("",) if method == "HOG" else NETWORKS:
-            take = partial(of, method, network)
-            for first, second, reach in ROUTES.values():
-                for queries, references in ((first, second), (second, first)):
-                    here, there = take(queries), middle(take(references))
-                    rows = np.arange(len(here))
-                    truth = [np.flatnonzero(abs(rows - number) <= reach) for number in rows]
-                    title = f"{queries} -> {references}, {network}"
-                    yield Condition("real", title, method, here, there, truth)
-                    if (queries, references) == (first, second):
-                        half = len(there) // 2
-                        left = [true[true < half] for true in truth]
-                        yield Condition("half map", title, method, here, there[:half], left)
-            for queries, references in FOREIGN:
-                here, there = take(queries), middle(take(references))
-                truth = [np.zeros(0, int)] * len(here)
+    for method, network in RUNS:
+        of = partial(pair_of, data, cached, method, network)
+        for first, second, reach in ROUTES.values():
+            for queries, references in ((first, second), (second, first)):
+                here, there, beside = of(queries, references)
+                rows = np.arange(len(here))
+                truth = [np.flatnonzero(abs(rows - number) <= reach) for number in rows]
                 title = f"{queries} -> {references}, {network}"
-                yield Condition("foreign", title, method, here, there, truth)
+                yield Condition("real", title, method, here, there, truth, beside)
+                if (queries, references) == (first, second):
+                    half = len(there) // 2
+                    left = [true[true < half] for true in truth]
+                    beside = {name: (q, r[:half]) for name, (q, r) in beside.items()}
+                    yield Condition("half map", title, method, here, there[:half], left, beside)
+        for queries, references in FOREIGN:
+            here, there, beside = of(queries, references)
+            truth = [np.zeros(0, int)] * len(here)
+            title = f"{queries} -> {references}, {network}"
+            yield Condition("foreign", title, method, here, there, truth, beside)
     yield from in_camvid(data, cached)
     yield from in_cities(cached)
+
+
+RUNS = [
+    (method, network) for method in METHODS for network in ([""] if method == "HOG" else NETWORKS)
+]
+
+
+def pair_of(
+    data: Path, cached: Path, method: str, network: str, queries: str, references: str
+) -> tuple[Tensor, Tensor, dict[str, tuple[Tensor, Tensor]]]:
+    """The descriptors of queries and of a map by a method, and those beside them."""
+    folders = queries, references
+    by = "label maps" if method == "fused" else method
+    here, there = (described(data, cached, by, network, folder) for folder in folders)
+    beside = {}
+    if method == "fused":
+        signs = [described(data, cached, "features", network, folder) for folder in folders]
+        beside = {"features": (signs[0], signs[1])}
+    return here, middle(there), beside
 
 
 def in_camvid(data: Path, cached: Path) -> Iterator[Condition]:
@@ -356,13 +381,16 @@ def in_camvid(data: Path, cached: Path) -> Iterator[Condition]:
                 (search.queries, search.references), pair, strict=True
             )
         )
-        yield Condition("real", search.name, "label maps", here, middle(there), search.truth)
-    for drive in DRIVES:
+        yield Condition("real", search.name, "label maps", here, middle(there), search.truth, {})
+    for drive, (method, network) in product(DRIVES, RUNS):
+        if method == "label maps":
+            continue
         search = next(each for each in searches(data) if each.name.startswith(drive))
-        for method, network in (*(("features", each) for each in NETWORKS), ("HOG", "")):
-            frames = described(data, cached, method, network, f"camvid/{drive}")
-            here, there = frames[search.query_rows], frames[search.reference_rows]
-            yield Condition("real", f"{drive}, {network}", method, here, there, search.truth)
+        rows = search.query_rows, search.reference_rows
+        here, there, beside = pair_of(data, cached, method, network, *[f"camvid/{drive}"] * 2)
+        beside = {name: (q[rows[0]], r[rows[1]]) for name, (q, r) in beside.items()}
+        pair = here[rows[0]], there[rows[1]]
+        yield Condition("real", f"{drive}, {network}", method, *pair, search.truth, beside)
 
 
 def in_cities(cached: Path) -> Iterator[Condition]:
@@ -373,7 +401,7 @@ def in_cities(cached: Path) -> Iterator[Condition]:
             queries = city(seed, CITY_CONDITIONS[name][0])
             truth = from_poses(queries.poses, references.poses, METRES)
             here = of_city(cached, seed, name)
-            yield Condition("city", f"city {seed}, {name}", "label maps", here, there, truth)
+            yield Condition("city", f"city {seed}, {name}", "label maps", here, there, truth, {})
 
 
 @cache
@@ -408,13 +436,15 @@ def described(
             ]
         )
 
-    def labels() -> Tensor:
-        kind = network if space else f"predicted_{network}"
-        if not (data / folder / kind).is_dir():
-            kind = "predicted_dicenet"
-        return by_labels(data / folder / kind, space or "cityscapes-trainids")
-
-    makers = {"label maps": labels, "features": features, "HOG": partial(by_hog, pictures)}
+    maps = data / folder / (network if space else f"predicted_{network}")
+    if not maps.is_dir():
+        maps = data / folder / "predicted_dicenet"
+    makers = {
+        "label maps": partial(by_labels, maps, space or "cityscapes-trainids"),
+        "label grid": partial(by_grid, maps, space or "cityscapes-trainids"),
+        "features": features,
+        "HOG": partial(by_hog, pictures),
+    }
     return kept(cached / f"{named}.pt", makers[method])
 
 
