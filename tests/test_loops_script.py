@@ -81,14 +81,18 @@ def test_the_page_says_what_the_detectors_did(script, tmp_path):
             assert [int(cell) for cell in line[2:4]] == [right + wrong, wrong]
             if line[0] == "default":
                 found, recalled = right + wrong, right
+                begun = [min(plain_loops(made, threshold)) for made in measured[condition]]
         revisits = sum(made.comes_back(50, 10).sum() for made in measured[condition])
         assert rows[0][6].startswith(f"{recalled / revisits:.3f} ")
         where = page[page.index(f"## {condition.capitalize()}") :]
         kinds = {row[0]: [int(cell) for cell in row[1:]] for row in table(where, "By where")[1:]}
-        same, other, first, _ = kinds.values()
+        same, other, first, waited, _ = kinds.values()
         assert same[0] == revisits
         assert same[0] + other[0] + first[0] == 2 * (2 * LAP + BACK)
         assert same[1] + other[1] + first[1] == found
+        returned = [made.comes_back(50, 10) for made in measured[condition]]
+        waits = [each[:row].sum() for each, row in zip(returned, begun, strict=True)]
+        assert waited[:2] == [sum(waits), 0]
         reasons = dict(zip(*table(where, "| reason |"), strict=True))
         assert int(reasons["accepted"]) == found
     names = ["loops-curves.png", "loops-noisy.png", "loops-perfect.png"]

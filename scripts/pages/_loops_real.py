@@ -63,8 +63,9 @@ FAILS = """## Where it fails
   it from a loop.
 - *After sunset by label maps*: what the networks see at night on the other side of the path is
   too different; features close most of these loops.
-- *The first frames of a return* wait until the filter is sure, 8 to 20 frames in cities. A jump
-  into a drive costs as much.
+- *The first frames of a return* wait until the filter is sure: in cities most of what is missed,
+  see below. A jump into a drive costs as much. Settings that wait less were compared on cities 100
+  to 109 with noisy labels: each had wrong loops there, in an estate or in foreign places.
 - *The way back* is never found: the pictures are others.
 - *Frames denser than the excluded ones permit.* Neighbours of a standing camera are alike; exclude
   more than the frames that one place fills.

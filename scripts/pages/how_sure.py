@@ -22,7 +22,7 @@ import torch
 import torch.nn.functional as F
 from _described import NETWORKS
 from _halves import DRIVES, ROUTES
-from _markdown import head_row, parser, row, write
+from _markdown import head_row, interval, paragraph, parser, row, write
 from _searches import by_grid, by_hog, by_labels, searches
 from conditions import BATCH, CITY_CONDITIONS, METRES, city
 from torch import Tensor
@@ -33,6 +33,7 @@ from ssrvlad_torch.baselines.label_grid import LabelGrid
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.descriptor import mirrored
+from ssrvlad_torch.evaluation.bootstrap import bootstrap
 from ssrvlad_torch.evaluation.ground_truth import from_poses
 from ssrvlad_torch.recognition.confidence import accept, answered, estimate
 from ssrvlad_torch.recognition.decoys import decoy_scores, lead_over_decoys
@@ -104,7 +105,7 @@ STEPS = {
     "offline": Steps(),
 }
 LEVELS = {"all": None, "5 %": 0.05, "20 %": 0.2}
-BINS = 10
+BINS, RESAMPLES = 10, 2000
 
 
 class Condition(NamedTuple):
@@ -167,29 +168,29 @@ def page(outcomes: dict[str, list[Outcome]]) -> Iterator[str]:
         "fraction of them whose wrong answers are inside the 95 % interval.\n"
     )
     yield from head_row("steps", "group", "method", "accepted in", "place", "strict", "width")
-    for steps, found in outcomes.items():
-        for group in ("real", "half map", "foreign", "city"):
-            for method in METHODS:
-                some = [each for each in found if (each.group, each.method) == (group, method)]
-                if some:
-                    yield row(steps, group, method, *coverage(some))
+    together = {steps: found for steps, found in outcomes.items() if steps != "one picture"}
+    cells = list(product(together, ("real", "half map", "foreign", "city"), METHODS))
+    for steps, group, method in cells:
+        some = [each for each in together[steps] if (each.group, each.method) == (group, method)]
+        if some:
+            yield row(steps, group, method, *coverage(some))
     for label, kind in (("all", None), ("fitted to", True), ("other", False)):
         some = [
-            each for found in outcomes.values() for each in found if kind in (None, each.chosen)
+            each for found in together.values() for each in found if kind in (None, each.chosen)
         ]
         yield row(label, "", "", *coverage(some))
     yield "\n## What `--max-wrong 0.05` accepts\n"
     yield from head_row("steps", "group", "method", "queries", "accepted", "wrong place", "strict")
-    for steps, found in outcomes.items():
-        for group in ("real", "half map", "foreign", "city"):
-            for method in METHODS:
-                some = [each for each in found if (each.group, each.method) == (group, method)]
-                if some:
-                    yield row(steps, group, method, *(map(str, accepted(some))))
+    for steps, group, method in cells:
+        some = [each for each in together[steps] if (each.group, each.method) == (group, method)]
+        if some:
+            yield row(steps, group, method, *(map(str, accepted(some))))
     yield "\n## Is confidence calibrated?\n"
-    yield (
-        "Expected calibration error over ten bins, strict. Then the fraction of right answers and "
-        "the number of answers in each bin, on the real pairs.\n"
+    yield paragraph(
+        "Expected calibration error over ten bins, strict, with 95 % bootstrap intervals over the "
+        f"pairs ({RESAMPLES} resamples). *One picture* is each query as if it came alone, as "
+        "`locate PICTURE` and `Localiser` have it: the prior decides. Then the fraction of right "
+        "answers and the number of answers in each bin, on the real pairs."
     )
     ends = [f"{n / BINS:g} to {(n + 1) / BINS:g}" for n in range(BINS)]
     yield from head_row("steps", "real", "fitted to", "other", "half map", "foreign", "city", *ends)
@@ -197,8 +198,12 @@ def page(outcomes: dict[str, list[Outcome]]) -> Iterator[str]:
         real = [each for each in found if each.group == "real"]
         parts = [real, [e for e in real if e.chosen], [e for e in real if not e.chosen]]
         parts += [[e for e in found if e.group == g] for g in ("half map", "foreign", "city")]
-        errors = [f"{calibration(part)[0]:.3f}" for part in parts]
-        yield row(steps, *errors, *calibration(real)[1])
+        yield row(steps, *(calibration(part)[0] for part in parts), *calibration(real)[1])
+    yield "\nOn the real pairs by method:\n"
+    yield from head_row("steps", *METHODS)
+    for steps, found in outcomes.items():
+        real = [[e for e in found if (e.group, e.method) == ("real", m)] for m in METHODS]
+        yield row(steps, *(calibration(part)[0] for part in real))
     yield "\n" + FAILS
 
 
@@ -251,19 +256,23 @@ def accepted(some: Iterable[Outcome]) -> tuple[int, int, int, int]:
     return tuple(counts.tolist())
 
 
-def calibration(some: Sequence[Outcome]) -> tuple[float, list[str]]:
+def calibration(some: Sequence[Outcome]) -> tuple[str, list[str]]:
     """The expected calibration error, and how often the answers of each bin are right."""
-    if not some:
-        return float("nan"), []
-    sure, right = (np.concatenate([getattr(e, kind) for e in some]) for kind in ("sure", "strict"))
-    bins = np.minimum((sure * BINS).astype(int), BINS - 1)
-    error, cells = 0.0, []
-    for number in range(BINS):
-        inside = bins == number
-        cells.append(f"{right[inside].mean():.2f} of {inside.sum()}" if inside.any() else "")
-        if inside.any():
-            error += inside.mean() * abs(sure[inside].mean() - right[inside].mean())
-    return error, cells
+    sums = np.zeros((len(some), 3, BINS))
+    for number, each in enumerate(some):
+        bins = np.minimum((each.sure * BINS).astype(int), BINS - 1)
+        for kind, values in enumerate((np.ones(len(bins)), each.sure, each.strict)):
+            sums[number, kind] = np.bincount(bins, values, BINS)
+
+    def error(drawn: np.ndarray) -> dict[str, np.ndarray]:
+        count, sure, right = np.einsum("rn,nkb->krb", drawn, sums)
+        return {"error": abs(sure - right).sum(1) / count.sum(1)}
+
+    [value] = error(np.ones((1, len(some))))["error"]
+    ends = bootstrap(error, len(some), RESAMPLES)["error"]
+    count, _, right = sums.sum(0)
+    cells = [f"{r / n:.2f} of {n:.0f}" if n else "" for n, r in zip(count, right, strict=True)]
+    return interval(value, ends), cells
 
 
 def draw(outcomes: dict[str, list[Outcome]], file: Path) -> None:

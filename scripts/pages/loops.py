@@ -172,11 +172,17 @@ def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
         "return in the same direction": same,
         "return in the opposite direction only": [b & ~a for a, b in zip(same, other, strict=True)],
         "at a place for the first time": [~(a | b) for a, b in zip(same, other, strict=True)],
-        "in the estate": [tour.in_estate() for tour in tours],
+        "of the first row, before the first loop": [
+            waiting(returns, outcome.loops >= 0)
+            for returns, outcome in zip(same, outcomes, strict=True)
+        ],
+        "of the first row, in the estate": [
+            returns & tour.in_estate() for returns, tour in zip(same, tours, strict=True)
+        ],
     }
     yield paragraph(
-        "By where the frames are, with the default threshold. Frames in the estate are also "
-        "counted in a row above:"
+        "By where the frames are, with the default threshold. The first loop is that of each "
+        "stretch of the drive that returns:"
     )
     yield from head_row("frames", "number", "loops", "right", "wrong")
     for name, chosen_frames in kinds.items():
@@ -191,6 +197,14 @@ def where_and_why(outcomes: Sequence[Outcome]) -> Iterator[str]:
     yield from head_row("reason", *(reason.value for reason in Reason))
     yield row("frames", *(str(counted[reason]) for reason in Reason))
     yield ""
+
+
+def waiting(returns: np.ndarray, closed: np.ndarray) -> np.ndarray:
+    """``(N,)`` bool, the frames of each stretch of returns before the first that closes a loop."""
+    found = np.zeros(len(returns), bool)
+    for at in np.flatnonzero(returns):
+        found[at] = not closed[at] and (at == 0 or not returns[at - 1] or found[at - 1])
+    return found
 
 
 def curve(outcomes: Sequence[Outcome]) -> PrecisionRecall:
