@@ -1,21 +1,45 @@
-"""What pages/reproduce_paper.py rests on: the paper's numbers, and the cache of results."""
+"""What pages/reproduce_paper.py rests on: the paper's numbers, and the harness of its tables."""
 
 import re
+from functools import partial
 from pathlib import Path
 
 import _paper as paper
-import _trials as trials
+import numpy as np
 import pytest
+from _described import Condition, Described
+from _trials import Rival, try_all
+from conditions import CITY_CONDITIONS, Search, city
+
+from ssrvlad_torch.baselines import make
+from ssrvlad_torch.baselines.run import run
+from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 
 PAPER = Path(__file__).parents[2] / "shared" / "paper" / "ssr_vlad.tex"
 
 
-def test_another_source_of_the_package_takes_no_old_results(monkeypatch, tmp_path):
-    kept = trials.Cache(tmp_path)
-    assert kept.get(("x", 1), lambda: [1.5]) == kept.get(("x", 1), lambda: [2.5]) == [1.5]
-    assert kept.get(("x", 2), lambda: [2.5]) == [2.5]
-    monkeypatch.setattr(trials, "_source", lambda: "changed")
-    assert kept.get(("x", 1), lambda: [3.5]) == [3.5]
+def test_a_rival_finds_what_the_package_finds(tmp_path):
+    drives = {"back": CITY_CONDITIONS["clean"][0], "map": REFERENCE}
+    added = {name: partial(city, 0, each, 8, (60, 80)) for name, each in drives.items()}
+    truth = [np.array([row]) for row in range(8)]
+    condition = Condition("a", "labels -> labels", [Search("back", "map", truth)])
+    rivals = [Rival("grid", "label grid"), Rival("3", "SSR-VLAD, paper", 3), Rival("HOG", "HOG")]
+    outcomes = try_all(Described(None, tmp_path, added), [condition], rivals)
+    methods = {"grid": make("label-grid"), "3": make("ssr-vlad", preset="paper", temporal=3)}
+    assert {rival for _, rival in outcomes} == set(methods)
+    for name, method in methods.items():
+        wanted = run(method, *(added[drive]().seen() for drive in drives), top=5)
+        found = outcomes["a: labels -> labels", name]
+        np.testing.assert_array_equal(found.rows, wanted.indices)
+        np.testing.assert_allclose(found.scores, wanted.scores, atol=1e-6)
+
+
+def test_a_rival_without_weights_says_so(tmp_path):
+    condition = Condition("a", "images -> images", [Search("map", "map", [np.array([0])])])
+    added = {"map": partial(city, 0, REFERENCE, 1, (60, 80))}
+    described = Described(None, tmp_path, added, weights=tmp_path)
+    outcomes = try_all(described, [condition], [Rival("NetVLAD", "NetVLAD")])
+    assert outcomes["a: images -> images", "NetVLAD"].startswith("no weights")
 
 
 @pytest.mark.skipif(not PAPER.is_file(), reason="the paper of ../shared is not on this machine")

@@ -1,4 +1,4 @@
-"""What README.md and the guides quote of the pages is what the pages say."""
+"""What README.md and the guides quote of the pages is what the pages say; scripts fill pages."""
 
 import re
 
@@ -32,3 +32,18 @@ def test_quoting_changes_nothing_else(monkeypatch, tmp_path):
     assert file.read_text() == expected
     with pytest.raises(ValueError, match="<!-- c -->"):
         quote(file, "c", "new")
+
+
+def test_a_script_fills_a_page_and_leaves_the_rest(monkeypatch, tmp_path):
+    file = tmp_path / "page.md"
+    text = "# P\n\nOn {}.\n\n## A\n\nText:\n\n| a |\n| --- |\n{}\nAfter.\n\n## B\n\n{}\n"
+    file.write_text(text.format("one", "| 1 |\n| 2 |\n", "old"))
+    page = load("_markdown", monkeypatch).Page("page.md", file)
+    page.table("## A\n", ["| a |", "| --- |", "| 3 |"])
+    page.section("## B", ["new"])
+    page.paragraph("On", "On two.")
+    assert file.read_text() == page.text == text.format("two", "| 3 |\n", "new")
+    with pytest.raises(ValueError, match="substring not found"):
+        page.section("## C", ["new"])
+    with pytest.raises(ValueError, match="found a heading"):
+        page.table("On two.", ["| a |"])

@@ -60,7 +60,7 @@ class Cost:
 
 def measure(
     methods: Mapping[str, Callable[[], baselines.Method]],
-    frames: Mapping[str, Sequence[Frame]],
+    frames: Sequence[Frame],
     references: int,
     rounds: Mapping[str, int],
 ) -> dict[str, Cost]:
@@ -71,12 +71,12 @@ def measure(
 
     Args:
         methods: functions that make them, by their names in the table.
-        frames: for each of them, at least one.
+        frames: at least one.
         references: to match with.
         rounds: number of frames for each; after the last frame, the first is used again.
     """
     with threads(1):
-        runs = {name: _Run(make(), frames[name], references) for name, make in methods.items()}
+        runs = {name: _Run(make(), frames, references) for name, make in methods.items()}
         last = max(rounds.values())
         for number in range(-1, last):
             for name, run in runs.items():

@@ -7,14 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from _problems import IMAGES, LABELS, Problem
-from _trials import Outcomes, Trial
+from _described import Condition, Decisions
+from _markdown import save
+from _trials import IMAGES, LABELS, Outcomes, gives, named
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.metrics import Convention
-from ssrvlad_torch.files import replacing
 
 COLOURS = (
     *("#8c564b", "#7f7f7f", "#bcbd22", "#17becf", "#d62728", "#ff9896"),
@@ -23,12 +23,12 @@ COLOURS = (
 COLUMNS = 2
 """Panels beside each other, so that text is readable in a page."""
 Curves = Mapping[str, PrecisionRecall]
-Panel = tuple[str, dict[str, Trial]]
+Panel = tuple[str, dict[str, Decisions]]
 """A title, and the outcomes of the methods."""
 
 
 def draw(
-    problems: Sequence[Problem],
+    conditions: Sequence[Condition],
     outcomes: Outcomes,
     names: Sequence[str],
     convention: Convention,
@@ -37,13 +37,13 @@ def draw(
     """Curves above, areas below; methods on images beside methods on labels.
 
     Args:
-        problems: a panel for each that has label maps, and for images that have no such other.
+        conditions: a panel for each that has label maps, and for images that have no such other.
         outcomes: what the methods found.
         names: methods that are drawn, in order.
         convention: of the curve.
         path: a PNG.
     """
-    panels = _panels(problems, outcomes, names)
+    panels = _panels(conditions, outcomes, names)
     colours = dict(zip(names, COLOURS, strict=False))
     rows = math.ceil(len(panels) / COLUMNS)
     figure = Figure(figsize=(4 * COLUMNS, 6.2 * rows), layout="constrained")
@@ -53,15 +53,13 @@ def draw(
         unused.set_axis_off()
     for (title, found), (above, below) in zip(panels, places, strict=False):
         above.set_title(title, fontsize=10)
-        curves = {name: trial.curve(convention) for name, trial in found.items()}
+        curves = {name: decisions.curve(convention) for name, decisions in found.items()}
         _draw_curves(above, curves, colours)
         _draw_areas(below, curves, colours)
-    shown = {name for _, found in panels for name in found}
-    lines = [axes[0, 0].plot([], color=colours[n], label=n)[0] for n in names if n in shown]
+    drawn = {name for _, found in panels for name in found}
+    lines = [axes[0, 0].plot([], color=colours[n], label=n)[0] for n in names if n in drawn]
     figure.legend(handles=lines, loc="outside upper center", ncols=4, fontsize=9, frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+    save(figure, path)
 
 
 def _draw_curves(axes: Axes, curves: Curves, colours: Mapping[str, str]) -> None:
@@ -81,14 +79,16 @@ def _draw_areas(axes: Axes, curves: Curves, colours: Mapping[str, str]) -> None:
     axes.invert_yaxis()
 
 
-def _panels(problems: Sequence[Problem], outcomes: Outcomes, names: Sequence[str]) -> list[Panel]:
+def _panels(
+    conditions: Sequence[Condition], outcomes: Outcomes, names: Sequence[str]
+) -> list[Panel]:
     panels = []
-    labelled = {problem.dataset for problem in problems if problem.gives == LABELS}
-    for problem in problems:
-        if problem.gives == IMAGES and problem.dataset in labelled:
+    labelled = {each.dataset for each in conditions if gives(each) == LABELS}
+    for condition in conditions:
+        if gives(condition) == IMAGES and condition.dataset in labelled:
             continue
-        beside = [p for p in problems if p.dataset == problem.dataset and p.gives == IMAGES]
-        keys = [(p.name, name) for name in names for p in {problem, *beside}]
-        found = {key[1]: outcomes[key] for key in keys if isinstance(outcomes.get(key), Trial)}
-        panels.append((f"{problem.dataset}\n{problem.condition}", found))
+        of = [c for c in conditions if c.dataset == condition.dataset and gives(c) == IMAGES]
+        keys = [(key, name) for name in names for key in map(named, (condition, *of))]
+        found = {key[1]: outcomes[key] for key in keys if isinstance(outcomes.get(key), Decisions)}
+        panels.append((f"{condition.dataset}\n{condition.name}", found))
     return panels

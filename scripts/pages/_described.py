@@ -1,16 +1,14 @@
-"""Descriptors of the drives of all data sets by every method, and the searches that pages measure.
+"""The one harness of pages of recognition: drives described by every method, searched, judged.
 
-The city and CamVid are those of `conditions.py`. The real traverses are folders of ``--data`` with
-``images`` and the label maps of two networks, ``predicted_espnetv2`` and ``predicted_dabnet``.
-``networks`` beside them holds the networks, for features and LoST-X: pictures are fed with a
-shorter side of 576 pixels. Descriptors are cached on disk, by drive and method: a second run takes
-minutes.
+Drives are those of `conditions.py`, and others that a page adds. ``networks`` beside the drives
+holds the networks, for features and LoST-X: pictures are fed with a shorter side of 576 pixels.
+Descriptors are cached on disk, by drive and method: a second run takes minutes.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -24,31 +22,43 @@ from conditions import (
     CITY_CONDITIONS,
     CITY_SEEDS,
     METRES,
+    NETWORKS,
+    REAL,
     RESAMPLES,
     Drive,
+    Search,
     camvid,
     city,
+    every_other,
+    kept,
+    places_of,
+    real,
 )
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, baselines
-from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.baselines.lost_x import LoSTX
-from ssrvlad_torch.datasets.image_files import decode_image
-from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
+from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
+from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.ground_truth import from_poses
-from ssrvlad_torch.evaluation.metrics import evaluate
+from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
+from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
 from ssrvlad_torch.recognition.sweep import COLUMNS
 from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.segmenter import Segmenter
-from ssrvlad_torch.taxonomy import label_space
 
 OURS = "SSR-VLAD, default"
+UNPROCESSED = "SSR-VLAD, paper, no pre-processing"
 PRESETS = {"SSR-VLAD, paper": "paper", "SSR-VLAD, default": "default"}
+CLEANING = ("opening", "closing", "hole_area", "region_area")
+SETTINGS: dict[str, dict[str, Any]] = {
+    **{name: {"preset": preset} for name, preset in PRESETS.items()},
+    UNPROCESSED: {"preset": "paper", **dict.fromkeys(CLEANING, 0.0)},
+}
 BASELINES = {
     "label grid": "label-grid",
     "HOG": "hog",
@@ -63,13 +73,15 @@ FUSED = {
 }
 """What is fused with `default`, by its name in a database: all that `encode` stores, and parts."""
 
+TRAINED = {"NetVLAD": "netvlad", "Region-VLAD": "region-vlad"}
+"""Methods whose networks were trained; their weights are not here."""
+
 METHODS = (*PRESETS, *BASELINES, FEATURES, LOST_X, TOGETHER)
 OF_NETWORKS = (FEATURES, LOST_X, *FUSED)
-OF_PICTURES = ("HOG", "CoHOG", "tiny image", *OF_NETWORKS)
+OF_PICTURES = ("HOG", "CoHOG", "tiny image", *TRAINED, *OF_NETWORKS)
 BY_SCORES = ("CoHOG", "tiny image", LOST_X)
 """Their encodings are not vectors, so the steps use their scores."""
 
-NETWORKS = ("espnetv2", "dabnet")
 LAST = {
     "espnetv2": "/n/level4.6/module_act/PRelu_output_0",
     "dabnet": "/bn_prelu_3/acti/PRelu_output_0",
@@ -77,16 +89,6 @@ LAST = {
 """The last activation of each encoder: what the authors of LoST-X took of theirs."""
 
 SHORTER_SIDE, MULTIPLE = 576, 16
-REAL = {
-    "UofA": {"evening -> day": ("uofa/evening", "uofa/day", 1)},
-    "Gardens Point": {
-        "right -> left": ("gardens_walk/day_right", "gardens_walk/day_left", 2),
-        "night -> right": ("gardens_walk/night_right", "gardens_walk/day_right", 2),
-        "night -> left": ("gardens_walk/night_right", "gardens_walk/day_left", 2),
-    },
-}
-"""Queries, references, and the largest distance of a true match in rows."""
-
 ALONE = Steps(standardise=False, follow=None)
 """Each query as a picture of which nothing else is known, as `locate` takes it."""
 
@@ -96,19 +98,7 @@ OFFSET = 10**6
 Known = tuple[tuple[str, ...], np.ndarray]
 
 
-@dataclass(frozen=True)
-class Search:
-    """Queries, references and true matches, by names of drives and rows of them."""
-
-    queries: str
-    references: str
-    truth: list[np.ndarray]
-    query_rows: list[int] | None = None
-    reference_rows: list[int] | None = None
-
-
-@dataclass(frozen=True)
-class Condition:
+class Condition(NamedTuple):
     """Searches whose queries count together."""
 
     dataset: str
@@ -142,14 +132,23 @@ class Described:
     Args:
         data: folder of the real data sets; without it, only the city is measured.
         cache: folder of the cached descriptors.
+        added: other drives by name, read when they are first used.
+        weights: folder of the weights of trained networks.
+        network: of LoST-X for drives that have no network of their own.
     """
 
     data: Path | None
     cache: Path
+    added: dict[str, Callable[[], Drive]] = field(default_factory=dict)
+    weights: Path | None = None
+    network: Path | None = None
     _known: dict[str, Any] = field(default_factory=dict)
 
     def drive(self, name: str) -> Drive:
-        """A drive: ``city SEED CONDITION NUMBER``, ``camvid KIND`` or ``real NETWORK FOLDER``."""
+        """A drive: ``city SEED CONDITION NUMBER``, ``camvid KIND``, ``real NETWORK FOLDER``, or one
+        of `added`."""
+        if name in self.added:
+            return self.added[name]()
         kind, _, rest = name.partition(" ")
         if kind == "city":
             seed, _, condition = rest.partition(" ")
@@ -163,6 +162,12 @@ class Described:
         network, _, folder = rest.partition(" ")
         return real(self.data / folder, network)
 
+    def add(self, name: str, files: Sequence[FrameFile], make: Callable[[], Drive]) -> None:
+        """A drive whose frames are known before it is read."""
+        self.added[name] = make
+        frames, poses = places_of(files)
+        self._known[f"{name} about"] = {"frames": frames, "poses": torch.from_numpy(poses)}
+
     def about(self, name: str) -> Known:
         """Ids and poses of a drive's frames."""
 
@@ -170,20 +175,45 @@ class Described:
             drive = self.drive(name)
             return {"frames": drive.frames, "poses": torch.from_numpy(drive.poses)}
 
-        found = self._kept(f"{name} about", look)
+        found = self.kept(f"{name} about", look)
         return tuple(found["frames"]), found["poses"].numpy()
 
     def vectors(self, name: str, method: str) -> Tensor:
         """``(N, D)`` of a drive, of `default` ``(N, S, D)`` over `sweep.COLUMNS`."""
-        preset = PRESETS.get(method)
-        version = f" {head(preset, 'camvid-11').config.fingerprint}" if preset else ""
-        if method == FEATURES:
-            return self._kept(f"{name} {method}", lambda: self._features(name))
-        return self._kept(f"{name} {method}{version}", lambda: described(self.drive(name), method))
+        if method not in SETTINGS:
+            return self.kept(f"{name} {method}", lambda: self._by_method(name, method))
+        version = head(method, "camvid-11").config.fingerprint
+        return self.kept(f"{name} {method} {version}", lambda: swept(self.drive(name), method))
 
-    def _features(self, name: str) -> Tensor:
-        method = EncoderFeatures(self.segmenter(network_of(name)))
-        return method.encode_query(frames(self.drive(name)))
+    def _by_method(self, name: str, method: str) -> Any:
+        if method == FEATURES:
+            made: baselines.Method = EncoderFeatures(self.segmenter(network_of(name)))
+        else:
+            made = self.make(method)
+        return made.encode_query(self.drive(name).seen())
+
+    def make(self, method: str, random_weights: bool = False) -> baselines.Method:
+        """A method of `baselines` by its name in the pages.
+
+        Raises:
+            FileNotFoundError: a network has no weights.
+        """
+        if method in SETTINGS:
+            return baselines.make("ssr-vlad", **SETTINGS[method])
+        if method == LOST_X:
+            network = {"network": str(self.network)} if self.network else {}
+            return baselines.make("lost-x", **network)
+        if method not in TRAINED:
+            return baselines.make(BASELINES[method])
+        places = {"weights": self.weights} if self.weights else {}
+        if self.weights and method == "Region-VLAD":
+            places["vocabulary"] = self.weights
+        try:
+            return baselines.make(TRAINED[method], **places)
+        except FileNotFoundError:
+            if not random_weights:
+                raise
+            return baselines.make(TRAINED[method], random_weights=True)
 
     def segmenter(self, network: str, activation: str | None = None) -> Segmenter:
         """A network, with one of its activations as features."""
@@ -207,15 +237,13 @@ class Described:
         """``(Q, R)`` scores of a method whose encodings are not vectors."""
 
         def run() -> Tensor:
-            made = self._method(search, method)
-            drives = [self.drive(name) for name in (search.queries, search.references)]
+            made = self._of_search(search, method)
             here, there = (
-                [frame for n, frame in enumerate(frames(drive)) if n in set(rows)]
-                for drive, rows in zip(drives, self.rows(search), strict=True)
+                self.drive(name).seen(rows)
+                for name, rows in zip(search[:2], self.rows(search), strict=True)
             )
-            known = made.encode_reference(iter(there))
-            found = [made.scores(made.encode_query(iter([each])), known) for each in here]
-            return torch.cat(found)
+            known = made.encode_reference(there)
+            return torch.cat([made.scores(made.encode_query([each]), known) for each in here])
 
         dropped = ("labels",) if method == LOST_X else (*NETWORKS, "labels")
         pictures = [
@@ -223,12 +251,13 @@ class Described:
             for name in (search.queries, search.references)
         ]
         kind = pictures if search.query_rows is None else ["camvid odd", "even"]
-        return self._kept(f"{' to '.join(kind)} {method}", run)
+        network = f" {self.network.stem}" if method == LOST_X and self.network else ""
+        return self.kept(f"{' to '.join(kind)} {method}{network}", run)
 
-    def _method(self, search: Search, method: str) -> baselines.Method:
-        if method != LOST_X:
-            return baselines.make(BASELINES[method])
+    def _of_search(self, search: Search, method: str) -> baselines.Method:
         network = network_of(search.queries)
+        if method != LOST_X or network is None:
+            return self.make(method)
         return LoSTX(self.segmenter(network, LAST[network]))
 
     def rows(self, search: Search) -> tuple[list[int], list[int]]:
@@ -247,16 +276,11 @@ class Described:
         )
         return here, there
 
-    def _kept(self, name: str, make: Any) -> Any:
-        file = self.cache / f"{name.replace(' ', '_').replace('/', '_').replace(',', '')}.pt"
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        """What was made, in the cache by its name."""
+        file = f"{name.replace(' ', '_').replace('/', '_').replace(',', '')}.pt"
         if name not in self._known:
-            if not file.exists():
-                file.parent.mkdir(parents=True, exist_ok=True)
-                made = make()
-                torch.save(made, file.with_suffix(".tmp"))
-                file.with_suffix(".tmp").replace(file)
-                print(name, flush=True)
-            self._known[name] = torch.load(file)
+            self._known[name] = kept(self.cache / file, make)
         return self._known[name]
 
 
@@ -277,14 +301,18 @@ class Decisions(NamedTuple):
         """``(Q,)`` bool, whether the first candidate is a true match."""
         return np.array([row in set(t) for row, t in zip(self.rows[:, 0], self.truth, strict=True)])
 
-    def figures(self) -> dict[str, tuple[float, float, float]]:
+    def figures(self, convention: Convention = "exact") -> dict[str, tuple[float, float, float]]:
         """Each of `FIGURES` with the ends of its 95 % bootstrap interval over the queries."""
-        found = evaluate(self.scores, self.rows, self.truth, at=(1, 5), resamples=RESAMPLES)
+        found = evaluate(*self, at=(1, 5), convention=convention, resamples=RESAMPLES)
         ends = found["intervals"]
         rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}
         others = {"AUC-PR": "auc_pr", "Recall@100%Precision": "recall_at_100_precision"}
         rates |= {name: (found[key], ends[key]) for name, key in others.items()}
         return {name: (value, *low_high) for name, (value, low_high) in rates.items()}
+
+    def curve(self, convention: Convention) -> PrecisionRecall:
+        """Precision and recall."""
+        return precision_recall_curve(judge(*self), self.truth, convention)
 
 
 def decide(
@@ -320,37 +348,16 @@ def decide(
 
 
 @cache
-def head(preset: str, labels_as: str) -> SSRVLAD:
-    return SSRVLAD.from_preset(preset, labels_as=labels_as)
+def head(method: str, labels_as: str) -> SSRVLAD:
+    """SSR-VLAD with the settings of a method."""
+    return SSRVLAD.from_preset(**SETTINGS[method], labels_as=labels_as)
 
 
-def described(drive: Drive, method: str) -> Tensor:
-    if method not in PRESETS:
-        return baselines.make(BASELINES[method]).encode_query(frames(drive))
-    made = head(PRESETS[method], drive.labels_as)
+def swept(drive: Drive, method: str) -> Tensor:
+    """Descriptors of label maps; `default` from every anchor."""
+    made = head(method, drive.labels_as)
     batches = torch.from_numpy(drive.maps).split(BATCH)
-    sweeps = PRESETS[method] == "default"
-    return torch.cat([made.sweep(b, COLUMNS) if sweeps else made(b) for b in batches])
-
-
-def frames(drive: Drive) -> Iterator[Frame]:
-    for number, (name, labels) in enumerate(zip(drive.frames, drive.maps, strict=True)):
-        picture = decode_image(drive.pictures[number].read_bytes()) if drive.pictures else None
-        yield Frame(name, labels, drive.labels_as, picture)
-
-
-@cache
-def real(folder: Path, network: str) -> Drive:
-    """A real traverse with the label maps of a network."""
-    space = label_space("cityscapes-trainids")
-    files = find_label_files([str(folder / f"predicted_{network}")], folder.name)
-    return Drive(
-        tuple(file.frame for file in files),
-        np.full((len(files), 3), np.nan),
-        np.stack([read_label_map(file, space) for file in files]),
-        space.name,
-        tuple(next((folder / "images").glob(f"{file.name}.*")) for file in files),
-    )
+    return torch.cat([made.sweep(b, COLUMNS) if method == OURS else made(b) for b in batches])
 
 
 def all_conditions(
@@ -387,20 +394,15 @@ def camvid_conditions(described: Described) -> Iterator[Condition]:
         yield Condition("CamVid", name, [search])
 
 
-def city_conditions(described: Described, seeds: Sequence[int]) -> Iterator[Condition]:
-    for name, drives in CITY_CONDITIONS.items():
+def city_conditions(
+    described: Described, seeds: Sequence[int], names: Iterable[str] = CITY_CONDITIONS
+) -> Iterator[Condition]:
+    for name in names:
         searches = []
         for seed in seeds:
             there = f"city {seed} reference"
-            for number in range(len(drives)):
+            for number in range(len(CITY_CONDITIONS[name])):
                 here = f"city {seed} {name} {number}"
                 poses = (described.about(drive)[1] for drive in (here, there))
                 searches.append(Search(here, there, from_poses(*poses, METRES)))
         yield Condition("City", name, searches)
-
-
-def every_other(names: Sequence[str], start: int) -> list[int]:
-    """Rows of every second frame of each sequence, from frame ``start``."""
-    sequences = np.array([name.rpartition("/")[0] for name in names])
-    chosen = [np.flatnonzero(sequences == name)[start::2] for name in dict.fromkeys(sequences)]
-    return np.concatenate(chosen).tolist()

@@ -14,12 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from _described import NETWORKS
-from _halves import ROUTES
 from _markdown import head_row, interval, paragraph, row
-from _searches import searches
 from _tours import BATCH, CONDITIONS, head
-from how_sure import FOREIGN, described, kept
+from conditions import NETWORKS, ROUTES, kept
+from how_sure import FOREIGN, described, of_camvid, of_kinds
 from torch import Tensor
 
 from ssrvlad_torch import LoopDetector
@@ -206,18 +204,10 @@ def conditions(data: Path, cached: Path) -> tuple[list[Pair], list[Pair]]:
             (checks, back, second, first),
         ):
             kept_in.append(Pair(f"{title}, {network}", one[0], two[0], one[1], two[1], truth))
-    for search in searches(data):
-        if not search.name.startswith("0"):
-            continue
-        there, here = (
-            of_anchors(described(data, cached, "label maps", kind, folder, space))[rows]
-            for (folder, kind, space), rows in (
-                (search.references, search.reference_rows),
-                (search.queries, search.query_rows),
-            )
-        )
-        learned = search.name.endswith("-> labels")
-        (chosen if learned else checks).append(Pair(search.name, there, here, {}, {}, search.truth))
+    for each in of_camvid(data):
+        here, there = map(of_anchors, of_kinds(data, cached, each))
+        learned = each.name.endswith("-> labels")
+        (chosen if learned else checks).append(Pair(each.name, there, here, {}, {}, each.truth))
     return chosen, checks
 
 

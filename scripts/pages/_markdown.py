@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 import platform
+import re
 from argparse import ArgumentParser, RawDescriptionHelpFormatter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import dropwhile, takewhile
 from pathlib import Path
 from textwrap import fill
@@ -67,6 +68,56 @@ def _model() -> str:
     lines = about.read_text(encoding="utf-8").splitlines() if about.exists() else []
     names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor()
+
+
+class Page:
+    """A page of docs/. Its text is written by hand; a script fills tables and sections.
+
+    Args:
+        name: in docs/.
+        output: where it is written; what stands there already is filled.
+    """
+
+    def __init__(self, name: str, output: Path) -> None:
+        self._output = output
+        self.text = (output if output.exists() else DOCS / name).read_text(encoding="utf-8")
+
+    def table(self, after: str, rows: Iterable[str]) -> None:
+        """Replaces the first table after a text, and writes the page.
+
+        Raises:
+            ValueError: there is no such text, or no table between it and the next heading.
+        """
+        begin = self.text.index("\n|", self.text.index(after))
+        if "\n#" in self.text[self.text.index(after) + len(after) : begin]:
+            raise ValueError(f"{self._output}: expected a table after {after!r}, found a heading")
+        end = re.compile(r"\n(?!\|)").search(self.text, begin + 1).start()
+        self._write(begin, "\n" + "\n".join(rows), end)
+
+    def section(self, heading: str, lines: Iterable[str]) -> None:
+        """Replaces the text of a section up to the next heading, and writes the page.
+
+        Raises:
+            ValueError: there is no such section.
+        """
+        begin = self.text.index(f"\n{heading}\n") + len(heading) + 2
+        end = self.text.find("\n#", begin)
+        body = "\n" + "\n".join(lines).rstrip("\n") + "\n"
+        self._write(begin, body, end if end >= 0 else len(self.text))
+
+    def paragraph(self, begins: str, text: str) -> None:
+        """Replaces the paragraph that begins so, and writes the page.
+
+        Raises:
+            ValueError: there is no such paragraph.
+        """
+        begin = self.text.index(f"\n{begins}") + 1
+        end = self.text.find("\n\n", begin)
+        self._write(begin, text.rstrip("\n"), end if end >= 0 else len(self.text.rstrip("\n")))
+
+    def _write(self, begin: int, new: str, end: int) -> None:
+        self.text = self.text[:begin] + new + self.text[end:]
+        write(self._output, self.text)
 
 
 def kept(page: str, heading: str) -> str:

@@ -47,5 +47,3 @@ CoHOG, extraction includes encoding. A maximum below the minimum is as printed i
 
 TABLE_IV = {25: "1", 50: "0.989", 75: "0.914", 100: "0.853", 125: "0.797", 150: "0.663"}
 """Shift in pixels: average Recall@1."""
-
-REPEATS = 20

@@ -9,31 +9,24 @@ from typing import NamedTuple
 
 import _paper
 from _curves import draw
+from _described import UNPROCESSED, Condition, Described, city_conditions
 from _markdown import head_row, interval, paragraph, row
-from _problems import (
+from _trials import (
     CAMVID,
-    CITY,
-    CITY_FRAMES,
-    CITY_SEEDS,
     IMAGES,
     LABELS,
-    Problem,
-    camvid_problems,
-    city_problems,
-    image_problem,
-    label_problem,
-)
-from _trials import (
-    RESAMPLES,
-    TRAINED,
-    UNPROCESSED,
-    Cache,
     Outcome,
     Outcomes,
     Rival,
+    camvid_trials,
+    gives,
+    named,
+    reason,
+    trial_of,
     try_all,
-    with_network,
+    without,
 )
+from conditions import CITY_FRAMES, CITY_SEEDS, RESAMPLES
 
 from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.evaluation.metrics import Convention
@@ -42,21 +35,20 @@ from ssrvlad_torch.segmentation.segmenter import Segmenter
 CONVENTION: Convention = "vpr-bench"
 REACH = 3
 CITY_CONDITIONS = ("clean", "all together")
-NOT_HERE, NO_WEIGHTS, NOT_RUN = "not here", "weights not here", "not run"
+NOT_HERE = "not here"
+
+CITY = "Synthetic city"
+OURS = "SSR-VLAD, default"
+NETWORKS = (_paper.COHOG, _paper.NETVLAD, _paper.REGION_VLAD, _paper.LOST_X)
 
 RIVALS = (
-    Rival(_paper.COHOG, "cohog", IMAGES),
-    Rival(_paper.NETVLAD, "netvlad", IMAGES),
-    Rival(_paper.REGION_VLAD, "region-vlad", IMAGES),
-    Rival(_paper.LOST_X, "lost-x", IMAGES),
-    Rival.ssrvlad(_paper.SSR_VLAD, "paper", REACH),
-    Rival.ssrvlad(_paper.UNPROCESSED, "paper", REACH, **UNPROCESSED),
-    Rival.ssrvlad("SSR-VLAD, paper, t = 0", "paper", 0),
-    Rival.ssrvlad("SSR-VLAD, default", "default", REACH),
-    Rival.ssrvlad("SSR-VLAD, default, t = 0", "default", 0),
-    Rival("label grid", "label-grid", LABELS),
-    Rival("HOG", "hog", IMAGES),
-    Rival("tiny image", "tiny-image", IMAGES),
+    *(Rival(name, name) for name in NETWORKS),
+    Rival(_paper.SSR_VLAD, _paper.SSR_VLAD, REACH),
+    Rival(_paper.UNPROCESSED, UNPROCESSED, REACH),
+    Rival(f"{_paper.SSR_VLAD}, t = 0", _paper.SSR_VLAD),
+    Rival(OURS, OURS, REACH),
+    Rival(f"{OURS}, t = 0", OURS),
+    *(Rival(name, name) for name in ("label grid", "HOG", "tiny image")),
 )
 
 DRAWN = tuple(rival.name for rival in RIVALS if not rival.name.endswith("t = 0"))
@@ -129,10 +121,10 @@ ABOUT_CITY = f"""Not in the paper. {len(CITY_SEEDS)} cities of {CITY_FRAMES} fra
 winter, with heavy traffic and the errors of a bad segmenter. The city has no images."""
 
 
-def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
+def part(options: argparse.Namespace, described: Described) -> Iterator[str]:
     """The lines of Table I; draws the figure beside the page."""
-    problems, lacking = open_all(options)
-    outcomes = try_all(problems, with_network(RIVALS, options.segmenter), cache, options.weights)
+    problems, lacking = open_all(options, described)
+    outcomes = try_all(described, problems, RIVALS)
     if options.only is None:
         figure = options.output.parent / "figures" / "paper_pr_curves.png"
         draw(problems, outcomes, DRAWN, CONVENTION, figure)
@@ -149,44 +141,42 @@ def part(options: argparse.Namespace, cache: Cache) -> Iterator[str]:
     yield from missing(lacking, outcomes)
 
 
-def open_all(options: argparse.Namespace) -> tuple[list[Problem], Lacking]:
-    """The problems that can be searched, and what is missing."""
-    problems: list[Problem] = []
+def open_all(options: argparse.Namespace, described: Described) -> tuple[list[Condition], Lacking]:
+    """The conditions that can be searched, and what is missing."""
+    problems: list[Condition] = []
     lacking: Lacking = {(CITY, IMAGES): "it is made of label maps"}
     for chosen in PAPER_SETS:
         for kind in (LABELS, IMAGES):
             try:
-                problems.append(open_one(chosen, kind, options))
+                problems.append(open_one(chosen, kind, options, described))
             except ValueError as error:
                 lacking[chosen.name, kind] = f"{error}; {chosen.origin}"
     if options.camvid:
-        problems += camvid_problems(options.camvid)
+        problems += camvid_trials(described, options.camvid)
     else:
         for kind in (LABELS, IMAGES):
             lacking[CAMVID, kind] = (
                 "no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid"
             )
-    return problems + city_problems(CITY_CONDITIONS), lacking
+    cities = city_conditions(described, CITY_SEEDS, CITY_CONDITIONS)
+    return problems + [each._replace(dataset=CITY) for each in cities], lacking
 
 
-def looked_for(options: argparse.Namespace) -> Iterator[str]:
+def looked_for(options: argparse.Namespace, described: Described) -> Iterator[str]:
     """Lines of what the tables need, found or missing."""
-    problems, lacking = open_all(options)
+    problems, lacking = open_all(options, described)
     for problem in problems:
-        queries, references = (
-            sum(len(getattr(search, part).places[0]) for search in problem.searches)
-            for part in ("queries", "references")
-        )
-        yield f"found    {problem.name}: {queries} queries, {references} references"
-    for (name, kind), reason in lacking.items():
-        yield f"missing  {name}, {kind}: {reason}"
-    for rival in RIVALS:
-        if rival.method in TRAINED:
-            try:
-                rival.make(options.weights)
-                yield f"found    weights of {rival.name}"
-            except (FileNotFoundError, ImportError) as error:
-                yield f"missing  {rival.name}: {error}"
+        rows = [described.rows(search) for search in problem.searches]
+        queries, references = (sum(map(len, part)) for part in zip(*rows, strict=True))
+        yield f"found    {named(problem)}: {queries} queries, {references} references"
+    for (name, kind), why in lacking.items():
+        yield f"missing  {name}, {kind}: {why}"
+    for rival in NETWORKS[1:3]:
+        try:
+            described.make(rival)
+            yield f"found    weights of {rival}"
+        except (FileNotFoundError, ImportError) as error:
+            yield f"missing  {rival}: {error}"
 
 
 def folder_of(chosen: PaperSet, places: Sequence[Path]) -> Path:
@@ -202,8 +192,10 @@ def folder_of(chosen: PaperSet, places: Sequence[Path]) -> Path:
     raise ValueError(f"no folder {chosen.folder} in --data")
 
 
-def open_one(chosen: PaperSet, kind: str, options: argparse.Namespace) -> Problem:
-    """A data set of the paper as a problem of one kind.
+def open_one(
+    chosen: PaperSet, kind: str, options: argparse.Namespace, described: Described
+) -> Condition:
+    """A data set of the paper by one kind of frames.
 
     Raises:
         ValueError: it is not there, or lacks this kind.
@@ -214,31 +206,31 @@ def open_one(chosen: PaperSet, kind: str, options: argparse.Namespace) -> Proble
     whole = open_dataset(folder, chosen.layout, labels, chosen.labels_as)
     if whole.truth and whole.truth.metres is not None:
         whole = whole.posed()
-    parts = (whole.select([chosen.queries]), whole.select([chosen.references]))
-    if kind == IMAGES:
-        return image_problem(chosen.name, *parts)
+    parts = {name: whole.select([name]) for name in (chosen.queries, chosen.references)}
     segmenter = None
-    if labels is None:
+    if kind == LABELS and labels is None:
         if options.segmenter is None:
             raise ValueError(f"no label maps in {chosen.folder}/labels, and no --segmenter")
         kept = options.cache / "segmented"
         segmenter = Segmenter.load(options.segmenter, "cityscapes-trainids", kept)
-    return label_problem(chosen.name, *parts, segmenter)
+    return trial_of(described, chosen.name, kind, list(parts.values()), segmenter)
 
 
-def in_short(problems: Sequence[Problem], outcomes: Outcomes) -> Iterator[str]:
+def in_short(problems: Sequence[Condition], outcomes: Outcomes) -> Iterator[str]:
     """The effect of pre-processing and of the temporal sum, by condition."""
     yield from head_row("condition", "preset", "as in the paper", "no pre-processing", "t = 0")
     for problem in problems:
-        for preset in ("paper", "default") if problem.gives == LABELS else ():
+        for preset in ("paper", "default") if gives(problem) == LABELS else ():
             names = [f"SSR-VLAD, {preset}{end}" for end in ("", ", no pre-processing", ", t = 0")]
-            known = [outcomes.get((problem.name, name)) for name in names]
-            yield row(problem.name, preset, *(_cells(found)[1] if found else "" for found in known))
+            known = [outcomes.get((named(problem), name)) for name in names]
+            yield row(
+                named(problem), preset, *(_cells(found)[1] if found else "" for found in known)
+            )
     yield ""
 
 
 def dataset_section(
-    dataset: str, about: str, problems: Sequence[Problem], outcomes: Outcomes
+    dataset: str, about: str, problems: Sequence[Condition], outcomes: Outcomes
 ) -> Iterator[str]:
     """A table with a line for each method and condition."""
     printed = _paper.TABLE_I.get(dataset)
@@ -249,31 +241,24 @@ def dataset_section(
     yield from head_row("method", "condition", *own)
     for rival in RIVALS:
         of_paper = printed.get(rival.name, ("",) * 3) if printed else None
-        asked = [p for p in here if p.gives == rival.sees]
+        asked = [p for p in here if gives(p) == rival.sees]
         for problem in asked:
-            cells = _cells(outcomes[problem.name, rival.name])
-            yield row(rival.name, problem.condition, *_beside(cells, of_paper))
+            cells = _cells(outcomes[named(problem), rival.name])
+            yield row(rival.name, problem.name, *_beside(cells, of_paper))
         if not asked and (here or rival.name in (printed or ())):
-            reason = f"no {rival.sees}" if dataset == CITY else NOT_HERE
-            yield row(rival.name, "", *_beside([reason] * 3, of_paper))
+            why = f"no {rival.sees}" if dataset == CITY else NOT_HERE
+            yield row(rival.name, "", *_beside([why] * 3, of_paper))
     yield ""
 
 
 def _cells(outcome: Outcome) -> list[str]:
-    """`_paper.METRICS` with intervals."""
+    """`_paper.METRICS` with intervals, the first two in per cent."""
     if isinstance(outcome, str):
-        return [NO_WEIGHTS if outcome.startswith("no weights") else NOT_RUN] * 3
+        return [reason(outcome)] * 3
     figures = outcome.figures(CONVENTION)
-    ends = figures["intervals"]
-    return [
-        _per_cent(figures["recall_at_100_precision"], ends["recall_at_100_precision"]),
-        _per_cent(figures["recall_at"]["1"], ends["recall_at"]["1"]),
-        interval(figures["auc_pr"], ends["auc_pr"]),
-    ]
-
-
-def _per_cent(value: float, ends: Sequence[float]) -> str:
-    return interval(100 * value, [100 * end for end in ends], 1)
+    rates = (figures[name] for name in _paper.METRICS[:2])
+    area, *ends = figures["AUC-PR"]
+    return [*(interval(100 * a, (100 * b, 100 * c), 1) for a, b, c in rates), interval(area, ends)]
 
 
 def _beside(ours: Sequence[str], of_paper: Sequence[str] | None) -> list[str]:
@@ -286,10 +271,8 @@ def missing(lacking: Lacking, outcomes: Outcomes) -> Iterator[str]:
     """Data sets and methods that could not be run, and what they need."""
     yield "### What could not be run\n"
     kinds: dict[tuple[str, str], list[str]] = {}
-    for (dataset, kind), reason in lacking.items():
-        kinds.setdefault((dataset, reason), []).append(kind)
-    for (dataset, reason), without in kinds.items():
-        yield f"- {dataset}, {' and '.join(without)}: {reason}."
-    reasons = {rival: text for (_, rival), text in outcomes.items() if isinstance(text, str)}
-    yield from (f"- {rival}: {reason}." for rival, reason in reasons.items())
-    yield ""
+    for (dataset, kind), why in lacking.items():
+        kinds.setdefault((dataset, why), []).append(kind)
+    for (dataset, why), lacks in kinds.items():
+        yield f"- {dataset}, {' and '.join(lacks)}: {why}."
+    yield from without(outcomes)

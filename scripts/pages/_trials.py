@@ -1,260 +1,170 @@
-"""Trials: a method on a problem, cached so that an interrupted run can be resumed."""
+"""Methods as they are published, on data sets of any layout: pages of the paper and of methods.
+
+CamVid, odd against even: the even frames of all sequences are the references, the odd frames the
+queries, and a query's true matches are its neighbours in the drive.
+"""
 
 from __future__ import annotations
 
-import hashlib
-import json
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from functools import cache
-from itertools import accumulate
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache, partial
+from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
-from _problems import LABELS, Problem, Search, stamp_of
+from _costs import Cost, measure
+from _described import LOST_X, OF_PICTURES, TRAINED, Condition, Decisions, Described, decide
+from conditions import Search, camvid, every_other, labelled, pictured
 
-import ssrvlad_torch
-from ssrvlad_torch import SSRVLADConfig, baselines
-from ssrvlad_torch.baselines.run import run
-from ssrvlad_torch.baselines.weights import weights_folder
-from ssrvlad_torch.cli.output import progress_bar
-from ssrvlad_torch.evaluation.curves import PrecisionRecall
-from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
-from ssrvlad_torch.evaluation.outcomes import Rows, judge
-from ssrvlad_torch.files import replacing
+from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.datasets.dataset import Dataset
+from ssrvlad_torch.evaluation.ground_truth import from_frame_numbers, from_poses
+from ssrvlad_torch.evaluation.ground_truth_files import from_file
+from ssrvlad_torch.recognition.recognise import AS_PAPER
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 
-TOP = 10
-BLOCK = 16
-RESAMPLES = 1000
-TRAINED = ("netvlad", "region-vlad")
-"""Methods whose networks were trained."""
-
-LOST_X = "lost-x"
-"""A method that runs any segmentation network."""
-
-UNPROCESSED = {"opening": 0.0, "closing": 0.0, "hole_area": 0.0, "region_area": 0.0}
-"""SSR-VLAD without the paper's pre-processing of the label map."""
+LABELS, IMAGES = "labels", "images"
+CAMVID = "CamVid, odd against even"
 
 
-@dataclass(frozen=True)
-class Rival:
-    """A method with its settings, a row of a table.
-
-    Attributes:
-        name: in the tables.
-        method: its name in `baselines.METHODS`.
-        sees: `LABELS` or `IMAGES`.
-        settings: for `baselines.make`.
-    """
+class Rival(NamedTuple):
+    """A row of a table: a method of `_described.py`, and t of the sum over references (Eq. 3)."""
 
     name: str
     method: str
-    sees: str
-    settings: Mapping[str, Any] = field(default_factory=dict)
+    reach: int = 0
 
-    @classmethod
-    def ssrvlad(cls, name: str, preset: str, temporal: int, **settings: Any) -> Rival:
-        """SSR-VLAD."""
-        own = {"preset": preset, "temporal": temporal, **settings}
-        return cls(name, "ssr-vlad", LABELS, own)
-
-    def make(self, weights: Path | None = None, random_weights: bool = False) -> baselines.Method:
-        """The method.
-
-        Args:
-            weights: folder of the weights of trained networks.
-            random_weights: use random weights if there are no others.
-
-        Raises:
-            FileNotFoundError: there are no weights.
-            ImportError: an extra is missing.
-        """
-        if self.method not in TRAINED:
-            return baselines.make(self.method, **self.settings)
-        places = {"weights": weights} if weights else {}
-        if weights and self.method == "region-vlad":
-            places["vocabulary"] = weights
-        try:
-            return baselines.make(self.method, **places, **self.settings)
-        except FileNotFoundError:
-            if not random_weights:
-                raise
-            return baselines.make(self.method, random_weights=True, **self.settings)
-
-    def stamp(self, weights: Path | None) -> str:
-        """Text that changes with the settings, the fingerprint of a preset, and the weights."""
-        parts: list[Any] = [self.method, sorted(self.settings.items())]
-        if self.method == "ssr-vlad":
-            settings = {key: value for key, value in self.settings.items() if key != "temporal"}
-            parts.append(SSRVLADConfig.from_preset(**settings).fingerprint)
-        if self.method in TRAINED:
-            folder = weights or weights_folder()
-            files = sorted(path for path in folder.rglob("*") if path.is_file())
-            parts += [(path.name, *stamp_of(path)) for path in files]
-        return repr(parts)
+    @property
+    def sees(self) -> str:
+        """`LABELS` or `IMAGES`."""
+        return IMAGES if self.method in OF_PICTURES else LABELS
 
 
-def with_network(rivals: Iterable[Rival], network: Path | None) -> tuple[Rival, ...]:
-    """The rivals, LoST-X with a segmentation network if there is one."""
-    settings = {"network": str(network)} if network else {}
-    return tuple(replace(r, settings=settings) if r.method == LOST_X else r for r in rivals)
-
-
-def with_costs(rivals: Iterable[Rival]) -> tuple[Rival, ...]:
-    """The rivals without LoST-X if it has no network: it cannot run with random weights."""
-    return tuple(rival for rival in rivals if rival.method != LOST_X or rival.settings)
-
-
-@dataclass(frozen=True)
-class Trial:
-    """Candidates of a method.
-
-    Attributes:
-        scores, indices: ``(Q, top)`` over all queries; references count through all searches.
-        truth: true matches of each query.
-        references: their number in all searches.
-        bytes_a_reference: size of an encoded reference.
-    """
-
-    scores: np.ndarray
-    indices: Rows
-    truth: list[Rows]
-    references: int
-    bytes_a_reference: float
-
-    @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Trial:
-        """Reads a record of `to_record`."""
-        return cls(
-            np.array(record["scores"], np.float32),
-            np.array(record["indices"], np.int64),
-            [np.array(rows, np.int64) for rows in record["truth"]],
-            record["references"],
-            record["bytes_a_reference"],
-        )
-
-    def to_record(self) -> dict[str, Any]:
-        """A record for JSON."""
-        return {
-            "scores": self.scores.tolist(),
-            "indices": self.indices.tolist(),
-            "truth": [rows.tolist() for rows in self.truth],
-            "references": self.references,
-            "bytes_a_reference": self.bytes_a_reference,
-        }
-
-    def figures(self, convention: Convention) -> dict[str, Any]:
-        """All figures with intervals, see `evaluate`."""
-        return evaluate(
-            self.scores,
-            self.indices,
-            self.truth,
-            at=(1, 5),
-            convention=convention,
-            resamples=RESAMPLES,
-        )
-
-    def curve(self, convention: Convention) -> PrecisionRecall:
-        """Precision and recall."""
-        outcomes = judge(self.scores, self.indices, self.truth)
-        return precision_recall_curve(outcomes, self.truth, convention)
-
-
-Outcome = Trial | str
+Outcome = Decisions | str
 """Candidates of a method, or the reason why it could not run."""
 
 Outcomes = dict[tuple[str, str], Outcome]
-"""Outcomes by the names of problem and rival."""
+"""Outcomes by the names of condition and rival."""
 
 
-class Cache:
-    """Results as JSON files in a folder, by a digest of their origin.
-
-    The origin includes the source of the package: another version makes new results.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        folder.mkdir(parents=True, exist_ok=True)
-
-    def get(self, origin: Iterable[Any], make: Callable[[], Any]) -> Any:
-        """The cached result, or a new one."""
-        text = repr([_source(), *origin])
-        digest = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-        file = self.folder / f"{digest}.json"
-        if not file.exists():
-            made = json.dumps(make())
-            with replacing(file) as temporary:
-                temporary.write_text(made, encoding="utf-8")
-        return json.loads(file.read_text(encoding="utf-8"))
+def named(condition: Condition) -> str:
+    return f"{condition.dataset}: {condition.name}"
 
 
-@cache
-def _source() -> str:
-    """A digest of the package."""
-    content = hashlib.blake2b(digest_size=16)
-    for path in sorted(Path(ssrvlad_torch.__file__).parent.rglob("*")):
-        if path.suffix in (".py", ".yaml"):
-            content.update(path.read_bytes())
-    return content.hexdigest()
+def gives(condition: Condition) -> str:
+    """What the frames of a condition have for a rival: `LABELS` or `IMAGES`."""
+    return IMAGES if condition.name.startswith(IMAGES) else LABELS
 
 
 def try_all(
-    problems: Iterable[Problem], rivals: Iterable[Rival], results: Cache, weights: Path | None
+    described: Described, conditions: Iterable[Condition], rivals: Iterable[Rival]
 ) -> Outcomes:
-    """Runs every rival on every problem whose frames it can use; prints a line for each."""
-    pairs = [(p, r) for p in problems for r in rivals if r.sees == p.gives]
+    """Runs every rival on every condition whose frames it can use; prints a line for each."""
+    pairs = [(c, r) for c in conditions for r in rivals if r.sees == gives(c)]
     outcomes: Outcomes = {}
-    for number, (problem, rival) in enumerate(pairs, 1):
+    for number, (condition, rival) in enumerate(pairs, 1):
         begin = time.perf_counter()
-        outcome = outcomes[problem.name, rival.name] = _try(problem, rival, results, weights)
-        summary = outcome if isinstance(outcome, str) else _in_short(outcome)
+        try:
+            found: Outcome = decide(described, condition, rival.method, AS_PAPER, rival.reach)
+        except (FileNotFoundError, ImportError, ValueError) as error:
+            found = str(error).replace(str(Path.home()), "~")
+        outcomes[named(condition), rival.name] = found
         where = f"{number} of {len(pairs)}, {time.perf_counter() - begin:.0f} s"
-        print(f"[{where}] {problem.name}: {rival.name}: {summary}", flush=True)
+        summary = found if isinstance(found, str) else f"{found.right.mean():.3f} of all right"
+        print(f"[{where}] {named(condition)}: {rival.name}: {summary}", flush=True)
     return outcomes
 
 
-def _in_short(trial: Trial) -> str:
-    rate = evaluate(trial.scores, trial.indices, trial.truth, at=(1,))["recall_at"]["1"]
-    return f"RecallRate@1 {rate:.3f}"
+def without(outcomes: Outcomes) -> Iterator[str]:
+    """Lines about the rivals that could not run."""
+    reasons = {rival: text for (_, rival), text in outcomes.items() if isinstance(text, str)}
+    yield from (f"- {rival}: {reason}." for rival, reason in reasons.items())
+    yield ""
 
 
-def _try(problem: Problem, rival: Rival, results: Cache, weights: Path | None) -> Outcome:
-    try:
-        method = rival.make(weights)
-        origin = ("trial", problem.stamp, rival.stamp(weights))
-        return Trial.of(results.get(origin, lambda: _run(method, problem).to_record()))
-    except (FileNotFoundError, ImportError, ValueError) as error:
-        return str(error).replace(str(Path.home()), "~")
+def reason(outcome: str) -> str:
+    """Why a rival could not run, in a cell of a table."""
+    return "weights not here" if outcome.startswith("no weights") else "not run"
 
 
-def _run(method: baselines.Method, problem: Problem) -> Trial:
-    found = [_search(method, search) for search in problem.searches]
-    ends = list(accumulate(trial.references for trial in found))
-    starts = [0, *ends[:-1]]
-    both = list(zip(found, starts, strict=True))
-    return Trial(
-        np.concatenate([trial.scores for trial in found]),
-        np.concatenate([np.where(t.indices < 0, -1, t.indices + start) for t, start in both]),
-        [rows + start for trial, start in both for rows in trial.truth],
-        ends[-1],
-        sum(trial.bytes_a_reference * trial.references for trial in found) / ends[-1],
+def costs(
+    described: Described,
+    methods: Iterable[str],
+    frames: Sequence[Frame],
+    references: int,
+    rounds: tuple[int, int],
+) -> dict[str, Cost]:
+    """Costs of methods by their names, in so many rounds, and rounds of trained networks; without
+    weights these have random ones, LoST-X cannot."""
+    able = [name for name in methods if name != LOST_X or described.network]
+    return measure(
+        {name: partial(described.make, name, True) for name in able},
+        frames,
+        references,
+        {name: rounds[name in TRAINED] for name in able},
     )
 
 
-def _search(method: baselines.Method, search: Search) -> Trial:
-    truth = search.truth
-    count = sum(len(drive.places[0]) for drive in (search.queries, search.references))
-    with progress_bar(method.name, count) as bar:
-        found = run(
-            method, search.queries, search.references, TOP, block=BLOCK, progress=bar.advance
+def shown(name: str, cost: Cost) -> str:
+    """The method's name in a table of costs."""
+    return f"{name} (random weights)" if "random" in cost.method else name
+
+
+def camvid_trials(described: Described, folder: Path) -> list[Condition]:
+    """Hand-made labels, a network's labels against them, and the images."""
+    for kind in ("labels", "predicted_espnetv2"):
+        described.added[f"camvid {kind}"] = partial(camvid, folder, kind)
+    names, _ = described.about("camvid labels")
+    odd, even = every_other(names, 1), every_other(names, 0)
+    truth = from_frame_numbers(*([names[row] for row in rows] for rows in (odd, even)), 1)
+    return [
+        Condition(CAMVID, name, [Search(f"camvid {kind}", "camvid labels", truth, odd, even)])
+        for name, kind in (
+            ("labels -> labels", "labels"),
+            ("espnetv2 -> labels", "predicted_espnetv2"),
+            ("images -> images", "labels"),
         )
-    return Trial(
-        found.scores.numpy(),
-        found.indices.numpy(),
-        truth,
-        len(found.references),
-        found.bytes_a_reference,
-    )
+    ]
+
+
+def trial_of(
+    described: Described,
+    name: str,
+    kind: str,
+    parts: Sequence[Dataset],
+    segmenter: Segmenter | None = None,
+) -> Condition:
+    """Two parts of a data set, queries and references, by its images, by its label maps, or by
+    those of a segmenter.
+
+    Raises:
+        ValueError: the data set has no ground truth, or it does not fit the frames.
+    """
+    drives = []
+    for part in parts:
+        own = kind == LABELS and segmenter is None
+        files = part.label_files() if own else part.image_files()
+        stats = [(file.frame, file.path.stat()) for file in files]
+        stamp = repr([(frame, stat.st_size, stat.st_mtime_ns) for frame, stat in stats])
+        drive = f"{name} {kind} {blake2b(stamp.encode(), digest_size=8).hexdigest()}"
+        read = partial(labelled, files, str(part.labels_as)) if own else partial(pictured, files)
+        described.add(drive, files, cache(read if segmenter is None else partial(read, segmenter)))
+        drives.append(drive)
+    word = "segmented" if segmenter else kind
+    truth = truth_of(parts[0], *(described.about(drive) for drive in drives))
+    return Condition(name, f"{word} -> {word}", [Search(*drives, truth)])
+
+
+def truth_of(dataset: Dataset, queries: tuple, references: tuple) -> list[np.ndarray]:
+    """True matches by the ground truth of a data set, of ids and poses."""
+    truth = dataset.truth
+    if truth is None:
+        raise ValueError("; ".join(dataset.notes) or f"{dataset.root} has no ground truth")
+    if truth.metres is not None:
+        return from_poses(queries[1], references[1], truth.metres)
+    if truth.frames is not None:
+        return from_frame_numbers(queries[0], references[0], truth.frames)
+    known = from_file(truth.file, queries[0], references[0])
+    return [np.zeros(0, np.int64) if rows is None else rows for rows in known]

@@ -1,32 +1,30 @@
-"""The conditions under which the pages measure recognition.
+"""Drives that pages measure, and what is kept of them on disk.
 
-camvid-odd-even: the even frames of all sequences are the references, the odd frames the queries,
-and the true matches of a query are its neighbours in the drive. CamVid is not part of this project:
-its folder has one folder per sequence with `labels`, `predicted_espnetv2` and
-`predicted_dicenet`. Without it only the city is measured.
-
-The synthetic city is driven once as reference and once under every condition. Each city is
-searched alone, and a true match is within 5 m.
+CamVid is not part of this project: its folder has one folder per sequence with `images`, `labels`,
+`predicted_espnetv2` and `predicted_dicenet`. Real traverses are folders with `images` and the label
+maps of two networks, `predicted_espnetv2` and `predicted_dabnet`. The synthetic city is driven once
+as reference and once under every condition; each city is searched alone, and a true match is within
+5 m.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig, baselines
+from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.datasets.frame_files import FrameFile
+from ssrvlad_torch.datasets.image_files import decode_image
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.datasets.segmentation_noise import SegmentationNoise
 from ssrvlad_torch.datasets.synthetic_city import Conditions, SyntheticCity
-from ssrvlad_torch.stages.bitplanes import pack
+from ssrvlad_torch.segmentation.segmenter import Segmenter
 from ssrvlad_torch.taxonomy import label_space
 
 RESAMPLES = 1000
@@ -35,11 +33,19 @@ METRES = 5.0
 CITY_SEEDS = (0, 1, 2)
 CITY_FRAMES = 100
 CITY_SIZE = (240, 320)
-SPACES = {
-    "labels": "camvid-11",
-    "predicted_espnetv2": "cityscapes-trainids",
-    "predicted_dicenet": "cityscapes-trainids",
+TRAIN_IDS = "cityscapes-trainids"
+NETWORKS = ("espnetv2", "dabnet")
+REAL = {
+    "UofA": {"evening -> day": ("uofa/evening", "uofa/day", 1)},
+    "Gardens Point": {
+        "right -> left": ("gardens_walk/day_right", "gardens_walk/day_left", 2),
+        "night -> right": ("gardens_walk/night_right", "gardens_walk/day_right", 2),
+        "night -> left": ("gardens_walk/night_right", "gardens_walk/day_left", 2),
+    },
 }
+"""Queries, references, and the largest distance of a true match in rows."""
+
+ROUTES = {name: route for routes in REAL.values() for name, route in routes.items()}
 CAMVID_CONDITIONS = {
     "labels -> labels": ("labels", "labels"),
     "espnetv2 -> labels": ("predicted_espnetv2", "labels"),
@@ -73,81 +79,63 @@ CITY_CONDITIONS: dict[str, list[Conditions]] = {
 """All have other traffic than the reference and are 0.7 m to its left."""
 
 
+class Search(NamedTuple):
+    """Queries, references and true matches, by names of drives and rows of them."""
+
+    queries: str
+    references: str
+    truth: list[np.ndarray]
+    query_rows: list[int] | None = None
+    reference_rows: list[int] | None = None
+
+
 @dataclass(frozen=True)
 class Drive:
-    """Frames of a drive: ids, poses, label maps ``(n, H, W)``, their label space, pictures."""
+    """Frames of a drive: ids, poses ``(n, 3)``, label maps ``(n, H, W)`` and their label space,
+    pictures. The city has no pictures, and some data sets no label maps."""
 
     frames: tuple[str, ...]
     poses: np.ndarray
-    maps: np.ndarray
-    labels_as: str
+    maps: np.ndarray | None = None
+    labels_as: str | None = None
     pictures: tuple[Path, ...] = ()
 
-    @property
-    def sequences(self) -> tuple[str, ...]:
-        return tuple(frame.rpartition("/")[0] for frame in self.frames)
+    def seen(self, rows: Sequence[int] | None = None) -> Iterator[Frame]:
+        """Frames for a method, all or some."""
+        for row in range(len(self.frames)) if rows is None else rows:
+            labels = None if self.maps is None else self.maps[row]
+            picture = decode_image(self.pictures[row].read_bytes()) if self.pictures else None
+            yield Frame(self.frames[row], labels, self.labels_as, picture)
 
 
-Describe = Callable[[Drive], Tensor]
-"""A drive's descriptors, ``(n, D)``."""
+def labelled(files: Sequence[FrameFile], labels_as: str, pictures: Sequence[Path] = ()) -> Drive:
+    """A drive of label maps on disk."""
+    space = label_space(labels_as)
+    maps = np.stack([read_label_map(file, space) for file in files])
+    return Drive(*places_of(files), maps, labels_as, tuple(pictures))
 
 
-def described_by(config: SSRVLADConfig) -> Describe:
-    """SSR-VLAD with some settings."""
-    heads = {space: SSRVLAD(_as(config, space)) for space in set(SPACES.values())}
+def pictured(files: Sequence[FrameFile], segmenter: Segmenter | None = None) -> Drive:
+    """A drive of pictures, with the label maps of a network if there is one.
 
-    def describe(drive: Drive) -> Tensor:
-        batches = torch.from_numpy(drive.maps).split(BATCH)
-        return torch.cat([heads[drive.labels_as](batch) for batch in batches])
-
-    return describe
-
-
-def described_by_baseline(name: str) -> Describe:
-    """A method of label maps."""
-    method = baselines.make(name)
-
-    def describe(drive: Drive) -> Tensor:
-        frames = zip(drive.frames, drive.maps, strict=True)
-        found: Tensor = method.encode_query(
-            baselines.Frame(frame, labels, drive.labels_as) for frame, labels in frames
-        )
-        return found
-
-    return describe
+    Raises:
+        ValueError: the network cannot label a picture.
+    """
+    paths = tuple(file.path for file in files)
+    if segmenter is None:
+        return Drive(*places_of(files), pictures=paths)
+    maps = []
+    for file, labels in segmenter.label_maps(files):
+        if isinstance(labels, ValueError):
+            raise ValueError(f"{file.path}: {labels}")
+        maps.append(labels)
+    return Drive(*places_of(files), np.stack(maps), segmenter.label_space.name, paths)
 
 
-class Masks(NamedTuple):
-    """What the front end of the preset `default` leaves of a drive: ``(n, h, w)`` bit-planes."""
-
-    layers: Tensor
-    clean: Tensor
-    skeleton: Tensor
-
-
-def described_from_masks(step: Callable[[Masks], Tensor]) -> Describe:
-    """A way to describe that needs no more than the masks, which are made once a drive."""
-
-    def describe(drive: Drive) -> Tensor:
-        if id(drive) not in _MASKS:
-            _MASKS[id(drive)] = _masks(drive)
-        return step(_MASKS[id(drive)])
-
-    return describe
-
-
-_MASKS: dict[int, Masks] = {}
-
-
-def _masks(drive: Drive) -> Masks:
-    head = SSRVLAD.from_preset("default", labels_as=drive.labels_as)
-    views = [head.explain(batch) for batch in torch.from_numpy(drive.maps).split(BATCH)]
-    kept = ("layers", "clean_layers", "skeleton")
-    return Masks(*(torch.cat([pack(getattr(view, name)) for view in views]) for name in kept))
-
-
-def _as(config: SSRVLADConfig, space: str) -> SSRVLADConfig:
-    return SSRVLADConfig.from_dict({**config.to_dict(), "labels_as": space})
+def places_of(files: Sequence[FrameFile]) -> tuple[tuple[str, ...], np.ndarray]:
+    """Ids and poses ``(n, 3)``."""
+    poses = np.array([file.pose for file in files], np.float64).reshape(-1, 3)
+    return tuple(file.frame for file in files), poses
 
 
 @cache
@@ -156,30 +144,48 @@ def camvid(folder: Path, kind: str) -> Drive:
     files: list[FrameFile] = []
     for sequence in sorted(path.name for path in folder.iterdir() if path.is_dir()):
         files += find_label_files([str(folder / sequence / kind)], sequence)
-    space = label_space(SPACES[kind])
-    return Drive(
-        tuple(file.frame for file in files),
-        np.full((len(files), 3), np.nan),
-        np.stack([read_label_map(file, space) for file in files]),
-        SPACES[kind],
-        tuple(folder / file.sequence / "images" / f"{file.name}.jpg" for file in files),
-    )
+    pictures = [folder / file.sequence / "images" / f"{file.name}.jpg" for file in files]
+    return labelled(files, "camvid-11" if kind == "labels" else TRAIN_IDS, pictures)
 
 
 @cache
-def city(seed: int, conditions: Conditions) -> Drive:
+def real(folder: Path, network: str) -> Drive:
+    """A real traverse with the label maps of a network."""
+    files = find_label_files([str(folder / f"predicted_{network}")], folder.name)
+    pictures = [next((folder / "images").glob(f"{file.name}.*")) for file in files]
+    return labelled(files, TRAIN_IDS, pictures)
+
+
+@cache
+def city(
+    seed: int,
+    conditions: Conditions,
+    frames: int = CITY_FRAMES,
+    size: tuple[int, int] = CITY_SIZE,
+) -> Drive:
     """One drive through one city."""
-    frames = list(SyntheticCity(seed).traverse(CITY_FRAMES, conditions, CITY_SIZE))
+    drawn = list(SyntheticCity(seed).traverse(frames, conditions, size))
     return Drive(
-        tuple(f"city{seed}/{frame.name}" for frame in frames),
-        np.array([frame.pose for frame in frames]),
-        np.stack([frame.labels for frame in frames]),
-        "cityscapes-trainids",
+        tuple(f"city{seed}/{frame.name}" for frame in drawn),
+        np.array([frame.pose for frame in drawn]),
+        np.stack([frame.labels for frame in drawn]),
+        TRAIN_IDS,
     )
 
 
-def every_other(drive: Drive, start: int) -> list[int]:
-    """Of each sequence the rows of frame ``start`` and every second after it."""
-    sequences = np.array(drive.sequences)
+def every_other(frames: Sequence[str], start: int) -> list[int]:
+    """Rows of every second frame of each sequence, from frame ``start``."""
+    sequences = np.array([frame.rpartition("/")[0] for frame in frames])
     chosen = [np.flatnonzero(sequences == name)[start::2] for name in dict.fromkeys(sequences)]
     return np.concatenate(chosen).tolist()
+
+
+def kept(file: Path, make: Callable[[], Any]) -> Any:
+    """What was made, kept in a file: an interrupted run can be resumed."""
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_suffix(".tmp")
+        torch.save(make(), temporary)
+        temporary.replace(file)
+        print(file.stem, flush=True)
+    return torch.load(file, weights_only=False)

@@ -9,7 +9,7 @@ both networks are averaged in 24 x 32 cells and cached in `--cache`, 1 GB: 20 mi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -17,90 +17,52 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
-from _described import LAST, NETWORKS, REAL, Described, real
-from _markdown import head_row, kept, parser, row, write
+from _described import LAST, Described
+from _markdown import Page, head_row, parser, row
+from conditions import NETWORKS, ROUTES, real
 from torch import Tensor
 
 from ssrvlad_torch.datasets.image_files import decode_image
 
 FINE = (24, 32)
 GRID = (12, 16)
-ROUTES = {name: route for routes in REAL.values() for name, route in routes.items()}
 SIDES = (-2, -1, 0, 1, 2)
 HALVES = ("first", "second")
 
-HEAD = f"""# Features
-
-Written by `scripts/pages/features.py`. What the encoder of a segmentation network sees says more
-about a place than its labels, and the network has computed it already. How a picture becomes 2048
-bytes:
-
-1. The last activation of the encoder at stride 8, or at half the coarsest stride if that is finer,
-   is averaged in 16 x 16 cells.
-2. Each channel is normalised over the cells of its own picture: mean off, divided by the deviation.
-3. 64 random projections of each cell keep their signs. Each row of cells has its own projections,
-   and all columns of a row share them: moved or mirrored pictures have moved or mirrored signs.
-
-The score is the cosine of signs, over the columns that overlap, for the best of five moves by up to
-two columns. `stages.features` and `recognition.signs` do this.
-
-The tables show RecallRate@1 of single pictures, one line for each network. *Own means off*
-subtracts the mean of each traverse. *First* and *second* are means over the four conditions, each
-half of a traverse searched in the same half of the other. All figures were in view when the form
-was chosen, so none is an independent test of it. Activations are averages in
-{FINE[0]} x {FINE[1]} cells, so figures
-differ a little from those of [fusion](fusion.md).
-"""
-
-STORED = """## What is stored
-
-Floats of 12 x 16 cells take 200 kB a picture and more; all other lines are 2 kB or less. The line
-of the last activation of the encoder says why an earlier one is taken. Where all cells share their
-projections, luck decides: three draws.
-"""
-
 Activations = Callable[[str, str], Tensor]
-Scores = Callable[[Tensor, Tensor], Tensor]
 
 
 def main() -> None:
     options = parser(__doc__, "features.md", "activations").parse_args()
     torch.set_num_threads(1)
     options.cache.mkdir(parents=True, exist_ok=True)
-    known = partial(pooled, options.data, options.cache)
-    write(
-        options.output, "\n".join([*page(known), kept("features.md", "## What was tried")]) + "\n"
-    )
+    page = Page("features.md", options.output)
+    page.table("## What is stored\n", table(partial(pooled, options.data, options.cache)))
 
 
-def page(known: Callable[[str, str, str], Tensor]) -> Iterator[str]:
-    yield HEAD
+def table(known: Callable[[str, str, str], Tensor]) -> Iterator[str]:
+    """The rates of every form."""
     ways = ("raw", "own means off")
     names = [f"{way}, {name}" for way, name in product(ways, (*ROUTES, *HALVES))]
-    floats = partial(cells, known, "fine")
-    yield STORED
     yield from head_row("form", "network", *names)
-    yield from lines("floats, 12 x 16", floats, best_move)
-    last = partial(cells, known, "last")
-    yield from lines("floats, 12 x 16, last of the encoder", last, best_move)
+    yield from lines("floats, 12 x 16", partial(cells, known, "fine"))
+    yield from lines("floats, 12 x 16, last of the encoder", partial(cells, known, "last"))
     for (rows, columns), bits in (((16, 16), 64), ((12, 16), 85), ((8, 16), 128), ((6, 8), 341)):
         form = f"{rows} x {columns} cells, {bits} signs"
-        yield from lines(form, signs(known, (rows, columns), bits, True), best_move)
-    yield from lines("12 x 16 cells, 42 signs", signs(known, GRID, 42, True), best_move)
+        yield from lines(form, signs(known, (rows, columns), bits, True))
+    yield from lines("12 x 16 cells, 42 signs", signs(known, GRID, 42, True))
     for draw in range(3):
         shared = signs(known, GRID, 85, False, draw)
-        yield from lines("12 x 16 cells, 85 signs, shared projections", shared, best_move)
-    yield ""
+        yield from lines("12 x 16 cells, 85 signs, shared projections", shared)
 
 
-def lines(name: str, activations: Activations, score: Scores) -> Iterator[str]:
+def lines(name: str, activations: Activations) -> Iterator[str]:
     """The rates of all conditions by each network."""
     for network in NETWORKS:
         rates = []
         for standardised in (False, True):
             found = [
-                rates_of(activations, network, *route, standardised, score)
-                for route in ROUTES.values()
+                rates_of(activations, network, *route, standardised) for route in ROUTES.values()
             ]
             whole, *halves = zip(*found, strict=True)
             rates += [f"{rate:.2f}" for rate in whole] + [f"{np.mean(h):.3f}" for h in halves]
@@ -115,14 +77,13 @@ def rates_of(
     references: str,
     reach: int,
     standardised: bool,
-    score: Scores,
 ) -> list[float]:
     """RecallRate@1 of whole traverses, of their first and of their second halves."""
     here, there = activations(network, queries), activations(network, references)
     middle, rates = len(here) // 2, []
     for part in (slice(None), slice(None, middle), slice(middle, None)):
         q, r = (own_mean_off(x[part]) if standardised else x[part] for x in (here, there))
-        rows = score(q, r).argmax(1)
+        rows = best_move(q, r).argmax(1)
         rates.append(float(((rows - torch.arange(len(q))).abs() <= reach).float().mean()))
     return rates
 
@@ -155,13 +116,10 @@ def cells(
     network: str,
     drive: str,
     grid: tuple[int, int] = GRID,
-    norm: bool = True,
-    row_mean: float = 0.0,
 ) -> Tensor:
     """``(N, C, rows, columns)``, cells of length 1."""
     grids = F.adaptive_avg_pool2d(known(network, which, drive).float(), grid)
-    grids = instance_norm(grids) if norm else grids
-    return F.normalize(grids - row_mean * grids.mean(3, keepdim=True), dim=1)
+    return F.normalize(instance_norm(grids), dim=1)
 
 
 def instance_norm(grids: Tensor) -> Tensor:
@@ -189,28 +147,21 @@ def signs(
     return of
 
 
-def best_move(
-    queries: Tensor,
-    references: Tensor,
-    moves: Sequence[int] = SIDES,
-    rows: Sequence[int] = (0,),
-    cost: float = 0.0,
-) -> Tensor:
+def best_move(queries: Tensor, references: Tensor) -> Tensor:
     """``(Q, R)`` cosines over the cells that overlap, for the best move."""
     steps = max(1, queries.shape[3] // GRID[1])
     found = []
-    for move, down in product(moves, rows):
+    for move in SIDES:
         here, there = (
-            overlap(overlap(each, sign * move * steps, 3), sign * down, 2).flatten(1)
+            overlap(each, sign * move * steps).flatten(1)
             for each, sign in ((queries, 1), (references, -1))
         )
-        found.append(F.normalize(here) @ F.normalize(there).T - cost * abs(move))
+        found.append(F.normalize(here) @ F.normalize(there).T)
     return torch.stack(found).amax(0)
 
 
-def overlap(grids: Tensor, move: int, axis: int) -> Tensor:
-    kept = grids.shape[axis] - abs(move)
-    return grids.narrow(axis, max(0, move), kept)
+def overlap(grids: Tensor, move: int) -> Tensor:
+    return grids.narrow(3, max(0, move), grids.shape[3] - abs(move))
 
 
 if __name__ == "__main__":

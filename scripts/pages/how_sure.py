@@ -10,27 +10,39 @@ instead, fitted to the conditions of `CHOSEN`.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import matplotlib.pyplot as plt
 import numpy as np
 import torch
 import torch.nn.functional as F
-from _described import NETWORKS
-from _halves import DRIVES, ROUTES
-from _markdown import head_row, interval, paragraph, parser, row, write
-from _searches import by_grid, by_hog, by_labels, searches
-from conditions import BATCH, CITY_CONDITIONS, METRES, city
+from _described import OURS, swept
+from _markdown import head_row, interval, paragraph, parser, row, save, write
+from conditions import (
+    CAMVID_CONDITIONS,
+    CITY_CONDITIONS,
+    METRES,
+    NETWORKS,
+    ROUTES,
+    TRAIN_IDS,
+    Drive,
+    city,
+    kept,
+    labelled,
+    pictured,
+)
+from matplotlib.figure import Figure
 from torch import Tensor
 
-from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, follow, standardise
+from ssrvlad_torch import Segmenter, SSRVLADConfig, follow, standardise
 from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.baselines.label_grid import LabelGrid
 from ssrvlad_torch.datasets.image_files import find_image_files, read_image
+from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
 from ssrvlad_torch.descriptor import mirrored
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
@@ -95,6 +107,7 @@ FOREIGN = (
     ("uofa/day", "camvid/0016E5"),
     ("camvid/0001TP", "camvid/0016E5"),
 )
+DRIVES = ("0001TP", "0016E5")
 STREETS = ("clean", "noise 4", "4 m aside", "all together")
 CHOSEN = ("uofa", "0001TP", "city 0")
 METHODS = ("label maps", "features", "HOG", "label grid", "fused")
@@ -277,7 +290,8 @@ def calibration(some: Sequence[Outcome]) -> tuple[str, list[str]]:
 
 def draw(outcomes: dict[str, list[Outcome]], file: Path) -> None:
     """Reliability of confidence on real pairs, and the estimate at 20 % beside the truth."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
+    figure = Figure(figsize=(9, 4), layout="constrained")
+    left, right = figure.subplots(1, 2)
     for steps, found in outcomes.items():
         real = [each for each in found if each.group == "real"]
         sure, hits = (np.concatenate([getattr(e, k) for e in real]) for k in ("sure", "strict"))
@@ -302,8 +316,7 @@ def draw(outcomes: dict[str, list[Outcome]], file: Path) -> None:
     for group, colour in colours.items():
         right.plot([], [], ".", color=colour, label=group)
     right.legend(loc="lower right")
-    file.parent.mkdir(exist_ok=True)
-    figure.savefig(file, dpi=110)
+    save(figure, file)
 
 
 def outcome(condition: Condition, steps: str) -> Outcome:
@@ -313,7 +326,7 @@ def outcome(condition: Condition, steps: str) -> Outcome:
     names = sequences, ["map"] * len(condition.references)
     mirror = MIRRORS.get(condition.method, partial(mirrored, config=CONFIG))
     pair, beside = (condition.queries, condition.references), condition.beside
-    found = recognise(*pair, *names, STEPS[steps], 1, beside=beside, mirrors={SSR_VLAD: mirror})
+    found = recognise(*pair, *names, STEPS[steps], 1, extra=beside, mirrors={SSR_VLAD: mirror})
     rows = found.matches.indices[:, 0].numpy()
     near = [
         bool(len(true)) and int(abs(true - row).min())
@@ -379,27 +392,46 @@ def pair_of(
 
 
 def in_camvid(data: Path, cached: Path) -> Iterator[Condition]:
-    for search in searches(data):
-        drive = search.queries[0]
-        if not drive.startswith("camvid"):
-            continue
-        pair = search.query_rows, search.reference_rows
-        here, there = (
-            described(data, cached, "label maps", kind, drive, space)[rows]
-            for (_, kind, space), rows in zip(
-                (search.queries, search.references), pair, strict=True
-            )
-        )
-        yield Condition("real", search.name, "label maps", here, middle(there), search.truth, {})
+    for each in of_camvid(data):
+        here, there = of_kinds(data, cached, each)
+        yield Condition("real", each.name, "label maps", here, middle(there), each.truth, {})
     for drive, (method, network) in product(DRIVES, RUNS):
         if method == "label maps":
             continue
-        search = next(each for each in searches(data) if each.name.startswith(drive))
-        rows = search.query_rows, search.reference_rows
+        each = next(each for each in of_camvid(data) if each.drive == drive)
         here, there, beside = pair_of(data, cached, method, network, *[f"camvid/{drive}"] * 2)
-        beside = {name: (q[rows[0]], r[rows[1]]) for name, (q, r) in beside.items()}
-        pair = here[rows[0]], there[rows[1]]
-        yield Condition("real", f"{drive}, {network}", method, *pair, search.truth, beside)
+        beside = {name: (q[each.odd], r[each.even]) for name, (q, r) in beside.items()}
+        pair = here[each.odd], there[each.even]
+        yield Condition("real", f"{drive}, {network}", method, *pair, each.truth, beside)
+
+
+class OddEven(NamedTuple):
+    """Odd frames of a drive of CamVid by one kind of label maps against even ones by another."""
+
+    name: str
+    drive: str
+    kinds: tuple[str, str]
+    odd: np.ndarray
+    even: np.ndarray
+    truth: list[np.ndarray]
+
+
+def of_camvid(data: Path) -> Iterator[OddEven]:
+    same = json.loads((data / "camvid" / "same_place_odd_even.json").read_text())
+    for drive in DRIVES:
+        names = [file.stem for file in sorted((data / "camvid" / drive / "labels").iterdir())]
+        odd, even = np.arange(1, len(names), 2), np.arange(0, len(names), 2)
+        at = {f"{drive}/{names[row]}": number for number, row in enumerate(even)}
+        truth = [np.array([at[frame] for frame in same[f"{drive}/{names[n]}"]]) for n in odd]
+        for name, kinds in CAMVID_CONDITIONS.items():
+            yield OddEven(f"{drive}, {name}", drive, kinds, odd, even, truth)
+
+
+def of_kinds(data: Path, cached: Path, each: OddEven) -> Iterator[Tensor]:
+    """Label maps of the queries and of the references."""
+    for kind, rows in zip(each.kinds, (each.odd, each.even), strict=True):
+        space = "camvid-11" if kind == "labels" else TRAIN_IDS
+        yield described(data, cached, "label maps", kind, f"camvid/{each.drive}", space)[rows]
 
 
 def in_cities(cached: Path) -> Iterator[Condition]:
@@ -416,11 +448,8 @@ def in_cities(cached: Path) -> Iterator[Condition]:
 @cache
 def of_city(cached: Path, seed: int, name: str) -> Tensor:
     def make() -> Tensor:
-        drive = city(seed, REFERENCE if name == "reference" else CITY_CONDITIONS[name][0])
-        head = SSRVLAD(CONFIG)
-        return torch.cat(
-            [head.sweep(part, COLUMNS) for part in torch.from_numpy(drive.maps).split(BATCH)]
-        )
+        conditions = REFERENCE if name == "reference" else CITY_CONDITIONS[name][0]
+        return swept(city(seed, conditions), OURS)
 
     return kept(cached / f"city {seed} {name}.pt", make)
 
@@ -432,37 +461,26 @@ def described(
     """The descriptors of a folder by a method; of label maps ``(N, S, 480)``. The networks whose
     label maps are stored with CamVid are others than those of the other folders."""
     named = f"{method} {network} {folder}".replace("/", " ")
-    pictures = data / folder / "images"
-
-    def features() -> Tensor:
-        name = str(data / "networks" / f"{network}.yaml")
-        segmenter = Segmenter.load(name, "cityscapes-trainids")
-        frames = map(read_image, find_image_files([str(pictures)]))
-        return torch.stack(
-            [
-                torch.as_tensor(segmenter.segment([each], features=True)[0].features)
-                for each in frames
-            ]
-        )
-
+    files = find_image_files([str(data / folder / "images")])
     maps = data / folder / (network if space else f"predicted_{network}")
     if not maps.is_dir():
         maps = data / folder / "predicted_dicenet"
+
+    def drive() -> Drive:
+        return labelled(find_label_files([str(maps)]), space or TRAIN_IDS)
+
+    def features() -> Tensor:
+        segmenter = Segmenter.load(str(data / "networks" / f"{network}.yaml"), TRAIN_IDS)
+        found = (segmenter.segment([read_image(file)], features=True)[0].features for file in files)
+        return torch.stack([torch.as_tensor(each) for each in found])
+
     makers = {
-        "label maps": partial(by_labels, maps, space or "cityscapes-trainids"),
-        "label grid": partial(by_grid, maps, space or "cityscapes-trainids"),
+        "label maps": lambda: swept(drive(), OURS),
+        "label grid": lambda: LabelGrid().encode_query(drive().seen()),
         "features": features,
-        "HOG": partial(by_hog, pictures),
+        "HOG": lambda: HOG().encode_query(pictured(files).seen()),
     }
     return kept(cached / f"{named}.pt", makers[method])
-
-
-def kept(file: Path, make: Callable[[], Any]) -> Any:
-    """What was made, kept in a file."""
-    if not file.exists():
-        torch.save(make(), file)
-        print(file.stem, flush=True)
-    return torch.load(file, weights_only=False)
 
 
 def middle(vectors: Tensor) -> Tensor:

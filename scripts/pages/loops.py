@@ -16,10 +16,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from _halves import ROUTES
 from _loops_real import real_drives
-from _markdown import DOCS, first_table, head_row, interval, paragraph, parser, quote, row, write
+from _markdown import (
+    DOCS,
+    first_table,
+    head_row,
+    interval,
+    paragraph,
+    parser,
+    quote,
+    row,
+    save,
+    write,
+)
 from _tours import Tour, Tours, all_tours, head
+from conditions import ROUTES
 from matplotlib.figure import Figure
 
 from ssrvlad_torch import LoopConfig, LoopDetector
@@ -34,7 +45,7 @@ from ssrvlad_torch.evaluation.loops import (
     score_loops,
     surest_point,
 )
-from ssrvlad_torch.files import replacing, write_picture
+from ssrvlad_torch.files import write_picture
 from ssrvlad_torch.loops.picture import draw_loops
 from ssrvlad_torch.loops.result import LoopResult, Reason
 from ssrvlad_torch.loops.stream import candidates_of, loops_of
@@ -249,8 +260,7 @@ def draw_curves(path: Path, curves: Mapping[str, PrecisionRecall]) -> None:
     axes.set(xlim=(0, 1), ylim=(0.8, 1.005), xlabel="recall", ylabel="precision")
     axes.grid(lw=0.3)
     axes.legend(loc="lower left", frameon=False)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+    save(figure, path)
 
 
 def excerpt(page: str) -> str:

@@ -4,58 +4,54 @@
     .venv/bin/python scripts/pages/methods.py --camvid ../shared/data/camvid \
         --corridor ../shared/data/vprbench/corridor
 
-Neither data set is part of this project. For CamVid see `_problems.py`. `corridor` has the layout
+Neither data set is part of this project. For CamVid see `_trials.py`. `corridor` has the layout
 of VPR-Bench: `query` and `ref`, and the ground truth and stored results in the folder or beside it
-(see `_stored.py`). The accuracy on real traverses is read from docs/results.csv, see `results.py`.
-Results are cached in `--cache`, so an interrupted run can be resumed.
+(see `stored_in`). The accuracy on real traverses is read from docs/results.csv, see `results.py`.
+Descriptors are cached in `--cache`, so an interrupted run can be resumed.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict
-from functools import partial
-from itertools import islice
+from collections.abc import Iterator
+from itertools import pairwise
 from pathlib import Path
 from statistics import mean, median
 
-from _costs import ENCODED, Cost, measure
+import numpy as np
+from _costs import ENCODED
+from _described import FIGURES, OF_PICTURES, Condition, Decisions, Described
 from _markdown import head_row, interval, paragraph, processor, row, significant, write
-from _problems import IMAGES, LABELS, Drive, Problem, camvid_problems, image_problem
-from _stored import stored_trials
 from _trials import (
-    TRAINED,
-    Cache,
+    IMAGES,
     Outcome,
     Outcomes,
     Rival,
-    Trial,
+    camvid_trials,
+    costs,
+    named,
+    reason,
+    shown,
+    trial_of,
     try_all,
-    with_costs,
-    with_network,
+    without,
 )
 
-from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.datasets.layouts import open_dataset
 
 CORRIDOR = "Corridor"
 PICTURES = 8
 ROUNDS, ROUNDS_OF_NETWORKS = 40, 8
-COLUMNS = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
-
 RIVALS = (
-    *(Rival.ssrvlad(f"SSR-VLAD, {preset}", preset, 0) for preset in ("paper", "default")),
-    Rival("label grid", "label-grid", LABELS),
-    Rival("HOG", "hog", IMAGES),
-    Rival("CoHOG", "cohog", IMAGES),
-    Rival("NetVLAD", "netvlad", IMAGES),
-    Rival("Region-VLAD", "region-vlad", IMAGES),
-    Rival("LoST-X", "lost-x", IMAGES),
-    Rival("tiny image", "tiny-image", IMAGES),
+    *("SSR-VLAD, paper", "SSR-VLAD, default", "label grid", "HOG", "CoHOG"),
+    *("NetVLAD", "Region-VLAD", "LoST-X", "tiny image"),
 )
+TECHNIQUES = {"CoHOG": "CoHOG", "Region-VLAD": "RegionVLAD", "NetVLAD": "NetVLAD"}
+"""VPR-Bench's names of techniques in file names, by our names."""
+
+TOP = 10
 TRAVERSES = ("UofA", "Gardens Point")
 
 HEAD = """# Methods
@@ -86,55 +82,46 @@ def main() -> None:
     arguments.add_argument("--corridor", type=Path, help="folder of VPR-Bench's corridor")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
     arguments.add_argument("--network", type=Path, help="YAML file of a network, for LoST-X")
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/trials"))
+    arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
     arguments.add_argument("--output", type=Path, default=Path("docs/methods.md"))
     options = arguments.parse_args()
-    kept = Cache(options.cache)
-    camvid = camvid_problems(options.camvid) if options.camvid else []
-    drives = [problem for problem in camvid if "espnetv2" not in problem.name]
-    problems = [corridor_problem(options.corridor)] if options.corridor else []
+    described = Described(None, options.cache, {}, options.weights, options.network)
+    page, outcomes = [HEAD], {}
     with threads(1):
-        rivals = with_network(RIVALS, options.network)
-        outcomes = try_all(problems, rivals, kept, options.weights)
-        page = [HEAD, *(in_short(drives, with_costs(rivals), kept, options) if drives else ())]
-        for problem in problems:
-            page += [*section(problem, outcomes)]
-            page += [*stored_section(options.corridor, problem, outcomes)]
-        page += missing(options, outcomes)
-    write(options.output, "\n".join(page) + "\n")
+        if options.camvid:
+            page += in_short(described, options)
+        if options.corridor:
+            corridor = open_dataset(options.corridor, "vpr-bench")
+            parts = [corridor.select(role=role) for role in ("query", "reference")]
+            problem = trial_of(described, CORRIDOR, IMAGES, parts)
+            outcomes = try_all(described, [problem], [Rival(name, name) for name in RIVALS])
+            page += section(problem, outcomes)
+            page += stored_section(options.corridor, problem, outcomes)
+    write(options.output, "\n".join([*page, *missing(options, outcomes)]) + "\n")
 
 
-def corridor_problem(folder: Path) -> Problem:
-    corridor = open_dataset(folder, "vpr-bench")
-    parts = (corridor.select(role=role) for role in ("query", "reference"))
-    return image_problem(CORRIDOR, *parts)
-
-
-def in_short(
-    problems: Sequence[Problem], rivals: Sequence[Rival], kept: Cache, options: argparse.Namespace
-) -> Iterator[str]:
+def in_short(described: Described, options: argparse.Namespace) -> Iterator[str]:
     """The table with a row for every method."""
-    costs = measured(problems, rivals, kept, options.weights)
+    [search] = camvid_trials(described, options.camvid)[0].searches
+    frames = list(described.drive(search.queries).seen(search.query_rows[:PICTURES]))
+    references = len(search.reference_rows)
+    measured = costs(described, RIVALS, frames, references, (ROUNDS, ROUNDS_OF_NETWORKS))
     found = rates(options.output.parent / "results.csv")
-    first = problems[0].searches[0]
-    size = "{} x {} pixels".format(*_size(first.queries))
-    references = len(first.references.places[0])
+    size = "{} x {} pixels".format(*frames[0].labels.shape)
     yield paragraph(COSTS.format(processor=processor(), size=size, references=references))
     yield from head_row(
         "method", "sees", "bytes a place", "encode, ms", "match, ms", "single frames", "steps"
     )
-    for rival in rivals:
-        cost = costs[rival.name]
-        name = f"{rival.name} (random weights)" if "random" in cost.method else rival.name
+    for name, cost in measured.items():
         times = (significant(median(values)) for values in (cost.encode, cost.match))
-        quality = (found.get((rival.name, way), "-") for way in ("single frames", "with the steps"))
-        sees = "label maps" if rival.sees == LABELS else "images"
-        yield row(name, sees, f"{cost.bytes_a_reference:.0f}", *times, *quality)
+        quality = (found.get((name, way), "-") for way in ("single frames", "with the steps"))
+        sees = "images" if name in OF_PICTURES else "label maps"
+        yield row(shown(name, cost), sees, f"{cost.bytes_a_reference:.0f}", *times, *quality)
     yield ""
     with options.output.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
         lines = csv.writer(file)
         lines.writerow(("method", "what", "median ms", "least", "most"))
-        for name, cost in costs.items():
+        for name, cost in measured.items():
             for what, values in (("encode", cost.encode), ("match", cost.match)):
                 numbers = (median(values), min(values), max(values))
                 lines.writerow((name, what, *(significant(number) for number in numbers)))
@@ -151,79 +138,48 @@ def rates(results: Path) -> dict[tuple[str, str], str]:
     return {key: f"{mean(values):.3f}" for key, values in found.items()}
 
 
-def section(problem: Problem, outcomes: Outcomes) -> Iterator[str]:
+def section(problem: Condition, outcomes: Outcomes) -> Iterator[str]:
     """The table of one condition."""
-    yield f"## {problem.name}\n"
-    yield from head_row("method", *COLUMNS)
-    for rival in RIVALS:
-        if rival.sees == problem.gives:
-            yield row(rival.name, *figures(outcomes[problem.name, rival.name]))
+    yield f"## {named(problem)}\n"
+    yield from head_row("method", *FIGURES)
+    yield from (row(name, *figures(outcome)) for (_, name), outcome in outcomes.items())
     yield ""
 
 
-def stored_section(corridor: Path, problem: Problem, outcomes: Outcomes) -> Iterator[str]:
-    """The results that VPR-Bench stored for the corridor, and how often our methods agree."""
+def stored_section(corridor: Path, problem: Condition, outcomes: Outcomes) -> Iterator[str]:
+    """The results that VPR-Bench stored beside the corridor, and how often our methods agree."""
     yield f"## {CORRIDOR}: what VPR-Bench stored\n"
     yield paragraph(STORED)
-    yield from head_row("technique", *COLUMNS, "same best match as ours")
-    for name, stored in stored_trials(corridor).items():
-        ours = outcomes.get((problem.name, name), "")
-        same = reason(ours) if isinstance(ours, str) else ""
-        if isinstance(ours, Trial):
-            same = f"{(ours.indices[:, 0] == stored.indices[:, 0]).mean():.1%}"
+    yield from head_row("technique", *FIGURES, "same best match as ours")
+    for name, theirs in TECHNIQUES.items():
+        file = corridor.parent / f"{corridor.name}_{theirs}.npz"
+        if not file.exists():
+            continue
+        stored, ours = stored_in(file), outcomes[named(problem), name]
+        same = reason(ours) if isinstance(ours, str) else f"{same_best(ours, stored):.1%}"
         yield row(name, *figures(stored), same)
     yield ""
 
 
+def same_best(ours: Decisions, stored: Decisions) -> float:
+    return float((ours.rows[:, 0] == stored.rows[:, 0]).mean())
+
+
+def stored_in(file: Path) -> Decisions:
+    """Results of VPR-Bench: ``sim (Q, R)``, and the true matches of query ``i`` as
+    ``gt_flat[gt_off[i] : gt_off[i + 1]]``."""
+    with np.load(file, allow_pickle=False) as stored:
+        similarity, flat, offsets = (stored[name] for name in ("sim", "gt_flat", "gt_off"))
+    ranked = np.argsort(-similarity, axis=1, kind="stable")[:, :TOP]
+    scores = np.take_along_axis(similarity, ranked, axis=1).astype(np.float32)
+    return Decisions(scores, ranked, [flat[begin:end] for begin, end in pairwise(offsets)])
+
+
 def figures(outcome: Outcome) -> list[str]:
-    """Cells of `COLUMNS`, or the reason why a method could not be run."""
+    """Cells of `FIGURES`, or the reason why a method could not be run."""
     if isinstance(outcome, str):
-        return [reason(outcome)] * len(COLUMNS)
-    found = outcome.figures("exact")
-    ends = found["intervals"]
-    names = ("auc_pr", "recall_at_100_precision")
-    return [
-        *(interval(found["recall_at"][n], ends["recall_at"][n]) for n in ("1", "5")),
-        *(interval(found[name], ends[name]) for name in names),
-    ]
-
-
-def reason(outcome: str) -> str:
-    if not outcome:
-        return ""
-    return "weights not here" if outcome.startswith("no weights") else "not run"
-
-
-def measured(
-    problems: Sequence[Problem], rivals: Sequence[Rival], kept: Cache, weights: Path | None
-) -> dict[str, Cost]:
-    """Costs of the methods on frames of a data set that has label maps and images."""
-    first = {problem.gives: problem.searches[0] for problem in reversed(problems)}
-    drives = {kind: search.queries for kind, search in first.items()}
-    references = len(next(iter(first.values())).references.places[0])
-    stamps = [*(drive.stamp for drive in drives.values()), *(r.stamp(weights) for r in rivals)]
-    found = kept.get(
-        ("costs", references, *stamps), partial(measure_all, rivals, drives, references, weights)
-    )
-    return {rival.name: Cost(**found[rival.name]) for rival in rivals}
-
-
-def measure_all(
-    rivals: Sequence[Rival], drives: dict[str, Drive], references: int, weights: Path | None
-) -> dict[str, dict]:
-    frames = {kind: list(islice(drive, PICTURES)) for kind, drive in drives.items()}
-    measured = measure(
-        {rival.name: partial(rival.make, weights, True) for rival in rivals},
-        {rival.name: frames[rival.sees] for rival in rivals},
-        references,
-        {r.name: ROUNDS_OF_NETWORKS if r.method in TRAINED else ROUNDS for r in rivals},
-    )
-    return {name: asdict(cost) for name, cost in measured.items()}
-
-
-def _size(drive: Drive) -> tuple[int, int]:
-    frame: Frame = next(iter(drive))
-    return (frame.image if frame.labels is None else frame.labels).shape[:2]
+        return [reason(outcome)] * len(FIGURES)
+    return [interval(value, ends) for value, *ends in outcome.figures().values()]
 
 
 def missing(options: argparse.Namespace, outcomes: Outcomes) -> Iterator[str]:
@@ -233,9 +189,7 @@ def missing(options: argparse.Namespace, outcomes: Outcomes) -> Iterator[str]:
         yield "- CamVid: no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid."
     if options.corridor is None:
         yield f"- {CORRIDOR}: no --corridor; github.com/MubarizZaffar/VPR-Bench."
-    reasons = {rival: text for (_, rival), text in outcomes.items() if isinstance(text, str)}
-    yield from (f"- {rival}: {text}." for rival, text in reasons.items())
-    yield ""
+    yield from without(outcomes)
 
 
 if __name__ == "__main__":

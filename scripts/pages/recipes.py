@@ -20,8 +20,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from _described import ALONE, REAL
-from _markdown import head_row, paragraph, parser, row
+from _described import ALONE
+from _markdown import Page, head_row, paragraph, parser, row
+from conditions import REAL
 from torch import Tensor, nn
 from transformers import SegformerConfig, SegformerForSemanticSegmentation
 
@@ -51,11 +52,6 @@ def preparations(settings: Path, camvid: Path) -> Iterator[str]:
     """A table: the fraction of pixels in the right category, by preparation."""
     right = Segmenter.load(settings, SPACE)
     truth = find_label_files([str(camvid / "labels")])[::EVERY]
-    yield "## The preparation\n"
-    yield paragraph(
-        f"{settings.stem} on {len(truth)} pictures of CamVid, {camvid.name}: the pixels that fall "
-        "into the right category, of those that have one. Nothing but this shows what is wrong."
-    )
     yield from head_row("preparation", "right")
     for name, changes in WRONG.items():
         wrong = Segmenter(right.network, SPACE, replace(right.config, **changes))
@@ -68,19 +64,12 @@ def preparations(settings: Path, camvid: Path) -> Iterator[str]:
                 (known < NO_LAYER).sum(),
             ]
         yield row(name, f"{counts[0] / counts[1]:.3f}")
-    yield ""
 
 
 def background(settings: Path, data: Path) -> Iterator[str]:
     """A table: RecallRate@1 with the channel as void, and with every pixel in a class."""
     segmenter = Segmenter.load(settings, SPACE)
     head = SSRVLAD.from_preset("default", labels_as=SPACE)
-    yield "## A background channel\n"
-    yield paragraph(
-        f"{settings.stem} with a channel that wins where no class has a probability of {LEAST}: "
-        "RecallRate@1 of `default`, each query alone and with all steps. As void it belongs to no "
-        "layer; `classes: 0:19` gives each pixel its best class."
-    )
     yield from head_row(
         "traverses",
         "pixels that it wins",
@@ -100,7 +89,6 @@ def background(settings: Path, data: Path) -> Iterator[str]:
             for kind in (0, 1)
         ]
         yield row(f"{dataset}, {name}", f"{lost:.1%}", *(f"{rate:.2f}" for rate in rates))
-    yield ""
 
 
 def described(
@@ -126,7 +114,7 @@ def rate(here: Tensor, there: Tensor, near: np.ndarray, steps: Steps) -> float:
     return float(near[np.arange(len(here)), first.numpy()].mean())
 
 
-def runtimes(repetitions: int) -> Iterator[str]:
+def runtimes(repetitions: int) -> str:
     """A paragraph: the time of a network in PyTorch over that in ONNX Runtime."""
     network = _Scores(SegformerForSemanticSegmentation(SegformerConfig(num_labels=CLASSES))).eval()
     picture = torch.rand(1, 3, *SIDES)
@@ -139,8 +127,7 @@ def runtimes(repetitions: int) -> Iterator[str]:
         ways = {"eager": partial(network, picture), "graph": partial(graph, picture)}
         timings = time_in_turn(ways, repetitions)
     ratio = timings["graph"].times_faster_than(timings["eager"])
-    yield "## ONNX or PyTorch\n"
-    yield paragraph(
+    return paragraph(
         f"Segformer-B0 with {CLASSES} classes and random weights, a picture of {SIDES[0]} x "
         f"{SIDES[1]}, one thread: ONNX Runtime is {ratio['median']:.2f} [{ratio['min']:.2f}, "
         f"{ratio['max']:.2f}] times as fast as eager PyTorch ({repetitions} runs in turn)."
@@ -174,15 +161,10 @@ def main() -> None:
     arguments.add_argument("--repetitions", type=int, default=5)
     options = arguments.parse_args()
     settings = options.data / "networks" / "espnetv2.yaml"
-    text = ["# Recipes for networks\n", paragraph("Written by `scripts/pages/recipes.py`.")]
-    sections = [
-        runtimes(options.repetitions),
-        preparations(settings, options.data / "camvid" / "0001TP"),
-        background(settings, options.data),
-    ]
-    for section in sections:
-        text += section
-        options.output.write_text("\n".join(text).rstrip() + "\n", encoding="utf-8")
+    page = Page("recipes.md", options.output)
+    page.paragraph("Segformer-B0", runtimes(options.repetitions))
+    page.table("## The preparation\n", preparations(settings, options.data / "camvid" / "0001TP"))
+    page.table("## A background channel\n", background(settings, options.data))
 
 
 if __name__ == "__main__":

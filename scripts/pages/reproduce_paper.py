@@ -7,7 +7,7 @@
 `Synthia-NightToFall` and `CrossSeason_CoHOG_Dataset` in the layout of VPR-Bench, and `slice7` of
 Extended CMU Seasons. Missing ones are left out; `--dry-run` lists what was found. Label maps are
 read from `labels/<sequence>/<name of the image>.png` in each folder, or made by `--segmenter`.
-CamVid (see `_problems.py`) and the synthetic city are also measured. Results are cached in
+CamVid (see `_trials.py`) and the synthetic city are also measured. Descriptors are cached in
 `--cache`, so an interrupted run can be resumed. Needs the extra `eval`.
 """
 
@@ -17,14 +17,13 @@ import argparse
 from pathlib import Path
 
 import _paper_cost
-import _paper_noise
 import _paper_quality
+from _described import Described
 from _markdown import write
-from _trials import Cache
 
 from ssrvlad_torch.cli.bench import threads
 
-PARTS = {"table1": _paper_quality.part, "table3": _paper_cost.part, "table4": _paper_noise.part}
+PARTS = {"table1": _paper_quality.part, "table3": _paper_cost.part}
 
 HEAD = """# The paper's experiments
 
@@ -42,16 +41,16 @@ def main() -> None:
     arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
     arguments.add_argument("--segmenter", type=Path, help="an .onnx file, or a .yaml that names it")
-    arguments.add_argument("--cache", type=Path, default=Path(".cache/trials"))
+    arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
     arguments.add_argument("--only", choices=PARTS, help="print this part and write no page")
     arguments.add_argument("--output", type=Path, default=Path("docs/paper.md"))
     options = arguments.parse_args()
+    described = Described(None, options.cache, {}, options.weights, options.segmenter)
     if options.dry_run:
-        print("\n".join(_paper_quality.looked_for(options)))
+        print("\n".join(_paper_quality.looked_for(options, described)))
         return
-    cache = Cache(options.cache)
     with threads(1):
-        parts = [PARTS[name](options, cache) for name in PARTS if options.only in (None, name)]
+        parts = [PARTS[name](options, described) for name in PARTS if options.only in (None, name)]
     page = "\n".join([HEAD, *(line for part in parts for line in part)]) + "\n"
     print(page)
     if options.only is None:

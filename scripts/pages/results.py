@@ -30,7 +30,7 @@ from _described import (
     all_conditions,
     decide,
 )
-from _markdown import DOCS, ROOT, first_table, head_row, paragraph, parser, quote, row, write
+from _markdown import DOCS, ROOT, first_table, head_row, paragraph, parser, quote, row, save, write
 from conditions import CITY_FRAMES, CITY_SEEDS, METRES, RESAMPLES
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -200,9 +200,7 @@ def draw(measured: Measured, dataset: str, path: Path) -> None:
     axes.hlines(np.arange(1, len(names)) - 0.5, 0, 1, color="#dddddd", lw=0.5)
     axes.grid(axis="x", lw=0.3)
     figure.legend(loc="outside upper center", ncols=6, fontsize=8, frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
+    save(figure, path)
 
 
 def _points(

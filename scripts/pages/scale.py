@@ -6,8 +6,7 @@
 Every step runs in a new process with one thread, so that its memory and its time are not mixed with
 others. The descriptors are made from those of the synthetic city: parts of two of them, and noise.
 Results stay in the folder, and a second run resumes. The script needs two kilobytes a frame on disk
-and the same in memory. A million frames take about ten minutes. Kinds of index are kept as the page
-has them.
+and the same in memory. A million frames take about ten minutes.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from _markdown import kept
+from _markdown import Page
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, follow, match
 from ssrvlad_torch.database.database import Database
@@ -61,7 +60,7 @@ def main() -> None:
     given.folder.mkdir(parents=True, exist_ok=True)
     steps = [*NAMES, "online"]
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    given.out.write_text(page(results), encoding="utf-8")
+    fill(Page("scale.md", given.out), results)
 
 
 def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
@@ -265,25 +264,19 @@ NAMES = {
 }
 
 
-def page(results: dict[int, dict[str, Report]]) -> str:
-    lines = [
-        "# Large databases",
-        "",
-        f"Written by `scripts/pages/scale.py` on {platform.machine()}, {os.cpu_count()} cores, "
-        f"torch {torch.__version__}.",
-        "",
-        "- The frames are synthetic: variations of descriptors of the synthetic city (preset "
-        "`default`), denser than real frames.",
-        "- Each step is a new process with one thread. If *CPU s* is much less than *s*, the step "
-        "waited for the disk or for other programs.",
-        "- Each commit is flushed to disk before the next one. A second run of `encode` reads all "
-        "records. `db index` includes the measurement of its recall.",
-    ]
+def fill(page: Page, results: dict[int, dict[str, Report]]) -> None:
+    """Writes what was measured; the page has a section for each number of frames."""
+    where = f"{platform.machine()}, {os.cpu_count()} cores, torch {torch.__version__}"
+    page.paragraph("Written by", f"Written by `scripts/pages/scale.py` on {where}.")
     for frames, reports in results.items():
-        lines += ["", f"## {frames:,} frames", "", *table(reports), "", *facts(frames, reports)]
+        page.section(f"## {frames:,} frames", [*table(reports), "", *facts(frames, reports)])
     frames = max(results)
-    lines += ["", kept("scale.md", "## Kinds of index").rstrip()]
-    return "\n".join([*lines, "", *on_paper(frames, results[frames]), ""])
+    page.paragraph(
+        "The costs per frame among",
+        f"The costs per frame among {frames:,}, times {ON_PAPER:,}. Writing will take longer than "
+        "this, because each commit looks up the ids that exist.",
+    )
+    page.table("frames, extrapolated\n", on_paper(frames, results[frames]))
 
 
 def table(reports: dict[str, Report]) -> list[str]:
@@ -321,11 +314,6 @@ def on_paper(frames: int, reports: dict[str, Report]) -> list[str]:
     many = ON_PAPER / frames
     held = (reports["known"]["peak"] - reports["nothing"]["peak"]) * many
     return [
-        f"## {ON_PAPER:,} frames, extrapolated",
-        "",
-        f"The costs per frame among {frames:,}, times {ON_PAPER:,}. Writing will take longer than "
-        "this, because each commit looks up the ids that exist.",
-        "",
         "| what | amount |",
         "|---|---|",
         f"| database on disk | {reports['compact']['bytes'] * many / 1e9:,.0f} GB |",
@@ -337,11 +325,6 @@ def on_paper(frames: int, reports: dict[str, Report]) -> list[str]:
         f"{reports['exact']['cpu'] * many / QUERIES:,.2f} |",
         f"| an exact query alone, core seconds | {reports['exact']['one'] * many:,.1f} |",
         f"| building the index, core hours | {reports['index']['cpu'] * many / 3600:,.1f} |",
-        "",
-        "A hundred million frames fit on one large machine: the index stays on disk, and exact "
-        "search is for batches of queries. For more frames, make several databases, for example "
-        "one per region, query all of them and merge the candidates by score. Scores of databases "
-        "with the same fingerprint can be compared.",
     ]
 
 
