@@ -229,6 +229,7 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         ("query", town, photos / "today", *network),
         ("locate", photos / "today", "--in", town, *network),
         ("loops", photos / "today", "--memory", town, *network),
+        ("evaluate", town, photos / "today", "--tolerance-frames", 1, *network),
     ):
         line = refused(ssrvlad, *command)
         assert "features gives other descriptors here (" in line
@@ -238,8 +239,8 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         Localiser(Segmenter.load(other), Database.open(town))
 
 
-class Dark(nn.Module):
-    """Sees nothing in dark pictures."""
+class Blinded(nn.Module):
+    """Sees nothing in dark pictures, and what is no number in white ones."""
 
     def __init__(self):
         super().__init__()
@@ -248,18 +249,21 @@ class Dark(nn.Module):
 
     def forward(self, images):
         self.seen = (images.std((1, 2, 3), keepdim=True) > 0.5).float()
+        self.seen[images.mean((1, 2, 3)) > 2] = torch.nan
         return self.network(images)
 
 
 def test_a_picture_without_activations_is_skipped(photos, monkeypatch, ssrvlad):
     monkeypatch.syspath_prepend(photos)
-    (photos / "dark.py").write_text("from test_commands_features import Dark\n")
-    (photos / "monday" / "3.png").unlink()
-    Image.new("RGB", (128, 96)).save(photos / "monday" / "3.png")
-    given = ("--segmenter", "dark:Dark", "--labels-as", SPACE, "--workers", 1)
-    code, out, err = ssrvlad("encode", photos / "monday", "-o", photos / "dark", *given)
+    (photos / "blinded.py").write_text("from test_commands_features import Blinded\n")
+    for number, colour in ((3, "black"), (4, "white")):
+        (photos / "monday" / f"{number}.png").unlink()
+        Image.new("RGB", (128, 96), colour).save(photos / "monday" / f"{number}.png")
+    given = ("--segmenter", "blinded:Blinded", "--labels-as", SPACE, "--workers", 1)
+    code, out, err = ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)
     assert code == 3
-    assert "31 frames encoded" in out and "1 skipped" in out
-    (line,) = (each for each in err if "3.png" in each)
-    assert "the activations of the network are the same everywhere" in line
-    assert len(Database.open(photos / "dark")) == 31
+    assert "30 frames encoded" in out and "2 skipped" in out
+    for number, problem in ((3, "the same everywhere"), (4, "not finite")):
+        (line,) = (each for each in err if f"{number}.png" in each)
+        assert f"the activations of the network are {problem}" in line
+    assert len(Database.open(photos / "town")) == 30

@@ -217,6 +217,11 @@ def test_frames_of_a_model_are_kept_and_gone_on_from(town, tmp_path):
     plain = PlaceModel(town / "place.onnx", features=False)
     with pytest.raises(ValueError, match="has features of its frames"):
         live_loops.LiveLoops(CONFIG, memory=memory, model=plain)
+    other = tmp_path / "other.ssrdb"
+    extra = [model.extra[0]._replace(fingerprint="of another network")]
+    Database.create(other, core._detector.head.config, extra=extra)
+    with pytest.raises(ValueError, match="of another network"):
+        live_loops.LiveLoops(CONFIG, memory=other, model=model)
     with pytest.raises(ValueError, match="the model has settings e79189ee9e88a037, this node fae2"):
         live_loops.LiveLoops(CONFIG, preset="paper", model=model)
 

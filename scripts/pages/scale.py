@@ -36,7 +36,9 @@ from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.encoding.writer import COMMIT_ROWS
 from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.recognise import recognise_by_search
+from ssrvlad_torch.recognition.signs import REACH, SignQueries, SignRows
 from ssrvlad_torch.recognition.sweep import COLUMNS, score
+from ssrvlad_torch.stages.features import SHAPE
 
 LABELS_AS = "cityscapes-trainids"
 SEEDS, FRAMES_OF_A_SEED, FRAMES_OF_A_SEQUENCE = 4, 64, 10_000
@@ -51,6 +53,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, action="append", help="repeatable; one million")
     parser.add_argument("--folder", type=Path, default=Path("scale"), help="of the databases")
     parser.add_argument("--out", type=Path, default=Path("docs/scale.md"))
+    parser.add_argument("--signs", action="store_true", help="measure search by features alone")
     parser.add_argument("--step", choices=STEPS, help=argparse.SUPPRESS)
     given = parser.parse_args()
     sizes = given.frames or [1_000_000]
@@ -58,9 +61,13 @@ def main() -> None:
         print(json.dumps(measured(STEPS[given.step], sizes[0], given.folder)))
         return
     given.folder.mkdir(parents=True, exist_ok=True)
-    steps = [*NAMES, "online"]
+    steps = ["signs"] if given.signs else [*NAMES, "online", "signs"]
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
-    fill(Page("scale.md", given.out), results)
+    page = Page("scale.md", given.out)
+    if not given.signs:
+        fill(page, results)
+    frames = max(results)
+    page.section("## Search by features", by_features(frames, results[frames]["signs"]))
 
 
 def run_all(frames: int, folder: Path, steps: list[str]) -> dict[str, Report]:
@@ -224,6 +231,31 @@ def opened(frames: int, folder: Path) -> Database:
     return Database.open(folder / f"{frames}.ssrdb")
 
 
+def signs(frames: int, _folder: Path) -> Report:
+    """The exact search of a frame by features and by descriptors, in seconds of CPU. They are all
+    random, for times do not depend on values."""
+    drawn = torch.Generator().manual_seed(0)
+    stored = torch.randint(256, (frames, *SHAPE), dtype=torch.uint8, generator=drawn)
+    rows, times = SignRows(stored), []
+    for row in range(ALONE):
+        began = time.process_time()
+        scores = SignQueries(stored[row : row + 1], rows).scores()
+        times.append(time.process_time() - began)
+        assert int(scores.argmax()) == row
+    report = {"features": float(np.median(times))}
+    del stored, rows
+    vectors = torch.randn(frames, 480, generator=drawn)
+    known = Rows.of(vectors.div_(vectors.norm(dim=1, keepdim=True)))
+    for name, anchors in (("one", 1), ("swept", len(COLUMNS))):
+        times = []
+        for query in vectors[:ALONE]:
+            began = time.process_time()
+            score(query.expand(1, anchors, -1), known)
+            times.append(time.process_time() - began)
+        report[name] = float(np.median(times))
+    return report
+
+
 def queries(folder: Path) -> torch.Tensor:
     return varied(0, QUERIES, seeds(folder).flip(0))
 
@@ -248,6 +280,7 @@ STEPS: dict[str, Callable[[int, Path], Report]] = {
     "by index": by_index,
     "followed": follow_by_index,
     "online": online,
+    "signs": signs,
 }
 
 NAMES = {
@@ -306,6 +339,21 @@ def facts(frames: int, reports: dict[str, Report]) -> list[str]:
         f"search and following take {1 + more / swept:.2f} times that.",
         f"- The index has {built['lists']} lists. Its recall is {built['recall']['1']:.3f} for the "
         f"best row and {built['recall']['10']:.3f} for the best 10 rows of the exact search.",
+    ]
+
+
+def by_features(frames: int, report: Report) -> list[str]:
+    times = [f"{report[name] * 1e3:.0f}" for name in ("features", "one", "swept")]
+    return [
+        f"{frames:,} frames, one query alone, all in one process of one thread, medians of {ALONE};"
+        " values are random, for times do not depend on them. Load of the machine: "
+        f"{report['load']:.0f}.",
+        "",
+        "| exact search by | bytes a frame | CPU ms a query |",
+        "|---|---|---|",
+        f"| features, {2 * REACH + 1} moves | {np.prod(SHAPE)} | {times[0]} |",
+        f"| descriptors, one anchor | 1920 | {times[1]} |",
+        f"| descriptors, a sweep of {len(COLUMNS)} anchors | 1920 | {times[2]} |",
     ]
 
 

@@ -125,9 +125,10 @@ class StoredFrames:
         """
         for each in extra:
             if each not in self.extra:
+                others = ", ".join(f"{other.name}, {other.fingerprint}" for other in self.extra)
                 raise ValueError(
-                    f"{self.path} has no descriptors by {each.name}, {each.fingerprint}: they "
-                    "can only be added when a database is created"
+                    f"{self.path} has no descriptors by {each.name}, {each.fingerprint}, but "
+                    f"{others or 'none'}: they can only be added when a database is created"
                 )
         if config.fingerprint == self.fingerprint:
             return
