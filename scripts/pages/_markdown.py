@@ -95,11 +95,10 @@ class Page:
         self._write(begin, "\n" + "\n".join(rows), end)
 
     def section(self, heading: str, lines: Iterable[str]) -> None:
-        """Replaces the text of a section up to the next heading, and writes the page.
-
-        Raises:
-            ValueError: there is no such section.
-        """
+        """Replaces the text of a section up to the next heading, and writes the page; a new one
+        comes last."""
+        if f"\n{heading}\n" not in self.text:
+            self.text = f"{self.text.rstrip()}\n\n{heading}\n"
         begin = self.text.index(f"\n{heading}\n") + len(heading) + 2
         end = self.text.find("\n#", begin)
         body = "\n" + "\n".join(lines).rstrip("\n") + "\n"

@@ -30,20 +30,20 @@ import scipy.fft
 import torch
 from _cluster import cluster_section
 from _encoding_rates import encoding_rates
-from _markdown import head_row, paragraph, row
+from _loops_cost import loops_section
+from _markdown import Page, head_row, paragraph, row, save
+from _opencv import opencv_describe
 from _picture_costs import pictures_section
 from _stage_costs import stage_section
-from bench_loops import loops_section
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, match, reference
 from ssrvlad_torch.cli.bench import Timing, heads, onnx_head, threads, time_in_turn
-from ssrvlad_torch.config import CATEGORY_COUNT
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
-from ssrvlad_torch.taxonomy import label_space
 
 SIZES = [(512, 512), (1024, 1024)]
 LARGE = (1024, 1024)
@@ -72,64 +72,6 @@ class Maps:
 
     def config(self, preset: str) -> SSRVLADConfig:
         return SSRVLADConfig.from_preset(preset, labels_as=self.labels_as)
-
-
-def opencv_describe(labels: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
-    """The preset ``paper`` written with OpenCV, one layer after another."""
-    table = np.full(256, CATEGORY_COUNT, np.uint8)
-    for label in label_space(config.labels_as).classes:
-        if 0 <= label.id < 256:
-            table[label.id] = label.category_index
-    categories = cv2.LUT(labels, table)
-    vectors = []
-    for k in range(CATEGORY_COUNT):
-        layer = opencv_clean((categories == k).astype(np.uint8), config)
-        vectors.append(opencv_vector(layer, config))
-    whole = np.concatenate(vectors)
-    norm = np.linalg.norm(whole)
-    return (whole / norm if norm else whole).astype(np.float32)
-
-
-def opencv_clean(layer: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
-    size = layer.shape
-    radius = config.radius_pixels(config.closing, *size)
-    if radius:
-        square = np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
-        layer = cv2.erode(cv2.dilate(layer, square), square)
-    _, regions, stats, _ = cv2.connectedComponentsWithStats(1 - layer, connectivity=4)
-    left, top, width, height, area = stats.T
-    enclosed = (left > 0) & (top > 0) & (left + width < size[1]) & (top + height < size[0])
-    fill = enclosed & (area < config.area_pixels(config.hole_area, *size))
-    fill[0] = False
-    layer = layer | fill[regions].astype(np.uint8)
-    _, regions, stats, _ = cv2.connectedComponentsWithStats(layer, connectivity=8)
-    keep = stats[:, 4] >= config.area_pixels(config.region_area, *size)
-    keep[0] = False
-    return keep[regions].astype(np.uint8)
-
-
-def opencv_vector(layer: np.ndarray, config: SSRVLADConfig) -> np.ndarray:
-    padded = cv2.copyMakeBorder(layer * 255, 2, 2, 2, 2, cv2.BORDER_CONSTANT)
-    skeleton = (cv2.ximgproc.thinning(padded) > 0)[2:-2, 2:-2]
-    ends, crossings = reference.end_points(skeleton), reference.intersections(skeleton)
-    points, context = np.argwhere(ends | crossings), np.argwhere(skeleton)
-    size = config.rings * config.sectors
-    if not len(points):
-        return np.zeros(size)
-    y, x = np.nonzero(layer)
-    centre = [(2 * y.sum() + len(y)) // (2 * len(y)), (2 * x.sum() + len(x)) // (2 * len(x))]
-    limits = np.array(config.ring_limits(*layer.shape))
-    dy, dx = (context[None] - np.concatenate(([centre], points))[:, None]).transpose(2, 0, 1)
-    squared = dy * dy + dx * dx
-    turn = np.arctan2(dy, dx) / (2 * np.pi)
-    sector = np.floor(turn * config.sectors + 1e-12).astype(int) % config.sectors
-    bins = np.searchsorted(limits, squared) * config.sectors + sector
-    bins[(squared == 0) | (squared > limits[-1])] = size
-    around_centre = np.bincount(bins[0], minlength=size + 1)[:size]
-    around_points = np.bincount(bins[1:].ravel(), minlength=size + 1)[:size]
-    vector = (around_points - len(points) * around_centre).astype(np.float64)
-    norm = np.linalg.norm(vector)
-    return vector / norm if norm else vector
 
 
 def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], object]]:
@@ -171,8 +113,6 @@ def size_section(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
 
 def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
     """Milliseconds of each way at `LARGE`, by preset, on a logarithmic axis."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(8, 2.6), layout="constrained")
     for axes, (preset, ways) in zip(figure.subplots(1, len(timings)), timings.items(), strict=True):
         medians = [of["median"] for of in ways.values()]
@@ -187,8 +127,7 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
         axes.invert_yaxis()
         axes.set_xlabel("ms")
         axes.set_title(f"{preset}, {by(LARGE)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, format="svg", metadata={"Date": None})
+    save(figure, path)
 
 
 def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
@@ -332,7 +271,7 @@ def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
             for copy in range(number, FRAMES_OF_A_RUN, BATCH):
                 Image.fromarray(labels.numpy()).save(f"{folder}/{copy}.png")
         files = find_label_files([folder])
-        for who, head in encoders(maps.config("default")).items():
+        for who, head in reversed(heads(maps.config("default")).items()):
             timings, _ = encoding_rates(head, files, workers, repetitions)
             halves = zip(timings["read"].seconds, timings["describe"].seconds, strict=True)
             both = Timing(tuple(map(sum, halves)))
@@ -341,14 +280,6 @@ def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
                 ratio = span(both.times_faster_than(timings[way]), 2)
                 yield row(who, name, span(each.milliseconds, 2), ratio)
     yield ""
-
-
-def encoders(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
-    """The head with the native core, if it was built, and without."""
-    by_torch = SSRVLAD(config)
-    by_torch.native = False
-    native = {"native core": SSRVLAD(config)} if SSRVLAD(config).native else {}
-    return {**native, "torch": by_torch}
 
 
 def matching_section(references: int) -> Iterator[str]:
@@ -413,16 +344,7 @@ def main() -> None:
         print_memory(maps, *options.memory)
         return
     cv2.setNumThreads(1)
-    text = [
-        "# Benchmark\n",
-        paragraph(
-            "Written by `scripts/pages/benchmark.py` in one run. Cells are median [min, max]. The "
-            "rows of a table are timed in turn, and ratios are taken within one repetition. Label "
-            f"maps: {maps.source}. torch {torch.__version__}, Python {platform.python_version()}, "
-            f"{platform.machine()}. [Methods](methods.md) has the costs of other methods, "
-            "[scale](scale.md) those of large databases."
-        ),
-    ]
+    page = Page("benchmark.md", options.output)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"
     sections = [
@@ -437,14 +359,20 @@ def main() -> None:
         partial(cluster_section, options.networks, options.pictures),
         partial(matching_section, options.references),
     ]
-    options.output.parent.mkdir(exist_ok=True)
     with threads(1):
         for section in sections:
             if not options.only or section.func.__name__.removesuffix("_section") in options.only:
-                text += section()
-                options.output.write_text("\n".join(text), encoding="utf-8")
-                print(section.func.__name__, "done", flush=True)
-    print(options.output)
+                heading, *lines = section()
+                page.section(heading.strip(), lines)
+    if not options.only:
+        about = f"Label maps: {maps.source}. torch {torch.__version__}, "
+        about += f"Python {platform.python_version()}, {platform.machine()}."
+        page.paragraph("Written by", paragraph(WRITTEN.format(about)))
+
+
+WRITTEN = """Written by `scripts/pages/benchmark.py` in one run. Cells are median [min, max]. The
+rows of a table are timed in turn, and ratios are taken within one repetition. {}
+[Methods](methods.md) has the costs of other methods, [scale](scale.md) those of large databases."""
 
 
 if __name__ == "__main__":

@@ -1,12 +1,7 @@
-#!/usr/bin/env python3
-"""Prints the time per frame of a live stream as the map grows: a section of `benchmark.py`.
-
-.venv/bin/python scripts/pages/bench_loops.py
-"""
+"""The time per frame of a live stream as the map grows: a section of `benchmark.py`."""
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
 from itertools import count
@@ -15,7 +10,6 @@ import numpy as np
 from _markdown import head_row, paragraph, row
 
 from ssrvlad_torch import SSRVLAD, LoopConfig
-from ssrvlad_torch.cli.bench import threads
 from ssrvlad_torch.loops.memory import Memory
 from ssrvlad_torch.loops.tracker import Tracker
 
@@ -84,10 +78,3 @@ def vectors(rng: np.random.Generator) -> Iterator[Floats]:
 
 def unit(vector: Floats) -> Floats:
     return vector / np.linalg.norm(vector)
-
-
-if __name__ == "__main__":
-    argparse.ArgumentParser(description=__doc__).parse_args()
-    with threads(1):
-        for text in loops_section():
-            print(text, flush=True)
