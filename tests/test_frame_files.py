@@ -1,9 +1,12 @@
 """Which files are frames, and of which sequence."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from helpers import street, touch
 
+from ssrvlad_torch.datasets.frame_files import FrameFile, read_ahead
 from ssrvlad_torch.datasets.label_files import find_label_files, read_label_map
 from ssrvlad_torch.taxonomy import label_space
 
@@ -162,3 +165,28 @@ def test_a_source_without_label_maps_is_refused_by_name(tmp_path, source, messag
     touch(tmp_path / "others" / "a.txt", tmp_path / "others" / "b.jpg")
     with pytest.raises(ValueError, match=message):
         find_label_files([str(tmp_path / source)])
+
+
+def test_reading_ahead_keeps_the_order_and_bounds_what_is_in_memory():
+    files = [FrameFile("a", str(number), Path(f"{number}.png")) for number in range(50)]
+    begun = []
+
+    def begin(file):
+        begun.append(int(file.name))
+        if file.name == "7":
+            raise ValueError("seven")
+        return int(file.name)
+
+    for position, (file, content) in enumerate(read_ahead(begin, files, workers=3, ahead=5)):
+        assert file is files[position]
+        assert max(begun) < position + 5
+        assert str(content) == ("seven" if position == 7 else str(position))
+    assert position == 49
+
+
+def test_what_is_no_refusal_ends_the_reading():
+    def fail(file):
+        raise MemoryError
+
+    with pytest.raises(MemoryError):
+        next(read_ahead(fail, [FrameFile("a", "0", Path("0.png"))], workers=1, ahead=2))

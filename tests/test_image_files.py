@@ -1,14 +1,13 @@
 """Images on disk: found as label maps are, and decoded as they are seen."""
 
 import io
-from pathlib import Path
 
 import numpy as np
 import pytest
 from helpers import COLOUR, GRAY, flip_byte, write_png
 from PIL import Image
 
-from ssrvlad_torch.datasets.frame_files import FrameFile, read_ahead
+from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.image_files import decode_image, find_image_files, read_image
 
 PICTURE = np.random.default_rng(0).integers(0, 256, (20, 30, 3), np.uint8)
@@ -224,34 +223,6 @@ def test_images_are_found_as_label_maps_are(tmp_path):
     files = find_image_files([str(folder / "*")], "drive", every=2, start=1)
     assert [file.frame for file in files] == ["drive/f2", "drive/f10"]
     assert files[0].pose[:2] == (3, 4)
-
-
-# ---- reading ahead
-
-
-def test_reading_ahead_keeps_the_order_and_bounds_what_is_in_memory():
-    files = [FrameFile("a", str(number), Path(f"{number}.png")) for number in range(50)]
-    begun = []
-
-    def begin(file):
-        begun.append(int(file.name))
-        if file.name == "7":
-            raise ValueError("seven")
-        return int(file.name)
-
-    for position, (file, content) in enumerate(read_ahead(begin, files, workers=3, ahead=5)):
-        assert file is files[position]
-        assert max(begun) < position + 5
-        assert str(content) == ("seven" if position == 7 else str(position))
-    assert position == 49
-
-
-def test_what_is_no_refusal_ends_the_reading():
-    def fail(file):
-        raise MemoryError
-
-    with pytest.raises(MemoryError):
-        next(read_ahead(fail, [FrameFile("a", "0", Path("0.png"))], workers=1, ahead=2))
 
 
 def test_a_label_map_is_no_photograph():
