@@ -111,17 +111,13 @@ def _grouped(pairs: Iterable[tuple[str, str]]) -> dict[str, set[str]]:
 
 def _require_existing(owners: Collection[str], folder: str, name: str) -> None:
     """Raises a ValueError if none of the folders of a sequence exists."""
-    if not any(map(_exists, owners)):
+    if not any(is_uri(owner) or (owner and Path(owner).exists()) for owner in owners):
         owner = max(owners)
         origin = f"was encoded from {owner}, which is gone" if owner else "has no known folder"
         raise ValueError(
             f"sequence {name!r} of the database {origin}: if {folder} is the same, give "
             f"--sequence {name}, else another name"
         )
-
-
-def _exists(folder: str) -> bool:
-    return is_uri(folder) or bool(folder and Path(folder).exists())
 
 
 def absolute(path: Path) -> str:

@@ -81,7 +81,12 @@ def search(
     Raises:
         ValueError: the queries do not fit the database.
     """
-    methods = _extra_descriptors(database, extra)
+    if extra and not database.extra:
+        raise ValueError(
+            f"--extra: {database.path} holds no extra descriptors; encode a new database with "
+            "--with features"
+        )
+    methods = () if extra is False else database.extra
     if any(reach) and any(each.cells for each in methods):
         raise ValueError("features are signs, which have no temporal sum; expected --no-extra")
     references, t = _references(database, *reach)
@@ -202,16 +207,6 @@ def only_label_space(database: Database) -> LabelSpace | None:
         names = " and ".join(space.name for space in spaces)
         raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
     return spaces[0] if spaces else None
-
-
-def _extra_descriptors(database: Database, extra: bool | None) -> tuple[ExtraDescriptor, ...]:
-    """The extra descriptors of a database, unless they are excluded."""
-    if extra and not database.extra:
-        raise ValueError(
-            f"--extra: {database.path} holds no extra descriptors; encode a new database with "
-            "--with features"
-        )
-    return () if extra is False else database.extra
 
 
 def _references(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..options import Extra, Json, MaybePreset, SourceOptions, option
@@ -13,10 +12,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from ...database.metadata import ExtraDescriptor
-    from ...datasets.frame_files import FrameFile
     from ...descriptor import SSRVLAD
-    from ...encoding.results import Skipped, Summary
-    from ...segmentation.segmenter import Segmenter
+    from ...encoding.results import Skipped
+    from ...encoding.source import Source
 
 Engine = Literal["local", "ray"]
 
@@ -48,30 +46,6 @@ def encode(
     Example: ssrvlad encode photos/monday -o both.ssrdb --segmenter seg.yaml \\
     --labels-as cityscapes-trainids
     """
-    from ...database.database import Database
-
-    summary = _encode(source, output, preset, extra, engine, gpus, prune)
-    if as_json:
-        skipped = [frame._asdict() for frame in summary.skipped]
-        report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": skipped}
-        info = Database.open(output).info() if Database.exists(output) else {}
-        print_json({"database": output, **report, **info})
-    else:
-        say(f"{output}: {summary}")
-    for frame in summary.gone:
-        note(f"{frame} is in {output}, but its file is gone; --prune removes it")
-    finish(summary.skipped, summary.described)
-
-
-def _encode(
-    options: SourceOptions,
-    output: str,
-    preset: str | None,
-    extra: Sequence[str] | None,
-    engine: Engine,
-    gpus: float,
-    prune: bool,
-) -> Summary:
     from ...config import SSRVLADConfig
     from ...database.database import Database
     from ...datasets.videos import played
@@ -81,60 +55,57 @@ def _encode(
     from ...encoding.results import EncodeOptions, Summary
     from ..sources import extra_of, resolve
 
-    whole = _is_complete(options)
-    if prune and not whole:
+    if prune and not source.whole_folders:
         raise ValueError(
             "--prune needs whole folders as SOURCE, without --fps, --every and --start"
         )
-    no_gpus = ValueError("--gpus needs --engine ray and --segmenter")
-    if gpus and engine != "ray":
-        raise no_gpus
     database = Database.open(output) if Database.exists(output) else None
-    source = resolve(options, database)
-    files, segmenter, labels_as = source.files, source.segmenter, source.labels_as
-    if gpus and not segmenter:
-        raise no_gpus
-    stored = extra_of(source, extra, database is None)
+    frames = resolve(source, database)
+    if gpus and not (engine == "ray" and frames.segmenter):
+        raise ValueError("--gpus needs --engine ray and --segmenter")
+    stored = extra_of(frames, extra, database is None)
     if preset is None and database:
-        config = dataclasses.replace(database.config, labels_as=labels_as)
+        config = dataclasses.replace(database.config, labels_as=frames.labels_as)
     else:
-        config = SSRVLADConfig.from_preset(preset or "default", labels_as=labels_as)
-    head = SSRVLAD(config)
+        config = SSRVLADConfig.from_preset(preset or "default", labels_as=frames.labels_as)
+    head, skipped = SSRVLAD(config), []
     if database:
         database.require(config, stored)
     else:
-        skipped = _skipped_before_the_first(head, files, segmenter, stored)
-        if len(skipped) == len(files):
-            return Summary(skipped=skipped)
-        database = Database.open_or_create(output, config, stored)
-    with progress_bar("encoding", len(files), played(files)) as bar:
-        chosen = EncodeOptions(options.workers, whole, prune, bar.advance, bar.skip, gpus)
+        skipped = _skipped_before_the_first(head, frames, stored)
+        if len(skipped) < len(frames.files):
+            database = Database.open_or_create(output, config, stored)
+    summary = Summary(skipped=skipped)
+    if database:
         run = encode_with_ray if engine == "ray" else encode_to_database
-        return run(head, files, database, chosen, segmenter)
+        with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
+            options = EncodeOptions(
+                source.workers, source.whole_folders, prune, bar.advance, bar.skip, gpus
+            )
+            summary = run(head, frames.files, database, options, frames.segmenter)
+    if as_json:
+        named = [frame._asdict() for frame in summary.skipped]
+        report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": named}
+        info = Database.open(output).info() if database else {}
+        print_json({"database": output, **report, **info})
+    else:
+        say(f"{output}: {summary}")
+    for frame in summary.gone:
+        note(f"{frame} is in {output}, but its file is gone; --prune removes it")
+    finish(summary.skipped, summary.described)
 
 
 def _skipped_before_the_first(
-    head: SSRVLAD,
-    files: Sequence[FrameFile],
-    segmenter: Segmenter | None,
-    extra: Sequence[ExtraDescriptor],
+    head: SSRVLAD, source: Source, extra: Sequence[ExtraDescriptor]
 ) -> list[Skipped]:
     """The frames before the first that can be encoded: a run that fails makes no database."""
     from ...encoding.encoder import encode
     from ...encoding.results import Skipped
 
     skipped = []
-    for file in files:
-        (result,) = encode(head, [file], 1, segmenter, extra)
+    for file in source.files:
+        (result,) = encode(head, [file], 1, source.segmenter, extra)
         if not isinstance(result, Skipped):
             break
         skipped.append(result)
     return skipped
-
-
-def _is_complete(options: SourceOptions) -> bool:
-    """Whether the source holds all the frames of its folders."""
-    from ...datasets.names import is_uri
-
-    whole = all(is_uri(path) or Path(path).is_dir() for path in options.paths)
-    return whole and options.takes_all and options.layout is None
