@@ -7,8 +7,6 @@ from contextlib import AbstractContextManager
 from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
@@ -158,16 +156,17 @@ def run_method(
         method,
         _frames(queries, labels_as, workers),
         _frames(references, labels_as, workers),
-        top=max(TOP, len(references)) if all_pairs else TOP,
+        top=TOP,
         progress=progress,
         steps=steps,
+        all_pairs=all_pairs,
     )
-    matches = Matches(retrieval.scores, retrieval.indices)
+    pairs = retrieval.similarity
     single = Recognition(
         references=Viewpoints.of(references),
         queries=Viewpoints.of(queries),
-        matches=matches,
-        similarity=_similarity(matches, len(references)) if all_pairs else None,
+        matches=Matches(retrieval.scores, retrieval.indices),
+        similarity=None if pairs is None else pairs.cpu().numpy(),
         details={
             "method": method.name,
             "temporal": getattr(method, "temporal", None),
@@ -227,20 +226,12 @@ def _by_scores(recognition: Recognition, scores: Tensor, steps: Steps) -> Recogn
 
 
 def _scores(recognition: Recognition) -> Tensor:
-    return torch.from_numpy(_similarity(recognition.matches, len(recognition.references.frames)))
+    """The scores of all pairs of a recognition of single frames."""
+    return torch.from_numpy(recognition.similarity)
 
 
 def _sequences(frames: Sequence[str]) -> list[str]:
     return [frame.rpartition("/")[0] for frame in frames]
-
-
-def _similarity(matches: Matches, references: int) -> npt.NDArray[np.float32]:
-    """Scores of all pairs, ``(Q, R)``, from matches that rank all references."""
-    scores = matches.scores.new_full((len(matches.scores), references), -np.inf)
-    rows, ranks = (matches.indices >= 0).nonzero(as_tuple=True)
-    scores[rows, matches.indices[rows, ranks]] = matches.scores[rows, ranks]
-    similarity: npt.NDArray[np.float32] = scores.numpy()
-    return similarity
 
 
 def _frames(

@@ -39,6 +39,7 @@ class Retrieval:
         encode: of encoding a query, without reading it from disk.
         match: of scoring a query against all references, without ranking them.
         bytes_a_reference: size of an encoded reference.
+        similarity: ``(Q, R)`` float32, the scores of all pairs, if they were asked for.
         stepped: the result of the steps of `recognition`, if there are steps.
     """
 
@@ -49,6 +50,7 @@ class Retrieval:
     encode: Cost
     match: Cost
     bytes_a_reference: float
+    similarity: Tensor | None = None
     stepped: Recognised | None = None
 
 
@@ -60,6 +62,7 @@ def run(
     block: int = 1,
     progress: Callable[[int], None] | None = None,
     steps: Steps | None = None,
+    all_pairs: bool = False,
 ) -> Retrieval:
     """Encodes the references, then takes the queries block by block.
 
@@ -76,6 +79,7 @@ def run(
         steps: of `recognition`, in addition. They standardise and follow encodings that are
             vectors; for other methods they follow the scores. The sweep needs a `Sweeping` method.
             The costs do not include them.
+        all_pairs: whether to keep the scores of all pairs.
 
     Raises:
         ValueError: there are no references or no queries, ``top`` or ``block`` is below 1, or the
@@ -89,6 +93,7 @@ def run(
         raise ValueError(f"method {method.name} got no references")
     matches: list[Matches] = []
     inputs: list[Tensor] = []
+    kept: list[Tensor] = []
     vectors: Tensor | None = encoded if _are_vectors(encoded) else None
     encoding, matching = _Clock(), _Clock()
     for frames in batches(_noted(queries, query_ids, progress), block):
@@ -97,6 +102,7 @@ def run(
         encodings = encoding.time(len(frames), method.encode_query, frames)
         scores = matching.time(len(frames), method.scores, encodings, encoded)
         matches += [best_of(row, top) for row in scores]
+        kept += [scores.float()] if all_pairs else []
         if steps is not None:
             inputs.append(scores if vectors is None else _swept(method, frames, encodings, steps))
     if not matches:
@@ -109,6 +115,7 @@ def run(
         encode=encoding.cost,
         match=matching.cost,
         bytes_a_reference=encoded.nbytes / len(reference_ids),
+        similarity=torch.cat(kept) if all_pairs else None,
         stepped=_stepped(inputs, vectors, query_ids, reference_ids, steps, top) if steps else None,
     )
 

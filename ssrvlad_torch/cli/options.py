@@ -158,12 +158,6 @@ class SourceOptions:
         """Whether all frames of a sequence are used."""
         return (self.fps, self.every, self.start) == (None, 1, 0)
 
-    @property
-    def whole_folders(self) -> bool:
-        """Whether the source holds all the frames of its folders."""
-        whole = all("://" in path or Path(path).is_dir() for path in self.paths)
-        return whole and self.takes_all and self.layout is None
-
 
 @dataclass(frozen=True)
 class DriveOptions:

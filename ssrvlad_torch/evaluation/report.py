@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,7 @@ from ..files import check_output, replacing
 from .curves import PrecisionRecall
 from .metrics import figure_rows, precision_recall_curve
 from .outcomes import Bools, Floats, Outcomes, Rows, Truth
+from .true_matches import Viewpoints
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,18 +45,6 @@ CONVENTIONS = {
     "vpr-tutorial-single": "As in the VPR tutorial (Schubert et al., RAM 2024) for single matches: "
     "each query's best pair, 100 evenly spaced thresholds.",
 }
-
-
-class Frames(Protocol):
-    """Frames with their poses, for example a `FrameSet`."""
-
-    @property
-    def frames(self) -> tuple[str, ...]:
-        """Ids, ``<sequence>/<name>``."""
-
-    @property
-    def poses(self) -> npt.NDArray[np.float64]:
-        """``(N, 3)``, x and y in metres first, NaN where unknown."""
 
 
 Pictures = Callable[[str], Mapping[str, Pixels]]
@@ -89,8 +78,8 @@ class Report:
 
     title: str
     metrics: Mapping[str, Any]
-    queries: Frames
-    references: Frames
+    queries: Viewpoints
+    references: Viewpoints
     outcomes: Outcomes
     truth: Truth
     curve: PrecisionRecall

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..options import Extra, Json, MaybePreset, SourceOptions, option
@@ -48,6 +49,7 @@ def encode(
     """
     from ...config import SSRVLADConfig
     from ...database.database import Database
+    from ...datasets.names import is_uri
     from ...datasets.videos import played
     from ...descriptor import SSRVLAD
     from ...encoding.encoder import encode_to_database
@@ -55,14 +57,19 @@ def encode(
     from ...encoding.results import EncodeOptions, Summary
     from ..sources import extra_of, resolve
 
-    if prune and not source.whole_folders:
+    folders = all(is_uri(path) or Path(path).is_dir() for path in source.paths)
+    complete = folders and source.takes_all and source.layout is None
+    if prune and not complete:
         raise ValueError(
             "--prune needs whole folders as SOURCE, without --fps, --every and --start"
         )
+    no_gpus = ValueError("--gpus needs --engine ray and --segmenter")
+    if gpus and engine != "ray":
+        raise no_gpus
     database = Database.open(output) if Database.exists(output) else None
     frames = resolve(source, database)
-    if gpus and not (engine == "ray" and frames.segmenter):
-        raise ValueError("--gpus needs --engine ray and --segmenter")
+    if gpus and not frames.segmenter:
+        raise no_gpus
     stored = extra_of(frames, extra, database is None)
     if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=frames.labels_as)
@@ -79,9 +86,7 @@ def encode(
     if database:
         run = encode_with_ray if engine == "ray" else encode_to_database
         with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
-            options = EncodeOptions(
-                source.workers, source.whole_folders, prune, bar.advance, bar.skip, gpus
-            )
+            options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
             summary = run(head, frames.files, database, options, frames.segmenter)
     if as_json:
         named = [frame._asdict() for frame in summary.skipped]
