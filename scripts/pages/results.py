@@ -191,8 +191,10 @@ def draw(measured: Measured, dataset: str, path: Path) -> None:
     axes = figure.subplots()
     for place, method in enumerate(shown):
         for way in WAYS:
-            rates = [measured[dataset, name, method, way]["RecallRate@1"] for name in names]
-            height = np.arange(len(names)) + (place - (len(shown) - 1) / 2) / (len(shown) + 1.5)
+            keys = [(dataset, name, method, way) for name in names]
+            rates = [measured[key]["RecallRate@1"] for key in keys if key in measured]
+            at = np.array([number for number, key in enumerate(keys) if key in measured])
+            height = at + (place - (len(shown) - 1) / 2) / (len(shown) + 1.5)
             _points(axes, np.array(rates), height, COLOURS[method], way == "single frames", method)
     axes.set(xlim=(-0.01, 1.01), xlabel="RecallRate@1 (hollow: single frames)")
     axes.set_yticks(np.arange(len(names)), names, fontsize=8)
