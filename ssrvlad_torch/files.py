@@ -18,7 +18,6 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +38,7 @@ _MAX_PIXELS = 64_000_000
 _MAX_LEVELS = 20
 _DECIMAL = re.compile(r"(\d+)\.(\d+)")
 _DECIMALS = 20
+_NATURAL: Callable[[str], Any] = natsort_keygen()
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -349,12 +349,7 @@ def natural_key(name: str) -> tuple[Any, str]:
     is a decimal number counts by its value: ``12.5`` after ``12.25``."""
     decimal = _DECIMAL.fullmatch(name)
     text = f"{decimal[1]}.{decimal[2]:0<{_DECIMALS}}" if decimal else name
-    return _natural()(text), name
-
-
-@cache
-def _natural() -> Callable[[str], Any]:
-    return natsort_keygen()
+    return _NATURAL(text), name
 
 
 def _restore(before: Path, path: Path) -> None:

@@ -13,6 +13,8 @@ from segmenting import write_photos
 from torch import nn
 
 from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector
+from ssrvlad_torch.baselines import Frame
+from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.cli import sources
 from ssrvlad_torch.datasets.frame_file import FrameFile
 from ssrvlad_torch.datasets.image_files import read_image
@@ -80,12 +82,17 @@ def test_features_are_stored_by_default(town, photos, ssrvlad):
     stored = database.load().extra["features"]
     said = segmenter.segment(pictures_of(photos / "monday"), features=True)
     assert torch.equal(stored, torch.from_numpy(np.stack([each.features for each in said])))
+    frames = [Frame("", image=image) for image in pictures_of(photos / "monday")]
+    assert torch.equal(database.load().extra["hog"], HOG().encode_query(frames))
     assert database.damage() == []
     network = ("--segmenter", photos / "net.yaml")
     again = ("encode", photos / "monday", photos / "today", "-o", town, *network)
     code, out, _ = ssrvlad(*again)
     assert code == 0
     assert "32 frames encoded" in out and "32 already there" in out
+    (photos / "monday" / "32.png").write_bytes(b"no picture")
+    assert ssrvlad(*again)[0] == 3
+    (photos / "monday" / "32.png").unlink()
     for option in ("none", "hog", "features"):
         given, other = (*network, "--with", option), photos / option
         assert ssrvlad("encode", photos / "monday", "-o", other, *given)[0] == 0
@@ -108,38 +115,55 @@ def test_labels_and_features_take_one_pass_and_are_cached(photos, ssrvlad, runs)
 def test_queries_use_features(town, photos, ssrvlad):
     network, found = ("--segmenter", photos / "net.yaml"), {}
     query = ("query", town, photos / "today", *network)
-    for fuse in ((), ("--no-extra",)):
-        code, out, _ = ssrvlad(*query, "--follow", "no", *fuse, "--json")
+    for options in ((), ("--no-extra",), ("--as-paper", "--no-extra")):
+        single = () if "--as-paper" in options else ("--follow", "no")
+        code, out, _ = ssrvlad(*query, *single, *options, "--json")
         assert code == 0
         lines = [json.loads(line) for line in out.splitlines()]
-        found[fuse] = lines[0]["steps"]["weights"]["today"].keys()
-        if not fuse:
+        found[options] = lines[0]["steps"]["weights"]["today"]
+        if not options:
             firsts = [line["candidates"][0]["frame"] for line in lines]
             assert firsts == [line["query"].replace("today", "monday") for line in lines]
-    assert found == {(): {"ssr-vlad", "features", "hog"}, ("--no-extra",): set()}
-    code, out, _ = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
-    assert code == 0
-    assert out.startswith("today/7: monday/7, fused score ")
+    weights, *others = found.values()
+    assert weights.keys() == {"ssr-vlad", "features", "hog"} and others == [{}, {}]
+    _, _, err = ssrvlad(*query, "--follow", "no", "--extra")
+    named = " + ".join(f"{name} {weight:.2f}" for name, weight in weights.items())
+    assert f"fused: {named}" in err[-1]
+    truth = ("--tolerance-frames", 0, "--follow", "no", "--json")
+    _, out, _ = ssrvlad("evaluate", *query[1:], *truth)
+    assert json.loads(out)["steps"]["weights"]["today"] == weights
+    assert ssrvlad("db", "index", town)[0] == 2, "of too few frames"
     _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
-    weights = json.loads(out.splitlines()[0])["steps"]["weights"]["monday"]
-    assert weights.keys() == {"ssr-vlad", "features", "hog"}
+    assert json.loads(out.splitlines()[0])["steps"]["weights"]["monday"].keys() == weights.keys()
     line = refused(ssrvlad, *query, "--temporal", "2")
     assert "features are signs, which have no temporal sum; expected --no-extra" in line
     assert ssrvlad(*query, "--temporal", "2", "--no-extra")[0] == 0
 
 
-def test_the_localiser_uses_features(photos, runs):
+def test_the_localiser_uses_features(photos, runs, ssrvlad):
     localiser = Localiser.from_pretrained(photos / "net.yaml", photos / "town")
     assert localiser.add(photos / "monday").encoded == 32
     before = runs[0]
     assert localiser.locate(photos / "today" / "7.png").frame == "monday/7"
     assert runs[0] == before + 1
+    picture = photos / "today" / "7.png"
+    code, out, err = ssrvlad("locate", picture, "--in", photos / "town")
+    assert code == 0 and out.startswith("today/7: monday/7, fused score ")
+    assert "fused: ssr-vlad 0.11 + features 0.67 + hog 0.22" in err[-1]
+    found = json.loads(ssrvlad("locate", picture, "--in", photos / "town", "--json")[1])
+    place = localiser.locate(picture)
+    assert (place.score, place.confidence) == pytest.approx((found["score"], found["confidence"]))
     again = Localiser.open(photos / "town")
     assert again.locate(pictures_of(photos / "today")[9]).frame == "monday/9"
     plain = Localiser.from_pretrained(photos / "net.yaml", photos / "plain", extra=["none"])
     assert plain.database.extra == ()
-    with pytest.raises(ValueError, match="expected a list of methods of pictures, got the text"):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "x", extra="hog")
+    for where, extra, message in (
+        ("plain", ["hog"], "has no descriptors by hog"),
+        ("x", "hog", "expected a list of methods of pictures, got the text"),
+        ("x", ["sift"], "expected a method of pictures, features, hog, none, got 'sift'"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            Localiser.from_pretrained(photos / "net.yaml", photos / where, extra=extra)
 
 
 def test_loops_use_features(photos, ssrvlad):
@@ -147,7 +171,7 @@ def test_loops_use_features(photos, ssrvlad):
     network = ("--segmenter", photos / "net.yaml")
     code, out, _ = ssrvlad("loops", photos / "monday", *network, *memory)
     assert code == 0
-    assert "features" in out
+    assert "followed online, fused: ssr-vlad 0." in out and "features" in out
     database = Database.open(photos / "memory")
     assert [each.name for each in database.extra] == ["features", "hog"]
     code, out, _ = ssrvlad("loops", photos / "today", *network, *memory, "--json")
@@ -176,6 +200,29 @@ def test_a_detector_takes_features(photos, tmp_path):
         detector.update(said[0].labels, "drive/7", features=said[0].features[1:])
     with pytest.raises(ValueError, match="no extra method"):
         detector.update(said[0].labels, "drive/7", picture=np.zeros((9, 9, 3), np.uint8))
+
+
+def test_wrong_use_of_extra_descriptors(town, photos, maps, ssrvlad):
+    network = ("--segmenter", photos / "net.yaml")
+    plain = photos / "plain"
+    labels = ("--labels-as", SPACE)
+    message = refused(ssrvlad, "encode", maps, "-o", plain, *labels, "--with", "hog")
+    assert "--with hog needs images as SOURCE and --segmenter" in message
+    assert message in refused(ssrvlad, "loops", photos / "today", *labels, "--with", "hog")
+    assert not plain.exists()
+    assert "describes pictures: expected images" in refused(ssrvlad, "encode", maps, "-o", town)
+    alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
+    assert ssrvlad(*alone)[0] == 0
+    message = refused(ssrvlad, "encode", photos / "today", "-o", plain, *network, "--with", "hog")
+    assert "has no descriptors by hog" in message
+    message = refused(ssrvlad, "query", plain, photos / "today", *network, "--extra")
+    assert "holds no extra descriptors; encode a new database with --with features" in message
+    for source in (maps, plain):
+        message = refused(ssrvlad, "query", town, source)
+        assert "expected images and --segmenter, or --no-extra" in message
+        assert ssrvlad("query", town, source, "--no-extra")[0] == 0
+    assert "--as-paper" in refused(ssrvlad, "query", town, maps, "--extra", "--as-paper")
+    assert "or --extra" in refused(ssrvlad, "query", town, maps, "--extra", "--index")
 
 
 def test_a_network_without_features(photos, ssrvlad):

@@ -9,8 +9,7 @@ import torch
 from drawings import SPACE
 from helpers import descriptors, street
 from networks import photo
-from PIL import Image
-from segmenting import write_photos, write_settings
+from segmenting import write_settings
 
 from ssrvlad_torch import Database, Localiser, LoopConfig, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.baselines import Frame
@@ -153,119 +152,12 @@ def test_two_methods_with_independent_errors_are_better_fused():
         recognise(seen[0], maps[0], ["a"] * 40, ["b"] * 40, extra={"own": (seen[1][1:], maps[1])})
 
 
-# ---- with pictures
-
-
-@pytest.fixture
-def photos(tmp_path, monkeypatch):
-    """``monday``, 31 photos, ``today``, the same, and a network that labels them."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    write_settings(tmp_path, f"labels_as: {SPACE}\n")
-    for drive in ("monday", "today"):
-        write_photos(tmp_path / drive, range(31), (60, 80))
-    return tmp_path
-
-
-@pytest.fixture
-def town(photos, ssrvlad):
-    given = ("--segmenter", photos / "net.yaml", "--with", "hog", "--workers", 1)
-    assert ssrvlad("encode", photos / "monday", "-o", photos / "town", *given)[0] == 0
-    return photos / "town"
-
-
-def test_encode_stores_the_descriptor_of_each_picture(town, photos, ssrvlad):
-    database = Database.open(town)
-    assert database.extra == (HOG_STORED,)
-    frames = database.load()
-    images = [np.asarray(Image.open(photos / f"{frame}.png")) for frame in frames.frames]
-    expected = HOG().encode_query([Frame("", image=image) for image in images])
-    assert torch.equal(frames.extra["hog"], expected)
-    again = ("encode", photos / "monday", photos / "today", "-o", town)
-    code, out, _ = ssrvlad(*again, "--segmenter", photos / "net.yaml", "--workers", 2)
-    assert code == 0
-    assert "31 frames encoded (0 of them empty), 31 already there" in out
-    assert torch.equal(Database.open(town).load().extra["hog"][:31], expected)
-    (photos / "monday" / "31.png").write_bytes(b"no picture")
-    assert ssrvlad(*again, "--segmenter", photos / "net.yaml")[0] == 3
-
-
-def test_queries_are_fused_by_default(town, photos, ssrvlad):
-    given = ("--segmenter", photos / "net.yaml", "--follow", "no")
-    code, out, err = ssrvlad("query", town, photos / "today", *given, "--json")
-    lines = [json.loads(line) for line in out.splitlines()]
-    assert code == 0
-    assert [line["candidates"][0]["frame"] for line in lines] == [
-        line["query"].replace("today", "monday") for line in lines
-    ]
-    weights = lines[0]["steps"]["weights"]["today"]
-    assert weights.keys() == {"ssr-vlad", "hog"}
-    _, _, err = ssrvlad("query", town, photos / "today", *given, "--extra")
-    assert f"fused: ssr-vlad {weights['ssr-vlad']:.2f} + hog {weights['hog']:.2f}" in err[-1]
-    for option in ("--no-extra", "--as-paper"):
-        _, out, _ = ssrvlad("query", town, photos / "today", *given, option, "--json")
-        assert json.loads(out.splitlines()[0])["steps"]["weights"]["today"] == {}
-    _, out, _ = ssrvlad(
-        "evaluate", town, photos / "today", *given, "--tolerance-frames", 0, "--json"
-    )
-    assert json.loads(out)["steps"]["weights"]["today"] == weights
-    _, out, _ = ssrvlad("query", town, town, "--follow", "no", "--json")
-    assert json.loads(out.splitlines()[0])["steps"]["weights"]["monday"].keys() == weights.keys()
-    assert ssrvlad("db", "index", town)[0] == 2, "of too few frames"
-
-
-def test_locate_and_the_localiser_fuse(town, photos, ssrvlad):
-    code, out, err = ssrvlad("locate", photos / "today" / "7.png", "--in", town)
-    assert code == 0
-    assert out.startswith("today/7: monday/7, fused score ")
-    assert "fused: ssr-vlad 0.33 + hog 0.67" in err[-1]
-    by_name = Localiser.from_pretrained(photos / "net.yaml", photos / "new", extra=["hog"])
-    assert by_name.add(photos / "monday").encoded == 31
-    place = by_name.locate(photos / "today" / "7.png")
-    assert place.frame == "monday/7"
-    found = json.loads(ssrvlad("locate", photos / "today" / "7.png", "--in", town, "--json")[1])
-    assert (place.score, place.confidence) == pytest.approx((found["score"], found["confidence"]))
-    alone = Localiser.from_pretrained(photos / "net.yaml", photos / "alone", extra=["none"])
-    assert alone.database.extra == ()
-    with pytest.raises(ValueError, match="has no descriptors by hog"):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "alone", extra=["hog"])
-    with pytest.raises(
-        ValueError, match="expected a method of pictures, features, hog, none, got 'sift'"
-    ):
-        Localiser.from_pretrained(photos / "net.yaml", photos / "other", extra=["sift"])
-
-
-def test_descriptors_of_another_version_are_refused(photos):
+def test_descriptors_of_another_version_are_refused(tmp_path):
     changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
-    database = Database.create(photos / "town", CONFIG, extra=[changed])
+    database = Database.create(tmp_path / "town", CONFIG, extra=[changed])
+    settings = write_settings(tmp_path, f"labels_as: {SPACE}\n")
     with pytest.raises(ValueError, match=r"hog gives other descriptors here \(6 x 10 cells, 8"):
-        Localiser.from_pretrained(photos / "net.yaml", database.path)
-
-
-def test_wrong_use_is_an_error_in_one_line(town, photos, maps, ssrvlad):
-    def refused(*arguments):
-        code, _, err = ssrvlad(*arguments)
-        assert (code, len(err)) == (2, 1), err
-        return err[0]
-
-    network = ("--segmenter", photos / "net.yaml")
-    plain = photos / "plain"
-    labels = ("--labels-as", SPACE)
-    message = refused("encode", maps, "-o", plain, *labels, "--with", "hog")
-    assert "--with hog needs images as SOURCE and --segmenter" in message
-    assert not plain.exists()
-    assert "describes pictures: expected images" in refused("encode", maps, "-o", town)
-    alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
-    assert ssrvlad(*alone)[0] == 0
-    message = refused("encode", photos / "today", "-o", plain, *network, "--with", "hog")
-    assert "has no descriptors by hog" in message
-    message = refused("query", plain, photos / "today", *network, "--extra")
-    assert "holds no extra descriptors; encode a new database with --with features" in message
-    for source in (maps, plain):
-        message = refused("query", town, source)
-        assert "expected images and --segmenter, or --no-extra" in message
-        assert ssrvlad("query", town, source, "--no-extra")[0] == 0
-    assert "--as-paper" in refused("query", town, maps, "--extra", "--as-paper")
-    assert "or --extra" in refused("query", town, maps, "--extra", "--index")
+        Localiser.from_pretrained(settings, database.path)
 
 
 def test_an_index_says_that_it_leaves_out_what_was_stored_beside(ssrvlad, maps, tmp_path):
@@ -336,19 +228,3 @@ def test_a_detector_stores_extra_descriptors(tmp_path):
         LoopDetector().update(torch.zeros(60, 80).int(), "a/1", picture=pictures[0])
     with pytest.raises(ValueError, match="has no descriptors by hog"):
         detector.save(Database.create(tmp_path / "other", detector.head.config))
-
-
-def test_loops_take_pictures(photos, ssrvlad):
-    given = ("--segmenter", photos / "net.yaml", "--exclude", 5, "--memory", photos / "memory")
-    code, out, _ = ssrvlad(
-        "loops", photos / "monday", *given, "--labels-as", SPACE, "--with", "hog"
-    )
-    assert code == 0
-    assert "followed online, fused: ssr-vlad 0." in out
-    assert Database.open(photos / "memory").extra == (HOG_STORED,)
-    code, out, _ = ssrvlad("loops", photos / "today", *given, "--labels-as", SPACE)
-    assert code == 0
-    assert "31 frames" in out
-    code, _, (line,) = ssrvlad("loops", photos / "today", "--labels-as", SPACE, "--with", "hog")
-    assert code == 2
-    assert "--with hog needs images as SOURCE and --segmenter" in line

@@ -136,7 +136,7 @@ def recognise_in(
     )
 
 
-def search_index(
+def search_by_index(
     database: Database,
     source: Source,
     steps: Steps,

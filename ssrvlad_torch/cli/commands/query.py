@@ -59,7 +59,7 @@ def query(
     from ...database.frames import FrameSet
     from ...database.selection import excluded_pairs, select
     from ...datasets.videos import played
-    from ...encoding.search import search, search_index
+    from ...encoding.search import search, search_by_index
     from ..sources import resolve
 
     first, last = _window(window)
@@ -80,7 +80,7 @@ def query(
 
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
         if index:
-            found = search_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
+            found = search_by_index(opened, frames, steps, top, from_sequence, exclude, bar.advance)
         else:
             reach, extra = recognition.reach, recognition.with_extra
             found = search(opened, frames, steps, top, reach, extra, excluded, bar.advance)
