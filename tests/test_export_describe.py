@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from cases import camvid_labels, degenerate, hand_drawn
 from drives import write_maps
+from exported import hundreds_of_label_maps, noise
 from PIL import Image
-from test_export import hundreds_of_label_maps, noise
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, reference
 from ssrvlad_torch.config import PRESETS

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 from cases import camvid_labels, degenerate, hand_drawn
-from test_export import (
+from exported import (
     assert_equal,
     hundreds_of_label_maps,
     model_of,

@@ -4,8 +4,8 @@ import numpy as np
 import onnxruntime
 import pytest
 import torch
+from exported import presets
 from graphs import session
-from test_export import presets
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment import export

@@ -1,0 +1,130 @@
+"""Exported heads as functions, and the label maps on which they are compared with the module."""
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+import torch
+from cases import camvid_labels, degenerate, hand_drawn
+from drawings import SPACE, blobs
+from graphs import session
+
+from ssrvlad_torch import SSRVLAD, SSRVLADConfig
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
+from ssrvlad_torch.deployment import export
+
+Maps = npt.NDArray[Any]
+PRESETS = ("paper", "default")
+presets = pytest.mark.parametrize("preset", PRESETS)
+
+CUSTOM: dict[str, dict[str, Any]] = {
+    "few bins, opening and closing": {
+        "preset": "paper",
+        "rings": 3,
+        "sectors": 8,
+        "opening": 0.02,
+        "closing": 0.03,
+    },
+    "one ring, odd sectors, keypoints as context, nothing cleaned": {
+        "preset": "paper",
+        "rings": 1,
+        "sectors": 5,
+        "radius": 1.0,
+        "context": "keypoints",
+        "closing": 0.0,
+        "hole_area": 0.0,
+        "region_area": 0.0,
+    },
+    "guo-hall and much cleaned on a grid": {
+        "preset": "paper",
+        "thinning": "guo-hall",
+        "working_size": 50,
+        "hole_area": 0.2,
+        "region_area": 0.1,
+    },
+    "one row of cells": {"preset": "default", "working_size": 1},
+    "harmonics at native size": {"preset": "default", "working_size": None},
+    "other harmonics, around the middle": {
+        "preset": "default",
+        "anchor": "middle",
+        "thinning": "guo-hall",
+        "rings": 4,
+        "sectors": 7,
+        "harmonics": 9,
+        "boundary_harmonics": 12,
+        "power": 1.0,
+        "spectral_weight": 0.0,
+    },
+}
+
+
+def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:
+    return SSRVLADConfig.from_preset(preset, **{"labels_as": SPACE, **settings})
+
+
+def model_of(
+    config: SSRVLADConfig,
+    given: str = "labels",
+    dtype: str | None = None,
+    shape: tuple[int, int, int] | None = None,
+) -> Any:
+    return export.head_model(config, given, dtype, (), shape)
+
+
+@cache
+def run_of(config: SSRVLADConfig, *given: Any) -> Any:
+    """The exported head as a function of a batch."""
+    head = session(model_of(config, *given).SerializeToString())
+    (value,) = head.get_inputs()
+    return lambda batch: head.run(None, {value.name: batch})
+
+
+def assert_parity(batch: Maps, config: SSRVLADConfig, given: str = "labels") -> None:
+    """The file and the module agree on a batch."""
+    dtype = "int64" if batch.dtype.kind == "i" else None
+    assert_equal(run_of(config, given, dtype)(batch), batch, config)
+
+
+def assert_equal(outputs: Sequence[Maps], batch: Maps, config: SSRVLADConfig) -> None:
+    """Outputs of a file on some runtime are those of the module."""
+    descriptor, unknown, *others = outputs
+    view = SSRVLAD(config).explain(torch.tensor(batch))
+    np.testing.assert_allclose(descriptor, view.descriptor, rtol=0, atol=1e-6)
+    assert descriptor.dtype == np.float32
+    assert not unknown.any()
+    assert len(others) == (config.aggregation == "residuals")
+    for keypoints in others:
+        np.testing.assert_array_equal(keypoints, view.keypoints.sum((2, 3)))
+
+
+def noise(seed: int) -> Maps:
+    """Regions of a few pixels, on a map of any shape."""
+    rng = np.random.default_rng(seed)
+    size = rng.integers(1, 80, 2)
+    return rng.choice(rng.permutation(12)[: rng.integers(2, 5)], size).astype(np.uint8)
+
+
+def random_blobs(seed: int) -> Maps:
+    height, width = np.random.default_rng(seed).integers(8, 260, 2).tolist()
+    return blobs(seed, height, width, 3 + seed % 29)
+
+
+def city(frames: int, seed: int, size: tuple[int, int]) -> Iterator[Maps]:
+    """Frames of the synthetic city, in ``cityscapes-trainids``."""
+    for frame in SyntheticCity(seed=seed).traverse(
+        frames, size=size, labels_as="cityscapes-trainids"
+    ):
+        yield frame.labels.astype(np.uint8)
+
+
+def hundreds_of_label_maps() -> dict[str, list[Maps]]:
+    """The maps of the fast tests and more, by label space: more than 300 without CamVid."""
+    maps = [random_blobs(seed) for seed in range(100, 240)] + [noise(s) for s in range(100, 180)]
+    maps += [*degenerate().values(), *hand_drawn().values(), *camvid_labels(4)]
+    streets = []
+    for seed, size in ((5, (60, 81)), (6, (121, 160)), (7, (240, 320)), (8, (303, 211))):
+        streets += city(20, seed, size)
+    return {SPACE: maps, "cityscapes-trainids": streets}
