@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from _described import Condition, Decisions
+from _decide import Decisions
+from _described import Condition
 from _markdown import save
 from _trials import IMAGES, LABELS, Outcomes, gives, named
 from matplotlib.axes import Axes

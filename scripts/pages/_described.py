@@ -24,7 +24,6 @@ from conditions import (
     METRES,
     NETWORKS,
     REAL,
-    RESAMPLES,
     Drive,
     Search,
     camvid,
@@ -41,29 +40,19 @@ from ssrvlad_torch.baselines.encoder_features import EncoderFeatures
 from ssrvlad_torch.baselines.lost_x import LoSTX
 from ssrvlad_torch.datasets.frame_files import FrameFile
 from ssrvlad_torch.datasets.synthetic_city import REFERENCE
-from ssrvlad_torch.evaluation.curves import PrecisionRecall
 from ssrvlad_torch.evaluation.ground_truth import from_poses
-from ssrvlad_torch.evaluation.metrics import Convention, evaluate, precision_recall_curve
-from ssrvlad_torch.evaluation.outcomes import judge
-from ssrvlad_torch.recognition.recognise import Steps, recognise, recognise_by_scores
+from ssrvlad_torch.recognition.recognise import Steps
 from ssrvlad_torch.recognition.sweep import COLUMNS
-from ssrvlad_torch.recognition.temporal import temporal_sum
 from ssrvlad_torch.segmentation.networks import open_network
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
 OURS = "SSR-VLAD, default"
 UNPROCESSED = "SSR-VLAD, paper, no pre-processing"
-PRESETS = {"SSR-VLAD, paper": "paper", "SSR-VLAD, default": "default"}
 CLEANING = ("opening", "closing", "hole_area", "region_area")
 SETTINGS: dict[str, dict[str, Any]] = {
-    **{name: {"preset": preset} for name, preset in PRESETS.items()},
+    "SSR-VLAD, paper": {"preset": "paper"},
+    OURS: {"preset": "default"},
     UNPROCESSED: {"preset": "paper", **dict.fromkeys(CLEANING, 0.0)},
-}
-BASELINES = {
-    "label grid": "label-grid",
-    "HOG": "hog",
-    "CoHOG": "cohog",
-    "tiny image": "tiny-image",
 }
 FEATURES, LOST_X, TOGETHER = "features", "LoST-X", "together"
 FUSED = {
@@ -73,10 +62,19 @@ FUSED = {
 }
 """What is fused with `default`, by its name in a database: all that `encode` stores, and parts."""
 
-TRAINED = {"NetVLAD": "netvlad", "Region-VLAD": "region-vlad"}
+NAMES = {
+    **{"label grid": "label-grid", "HOG": "hog", "CoHOG": "cohog", "tiny image": "tiny-image"},
+    **{LOST_X: "lost-x", "NetVLAD": "netvlad", "Region-VLAD": "region-vlad"},
+}
+"""Methods other than SSR-VLAD, by their name in the package."""
+
+TRAINED = ("NetVLAD", "Region-VLAD")
 """Methods whose networks were trained; their weights are not here."""
 
-METHODS = (*PRESETS, *BASELINES, FEATURES, LOST_X, TOGETHER)
+METHODS = (
+    *("SSR-VLAD, paper", OURS, "label grid", "HOG", "CoHOG", "tiny image"),
+    *(FEATURES, LOST_X, TOGETHER),
+)
 OF_NETWORKS = (FEATURES, LOST_X, *FUSED)
 OF_PICTURES = ("HOG", "CoHOG", "tiny image", *TRAINED, *OF_NETWORKS)
 BY_SCORES = ("CoHOG", "tiny image", LOST_X)
@@ -91,9 +89,6 @@ LAST = {
 SHORTER_SIDE, MULTIPLE = 576, 16
 ALONE = Steps(standardise=False, follow=None)
 """Each query as a picture of which nothing else is known, as `locate` takes it."""
-
-FIGURES = ("RecallRate@1", "RecallRate@5", "AUC-PR", "Recall@100%Precision")
-OFFSET = 10**6
 
 Known = tuple[tuple[str, ...], np.ndarray]
 
@@ -200,20 +195,16 @@ class Described:
         """
         if method in SETTINGS:
             return baselines.make("ssr-vlad", **SETTINGS[method])
-        if method == LOST_X:
-            network = {"network": str(self.network)} if self.network else {}
-            return baselines.make("lost-x", **network)
-        if method not in TRAINED:
-            return baselines.make(BASELINES[method])
-        places = {"weights": self.weights} if self.weights else {}
-        if self.weights and method == "Region-VLAD":
-            places["vocabulary"] = self.weights
+        own = {"network": str(self.network)} if method == LOST_X and self.network else {}
+        if method in TRAINED and self.weights:
+            places = ("weights", "vocabulary") if method == "Region-VLAD" else ("weights",)
+            own = dict.fromkeys(places, str(self.weights))
         try:
-            return baselines.make(TRAINED[method], **places)
+            return baselines.make(NAMES[method], **own)
         except FileNotFoundError:
-            if not random_weights:
+            if not random_weights or method not in TRAINED:
                 raise
-            return baselines.make(TRAINED[method], random_weights=True)
+            return baselines.make(NAMES[method], random_weights=True)
 
     def segmenter(self, network: str, activation: str | None = None) -> Segmenter:
         """A network, with one of its activations as features."""
@@ -282,69 +273,6 @@ class Described:
         if name not in self._known:
             self._known[name] = kept(self.cache / file, make)
         return self._known[name]
-
-
-class Decisions(NamedTuple):
-    """Candidates of all queries of a condition; rows of the references count through its searches.
-
-    Attributes:
-        scores, rows: ``(Q, 5)`` scores and rows of the candidates.
-        truth: true matches of each query.
-    """
-
-    scores: np.ndarray
-    rows: np.ndarray
-    truth: list[np.ndarray]
-
-    @property
-    def right(self) -> np.ndarray:
-        """``(Q,)`` bool, whether the first candidate is a true match."""
-        return np.array([row in set(t) for row, t in zip(self.rows[:, 0], self.truth, strict=True)])
-
-    def figures(self, convention: Convention = "exact") -> dict[str, tuple[float, float, float]]:
-        """Each of `FIGURES` with the ends of its 95 % bootstrap interval over the queries."""
-        found = evaluate(*self, at=(1, 5), convention=convention, resamples=RESAMPLES)
-        ends = found["intervals"]
-        rates = {f"RecallRate@{n}": (found["recall_at"][n], ends["recall_at"][n]) for n in "15"}
-        others = {"AUC-PR": "auc_pr", "Recall@100%Precision": "recall_at_100_precision"}
-        rates |= {name: (found[key], ends[key]) for name, key in others.items()}
-        return {name: (value, *low_high) for name, (value, low_high) in rates.items()}
-
-    def curve(self, convention: Convention) -> PrecisionRecall:
-        """Precision and recall."""
-        return precision_recall_curve(judge(*self), self.truth, convention)
-
-
-def decide(
-    described: Described, condition: Condition, method: str, steps: Steps, reach: int = 0
-) -> Decisions:
-    """Finds candidates for the queries of a condition.
-
-    Args:
-        reach: t of the temporal sum over the references (Eq. 3).
-    """
-    found, truth = [], []
-    for number, search in enumerate(condition.searches):
-        names = described.sequences(search)
-        if steps == ALONE:
-            names = [str(number) for number in range(len(names[0]))], names[1]
-        if method in BY_SCORES:
-            one = recognise_by_scores(described.scores(search, method), *names, steps, 5)
-        elif method in OF_NETWORKS:
-            members = FUSED.get(method, {})
-            own = described.pair(search, OURS if members else method)
-            beside = {name: described.pair(search, member) for name, member in members.items()}
-            one = recognise(*own, *names, steps, 5, extra=beside)
-        else:
-            queries, references = described.pair(search, method)
-            one = recognise(queries, temporal_sum(references, names[1], reach), *names, steps, 5)
-        found.append(one)
-        truth += [places + number * OFFSET for places in search.truth]
-    return Decisions(
-        torch.cat([one.matches.scores for one in found]).numpy(),
-        torch.cat([one.matches.indices + n * OFFSET for n, one in enumerate(found)]).numpy(),
-        truth,
-    )
 
 
 @cache

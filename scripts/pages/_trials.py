@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from _costs import Cost, measure
-from _described import LOST_X, OF_PICTURES, TRAINED, Condition, Decisions, Described, decide
+from _decide import Decisions, decide
+from _described import LOST_X, OF_PICTURES, TRAINED, Condition, Described
 from conditions import Search, camvid, every_other, labelled, pictured
 
 from ssrvlad_torch.baselines import Frame

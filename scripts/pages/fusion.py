@@ -13,6 +13,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import torch
+from _decide import decide
 from _described import (
     ALONE,
     FEATURES,
@@ -22,7 +23,6 @@ from _described import (
     TOGETHER,
     Described,
     camvid_conditions,
-    decide,
     real_conditions,
 )
 from _markdown import DOCS, ROOT, Page, first_table, head_row, parser, quote, row

@@ -21,7 +21,8 @@ from statistics import mean, median
 
 import numpy as np
 from _costs import ENCODED
-from _described import FIGURES, OF_PICTURES, Condition, Decisions, Described
+from _decide import FIGURES, Decisions
+from _described import OF_PICTURES, Condition, Described
 from _markdown import head_row, interval, paragraph, processor, row, significant, write
 from _trials import (
     IMAGES,

@@ -12,7 +12,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
-from _described import FEATURES, OURS, TOGETHER, Described, all_conditions, decide
+from _decide import decide
+from _described import FEATURES, OURS, TOGETHER, Described, all_conditions
 from _markdown import head_row, interval, kept, parser, row, write
 from _no_sequence import no_sequence_section
 from conditions import CITY_SEEDS, METRES, RESAMPLES

@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from _decide import FIGURES, decide
 from _described import (
     ALONE,
-    FIGURES,
     METHODS,
     OF_NETWORKS,
     OF_PICTURES,
@@ -28,7 +28,6 @@ from _described import (
     Condition,
     Described,
     all_conditions,
-    decide,
 )
 from _markdown import DOCS, ROOT, first_table, head_row, paragraph, parser, quote, row, save, write
 from conditions import CITY_FRAMES, CITY_SEEDS, METRES, RESAMPLES
