@@ -104,14 +104,14 @@ class Page:
         body = "\n" + "\n".join(lines).rstrip("\n") + "\n"
         self._write(begin, body, end if end >= 0 else len(self.text))
 
-    def paragraph(self, begins: str, text: str) -> None:
-        """Replaces the paragraph that begins so, and writes the page.
+    def paragraph(self, begins: str, text: str, ends: str = "\n\n") -> None:
+        """Replaces the paragraph that begins so, or its part up to an end, and writes the page.
 
         Raises:
             ValueError: there is no such paragraph.
         """
         begin = self.text.index(f"\n{begins}") + 1
-        end = self.text.find("\n\n", begin)
+        end = self.text.find(ends, begin)
         self._write(begin, text.rstrip("\n"), end if end >= 0 else len(self.text.rstrip("\n")))
 
     def _write(self, begin: int, new: str, end: int) -> None:

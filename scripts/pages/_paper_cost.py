@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from itertools import islice
 
 import _paper
 import numpy as np
-from _costs import ENCODED, Cost
+from _costs import Cost
 from _described import Described
-from _markdown import head_row, largest_mean_smallest, processor, row
+from _markdown import Page, head_row, largest_mean_smallest, processor, row
 from _trials import camvid_trials, costs, shown
 from conditions import city
 from PIL import Image
@@ -30,39 +30,29 @@ METHODS = (
     *("SSR-VLAD, default", "label grid", "HOG", "tiny image"),
 )
 
-INTRODUCTION = f"""Milliseconds for a frame of {SIZE[0]} x {SIZE[1]} pixels, max/average/min.
 
-- Our machine: {{processor}}. The paper's: an i7-10700KF, SSR-VLAD in C++, the others in Python.
-- {{frames}} The methods take turns on {ROUNDS} frames ({ROUNDS_OF_NETWORKS} for networks with
-  random weights).
-- *Extraction* is from the label map to skeletons, keypoints and centres, *encoding* from there to
-  the descriptor. A single number is both together.
-- *Matching a pair* is the time of one query against {REFERENCES} references (as in RobotCar)
-  divided by their number; LoST-X and tiny image have {ENCODED} references.
-- The cost of a segmentation network is not included, except in LoST-X, which runs its own; also
-  not by the paper.
-- In some cells of the paper the maximum is below the minimum; they are as printed.
-"""
-
-
-def part(options: argparse.Namespace, described: Described) -> Iterator[str]:
-    """The lines of Table III."""
+def part(page: Page, options: argparse.Namespace, described: Described) -> None:
+    """Table III."""
     pictures = list(islice(_pictures(options, described), PICTURES))
     found = costs(described, METHODS, pictures, REFERENCES, (ROUNDS, ROUNDS_OF_NETWORKS))
+    page.paragraph("- Our machine:", f"- Our machine: {processor()}.", " The paper's:")
     frames = (
-        "The frames are those of CamVid, enlarged."
+        "CamVid, enlarged."
         if options.camvid
-        else "The frames are those of the synthetic city; its images are coloured label maps."
+        else "the synthetic city; its images are coloured label maps."
     )
-    yield "## Table III: cost\n"
-    yield INTRODUCTION.format(processor=processor(), frames=frames)
+    page.paragraph("- The frames are", f"- The frames are those of {frames}", " The methods")
+    page.table("## Table III: cost\n", table(found))
+
+
+def table(found: Mapping[str, Cost]) -> Iterator[str]:
+    """A row for each method, ours beside the paper's."""
     steps = ("extraction", "encoding", "matching a pair")
     yield from head_row("method", *steps, *(f"the paper: {step}" for step in steps))
     for name, cost in found.items():
         yield row(shown(name, cost), *_cells(cost), *_paper.TABLE_III.get(name, ("",) * 3))
     embedded = "SSR-VLAD on a TDA4VM"
     yield row(f"{embedded} (the paper)", "", "", "", *_paper.TABLE_III[embedded])
-    yield ""
 
 
 def _pictures(options: argparse.Namespace, described: Described) -> Iterator[Frame]:

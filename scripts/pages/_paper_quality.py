@@ -10,7 +10,7 @@ from typing import NamedTuple
 import _paper
 from _curves import draw
 from _described import UNPROCESSED, Condition, Described, city_conditions
-from _markdown import head_row, interval, paragraph, row
+from _markdown import Page, head_row, interval, row
 from _trials import (
     CAMVID,
     IMAGES,
@@ -26,7 +26,7 @@ from _trials import (
     try_all,
     without,
 )
-from conditions import CITY_FRAMES, CITY_SEEDS, RESAMPLES
+from conditions import CITY_SEEDS
 
 from ssrvlad_torch.datasets.layouts import open_dataset
 from ssrvlad_torch.evaluation.metrics import Convention
@@ -36,6 +36,7 @@ CONVENTION: Convention = "vpr-bench"
 REACH = 3
 CITY_CONDITIONS = ("clean", "all together")
 NOT_HERE = "not here"
+FIGURE = "paper_pr_curves.png"
 
 CITY = "Synthetic city"
 OURS = "SSR-VLAD, default"
@@ -58,7 +59,6 @@ class PaperSet(NamedTuple):
     """A data set of the paper: the searched sequences, and where to get it."""
 
     name: str
-    details: str
     folder: str
     layout: str
     queries: str
@@ -71,21 +71,18 @@ _VPR_BENCH = "github.com/MubarizZaffar/VPR-Bench"
 PAPER_SETS = (
     PaperSet(
         _paper.CMU,
-        "Slice 7, camera 0 (the paper does not name the camera), 2010-10-01 against 2011-11-21.",
         *("slice7", "extended-cmu", "slice7-c0-2010-10-01", "slice7-c0-2011-11-21"),
         "cityscapes-trainids",
         "visuallocalization.net/datasets, Extended CMU Seasons; label maps by a segmenter",
     ),
     PaperSet(
         _paper.ROBOTCAR,
-        "The cross-season sub-sequence of VPR-Bench.",
         *("CrossSeason_CoHOG_Dataset", "vpr-bench", "query", "ref"),
         "cityscapes-trainids",
         f"{_VPR_BENCH}; label maps by a segmenter",
     ),
     PaperSet(
         _paper.SYNTHIA,
-        "The night-to-fall sub-sequence of VPR-Bench.",
         *("Synthia-NightToFall", "vpr-bench", "query", "ref"),
         "synthia",
         f"{_VPR_BENCH}; label maps at synthia-dataset.net",
@@ -95,50 +92,16 @@ PAPER_SETS = (
 Lacking = dict[tuple[str, str], str]
 """The reason why a data set has no label maps or no images, by its name and the kind."""
 
-INTRODUCTION = f"""- The metrics follow the convention `{CONVENTION}`, as in the paper. Recall is
-  over the queries whose best match is right: Recall@100%Precision and AUC measure how well scores
-  separate right from wrong matches, not how many places are found.
-- Recall@100%Precision and RecallRate@1 are in per cent. In brackets are 95 % bootstrap intervals
-  over the queries ({RESAMPLES} resamples).
-- *No pre-processing* is without closing, hole filling and removal of small regions.
-- SSR-VLAD sums references over {REACH} frames on each side (Eq. 3, t = {REACH}), unless the name
-  says t = 0. The other methods sum nothing.
-- `default`, label grid, HOG and tiny image are not in the paper; the last three are trivial
-  baselines.
-"""
 
-REACHING = f"""RecallRate@1 in per cent with and without steps of the paper. With t = {REACH}, a
-sum covers {2 * REACH + 1} frames. On CamVid and in the city, true matches are nearer: within one
-frame, and within 5 m at 3 m between frames."""
-
-ABOUT_CAMVID = """Not in the paper. Odd frames of two drives are queries, even frames are
-references; a true match is a neighbouring frame. `espnetv2` is the output of a network trained on
-other data.
-"""
-
-ABOUT_CITY = f"""Not in the paper. {len(CITY_SEEDS)} cities of {CITY_FRAMES} frames, driven again
-0.7 m to the left with other cars. `all together` is 2 m to the left, turned by 5 degrees, in
-winter, with heavy traffic and the errors of a bad segmenter. The city has no images."""
-
-
-def part(options: argparse.Namespace, described: Described) -> Iterator[str]:
-    """The lines of Table I; draws the figure beside the page."""
+def part(page: Page, options: argparse.Namespace, described: Described) -> None:
+    """Table I, and the figure beside the page."""
     problems, lacking = open_all(options, described)
     outcomes = try_all(described, problems, RIVALS)
-    if options.only is None:
-        figure = options.output.parent / "figures" / "paper_pr_curves.png"
-        draw(problems, outcomes, DRAWN, CONVENTION, figure)
-    yield "## Table I: recognition\n"
-    yield INTRODUCTION
-    yield "![PR curves and AUC](figures/paper_pr_curves.png)\n"
-    yield "As in the figure of the paper: precision over recall above, AUC below.\n"
-    yield paragraph(REACHING)
-    yield from in_short(problems, outcomes)
-    for chosen in PAPER_SETS:
-        yield from dataset_section(chosen.name, chosen.details, problems, outcomes)
-    yield from dataset_section(CAMVID, ABOUT_CAMVID, problems, outcomes)
-    yield from dataset_section(CITY, ABOUT_CITY, problems, outcomes)
-    yield from missing(lacking, outcomes)
+    draw(problems, outcomes, DRAWN, CONVENTION, options.output.parent / "figures" / FIGURE)
+    page.table("## Table I: recognition\n", in_short(problems, outcomes))
+    for dataset in (*(chosen.name for chosen in PAPER_SETS), CAMVID, CITY):
+        page.table(f"### {dataset}\n", table(dataset, problems, outcomes))
+    page.section("### What could not be run", missing(lacking, outcomes))
 
 
 def open_all(options: argparse.Namespace, described: Described) -> tuple[list[Condition], Lacking]:
@@ -226,17 +189,12 @@ def in_short(problems: Sequence[Condition], outcomes: Outcomes) -> Iterator[str]
             yield row(
                 named(problem), preset, *(_cells(found)[1] if found else "" for found in known)
             )
-    yield ""
 
 
-def dataset_section(
-    dataset: str, about: str, problems: Sequence[Condition], outcomes: Outcomes
-) -> Iterator[str]:
-    """A table with a line for each method and condition."""
+def table(dataset: str, problems: Sequence[Condition], outcomes: Outcomes) -> Iterator[str]:
+    """A line for each method and condition."""
     printed = _paper.TABLE_I.get(dataset)
     here = [problem for problem in problems if problem.dataset == dataset]
-    yield f"### {dataset}\n"
-    yield paragraph(about)
     own = [name for metric in _paper.METRICS for name in (metric, *["the paper"] * bool(printed))]
     yield from head_row("method", "condition", *own)
     for rival in RIVALS:
@@ -248,7 +206,6 @@ def dataset_section(
         if not asked and (here or rival.name in (printed or ())):
             why = f"no {rival.sees}" if dataset == CITY else NOT_HERE
             yield row(rival.name, "", *_beside([why] * 3, of_paper))
-    yield ""
 
 
 def _cells(outcome: Outcome) -> list[str]:
@@ -269,7 +226,6 @@ def _beside(ours: Sequence[str], of_paper: Sequence[str] | None) -> list[str]:
 
 def missing(lacking: Lacking, outcomes: Outcomes) -> Iterator[str]:
     """Data sets and methods that could not be run, and what they need."""
-    yield "### What could not be run\n"
     kinds: dict[tuple[str, str], list[str]] = {}
     for (dataset, kind), why in lacking.items():
         kinds.setdefault((dataset, why), []).append(kind)

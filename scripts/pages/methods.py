@@ -23,7 +23,7 @@ import numpy as np
 from _costs import ENCODED
 from _decide import FIGURES, Decisions
 from _described import OF_PICTURES, Condition, Described
-from _markdown import head_row, interval, paragraph, processor, row, significant, write
+from _markdown import Page, head_row, interval, paragraph, processor, row, significant
 from _trials import (
     IMAGES,
     Outcome,
@@ -55,22 +55,6 @@ TECHNIQUES = {"CoHOG": "CoHOG", "Region-VLAD": "RegionVLAD", "NetVLAD": "NetVLAD
 TOP = 10
 TRAVERSES = ("UofA", "Gardens Point")
 
-HEAD = """# Methods
-
-Written by `scripts/pages/methods.py`. The input, the cost and the accuracy of each method. HOG,
-label grid and tiny image are trivial baselines.
-
-- *Single frames* and *steps* are RecallRate@1 on real traverses: the mean over the conditions of
-  UofA and Gardens Point, without and with the [steps](recognition.md) that `query` takes.
-  [Results](results.md) has the other data sets and intervals.
-- *Match* is one query against all references, without ranking.
-- The cost of a segmentation network is not included, except in LoST-X, which runs its own.
-"""
-
-STORED = """The authors of VPR-Bench publish these results with the data set. Here they go through
-the same metrics: a check of our CoHOG, and the accuracy of Region-VLAD with its published
-weights, which are not available here."""
-
 COSTS = f"""Costs on {{processor}}, at {{size}}: the median of {ROUNDS} frames
 ({ROUNDS_OF_NETWORKS} for networks with random weights); the methods take turns.
 [methods.csv](methods.csv) has minimum and maximum. There are {{references}} references, for
@@ -87,45 +71,48 @@ def main() -> None:
     arguments.add_argument("--output", type=Path, default=Path("docs/methods.md"))
     options = arguments.parse_args()
     described = Described(None, options.cache, {}, options.weights, options.network)
-    page, outcomes = [HEAD], {}
+    page, outcomes = Page("methods.md", options.output), {}
     with threads(1):
         if options.camvid:
-            page += in_short(described, options)
+            in_short(page, described, options)
         if options.corridor:
             corridor = open_dataset(options.corridor, "vpr-bench")
             parts = [corridor.select(role=role) for role in ("query", "reference")]
             problem = trial_of(described, CORRIDOR, IMAGES, parts)
             outcomes = try_all(described, [problem], [Rival(name, name) for name in RIVALS])
-            page += section(problem, outcomes)
-            page += stored_section(options.corridor, problem, outcomes)
-    write(options.output, "\n".join([*page, *missing(options, outcomes)]) + "\n")
+            page.table(f"## {named(problem)}\n", table(outcomes))
+            theirs = stored(options.corridor, problem, outcomes)
+            page.table(f"## {CORRIDOR}: what VPR-Bench stored\n", theirs)
+    page.section("## What could not be run", missing(options, outcomes))
 
 
-def in_short(described: Described, options: argparse.Namespace) -> Iterator[str]:
-    """The table with a row for every method."""
+def in_short(page: Page, described: Described, options: argparse.Namespace) -> None:
+    """The table with a row for every method; minimum and maximum beside the page."""
     [search] = camvid_trials(described, options.camvid)[0].searches
     frames = list(described.drive(search.queries).seen(search.query_rows[:PICTURES]))
     references = len(search.reference_rows)
     measured = costs(described, RIVALS, frames, references, (ROUNDS, ROUNDS_OF_NETWORKS))
     found = rates(options.output.parent / "results.csv")
     size = "{} x {} pixels".format(*frames[0].labels.shape)
-    yield paragraph(COSTS.format(processor=processor(), size=size, references=references))
-    yield from head_row(
-        "method", "sees", "bytes a place", "encode, ms", "match, ms", "single frames", "steps"
-    )
+    about = COSTS.format(processor=processor(), size=size, references=references)
+    page.paragraph("Costs on", paragraph(about))
+    names = "sees", "bytes a place", "encode, ms", "match, ms", "single frames", "steps"
+    lines = [*head_row("method", *names)]
     for name, cost in measured.items():
         times = (significant(median(values)) for values in (cost.encode, cost.match))
         quality = (found.get((name, way), "-") for way in ("single frames", "with the steps"))
         sees = "images" if name in OF_PICTURES else "label maps"
-        yield row(shown(name, cost), sees, f"{cost.bytes_a_reference:.0f}", *times, *quality)
-    yield ""
+        lines.append(
+            row(shown(name, cost), sees, f"{cost.bytes_a_reference:.0f}", *times, *quality)
+        )
+    page.table("Costs on", lines)
     with options.output.with_suffix(".csv").open("w", newline="", encoding="utf-8") as file:
-        lines = csv.writer(file)
-        lines.writerow(("method", "what", "median ms", "least", "most"))
+        sheet = csv.writer(file)
+        sheet.writerow(("method", "what", "median ms", "least", "most"))
         for name, cost in measured.items():
             for what, values in (("encode", cost.encode), ("match", cost.match)):
                 numbers = (median(values), min(values), max(values))
-                lines.writerow((name, what, *(significant(number) for number in numbers)))
+                sheet.writerow((name, what, *(significant(number) for number in numbers)))
 
 
 def rates(results: Path) -> dict[tuple[str, str], str]:
@@ -139,27 +126,22 @@ def rates(results: Path) -> dict[tuple[str, str], str]:
     return {key: f"{mean(values):.3f}" for key, values in found.items()}
 
 
-def section(problem: Condition, outcomes: Outcomes) -> Iterator[str]:
+def table(outcomes: Outcomes) -> Iterator[str]:
     """The table of one condition."""
-    yield f"## {named(problem)}\n"
     yield from head_row("method", *FIGURES)
     yield from (row(name, *figures(outcome)) for (_, name), outcome in outcomes.items())
-    yield ""
 
 
-def stored_section(corridor: Path, problem: Condition, outcomes: Outcomes) -> Iterator[str]:
+def stored(corridor: Path, problem: Condition, outcomes: Outcomes) -> Iterator[str]:
     """The results that VPR-Bench stored beside the corridor, and how often our methods agree."""
-    yield f"## {CORRIDOR}: what VPR-Bench stored\n"
-    yield paragraph(STORED)
     yield from head_row("technique", *FIGURES, "same best match as ours")
     for name, theirs in TECHNIQUES.items():
         file = corridor.parent / f"{corridor.name}_{theirs}.npz"
         if not file.exists():
             continue
-        stored, ours = stored_in(file), outcomes[named(problem), name]
-        same = reason(ours) if isinstance(ours, str) else f"{same_best(ours, stored):.1%}"
-        yield row(name, *figures(stored), same)
-    yield ""
+        found, ours = stored_in(file), outcomes[named(problem), name]
+        same = reason(ours) if isinstance(ours, str) else f"{same_best(ours, found):.1%}"
+        yield row(name, *figures(found), same)
 
 
 def same_best(ours: Decisions, stored: Decisions) -> float:
@@ -185,7 +167,6 @@ def figures(outcome: Outcome) -> list[str]:
 
 def missing(options: argparse.Namespace, outcomes: Outcomes) -> Iterator[str]:
     """Methods and data sets that could not be run, and what they need."""
-    yield "## What could not be run\n"
     if options.camvid is None:
         yield "- CamVid: no --camvid; mi.eng.cam.ac.uk/research/projects/VideoRec/CamVid."
     if options.corridor is None:

@@ -19,18 +19,11 @@ from pathlib import Path
 import _paper_cost
 import _paper_quality
 from _described import Described
-from _markdown import write
+from _markdown import Page
 
 from ssrvlad_torch.cli.bench import threads
 
 PARTS = {"table1": _paper_quality.part, "table3": _paper_cost.part}
-
-HEAD = """# The paper's experiments
-
-Written by `scripts/pages/reproduce_paper.py`. The columns *the paper* are the numbers of Nie, Feng
-et al., arXiv 2202.03677. *Not here* means that the data set is not available here, *weights not
-here* that the weights of a network are not.
-"""
 
 
 def main() -> None:
@@ -42,19 +35,18 @@ def main() -> None:
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
     arguments.add_argument("--segmenter", type=Path, help="an .onnx file, or a .yaml that names it")
     arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
-    arguments.add_argument("--only", choices=PARTS, help="print this part and write no page")
+    arguments.add_argument("--only", choices=PARTS, help="measure this part only")
     arguments.add_argument("--output", type=Path, default=Path("docs/paper.md"))
     options = arguments.parse_args()
     described = Described(None, options.cache, {}, options.weights, options.segmenter)
     if options.dry_run:
         print("\n".join(_paper_quality.looked_for(options, described)))
         return
+    page = Page("paper.md", options.output)
     with threads(1):
-        parts = [PARTS[name](options, described) for name in PARTS if options.only in (None, name)]
-    page = "\n".join([HEAD, *(line for part in parts for line in part)]) + "\n"
-    print(page)
-    if options.only is None:
-        write(options.output, page)
+        for name, part in PARTS.items():
+            if options.only in (None, name):
+                part(page, options, described)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +29,7 @@ from _described import (
     Described,
     all_conditions,
 )
-from _markdown import DOCS, ROOT, first_table, head_row, paragraph, parser, quote, row, save, write
-from conditions import CITY_FRAMES, CITY_SEEDS, METRES, RESAMPLES
+from _markdown import DOCS, ROOT, Page, first_table, head_row, parser, quote, row, save, write
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
@@ -63,55 +62,17 @@ Row = dict[str, tuple[float, float, float]]
 Measured = dict[tuple[str, str, str, str], Row]
 """Figures by data set, condition, method and way."""
 
-HEAD = f"""# Results
-
-Written by `scripts/pages/results.py`. [results.csv](results.csv) has all results under every
-condition: RecallRate@1 and @5, AUC-PR and Recall@100%Precision (convention `exact`), with 95 %
-bootstrap intervals over the queries ({RESAMPLES} resamples).
-
-| method | input | what it is |
-| --- | --- | --- |
-| `paper` | label maps | SSR-VLAD |
-| `default` | label maps | our descriptor |
-| label grid | label maps | the fractions of the eight categories in a 6 x 10 grid |
-| features | pictures, and the network that labels them | what its encoder sees, 2 kB |
-| together | the same | `default`, features and HOG fused: what `encode` stores of pictures |
-| HOG, CoHOG, tiny image | pictures, which the city does not have | baselines |
-| LoST-X | pictures and the network, of which it takes the last of the encoder | a baseline |
-
-Each method is measured twice: *single frames*, and *with the steps* that `query` and `evaluate`
-take by default: standardise, sweep, follow offline ([explained here](recognition.md)). Each method
-gets the steps that it can take: CoHOG, LoST-X and tiny image have no vectors to standardise, and
-only `default` and features can be swept.
-
-Single frames of features and together are what `locate` does: a query is also moved to both sides.
-
-- *City*: {len(CITY_SEEDS)} synthetic cities, {CITY_FRAMES} frames a drive; a true match is within
-  {METRES:g} m.
-- *CamVid*: odd frames of two drives are queries, even frames are references; hand-made labels and
-  two networks trained on other data. The car stops for about 90 frames, which show one place; all
-  frames of a stop are true matches of each other. Methods of a network have only espnetv2 ->
-  espnetv2.
-- *UofA*: a campus path, evening against day. *Gardens Point*: a walk on the left side of a path,
-  on the right side, and at night. The label maps come from two networks trained on other data and
-  are poor. The frames correspond one to one at nearly equal speeds, which makes following easier.
-
-The pictures of matches show single frames of `default`, for queries evenly spread over the drive.
-If all of these are right, the last one is replaced by a wrong one.
-"""
-
 
 def main() -> None:
     options = parser(__doc__, "results.md", "described", needs_data=False).parse_args()
     torch.set_num_threads(1)
     described = Described(options.data, options.cache)
     measured = measure(described)
-    folder = options.output.parent
-    text = "\n".join([HEAD, *page(described, measured, folder), *sums(described, measured)])
+    page, folder = Page("results.md", options.output), options.output.parent
     write(folder / "results.csv", to_csv(measured))
-    write(options.output, text + "\n")
+    fill(page, described, measured, folder / "figures")
     if options.output.resolve().parent == DOCS:
-        quote(ROOT / "README.md", "results", excerpt(text))
+        quote(ROOT / "README.md", "results", excerpt(page.text))
 
 
 def measure(described: Described) -> Measured:
@@ -128,28 +89,29 @@ def measure(described: Described) -> Measured:
     return measured
 
 
-def page(described: Described, measured: Measured, folder: Path) -> Iterator[str]:
-    yield "## In short\n"
-    yield "RecallRate@1 and, in brackets, AUC-PR: the means over the conditions of each data set.\n"
+def fill(page: Page, described: Described, measured: Measured, figures: Path) -> None:
+    """The tables of the page, its list of conditions, and its pictures."""
     datasets = [name for name in DATASETS if any(key[0] == name for key in measured)]
+    page.table("## In short\n", summary(measured, datasets))
+    page.paragraph("- *single frames*: ", "\n".join(against_the_grid(measured)))
+    page.table("## The temporal sum\n", sums(described, measured, datasets))
+    for dataset in datasets:
+        name = f"results-{dataset.lower().replace(' ', '-')}"
+        draw(measured, dataset, figures / f"{name}.png")
+        for number, condition in enumerate(PICTURED[dataset], 1):
+            place = figures if dataset == "City" else described.cache / "matches"
+            place.mkdir(parents=True, exist_ok=True)
+            file = place / f"{name}-matches-{number}.png"
+            draw_matches(described, dataset, condition, file)
+
+
+def summary(measured: Measured, datasets: Sequence[str]) -> Iterator[str]:
+    """RecallRate@1 and AUC-PR, the means over the conditions of each data set."""
     yield from head_row("method", *datasets)
     for method in METHODS:
         for way in WAYS:
             cells = [in_short(measured, dataset, method, way) for dataset in datasets]
             yield row(f"{method}, {way}", *cells)
-    yield ""
-    yield from against_the_grid(measured)
-    for dataset in datasets:
-        name = f"results-{dataset.lower().replace(' ', '-')}"
-        draw(measured, dataset, folder / "figures" / f"{name}.png")
-        yield f"## {dataset}\n\n![](figures/{name}.png)\n"
-        for number, condition in enumerate(PICTURED[dataset], 1):
-            file, ours = f"{name}-matches-{number}.png", dataset == "City"
-            place = folder / "figures" if ours else described.cache / "matches"
-            place.mkdir(parents=True, exist_ok=True)
-            draw_matches(described, dataset, condition, place / file)
-            if ours:
-                yield f"![Queries and their best matches: {condition}](figures/{file})\n"
 
 
 def in_short(measured: Measured, dataset: str, method: str, way: str) -> str:
@@ -162,10 +124,6 @@ def in_short(measured: Measured, dataset: str, method: str, way: str) -> str:
 
 def against_the_grid(measured: Measured) -> Iterator[str]:
     """Where the trivial baseline is better with the same steps."""
-    yield (
-        "Conditions in which the RecallRate@1 of `default` is lower than that of the label grid by "
-        "more\nthan one query in 300:\n"
-    )
     for way in WAYS:
         both = {
             key[:2]: (found["RecallRate@1"][0], measured[*key[:2], GRID, way]["RecallRate@1"][0])
@@ -179,7 +137,6 @@ def against_the_grid(measured: Measured) -> Iterator[str]:
         ]
         yield f"- *{way}*: {len(worse)} of {len(both)}"
         yield from (f"    - {condition}" for condition in worse)
-    yield ""
 
 
 def draw(measured: Measured, dataset: str, path: Path) -> None:
@@ -238,24 +195,16 @@ def draw_matches(described: Described, dataset: str, name: str, path: Path) -> N
         sheet.quantize(64, dither=Image.Dither.NONE).save(temporary, format="PNG", optimize=True)
 
 
-def sums(described: Described, measured: Measured) -> Iterator[str]:
-    """Lines about the effect of the temporal sum (Eq. 3) on single frames."""
-    yield "## The temporal sum\n"
-    yield paragraph(
-        "Eq. 3 of the paper sums each reference descriptor over t frames on each side. The table "
-        "shows RecallRate@1 of single frames with this sum, the mean over the conditions of each "
-        "data set. `query` does not take the sum by default; `--as-paper` takes it with t = 3."
-    )
-    datasets = [name for name in DATASETS if any(key[0] == name for key in measured)]
+def sums(described: Described, measured: Measured, datasets: Sequence[str]) -> Iterator[str]:
+    """The effect of the temporal sum (Eq. 3) on single frames."""
     yield from head_row("method", "t", *datasets)
     for method in (m for m in METHODS if m not in OF_PICTURES):
         cells = [in_short(measured, dataset, method, "single frames") for dataset in datasets]
         yield row(method, "0", *(cell.partition(" ")[0] for cell in cells))
         for reach in REACHES:
             means = summed(described, method, reach)
-            yield row(
-                method, str(reach), *(f"{np.mean(means[dataset]):.3f}" for dataset in datasets)
-            )
+            rates = (f"{np.mean(means[dataset]):.3f}" for dataset in datasets)
+            yield row(method, str(reach), *rates)
 
 
 def summed(described: Described, method: str, reach: int) -> Mapping[str, list[float]]:
