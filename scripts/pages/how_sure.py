@@ -90,11 +90,12 @@ averaged in 24 x 32 cells, which differ in some 5 % of the bits from those that 
 ## Conditions
 """
 WHAT = f"""
-- *real*: both directions of the routes of UofA and Gardens Point, label maps and features of
-  {len(NETWORKS)} networks, HOG; CamVid, odd frames against even ones, with the corrected truth.
+- *real*: both directions of the routes of UofA and Gardens Point, label maps, the label grid and
+  features of {len(NETWORKS)} networks, HOG; CamVid, odd frames against even ones, with the
+  corrected truth. *Fused* are label maps with features, as `encode` stores them of pictures.
 - *half map*: the second half of the route is not in the map.
 - *foreign*: queries of one place, the map of another. Every answer is wrong.
-- *city*: synthetic cities 0 to 2; alone and online.
+- *city*: synthetic cities 0 to 2.
 
 An answer is wrong if it is no true match (*strict*), or if it is more than {NEAR} rows from all of
 them (*place*): decoys cannot see an answer that is only beside the right one.
@@ -226,13 +227,15 @@ FAILS = """## Where it fails
   one row wide, wrong answers are neighbours of the right one: see *strict*.
 - A street that repeats has right-looking answers which no mirror has.
 - The other side of a path looks like the path in a mirror: *right -> left* loses right answers to
-  decoys, and the estimate is too high.
+  decoys, the estimate is too high and confidence too low. That is most of the error of *other*.
 - Standing still, all queries have one answer, and all err together: the interval is wide.
 - A place that the map lacks, beside one that it has, is answered by the latter: *half map*.
   Offline, where one track is one decision, the estimate of 5 % is far too low there, and in a
   foreign map by features every accepted answer is wrong. The interval is wide for this reason.
 - A few pictures have no decoys of their own number; the prior does not know how hard the change of
-  light is. The interval of their estimate is wide.
+  light is, nor whether the map shows the place. The interval of their estimate is wide. The map's
+  own frames do not tell: asked without their neighbours, all their answers are wrong, and with
+  features nearly all beat the decoys, because the frames of a drive have more in common.
 - With `--index`, decoys are candidates of the index for mirrored queries. Fewer than 30 queries are
   compared as they are there, without regard to what all frames have in common.
 - Scores of methods without vectors (`compare`) have no decoys.
