@@ -250,13 +250,17 @@ def test_a_network_without_features(photos, ssrvlad):
 def test_wrong_names_store_nothing(photos, ssrvlad, features, message):
     settings = photos / "named.yaml"
     settings.write_text(f"{SETTINGS}features: {features}\n")
-    given = ("encode", photos / "monday", "-o", photos / "none", "--segmenter", settings)
     if features == "[flat]":
         flat = photos / "net.onnx"
         flat.write_bytes(_with_flat_mean(flat.read_bytes()))
-    for extra in (("--with", "features"), ()):
-        assert message in refused(ssrvlad, *given, *extra)
-        assert not (photos / "none").exists()
+    for given in (
+        ("encode", photos / "monday", "-o", photos / "none", "--segmenter", settings),
+        ("loops", photos / "monday", "--memory", photos / "none", "--segmenter", settings),
+        ("fuse", settings, "-o", photos / "none", "--labels-as", SPACE),
+    ):
+        for extra in (("--with", "features"), ())[given[0] == "fuse" :]:
+            assert message in refused(ssrvlad, *given, *extra)
+            assert not (photos / "none").exists()
 
 
 def _with_flat_mean(content):
