@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -61,7 +60,8 @@ def _hash_rows(values: npt.NDArray[Any]) -> Words:
     if padding:
         values = np.pad(values, ((0, 0), (0, padding)))
     words = np.ascontiguousarray(values).view(np.uint64)
-    hashes: Words = np.einsum("ij,j->i", words, _powers(words.shape[1]))
+    numbers = np.cumprod(np.full(words.shape[1], _MULTIPLIER, np.uint64), dtype=np.uint64)
+    hashes: Words = np.einsum("ij,j->i", words, numbers)
     return hashes
 
 
@@ -78,8 +78,3 @@ def _hash_texts(column: pa.StringArray) -> Words:
         rows[np.arange(rows.shape[1], dtype=np.int32) < lengths[:, None]] = text
     hashes: Words = _hash_rows(rows) + lengths.astype(np.uint64)
     return hashes
-
-
-@cache
-def _powers(count: int) -> Words:
-    return np.cumprod(np.full(count, _MULTIPLIER, np.uint64), dtype=np.uint64)

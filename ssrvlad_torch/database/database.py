@@ -65,6 +65,11 @@ class Database(StoredFrames):
 
     Attributes:
         path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
+        version: number of the version that is read; every change has another.
+        fingerprint: of all descriptors; empty if they are custom.
+        width: length of a descriptor.
+        extra: the extra descriptors of every frame.
+        origins: of label maps by key, see `FrameRecord.origin`.
 
     Examples:
         >>> database = Database.create("town.ssrdb", width=3)
@@ -200,7 +205,7 @@ class Database(StoredFrames):
             Its key, for `FrameRecord.origin`.
         """
         origin = Origin(label_space, segmenter, network)
-        if origin.key in self._meta.origins:
+        if origin.key in self.origins:
             return origin.key
         self._require_writable()
         with self._lock:
@@ -272,7 +277,7 @@ class Database(StoredFrames):
             names, got = ", ".join(self._shapes), ", ".join(arrays)
             raise ValueError(f"{self.path} holds {names} of every frame, got {got}")
         rows = to_table(records, arrays, self._shapes)
-        check_records(records, self._meta.origins)
+        check_records(records, self.origins)
         with engine.writing(self.path):
             fragments = engine.write_fragments(self._table, rows) if records else []
         return StagedRows(engine.to_json(fragments), tuple(rows["frame"].to_pylist()))

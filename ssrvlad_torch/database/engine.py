@@ -54,17 +54,6 @@ def lance() -> Any:
     Raises:
         OSError: so few files can be open at once that Lance would panic.
     """
-    _require_open_files()
-    os.environ.setdefault("LANCE_LOG", "error")
-    warnings.filterwarnings("ignore", "lance is not fork-safe")  # tests fork it
-    import lance as module
-    import lance.commit
-    import lance.optimize
-
-    return module
-
-
-def _require_open_files() -> None:
     with contextlib.suppress(ImportError):  # Windows has no such limit
         import resource
 
@@ -74,6 +63,13 @@ def _require_open_files() -> None:
                 errno.EMFILE,
                 f"a database needs {_LEAST_OPEN_FILES} open files, the limit is {most} (ulimit -n)",
             )
+    os.environ.setdefault("LANCE_LOG", "error")
+    warnings.filterwarnings("ignore", "lance is not fork-safe")  # tests fork it
+    import lance as module
+    import lance.commit
+    import lance.optimize
+
+    return module
 
 
 def open_table(uri: str, version: int | None = None) -> LanceDataset:

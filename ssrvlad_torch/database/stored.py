@@ -41,15 +41,20 @@ class Version(NamedTuple):
 
 
 class StoredFrames:
-    """One version of a table of frames, as a `Database` reads it."""
+    """One version of a table of frames, as a `Database` reads it, which documents the
+    attributes."""
 
     def __init__(self, path: str, table: LanceDataset) -> None:
         self.path = path
         self._use(table)
 
     def _use(self, table: LanceDataset) -> None:
-        self._table = table
-        self._meta = Meta.of(table.schema.metadata or {}, self.path)
+        self._table, self.version = table, int(table.version)
+        self._config, self.extra, self.origins = Meta.of(table.schema.metadata or {}, self.path)
+        self.fingerprint = self._config.fingerprint if self._config else ""
+        self.width = int(table.schema.field(DESCRIPTOR).type.list_size)
+        self._shapes: dict[str, Shape] = {DESCRIPTOR: (self.width,)}
+        self._shapes |= {each.name: each.shape for each in self.extra}
 
     def __len__(self) -> int:
         return int(self._table.count_rows())
@@ -67,49 +72,20 @@ class StoredFrames:
         )
 
     @property
-    def version(self) -> int:
-        """Number of the version that is read; every change has another."""
-        return int(self._table.version)
-
-    @property
     def config(self) -> SSRVLADConfig:
         """The settings of all descriptors.
 
         Raises:
             ValueError: the descriptors are custom, without settings.
         """
-        if self._meta.config is None:
+        if self._config is None:
             raise ValueError(f"{self.path} holds custom descriptors, without settings")
-        return self._meta.config
-
-    @property
-    def fingerprint(self) -> str:
-        """Fingerprint of all descriptors; empty if they are custom."""
-        return self._meta.config.fingerprint if self._meta.config else ""
-
-    @property
-    def width(self) -> int:
-        """Length of a descriptor."""
-        return int(self._table.schema.field(DESCRIPTOR).type.list_size)
-
-    @property
-    def extra(self) -> tuple[ExtraDescriptor, ...]:
-        """The extra descriptors of every frame."""
-        return self._meta.extra
-
-    @property
-    def _shapes(self) -> dict[str, Shape]:
-        return {DESCRIPTOR: (self.width,), **{each.name: each.shape for each in self.extra}}
-
-    @property
-    def origins(self) -> dict[str, Origin]:
-        """The origins of label maps by key, see `FrameRecord.origin`."""
-        return dict(self._meta.origins)
+        return self._config
 
     def label_spaces(self) -> list[LabelSpace]:
         """The label spaces of the frames; of an empty database, those of all its origins."""
-        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self._meta.origins)
-        spaces = [self._meta.origins.get(key, Origin()).label_space for key in keys]
+        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
+        spaces = [self.origins.get(key, Origin()).label_space for key in keys]
         return list({space.digest: space for space in spaces if space}.values())
 
     def require(self, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()) -> None:
@@ -196,10 +172,10 @@ class StoredFrames:
         """Counts and settings of the database, ready for JSON; rows are not verified."""
         table = self._columns(["sequence", "x", "empty", "origin"])
         origins = {
-            str(self._meta.origins.get(key, Origin())): count
+            str(self.origins.get(key, Origin())): count
             for key, count in Counter(table["origin"].to_pylist()).items()
         }
-        config = self._meta.config
+        config = self._config
         return {
             "frames": len(table),
             "sequences": dict(Counter(table["sequence"].to_pylist())),
