@@ -77,9 +77,12 @@ def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
     assert encode_with_ray(HEAD, others, Database.open(tmp_path / "db"), options).pruned == 1
 
 
-def test_a_killed_worker_loses_nothing(tmp_path, files, database, monkeypatch):
+@pytest.mark.parametrize("by", ["label maps", "network"])
+def test_a_killed_worker_loses_nothing(tmp_path, monkeypatch, request, by):
     """It dies after it wrote its part, which is written again and added once."""
     flag = tmp_path / "died"
+    names = ("files", "database") if by == "label maps" else ("photos", "pictures", "segmenter")
+    files, database, *segmenter = map(request.getfixturevalue, names)
 
     class Mortal(PartEncoder):
         def __call__(self, files, new):
@@ -90,9 +93,9 @@ def test_a_killed_worker_loses_nothing(tmp_path, files, database, monkeypatch):
             return part
 
     monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
-    assert encode_with_ray(HEAD, files, database, TWO).encoded == 20
+    assert encode_with_ray(HEAD, files, database, TWO, *segmenter).encoded == 20
     assert flag.exists()
-    assert_same_as_local(tmp_path / "db", files)
+    assert_same_as_local(tmp_path / "db", files, *segmenter, extra=database.extra)
 
 
 def test_frames_committed_before_an_interruption_stay(tmp_path, files, database, monkeypatch):
@@ -172,25 +175,6 @@ def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
     write_photos(tmp_path / "photos", [3], size=(96, 160))
     summary = encode_with_ray(HEAD, photos, Database.open(tmp_path / "db"), TWO, segmenter)
     assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
-
-
-def test_a_killed_actor_with_a_network_loses_nothing(
-    tmp_path, photos, segmenter, pictures, monkeypatch
-):
-    flag = tmp_path / "died"
-
-    class Mortal(PartEncoder):
-        def __call__(self, files, new):
-            part = super().__call__(files, new)
-            if not flag.exists():
-                flag.touch()
-                os._exit(1)
-            return part
-
-    monkeypatch.setattr(ray_engine, "PartEncoder", Mortal)
-    assert encode_with_ray(HEAD, photos, pictures, TWO, segmenter).encoded == 20
-    assert flag.exists()
-    assert_same_as_local(tmp_path / "db", photos, segmenter, pictures.extra)
 
 
 def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):
