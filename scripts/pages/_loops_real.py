@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from _markdown import head_row, interval, paragraph, row
+from _markdown import Page, head_row, interval, row
 from _tours import BATCH, CONDITIONS, head
 from conditions import NETWORKS, ROUTES, kept
 from how_sure import FOREIGN, described, of_camvid, of_kinds
@@ -32,44 +32,6 @@ ALONE: tuple[str, ...] = ()
 METHODS = {"label maps": ALONE, "with features": ("features",)}
 BLOCK, RESAMPLES, NEAR = 10, 2000, 3
 STREETS = range(300, 308)
-
-HEAD = f"""# Loop closures
-
-Written by `scripts/pages/loops.py`.
-
-## Real second drives
-
-A place is driven twice, and between the two something changes: the light, the side of the path, the
-network, or only the frames. The first drive is the memory, the second comes as a stream. Default
-settings, threshold 0.8; every frame of the second drive returns to a place.
-
-- *Recall* is the fraction of the frames of the second drive that close a right loop. In brackets
-  are 95 % bootstrap intervals over blocks of {BLOCK} neighbouring frames ({RESAMPLES} resamples).
-- *Wrong* counts frames of either drive that close any other loop; of these, *elsewhere* are more
-  than {NEAR} frames from the right place.
-
-A loop of another sequence must be likelier than the same frames run backwards, which only chance
-makes likely; each sequence has its own mean. Weights and probabilities of jumps were compared on
-the drives of the first table by label maps, on foreign places and on cities 100 to 103. *Features*
-are of activations that were averaged in 24 x 32 cells.
-"""
-
-FAILS = """## Where it fails
-
-- *A street that repeats exactly.* Where all blocks are equal and labels are perfect, a frame at the
-  same phase of another block fits better than the next frame does. Nothing in the pictures tells
-  it from a loop.
-- *After sunset by label maps*: what the networks see at night on the other side of the path is
-  too different; features close most of these loops.
-- *The first frames of a return* wait until the filter is sure: in cities most of what is missed,
-  see below. A jump into a drive costs as much. Settings that wait less were compared on cities 100
-  to 109 with noisy labels: all that found 1 % more had more wrong loops there, in an estate or in
-  foreign places.
-- *Returns inside an estate* are nearly all refused where labels are noisy.
-- *The way back* is never found: the pictures are others.
-- *Frames denser than the excluded ones permit.* Neighbours of a standing camera are alike; exclude
-  more than the frames that one place fills.
-"""
 
 
 class Pair(NamedTuple):
@@ -93,20 +55,17 @@ class Outcome(NamedTuple):
     elsewhere: int
 
 
-def real_drives(data: Path, cached: Path) -> Iterator[str]:
-    """Lines of the page."""
+def real_drives(page: Page, data: Path, cached: Path) -> None:
+    """The tables of real drives, and of streams with nothing to find."""
     cached.mkdir(parents=True, exist_ok=True)
-    yield HEAD
     chosen, checks = conditions(data, cached)
-    yield from table(chosen, METHODS)
-    yield paragraph("Pairs that nothing was chosen on: the drives of the other order, and CamVid:")
-    yield from table(checks, METHODS)
-    yield "## Nothing to find\n"
-    yield paragraph(
-        "A stream of one place after the drive of another, with both networks; the second drives "
-        f"of the first table in random order; {len(STREETS)} streets of a housing estate alone, "
-        "130 frames, with perfect and with noisy labels. In random order a loop can be right."
-    )
+    page.table("## Real second drives\n", table(chosen, METHODS))
+    page.table("Pairs that nothing was chosen on", table(checks, METHODS))
+    page.table("## Nothing to find\n", nowhere(data, cached, chosen))
+
+
+def nowhere(data: Path, cached: Path, chosen: Sequence[Pair]) -> Iterator[str]:
+    """Rows of foreign places, of drives in random order and of estates."""
     yield from head_row("stream", "streams", "frames", "loops", "wrong", "in streams")
     for name, names in METHODS.items():
         yield nothing(f"foreign places, {name}", foreign(data, cached), names)
@@ -114,7 +73,6 @@ def real_drives(data: Path, cached: Path) -> Iterator[str]:
     for name in CONDITIONS:
         streets = [estate(seed, name, cached) for seed in STREETS]
         yield nothing(f"estate, {name}", streets, ALONE)
-    yield "\n" + FAILS
 
 
 def table(pairs: Sequence[Pair], methods: dict[str, tuple[str, ...]]) -> Iterator[str]:
@@ -131,7 +89,6 @@ def table(pairs: Sequence[Pair], methods: dict[str, tuple[str, ...]]) -> Iterato
         yield row(pair.name, *cells)
         print(pair.name, *cells, flush=True)
     yield row("mean, sums", *(cell for some in found.values() for cell in counted(some)))
-    yield ""
 
 
 def counted(found: Sequence[Outcome]) -> list[str]:

@@ -19,6 +19,7 @@ import numpy as np
 from _loops_real import real_drives
 from _markdown import (
     DOCS,
+    Page,
     first_table,
     head_row,
     interval,
@@ -27,7 +28,6 @@ from _markdown import (
     quote,
     row,
     save,
-    write,
 )
 from _tours import Tour, Tours, all_tours, head
 from conditions import ROUTES
@@ -74,79 +74,56 @@ class Outcome:
         return loop_errors(self.loops, self.tour.poses)
 
 
-INTRODUCTION = f"""## Cities
-
-A drive is `synthetic_city.TOUR`: 3.3 km, about 1100 frames. Some streets are driven again in the
-same direction, some in the opposite direction. In a housing estate of 400 m, every block looks
-like the next one. {len(MEASURED_ON)} cities are measured, each with perfect labels and with noisy
-labels (the errors of a segmentation network, and a camera that sways).
-
-- A loop is *right* if its two frames are within {METRES:g} m, otherwise *wrong*. It is *elsewhere*
-  if they are more than {ELSEWHERE:g} m apart.
-- *Recall* is over the frames that return to a place in the same direction. In the opposite
-  direction, the pictures are different.
-- *Before a wrong one* is the recall before the first wrong loop: the best that a threshold can
-  reach without one.
-- `default` is the threshold of `LoopConfig()`. `learned` is the threshold that `ssrvlad loops
-  --tolerance-metres` suggests for {len(LEARNED_ON)} other cities under the same condition.
-- *check* is the default threshold in {len(CHECKED_ON)} more cities.
-- In brackets are 95 % bootstrap intervals over the cities ({RESAMPLES} resamples). Without wrong
-  loops, the interval of the precision has no width.
-
-Frames of one sequence share light and network, and a street that repeats runs forwards: the frames
-run backwards tell neither from a loop. Therefore an old frame of the same sequence must fit nearly
-as well as the previous frame does, and better than the excluded frames fit each other. Both were
-chosen on cities 100 to 109. That two parts of an estate may be one frame off was added after a
-first run of this page had 14 wrong loops in the estate of one measured city with noisy labels.
-"""
-
-
 def main() -> None:
     options = parser(__doc__, "loops.md", "loops").parse_args()
     with threads(1):
         learned, measured, checked = (
             all_tours(each, options.cache) for each in (LEARNED_ON, MEASURED_ON, CHECKED_ON)
         )
-        lines = [*real_drives(options.data, options.cache)]
-        lines += sections(learned, measured, checked, options.output)
-    text = "\n".join(lines) + "\n"
-    write(options.output, text)
+        page = Page("loops.md", options.output)
+        real_drives(page, options.data, options.cache)
+        figures = options.output.parent / "figures"
+        for heading, lines in sections(learned, measured, checked, figures).items():
+            page.section(heading, lines)
     if options.output.resolve().parent == DOCS:
-        quote(DOCS / "guides" / "robot.md", "loops", excerpt(text))
+        quote(DOCS / "guides" / "robot.md", "loops", excerpt(page.text))
 
 
-def sections(learned: Tours, measured: Tours, checked: Tours, page: Path) -> Iterator[str]:
-    """Lines about cities; their figures are written beside the page."""
-    yield INTRODUCTION
+def sections(
+    learned: Tours, measured: Tours, checked: Tours, figures: Path
+) -> dict[str, list[str]]:
+    """Lines about cities by their heading; draws the figures that they show."""
+    made: dict[str, list[str]] = {}
     found: dict[str, PrecisionRecall] = {}
     for condition, tours in measured.items():
-        yield f"### {condition.capitalize()}\n"
         point = surest_point(curve([detect(tour) for tour in learned[condition]]))
         assert point
         outcomes = [detect(tour) for tour in tours]
         chosen = [believed(outcome, point.score) for outcome in outcomes]
-        name = f"loops-{condition.split()[0]}.png"
-        yield f"![](figures/{name})\n"
-        yield paragraph(f"City {tours[0].city} with the learned threshold. Right loops are green.")
-        draw(page.parent / "figures" / name, chosen[0], condition)
-        yield from head_row(
-            *("threshold", "", "loops", "wrong", "elsewhere", "precision", "recall"),
-            "before a wrong one",
-        )
-        found[condition] = curve(outcomes)
-        best = f"{found[condition].recall_at_full_precision:.3f}"
-        yield row("default", f"{LoopConfig.threshold:g}", *figures(outcomes), best)
-        yield row("learned", f"{point.score:.4f}", *figures(chosen), best)
         others = [detect(tour) for tour in checked[condition]]
-        best = f"{curve(others).recall_at_full_precision:.3f}"
-        yield row("check", f"{LoopConfig.threshold:g}", *figures(others), best)
-        yield ""
-        yield from where_and_why(outcomes)
-    yield "![](figures/loops-curves.png)\n"
-    draw_curves(page.parent / "figures" / "loops-curves.png", found)
+        name = f"loops-{condition.split()[0]}.png"
+        draw(figures / name, chosen[0], condition)
+        found[condition] = curve(outcomes)
+        best, checked_best = (
+            f"{each.recall_at_full_precision:.3f}" for each in (found[condition], curve(others))
+        )
+        names = ("threshold", "", "loops", "wrong", "elsewhere", "precision", "recall")
+        made[f"### {condition.capitalize()}"] = [
+            f"![](figures/{name})\n",
+            paragraph(f"City {tours[0].city} with the learned threshold. Right loops are green."),
+            *head_row(*names, "before a wrong one"),
+            row("default", f"{LoopConfig.threshold:g}", *scores(outcomes), best),
+            row("learned", f"{point.score:.4f}", *scores(chosen), best),
+            row("check", f"{LoopConfig.threshold:g}", *scores(others), checked_best),
+            "",
+            *where_and_why(outcomes),
+        ]
+    draw_curves(figures / "loops-curves.png", found)
+    made[list(made)[-1]].append("![](figures/loops-curves.png)")
+    return made
 
 
-def figures(outcomes: Sequence[Outcome]) -> list[str]:
+def scores(outcomes: Sequence[Outcome]) -> list[str]:
     errors = np.concatenate([outcome.errors for outcome in outcomes])
     score = total(outcomes)
     ends = intervals(outcomes)
