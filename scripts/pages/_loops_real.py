@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from _markdown import Page, head_row, interval, row
+from _sure_conditions import FOREIGN, described, of_camvid, of_kinds
 from _tours import BATCH, CONDITIONS, head
 from conditions import NETWORKS, ROUTES, kept
-from how_sure import FOREIGN, described, of_camvid, of_kinds
 from torch import Tensor
 
 from ssrvlad_torch import LoopDetector
