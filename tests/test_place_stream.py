@@ -4,15 +4,29 @@ import numpy as np
 import pytest
 import torch
 from ssrvlad_place.stream import SignMap
-from test_signs import SHAPE, drive
+from test_signs import drive
 
 from ssrvlad_torch.loops.sign_memory import SignVectors
+
+SHAPE = (8, 3, 8)
+
+
+def frames_of(count):
+    """Signs of `SHAPE`."""
+    signs = drive(2 * count).numpy()
+    return np.concatenate((signs[:count], signs[count:]), axis=-1)
+
+
+@pytest.fixture(params=["numpy 2", "numpy 1"], autouse=True)
+def counting(request, monkeypatch):
+    if request.param == "numpy 1":
+        monkeypatch.delattr(np, "bitwise_count", raising=False)
 
 
 @pytest.mark.parametrize("starts", [(), (1,), (20, 33)])
 def test_scores_are_those_of_the_package(starts):
     """Over sequences, of which each has its own mean, and more rows than fit at first."""
-    frames, ours, theirs = drive(70).numpy(), SignMap(SHAPE), SignVectors(SHAPE)
+    frames, ours, theirs = frames_of(70), SignMap(SHAPE), SignVectors(SHAPE)
     for number, signs in enumerate(frames):
         if number in starts:
             ours.start_sequence()
@@ -28,7 +42,7 @@ def test_scores_are_those_of_the_package(starts):
 
 def test_products_are_those_of_numbers():
     """Of one frame with another, where it is and moved by one column to the right."""
-    here, there = drive(2).numpy()
+    here, there = frames_of(2)
     one = SignMap(SHAPE)
     one.append(there, one.products(there))
     (still,), (moved,) = one.products(here)
@@ -40,7 +54,7 @@ def test_products_are_those_of_numbers():
 
 
 def test_equal_frames_have_finite_scores():
-    (signs,), frames = drive(1).numpy(), SignMap(SHAPE)
+    (signs,), frames = frames_of(1), SignMap(SHAPE)
     for _ in range(3):
         products = frames.products(signs)
         assert np.isfinite(frames.scores(signs, products)).all()

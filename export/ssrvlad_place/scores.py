@@ -87,7 +87,10 @@ def cosines_of_signs(query: Array, rows: Array) -> Array:
 
 
 def differing(signs: Array, rows: Array) -> Array:
-    """``(R, columns)``, how many signs of each column differ."""
-    words = np.ascontiguousarray(rows ^ signs).view(np.uint16)
-    counts: Array = _ONES[words].sum((2, 3))
-    return counts
+    """``(R, columns)``, how many signs of each column differ; cells have a multiple of 8 bytes."""
+    changed = np.ascontiguousarray(rows ^ signs)
+    if hasattr(np, "bitwise_count"):  # from NumPy 2.0 on, and five times faster
+        counts = np.bitwise_count(changed.view(np.uint64))
+    else:
+        counts = _ONES[changed.view(np.uint16)]
+    return counts.sum((2, 3))
