@@ -1,1 +1,1 @@
-"""Many frames -> database."""
+"""Many frames -> database, and the search with them."""

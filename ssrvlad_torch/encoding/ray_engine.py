@@ -109,11 +109,10 @@ class Network(NamedTuple):
     @classmethod
     def of(cls, segmenter: Segmenter, gpus: float = 0) -> Network:
         """A network that has a name is loaded by it; another one is sent with its weights."""
-        load = partial(_itself, segmenter)
-        if segmenter.name:
-            how = segmenter.label_space, segmenter.cache, segmenter.config.classes
-            load = partial(Segmenter.load, segmenter.name, *how)
-        return cls(load, segmenter.key(), gpus)
+        if not segmenter.name:
+            return cls(lambda: segmenter, segmenter.key(), gpus)
+        how = segmenter.label_space, segmenter.cache, segmenter.config.classes
+        return cls(partial(Segmenter.load, segmenter.name, *how), segmenter.key(), gpus)
 
     def loaded(self) -> Segmenter:
         """The segmenter; a ValueError if it is another one."""
@@ -175,10 +174,6 @@ class Actor:
         except Exception as error:  # the report of Ray would not show it
             part = OSError(f"Ray failed: {one_line(error)}")
         return {"part": [pickle.dumps(part)]}
-
-
-def _itself(segmenter: Segmenter) -> Segmenter:
-    return segmenter
 
 
 def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator[Part]:

@@ -1,1 +1,1 @@
-"""The stages of the method, one file each. Only `residuals` and `harmonics` import others."""
+"""The stages of the method, one file each, on `bitplanes`; what is made of several, and shows them."""
