@@ -189,9 +189,8 @@ class DriveOptions:
     )
 
 
-PAPER_REACH = 3
-"""Frames on each side of the temporal sum in the paper."""
-MOST_REACH = 1_000_000
+PAPER_REACH, MOST_REACH = 3, 1_000_000
+"""Frames on each side of the temporal sum: in the paper, and at most."""
 
 
 class Reach(NamedTuple):

@@ -1,1 +1,1 @@
-"""The stages of the method, one file each, on `bitplanes`; what is made of several, and shows them."""
+"""The stages of the method, one file each; what is made of several of them; what shows them."""
