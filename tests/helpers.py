@@ -4,10 +4,12 @@ import struct
 import sys
 import zlib
 from collections.abc import Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+import pytest
 import torch
 from drawings import blobs
 from PIL import Image
@@ -127,10 +129,14 @@ def _chunk(kind: bytes, content: bytes) -> bytes:
     return struct.pack(">I", len(content)) + kind + content + checksum
 
 
-def one_line(refusal):
-    message = str(refusal.value)
-    assert "\n" not in message
-    return message
+@contextmanager
+def refused(message, *names, by=ValueError):
+    """Expects an error whose message is one line, matches, and holds these names."""
+    with pytest.raises(by, match=message) as refusal:
+        yield refusal
+    text = str(refusal.value)
+    assert text and "\n" not in text
+    assert all(str(name) in text for name in names), text
 
 
 def touch(*paths):

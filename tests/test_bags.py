@@ -5,7 +5,7 @@ import io
 import numpy as np
 import pytest
 from drawings import SPACE
-from helpers import street
+from helpers import refused, street
 from networks import photo, write_graph
 from PIL import Image
 
@@ -100,9 +100,8 @@ def test_what_cannot_be_read_is_an_error_in_one_line(tmp_path):
         read_image(find_image_files([str(bag)])[0])
     whole = bag.read_bytes()
     bag.write_bytes(whole[:50])
-    with pytest.raises(ValueError, match=r"drive\.bag is not a readable bag") as error:
+    with refused(r"drive\.bag is not a readable bag"):
         find_image_files([str(bag)])
-    assert "\n" not in str(error.value)
 
 
 def test_a_drive_is_one_argument(tmp_path, ssrvlad, monkeypatch):

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 import pytest
 import torch
+from helpers import refused
 
 from ssrvlad_torch.baselines.caffemodel import read_caffemodel
 
@@ -85,9 +86,8 @@ def test_a_kernel_with_one_output_keeps_its_four_axes(tmp_path):
 def test_a_cut_file_is_named(keep, tmp_path):
     path = tmp_path / "net.caffemodel"
     path.write_bytes(network(LAYERS)[:keep])
-    with pytest.raises(ValueError, match=r"net\.caffemodel is not a") as error:
+    with refused(r"net\.caffemodel is not a"):
         read_caffemodel(path)
-    assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import pytest
 import torch
 from cases import assert_equals_reference, camvid_labels, degenerate, hand_drawn, needs_camvid
 from drawings import CAR, ROAD, SPACE, TREE, VOID, blobs
+from helpers import refused
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -215,9 +216,8 @@ def test_it_has_no_weights_and_no_state():
     ],
 )
 def test_bad_input_is_named(labels, message):
-    with pytest.raises(ValueError, match=message) as error:
+    with refused(message):
         SSRVLAD(DEFAULT)(labels)
-    assert "\n" not in str(error.value)
 
 
 OPERATOR = "ssrvlad.describe.default"

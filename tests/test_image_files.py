@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 import pytest
-from helpers import COLOUR, GRAY, flip_byte, write_png
+from helpers import COLOUR, GRAY, flip_byte, refused, write_png
 from PIL import Image
 
 from ssrvlad_torch.datasets.frame_files import FrameFile
@@ -146,9 +146,8 @@ def test_palette_images_show_their_colours(transparency):
     ],
 )
 def test_what_is_no_image_is_refused_in_one_line(content, message):
-    with pytest.raises(ValueError, match=message) as refusal:
+    with refused(message) as refusal:
         decode_image(content)
-    assert "\n" not in str(refusal.value)
     assert "0x" not in str(refusal.value)
 
 

@@ -13,6 +13,7 @@ from helpers import (
     GRAY_ALPHA,
     PALETTES,
     flip_byte,
+    refused,
     street,
     write_palette,
     write_png,
@@ -282,10 +283,8 @@ def zipped(path):
 )
 def test_what_is_no_label_map_is_refused_in_one_line(tmp_path, name, write, message):
     write(tmp_path / name)
-    with pytest.raises(ValueError, match=message) as refusal:
+    with refused(message):
         read(tmp_path / name)
-    assert str(refusal.value)
-    assert "\n" not in str(refusal.value)
 
 
 def test_a_png_is_refused_wherever_it_is_cut_or_damaged(tmp_path):

@@ -5,7 +5,7 @@ import sys
 
 import numpy as np
 import pytest
-from helpers import flip_byte
+from helpers import flip_byte, refused
 from scipy.io import savemat
 
 from ssrvlad_torch.baselines.matconvnet import read_matconvnet
@@ -89,9 +89,8 @@ def test_another_matlab_file(content, tmp_path):
 @pytest.mark.parametrize("keep", [5, 130, 300, 900])
 def test_a_cut_file(keep, tmp_path):
     (tmp_path / "net.mat").write_bytes(WITH_OBJECTS[:keep])
-    with pytest.raises(ValueError, match=r"net\.mat") as error:
+    with refused(r"net\.mat"):
         read_matconvnet(tmp_path / "net.mat")
-    assert "\n" not in str(error.value)
 
 
 def test_a_damaged_file(tmp_path):

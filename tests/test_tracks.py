@@ -3,6 +3,7 @@
 import math
 
 import pytest
+from helpers import refused
 
 from ssrvlad_torch.datasets.poses import Pose
 from ssrvlad_torch.datasets.tracks import read_track
@@ -74,9 +75,8 @@ def test_gpx(tmp_path):
 def test_damaged_files_are_refused(tmp_path, name, content, message):
     path = tmp_path / name
     path.write_text(content)
-    with pytest.raises(ValueError, match=f"(?i)^{path}.*{message}") as refusal:
+    with refused(f"(?i)^{path}.*{message}"):
         read_track(path)
-    assert "\n" not in str(refusal.value)
 
 
 def test_poses_between_two():

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers import refused
 from torch import nn
 
 from ssrvlad_torch.baselines import weights
@@ -99,9 +100,8 @@ class TestReading:
         torch.save(layer().state_dict(), path, _use_new_zipfile_serialization=zipped)
         content = path.read_bytes()
         path.write_bytes(content[: keep if isinstance(keep, int) else int(keep * len(content))])
-        with pytest.raises(ValueError, match=r"checkpoint\.pth\.tar is not a whole") as error:
+        with refused(r"checkpoint\.pth\.tar is not a whole"):
             read_checkpoint(path)
-        assert "\n" not in str(error.value)
 
     @pytest.mark.parametrize("content", [{}, {"state_dict": {}}, [torch.ones(1)], {"epoch": 1}])
     def test_no_tensors(self, content, tmp_path):
