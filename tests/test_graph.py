@@ -34,6 +34,21 @@ def test_bits_of_words():
         assert torch.equal(got, target)
 
 
+def divided(graph: Graph, number: Symbol, quotient: Symbol, divisor: Symbol) -> list[Symbol]:
+    return list(graph.divided(number, quotient.to("float32"), divisor))
+
+
+def test_numbers_that_overflow_are_divided_exactly():
+    """By estimates that are right, too low or too high."""
+    numbers = torch.tensor([7 * 10**15 + 5, 9 * 10**14, 10**9 - 1, 0])
+    quotients, divisors = numbers // 10**9, torch.full((4,), 10**9)
+    wrapped = torch.from_numpy(numbers.numpy().astype(np.int32))
+    for estimate in (quotients, quotients - 1, quotients + 1):
+        got = run(divided, wrapped, estimate, divisors)
+        assert torch.equal(got[0].long(), quotients)
+        assert torch.equal(got[1].long(), numbers % 10**9)
+
+
 def compared(graph: Graph, x: Symbol, y: Symbol) -> list[Symbol]:
     less, equal = x < y, x.equals(y)
     return [less, x <= y, x > y, x >= 2, equal, less | equal, less & ~equal, less ^ equal]

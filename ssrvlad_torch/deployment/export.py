@@ -109,26 +109,16 @@ def head_model(
     return model
 
 
-class _Counted(nn.Module):
-    """`SSRVLAD.counted` as a module."""
+class _Method(nn.Module):
+    """A method of a head as a module."""
 
-    def __init__(self, head: SSRVLAD) -> None:
+    def __init__(self, head: SSRVLAD, name: str) -> None:
         super().__init__()
-        self.head = head
+        self.head, self.name = head, name
 
     def forward(self, labels: Tensor) -> tuple[Tensor, Tensor]:
-        return self.head.counted(labels)
-
-
-class _Layers(nn.Module):
-    """The layers of pixels, and counts of unknown ids."""
-
-    def __init__(self, head: SSRVLAD) -> None:
-        super().__init__()
-        self.head = head
-
-    def forward(self, labels: Tensor) -> tuple[Tensor, Tensor]:
-        return self.head.layers(labels)
+        found: tuple[Tensor, Tensor] = getattr(self.head, self.name)(labels)
+        return found
 
 
 def _graph(
@@ -145,8 +135,8 @@ def _graph(
     if config.aggregation == "harmonics":
         swept = [len(head.columns)] if isinstance(head, SweepHead) else []
         outputs = {"descriptor": [axes[0], *swept, config.length], "unknown": [axes[0]]}
-        return traced(_Counted(head), given, outputs)
-    layers = traced(_Layers(head), given, {"layers": ["B", "h", "w"], "unknown": ["B"]})
+        return traced(_Method(head, "counted"), given, outputs)
+    layers = traced(_Method(head, "layers"), given, {"layers": ["B", "h", "w"], "unknown": ["B"]})
     parts = [layers, residual_graph(config)]
     model = join(parts, ["", "residuals/"], [[("layers", "residuals/layers")]])
     unknown, descriptor, keypoints = model.graph.output

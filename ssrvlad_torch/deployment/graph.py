@@ -222,6 +222,22 @@ class Graph:
         """``()`` bool, whether any of the ``(n,)`` flags is set; n can be 0."""
         return self.ReduceMax(self.Pad(flags.to("int32"), [0, 1]), keepdims=0) > 0
 
+    def divided(
+        self, number: Symbol, estimate: Symbol, divisor: Symbol | int
+    ) -> tuple[Symbol, Symbol]:
+        """Quotient, rounded down, and remainder of a number that int32 may not hold. The remainder
+        of a guess is small, so it is exact in spite of the overflow, and corrects the guess.
+
+        Args:
+            number: ``(n,)`` int32, modulo 2 ** 32.
+            estimate: ``(n,)`` float32, the quotient; rounded down it is off by at most 1.
+            divisor: above 0, at most a billion.
+        """
+        guess = self.Floor(estimate).to("int32")
+        rest = number - guess * divisor
+        more, less = (rest - divisor >= 0).to("int32"), (rest < 0).to("int32")
+        return guess + more - less, rest - (more - less) * divisor
+
     def normalised(self, vectors: Symbol) -> Symbol:
         """Vectors along the last axis, divided by their L2 norms; zeros stay zeros."""
         norms = self.Sqrt(self.ReduceSum(vectors * vectors, [-1]))

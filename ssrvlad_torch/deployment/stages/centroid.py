@@ -25,24 +25,7 @@ def centroids_in_graph(graph: Graph, words: Words) -> GraphPoints:
             graph.sums(group, amounts, groups).take(present)
             for amounts in (weighted, weighted.to("float32"))
         )
-        return rounded_mean(graph, sums, estimates, area)
+        middle = (estimates / area.to("float32") + 1) / 2
+        return graph.divided(sums + area, middle, area * 2)[0]
 
     return GraphPoints(present, mean(grid.row(segments.first) * 2), mean(first * 2 + length - 1))
-
-
-def rounded_mean(graph: Graph, twice: Symbol, estimate: Symbol, area: Symbol) -> Symbol:
-    """A sum divided by an area, rounded to the nearest, halves up.
-
-    The int32 sum may have overflowed. The mean is guessed from the float32 sum. The remainder of
-    the division is small, so it is exact in spite of the overflow, and corrects a guess that is off
-    by one.
-
-    Args:
-        graph: the graph to add nodes to.
-        twice: ``(n,)`` int32, twice the sum, modulo 2 ** 32.
-        estimate: ``(n,)`` float32, twice the sum, rounded.
-        area: ``(n,)`` int32, above 0.
-    """
-    guess = graph.Floor((estimate / area.to("float32") + 1) / 2).to("int32")
-    remainder = twice + area - guess * area * 2
-    return guess + (remainder - area * 2 >= 0).to("int32") - (remainder < 0).to("int32")
