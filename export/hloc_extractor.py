@@ -39,5 +39,5 @@ class SSRVLAD(BaseModel):
     def _forward(self, data):
         image = data["image"]
         pixels = (image * 255).round().clamp(0, 255).to(torch.uint8).permute(0, 2, 3, 1)
-        found = np.stack([self.model.describe_array(each) for each in pixels.cpu().numpy()])
+        found = np.stack([self.model.see_array(each).descriptor for each in pixels.cpu().numpy()])
         return {"global_descriptor": torch.from_numpy(found).to(image.device)}

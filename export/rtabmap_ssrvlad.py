@@ -81,7 +81,7 @@ class Extractor:
                 f"expected (H, W, 3) or (H, W, 1) bytes, got {image.shape} {image.dtype}"
             )
         blue_first = np.broadcast_to(pixels.view(np.uint8), (*pixels.shape[:2], 3))
-        descriptor = self.model.describe_array(np.ascontiguousarray(blue_first[..., ::-1]))
+        descriptor = self.model.see_array(np.ascontiguousarray(blue_first[..., ::-1])).descriptor
         return np.ascontiguousarray(descriptor[None], np.float32)
 
 

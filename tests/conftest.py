@@ -34,7 +34,7 @@ LONG = (
     "test_crashes test_verify test_workers test_loops_script test_loop_stream test_export_loops "
     "test_memory test_notebook test_wheel test_cli test_extra_descriptors test_commands_report "
     "test_export_describe test_native test_commands_compare test_export test_loop_closure "
-    "test_export_cpp test_cohog"
+    "test_export_cpp test_cohog test_place_model test_live_loops test_ros2"
 )
 
 

@@ -151,7 +151,7 @@ def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
     shape, path = (1, *labels.shape), tmp_path / "fixed.onnx"
     config = SSRVLADConfig(labels_as="camvid-11")
     export_head(config, path, "labels", "int32", (), shape)
-    got = Model(path).describe(files[0])
+    got = Model(path).see(files[0]).descriptor
     np.testing.assert_allclose(got, SSRVLAD(config)(labels[None])[0], rtol=0, atol=1e-6)
     np.save(tmp_path / "other.npy", labels[:-1])
     code, _, errors = run(path, tmp_path / "other.npy")
@@ -209,7 +209,7 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     config = SSRVLADConfig(labels_as="camvid-11")
     export_head(config, tmp_path / "sweep.onnx", columns=(-8, 0, 8))
     model = Model(tmp_path / "sweep.onnx")
-    swept = model.describe(tmp_path / "query.npy")
+    swept = model.see(tmp_path / "query.npy").descriptor
     seen, names = list(map(Seen, swept)), ["left", "middle", "right"]
     save(tmp_path / "town.npy", seen, names, model.fingerprint)
     source = (tmp_path / "sweep.onnx", tmp_path / "query.npy")
@@ -230,7 +230,7 @@ def test_network_and_head_in_two_files(fused, tmp_path, run):
     assert run(head, *frames, "--network", net)[0] == 0
     one, other = (Split(net, head), Model(place))
     for frame in frames:
-        np.testing.assert_array_equal(one.describe(frame), other.describe(frame))
+        np.testing.assert_array_equal(one.see(frame).descriptor, other.see(frame).descriptor)
     code, out, _ = run(head, "--network", net, "--check")
     largest = out.removeprefix("largest difference for the golden pair: ")
     assert (code, float(largest) < 1e-6) == (0, True), out

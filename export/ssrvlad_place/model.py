@@ -26,8 +26,9 @@ _ONLY_FATAL = 4
 
 
 class Seen(NamedTuple):
-    """A frame: its descriptor, see `Model.describe`, and its features ``(16, 16, 8)`` uint8, or
-    ``None`` if the file gives none."""
+    """A frame: its descriptor ``(D,)`` float32 of length 1, or zeros for an empty frame, with
+    `ssrvlad export --sweep` ``(S, D)``, one for each anchor; and its features ``(16, 16, 8)``
+    uint8, or ``None`` if the file gives none."""
 
     descriptor: Array
     features: Array | None = None
@@ -69,17 +70,12 @@ class Model:
         """Columns of the anchors of a sweep; empty for single descriptors."""
         return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
 
-    def describe(self, path: Path) -> Array:
-        """The descriptor of the frame in a file: ``(D,)`` float32 of length 1, or zeros for an
-        empty frame; with `ssrvlad export --sweep` ``(S, D)``, one for each anchor.
+    def see(self, path: Path) -> Seen:
+        """The descriptor and the features of the frame in a file.
 
         Raises:
-            ValueError: it cannot be read, or has ids outside the label space.
+            ValueError: it cannot be read, or as of `see_array`.
         """
-        return self.see(path).descriptor
-
-    def see(self, path: Path) -> Seen:
-        """The descriptor and the features of the frame in a file; errors as of `describe`."""
         read: Callable[[Path], Array] = read_photograph
         if len(self.input.shape) == 3:
             classes = json.loads(self.properties["ssrvlad.label_space"])["classes"]
@@ -93,17 +89,14 @@ class Model:
         except Exception as error:  # decoders raise anything on damaged bytes
             raise ValueError(one_line(error)) from error
 
-    def describe_array(self, array: Array) -> Array:
-        """The descriptor of a frame in memory: the input of the file without the batch axis.
+    def see_array(self, array: Array) -> Seen:
+        """The descriptor and the features of a frame in memory: the input of the file without the
+        batch axis.
 
         Raises:
             ValueError: it has ids outside the label space, more than the file can count, or another
                 size than the fixed size of the file; or the network sees nothing in it.
         """
-        return self.see_array(array).descriptor
-
-    def see_array(self, array: Array) -> Seen:
-        """The descriptor and the features of a frame in memory; errors as of `describe_array`."""
         expected, shape = self.input.shape, (1, *array.shape)
         if any(isinstance(n, int) and n != m for n, m in zip(expected, shape, strict=True)):
             raise ValueError(f"the file takes {self.input.name} of {tuple(expected)}, got {shape}")
