@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .blocks import BlockScores, FusedDecoys, SomeScores, fused_scores, of_vectors
 from .candidates import Search, follow_candidates, gain_of_candidates
-from .confidence import ALONE, Confidence, answers_together
+from .confidence import ALONE, ALONE_BY_FEATURES, Confidence, Prior, answers_together
 from .courses import Course, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
@@ -177,7 +177,8 @@ def recognise(
         scores, weights = fused_scores(members, list(pairs))
         whole = len(decoys) == len(members)
         against_decoys = FusedDecoys(members, decoys, list(weights.values())) if whole else None
-        decision = _decided(scores, reference_sequences, steps, top, against_decoys)
+        prior = ALONE if mirrored == set(queries_of) else ALONE_BY_FEATURES
+        decision = _decided(scores, reference_sequences, steps, top, against_decoys, prior)
         return replace(decision, standardise=standardised, sweep=width, weights=weights)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -291,6 +292,7 @@ def _decided(
     steps: Steps,
     top: int,
     decoys: Scores | None = None,
+    prior: Prior = ALONE,
 ) -> _Decision:
     """Follows one sequence of queries by the scores of all rows, or judges each alone."""
     mode = steps.follow
@@ -304,7 +306,7 @@ def _decided(
             )
             for query in queries
         ]
-        return _alone(judged, mode)
+        return _alone(judged, mode, prior)
 
     def followed(taken: Course, part: range) -> Places:
         motion = Motion().at(taken.rate)
@@ -339,13 +341,15 @@ def _followed(places: Places, empty: Tensor, mode: Mode, taken: Course) -> _Deci
     return _Decision(matches, sure, follow=how)
 
 
-def _alone(judged: Sequence[tuple[Matches, Lead]], mode: Mode | None) -> _Decision:
+def _alone(
+    judged: Sequence[tuple[Matches, Lead]], mode: Mode | None, prior: Prior = ALONE
+) -> _Decision:
     """The decision about queries that were judged one by one."""
     matches = Matches(*map(torch.stack, zip(*(each for each, _ in judged), strict=True)))
     leads = torch.tensor([lead.value for _, lead in judged])
     rows = torch.tensor([lead.decoy for _, lead in judged])
     decoys = bool((rows >= 0).any())
-    sure = Confidence.of_leads(leads, ALONE, answers_together(rows) if decoys else 1.0, decoys)
+    sure = Confidence.of_leads(leads, prior, answers_together(rows) if decoys else 1.0, decoys)
     return _Decision(matches, sure, follow=NO_SEQUENCE if mode else "no")
 
 
