@@ -21,9 +21,7 @@ import torch
 import torch.nn.functional as F
 from _markdown import Page, head_row, interval, parser, row, save
 from _sure_conditions import METHODS, Condition, conditions
-from conditions import (
-    kept,
-)
+from conditions import kept
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -32,11 +30,13 @@ from ssrvlad_torch.baselines.hog import HOG
 from ssrvlad_torch.baselines.label_grid import LabelGrid
 from ssrvlad_torch.descriptor import mirrored
 from ssrvlad_torch.evaluation.bootstrap import bootstrap
-from ssrvlad_torch.recognition.confidence import accept, answered, estimate
+from ssrvlad_torch.recognition.confidence import ALONE, accept, answered, estimate
 from ssrvlad_torch.recognition.decoys import decoy_scores, lead_over_decoys
 from ssrvlad_torch.recognition.follow import NEAR
 from ssrvlad_torch.recognition.matching import Rows
 from ssrvlad_torch.recognition.recognise import SSR_VLAD, Steps, recognise
+from ssrvlad_torch.recognition.signs import SignQueries, SignRows
+from ssrvlad_torch.recognition.signs import mirrored as mirrored_signs
 from ssrvlad_torch.recognition.sweep import narrowed, score
 
 CHOSEN = ("uofa", "0001TP", "city 0")
@@ -246,37 +246,58 @@ MIRRORS = {"HOG": HOG().mirrored, "label grid": LabelGrid().mirrored}
 
 def fit(found: Iterable[Condition]) -> None:
     """Prints offset and slope of the logistic regression of the truth on the leads."""
-    leads: dict[str, list[Tensor]] = {name: [] for name in ("alone", "online", "offline", "truth")}
+    names = ("alone", "alone by features", "online", "offline")
+    leads: dict[str, list[Tensor]] = {name: [] for name in names}
     for condition in found:
-        if condition.method != "label maps" or not any(p in condition.name for p in CHOSEN):
+        if not any(part in condition.name for part in CHOSEN):
             continue
-        rows = Rows.of(standardise(condition.references))
-        queries = narrowed(condition.queries, rows)[0]
-        scores = score(queries, rows)
-        decoys = decoy_scores(queries, rows, partial(mirrored, config=CONFIG))
-        alone = [lead_over_decoys(*pair).value for pair in zip(scores, decoys, strict=True)]
-        answers = {"alone": (torch.tensor(alone), scores.argmax(1))}
-        for mode in ("online", "offline"):
-            places = follow(scores, ["map"] * len(rows), mode=mode, top=1)
-            near, backward = (each.clamp(min=1e-4) for each in (places.near, places.backward))
-            answers[mode] = ((near / backward).log(), places.indices[:, 0])
+        answers = {}
+        if (condition.method, condition.group) == ("features", "real"):
+            rows, signs = SignRows(condition.references), condition.queries
+            pair = (SignQueries(each, rows).scores() for each in (signs, mirrored_signs(signs)))
+            answers["alone by features"] = judged(*pair)
+        if condition.method == "label maps":
+            answers = by_label_maps(condition)
         for name, (lead, best) in answers.items():
             right = [int(b) in set(t) for b, t in zip(best, condition.truth, strict=True)]
             leads[name].append(torch.stack((lead, torch.tensor(right).float())))
-    for name in ("alone", "online", "offline"):
+    for name in names:
         lead, right = torch.cat(leads[name], 1).double()
-        print(name, *(f"{each:.2f}" for each in logistic(lead, right)))
+        offset = ALONE.offset if name == "alone by features" else None
+        print(name, *(f"{each:.2f}" for each in logistic(lead, right, offset)))
 
 
-def logistic(leads: Tensor, right: Tensor) -> list[float]:
-    """Offset and slope of the logistic regression."""
-    weights = torch.tensor([0.0, 1.0], dtype=torch.double, requires_grad=True)
+def judged(scores: Tensor, decoys: Tensor) -> tuple[Tensor, Tensor]:
+    """The leads of queries that are judged alone, and their first candidates."""
+    leads = [lead_over_decoys(*pair).value for pair in zip(scores, decoys, strict=True)]
+    return torch.tensor(leads), scores.argmax(1)
+
+
+def by_label_maps(condition: Condition) -> dict[str, tuple[Tensor, Tensor]]:
+    """The leads and the first candidates of queries alone and followed."""
+    rows = Rows.of(standardise(condition.references))
+    queries = narrowed(condition.queries, rows)[0]
+    scores = score(queries, rows)
+    decoys = decoy_scores(queries, rows, partial(mirrored, config=CONFIG))
+    answers = {"alone": judged(scores, decoys)}
+    for mode in ("online", "offline"):
+        places = follow(scores, ["map"] * len(rows), mode=mode, top=1)
+        near, backward = (each.clamp(min=1e-4) for each in (places.near, places.backward))
+        answers[mode] = ((near / backward).log(), places.indices[:, 0])
+    return answers
+
+
+def logistic(leads: Tensor, right: Tensor, offset: float | None = None) -> list[float]:
+    """Offset and slope of the logistic regression; a given offset is kept."""
+    weights = torch.tensor([offset or 0.0, 1.0], dtype=torch.double, requires_grad=True)
     search = torch.optim.LBFGS([weights], max_iter=200)
 
     def loss() -> Tensor:
         search.zero_grad()
         value = F.binary_cross_entropy_with_logits(weights[0] + weights[1] * leads, right)
         value.backward()
+        if offset is not None and weights.grad is not None:
+            weights.grad[0] = 0
         return value
 
     search.step(loss)
