@@ -24,6 +24,7 @@ from conditions import (
     METRES,
     NETWORKS,
     REAL,
+    TRAIN_IDS,
     Drive,
     Search,
     camvid,
@@ -86,7 +87,6 @@ LAST = {
 }
 """The last activation of each encoder: what the authors of LoST-X took of theirs."""
 
-SHORTER_SIDE, MULTIPLE = 576, 16
 ALONE = Steps(standardise=False, follow=None)
 """Each query as a picture of which nothing else is known, as `locate` takes it."""
 
@@ -130,6 +130,7 @@ class Described:
         added: other drives by name, read when they are first used.
         weights: folder of the weights of trained networks.
         network: of LoST-X for drives that have no network of their own.
+        shorter_side: of pictures that networks get; None for the size of the network.
     """
 
     data: Path | None
@@ -137,6 +138,7 @@ class Described:
     added: dict[str, Callable[[], Drive]] = field(default_factory=dict)
     weights: Path | None = None
     network: Path | None = None
+    shorter_side: int | None = 576
     _known: dict[str, Any] = field(default_factory=dict)
 
     def drive(self, name: str) -> Drive:
@@ -211,8 +213,10 @@ class Described:
         assert self.data
         named = open_network(self.data / "networks" / f"{network}.yaml")
         features = (activation,) if activation else None
-        config = replace(named.config, size=SHORTER_SIDE, multiple=MULTIPLE, features=features)
-        return Segmenter(named.network, "cityscapes-trainids", config)
+        config = replace(named.config, features=features or named.config.features)
+        if self.shorter_side:
+            config = replace(named.config, size=self.shorter_side, multiple=16, features=features)
+        return Segmenter(named.network, TRAIN_IDS, config)
 
     def pair(self, search: Search, method: str) -> tuple[Tensor, Tensor]:
         """Vectors of the queries and of the references of a search."""

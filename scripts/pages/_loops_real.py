@@ -7,17 +7,17 @@ sequence of a stream, the queries the next.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
+from _described import FEATURES, OURS, Described
 from _markdown import Page, head_row, interval, row
-from _sure_conditions import FOREIGN, described, of_camvid, of_kinds
+from _sure_cases import FOREIGN, camvid_cases, of
 from _tours import BATCH, CONDITIONS, head
-from conditions import NETWORKS, ROUTES, kept
+from conditions import NETWORKS, ROUTES
 from torch import Tensor
 
 from ssrvlad_torch import LoopDetector
@@ -57,21 +57,21 @@ class Outcome(NamedTuple):
 
 def real_drives(page: Page, data: Path, cached: Path) -> None:
     """The tables of real drives, and of streams with nothing to find."""
-    cached.mkdir(parents=True, exist_ok=True)
-    chosen, checks = conditions(data, cached)
+    described = Described(data, cached, shorter_side=None)
+    chosen, checks = conditions(described)
     page.table("## Real second drives\n", table(chosen, METHODS))
     page.table("Pairs that nothing was chosen on", table(checks, METHODS))
-    page.table("## Nothing to find\n", nowhere(data, cached, chosen))
+    page.table("## Nothing to find\n", nowhere(described, chosen))
 
 
-def nowhere(data: Path, cached: Path, chosen: Sequence[Pair]) -> Iterator[str]:
+def nowhere(described: Described, chosen: Sequence[Pair]) -> Iterator[str]:
     """Rows of foreign places, of drives in random order and of estates."""
     yield from head_row("stream", "streams", "frames", "loops", "wrong", "in streams")
     for name, names in METHODS.items():
-        yield nothing(f"foreign places, {name}", foreign(data, cached), names)
+        yield nothing(f"foreign places, {name}", foreign(described), names)
     yield nothing("in random order, label maps", [mixed(pair) for pair in chosen], ALONE)
     for name in CONDITIONS:
-        streets = [estate(seed, name, cached) for seed in STREETS]
+        streets = [estate(described, seed, name) for seed in STREETS]
         yield nothing(f"estate, {name}", streets, ALONE)
 
 
@@ -149,12 +149,12 @@ def detect(pair: Pair, beside: tuple[str, ...]) -> Outcome:
     return Outcome(right, wrong, elsewhere)
 
 
-def conditions(data: Path, cached: Path) -> tuple[list[Pair], list[Pair]]:
+def conditions(described: Described) -> tuple[list[Pair], list[Pair]]:
     """The pairs of the first table, and those that check."""
     chosen: list[Pair] = []
     checks: list[Pair] = []
     for network, (name, (later, earlier, reach)) in product(NETWORKS, ROUTES.items()):
-        first, second = (drive(data, cached, network, folder) for folder in (earlier, later))
+        first, second = (drive(described, of(network, folder)) for folder in (earlier, later))
         rows = np.arange(len(second[0]))
         truth = [np.flatnonzero(abs(rows - number) <= reach) for number in rows]
         back = " -> ".join(reversed(name.split(" -> ")))
@@ -163,18 +163,19 @@ def conditions(data: Path, cached: Path) -> tuple[list[Pair], list[Pair]]:
             (checks, back, second, first),
         ):
             kept_in.append(Pair(f"{title}, {network}", one[0], two[0], one[1], two[1], truth))
-    for each in of_camvid(data):
-        here, there = map(of_anchors, of_kinds(data, cached, each))
-        learned = each.name.endswith("-> labels")
-        (chosen if learned else checks).append(Pair(each.name, there, here, {}, {}, each.truth))
+    for case in camvid_cases(described):
+        queries, references, truth, odd, even = case.search
+        here = of_anchors(described.vectors(queries, OURS)[odd])
+        there = of_anchors(described.vectors(references, OURS)[even])
+        learned = case.name.endswith("-> labels")
+        (chosen if learned else checks).append(Pair(case.name, there, here, {}, {}, truth))
     return chosen, checks
 
 
-def drive(data: Path, cached: Path, network: str, folder: str) -> tuple[Tensor, dict[str, Tensor]]:
-    """A folder by label maps, and by the methods beside."""
-    of = partial(described, data, cached)
-    features = of("features", network, folder)
-    return of_anchors(of("label maps", network, folder)), {"features": features}
+def drive(described: Described, name: str) -> tuple[Tensor, dict[str, Tensor]]:
+    """A drive by label maps, and by the methods beside."""
+    labels, features = (described.vectors(name, method) for method in (OURS, FEATURES))
+    return of_anchors(labels), {"features": features}
 
 
 def of_anchors(swept: Tensor) -> Tensor:
@@ -182,10 +183,10 @@ def of_anchors(swept: Tensor) -> Tensor:
     return swept[:, [ALL_COLUMNS.index(column) for column in COLUMNS]]
 
 
-def foreign(data: Path, cached: Path) -> list[Pair]:
+def foreign(described: Described) -> list[Pair]:
     pairs = []
     for network, (later, earlier) in product(NETWORKS, FOREIGN):
-        one, two = (drive(data, cached, network, folder) for folder in (earlier, later))
+        one, two = (drive(described, of(network, folder)) for folder in (earlier, later))
         truth = [np.zeros(0, int)] * len(two[0])
         pairs.append(Pair(f"{earlier}, {later}", one[0], two[0], one[1], two[1], truth))
     return pairs
@@ -198,7 +199,7 @@ def mixed(pair: Pair) -> Pair:
     return pair._replace(name=f"{pair.name}, mixed", second=pair.second[order], truth=truth)
 
 
-def estate(seed: int, condition: str, cached: Path) -> Pair:
+def estate(described: Described, seed: int, condition: str) -> Pair:
     """A drive through an estate; without a second one."""
 
     def make() -> Tensor:
@@ -208,6 +209,6 @@ def estate(seed: int, condition: str, cached: Path) -> Pair:
         labels = torch.from_numpy(np.stack([frame.labels for frame in frames]))
         return torch.cat([head().sweep(part, COLUMNS) for part in labels.split(BATCH)])
 
-    vectors = kept(cached / f"estate {seed} {condition}.pt", make)
+    vectors = described.kept(f"estate {seed} {condition}", make)
     truth = [np.zeros(0, int)] * len(vectors)
     return Pair(f"estate {seed}", vectors[:0], vectors, {}, {}, truth)

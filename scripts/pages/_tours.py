@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
 import torch
+from conditions import kept
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD
@@ -66,12 +67,8 @@ def all_tours(cities: Sequence[int], cached: Path) -> Tours:
 
 def tour(city: int, condition: str, cached: Path) -> Tour:
     """A tour, kept in a folder."""
-    file = cached / f"tour {city} {condition} {head().config.fingerprint}.pt"
-    if not file.exists():
-        cached.mkdir(parents=True, exist_ok=True)
-        torch.save(render(city, condition), file)
-    kept: Tour = torch.load(file, weights_only=False)
-    return kept
+    name = f"tour {city} {condition} {head().config.fingerprint}.pt"
+    return kept(cached / name, partial(render, city, condition))
 
 
 def render(city: int, condition: str) -> Tour:

@@ -150,10 +150,14 @@ def camvid(folder: Path, kind: str) -> Drive:
 
 @cache
 def real(folder: Path, network: str) -> Drive:
-    """A real traverse with the label maps of a network."""
-    files = find_label_files([str(folder / f"predicted_{network}")], folder.name)
+    """A real traverse with the label maps of a network, or with the ``labels`` of CamVid; one that
+    lacks those of the network has those of DiceNet."""
+    maps = folder / ("labels" if network == "labels" else f"predicted_{network}")
+    if not maps.is_dir():
+        maps = folder / "predicted_dicenet"
+    files = find_label_files([str(maps)], folder.name)
     pictures = [next((folder / "images").glob(f"{file.name}.*")) for file in files]
-    return labelled(files, TRAIN_IDS, pictures)
+    return labelled(files, "camvid-11" if network == "labels" else TRAIN_IDS, pictures)
 
 
 @cache

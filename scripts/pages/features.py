@@ -19,10 +19,8 @@ import torch
 import torch.nn.functional as F
 from _described import LAST, Described
 from _markdown import Page, head_row, parser, row
-from conditions import NETWORKS, ROUTES, real
+from conditions import NETWORKS, ROUTES, kept, real
 from torch import Tensor
-
-from ssrvlad_torch.datasets.image_files import decode_image
 
 FINE = (24, 32)
 GRID = (12, 16)
@@ -35,7 +33,6 @@ Activations = Callable[[str, str], Tensor]
 def main() -> None:
     options = parser(__doc__, "features.md", "activations").parse_args()
     torch.set_num_threads(1)
-    options.cache.mkdir(parents=True, exist_ok=True)
     page = Page("features.md", options.output)
     page.table("## What is stored\n", table(partial(pooled, options.data, options.cache)))
 
@@ -95,19 +92,19 @@ def own_mean_off(grids: Tensor) -> Tensor:
 @cache
 def pooled(data: Path, folder: Path, network: str, which: str, drive: str) -> Tensor:
     """``(N, C, 24, 32)`` of the ``fine`` activation of the rule, or the ``last`` of the encoder."""
-    file = folder / f"{network} {drive.replace('/', ' ')} {which}.pt"
-    if not file.exists():
+
+    def make() -> Tensor:
         last = LAST[network] if which == "last" else None
         segmenter = Described(data, folder).segmenter(network, last)
         names, found = segmenter.features.names, []
-        for path in real(data / drive, network).pictures:
-            picture = torch.from_numpy(decode_image(path.read_bytes()))[None]
+        for frame in real(data / drive, network).seen():
+            picture = torch.from_numpy(frame.image)[None]
             with torch.inference_mode():
                 _, [activation] = segmenter.labels.run(picture, names)
             found.append(F.adaptive_avg_pool2d(activation, FINE).half())
-        torch.save(torch.cat(found), file)
-    loaded: Tensor = torch.load(file)
-    return loaded
+        return torch.cat(found)
+
+    return kept(folder / f"{network} {drive.replace('/', ' ')} {which}.pt", make)
 
 
 def cells(

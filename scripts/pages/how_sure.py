@@ -19,9 +19,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 import torch.nn.functional as F
+from _described import Described
 from _markdown import Page, head_row, interval, parser, row, save
-from _sure_conditions import METHODS, Condition, conditions
-from conditions import kept
+from _sure_cases import METHODS, Case, cases
 from matplotlib.figure import Figure
 from torch import Tensor
 
@@ -74,17 +74,16 @@ def main() -> None:
     arguments.add_argument("--fit", action="store_true", help="print the priors of confidence")
     options = arguments.parse_args()
     torch.set_num_threads(1)
-    options.cache.mkdir(parents=True, exist_ok=True)
-    found = conditions(options.data, options.cache)
+    described = Described(options.data, options.cache, shorter_side=None)
+    every = list(cases(described))
     if options.fit:
-        fit([each for each in found if each.group != "foreign"])
+        fit(described, [each for each in every if each.group != "foreign"])
         return
-    every = list(found)
     outcomes: Outcomes = {name: [] for name in STEPS}
     for name, method in product(STEPS, METHODS):
         some = [each for each in every if each.method == method]
-        run = partial(lambda some, name: [outcome(each, name) for each in some], some, name)
-        outcomes[name] += kept(options.cache / f"outcomes {name}, {method}.pt", run)
+        run = partial(outcomes_of, described, some, name)
+        outcomes[name] += described.kept(f"outcomes {name} {method}", run)
     draw(outcomes, options.output.parent / "figures" / "how-sure.png")
     together = {steps: found for steps, found in outcomes.items() if steps != "one picture"}
     page = Page("how-sure.md", options.output)
@@ -216,20 +215,24 @@ def draw(outcomes: Outcomes, file: Path) -> None:
     save(figure, file)
 
 
-def outcome(condition: Condition, steps: str) -> Outcome:
-    """Recognises the queries of a condition; a sequence of one query is one picture."""
-    numbers = range(len(condition.queries))
-    sequences = [f"{number * (steps == 'one picture')}" for number in numbers]
-    names = sequences, ["map"] * len(condition.references)
-    mirror = MIRRORS.get(condition.method, partial(mirrored, config=CONFIG))
-    pair, beside = (condition.queries, condition.references), condition.beside
-    found = recognise(*pair, *names, STEPS[steps], 1, extra=beside, mirrors={SSR_VLAD: mirror})
+def outcomes_of(described: Described, some: Iterable[Case], steps: str) -> list[Outcome]:
+    return [outcome(described, case, steps) for case in some]
+
+
+def outcome(described: Described, case: Case, steps: str) -> Outcome:
+    """Recognises the queries of a case; a sequence of one query is one picture."""
+    queries, references, beside = case.descriptors(described)
+    sequences = [f"{number * (steps == 'one picture')}" for number in range(len(queries))]
+    names = sequences, ["map"] * len(references)
+    mirrors = {SSR_VLAD: MIRRORS.get(case.method, partial(mirrored, config=CONFIG))}
+    pair = queries, references
+    found = recognise(*pair, *names, STEPS[steps], 1, extra=beside, mirrors=mirrors)
     rows = found.matches.indices[:, 0].numpy()
     near = [
         bool(len(true)) and int(abs(true - row).min())
-        for row, true in zip(rows, condition.truth, strict=True)
+        for row, true in zip(rows, case.search.truth, strict=True)
     ]
-    known = np.array([len(true) > 0 for true in condition.truth])
+    known = np.array([len(true) > 0 for true in case.search.truth])
     estimates = {
         name: tuple(accept(found.sure, level) if level else estimate(found.sure))
         for name, level in LEVELS.items()
@@ -237,29 +240,30 @@ def outcome(condition: Condition, steps: str) -> Outcome:
     away = np.array(near, int)
     sure = found.confidence.numpy()
     right = known & (away == 0), known & (away <= NEAR)
-    return Outcome(*condition[:3], sure, *right, estimates, answered(found.sure).numpy())
+    return Outcome(*case[:3], sure, *right, estimates, answered(found.sure).numpy())
 
 
 CONFIG = SSRVLADConfig()
 MIRRORS = {"HOG": HOG().mirrored, "label grid": LabelGrid().mirrored}
 
 
-def fit(found: Iterable[Condition]) -> None:
+def fit(described: Described, found: Iterable[Case]) -> None:
     """Prints offset and slope of the logistic regression of the truth on the leads."""
     names = ("alone", "alone by features", "online", "offline")
     leads: dict[str, list[Tensor]] = {name: [] for name in names}
-    for condition in found:
-        if not any(part in condition.name for part in CHOSEN):
-            continue
+    for case in found:
         answers = {}
-        if (condition.method, condition.group) == ("features", "real"):
-            rows, signs = SignRows(condition.references), condition.queries
+        if not any(part in case.name for part in CHOSEN):
+            continue
+        if (case.method, case.group) == ("features", "real"):
+            signs, references, _ = case.descriptors(described)
+            rows = SignRows(references)
             pair = (SignQueries(each, rows).scores() for each in (signs, mirrored_signs(signs)))
             answers["alone by features"] = judged(*pair)
-        if condition.method == "label maps":
-            answers = by_label_maps(condition)
+        if case.method == "label maps":
+            answers = by_label_maps(*case.descriptors(described)[:2])
         for name, (lead, best) in answers.items():
-            right = [int(b) in set(t) for b, t in zip(best, condition.truth, strict=True)]
+            right = [int(b) in set(t) for b, t in zip(best, case.search.truth, strict=True)]
             leads[name].append(torch.stack((lead, torch.tensor(right).float())))
     for name in names:
         lead, right = torch.cat(leads[name], 1).double()
@@ -273,10 +277,10 @@ def judged(scores: Tensor, decoys: Tensor) -> tuple[Tensor, Tensor]:
     return torch.tensor(leads), scores.argmax(1)
 
 
-def by_label_maps(condition: Condition) -> dict[str, tuple[Tensor, Tensor]]:
+def by_label_maps(queries: Tensor, references: Tensor) -> dict[str, tuple[Tensor, Tensor]]:
     """The leads and the first candidates of queries alone and followed."""
-    rows = Rows.of(standardise(condition.references))
-    queries = narrowed(condition.queries, rows)[0]
+    rows = Rows.of(standardise(references))
+    queries = narrowed(queries, rows)[0]
     scores = score(queries, rows)
     decoys = decoy_scores(queries, rows, partial(mirrored, config=CONFIG))
     answers = {"alone": judged(scores, decoys)}

@@ -58,10 +58,10 @@ def main() -> None:
     given = parser.parse_args()
     sizes = given.frames or [1_000_000]
     if given.step:
-        print(json.dumps(measured(STEPS[given.step], sizes[0], given.folder)))
+        print(json.dumps(measured(STEPS[given.step][1], sizes[0], given.folder)))
         return
     given.folder.mkdir(parents=True, exist_ok=True)
-    steps = ["signs"] if given.signs else [*NAMES, "online", "signs"]
+    steps = ["signs"] if given.signs else [*STEPS]
     results = {frames: run_all(frames, given.folder, steps) for frames in sizes}
     page = Page("scale.md", given.out)
     if not given.signs:
@@ -268,33 +268,21 @@ def again(folder: Path) -> torch.Tensor:
     return torch.nn.functional.normalize(numbers + NOISE * noise * (numbers != 0), dim=1)
 
 
-STEPS: dict[str, Callable[[int, Path], Report]] = {
-    "nothing": lambda _frames, _folder: {},
-    "write": write,
-    "compact": compact,
-    "known": known,
-    "verify": verify,
-    "load": load,
-    "exact": exact,
-    "index": index,
-    "by index": by_index,
-    "followed": follow_by_index,
-    "online": online,
-    "signs": signs,
+STEPS: dict[str, tuple[str, Callable[[int, Path], Report]]] = {
+    "nothing": ("import", lambda _frames, _folder: {}),
+    "write": (f"write, {COMMIT_ROWS} frames a commit", write),
+    "compact": ("`db compact`", compact),
+    "known": ("read all records", known),
+    "verify": ("`db verify`", verify),
+    "load": ("load and verify", load),
+    "exact": (f"{QUERIES} exact queries", exact),
+    "index": ("`db index`", index),
+    "by index": (f"{QUERIES} queries by the index", by_index),
+    "followed": (f"`query --index` of {QUERIES}, followed", follow_by_index),
+    "online": ("", online),
+    "signs": ("", signs),
 }
-
-NAMES = {
-    "nothing": "import",
-    "write": f"write, {COMMIT_ROWS} frames a commit",
-    "compact": "`db compact`",
-    "known": "read all records",
-    "verify": "`db verify`",
-    "load": "load and verify",
-    "exact": f"{QUERIES} exact queries",
-    "index": "`db index`",
-    "by index": f"{QUERIES} queries by the index",
-    "followed": f"`query --index` of {QUERIES}, followed",
-}
+"""Names in the table, empty for those that are not in it, and functions."""
 
 
 def fill(page: Page, results: dict[int, dict[str, Report]]) -> None:
@@ -318,7 +306,7 @@ def table(reports: dict[str, Report]) -> list[str]:
         "|---|---|---|---|",
         *(
             f"| {name} | {of['seconds']:.1f} | {of['cpu']:.1f} | {of['peak'] / 1e9:.2f} |"
-            for name, of in ((name, reports[step]) for step, name in NAMES.items())
+            for name, of in ((name, reports[step]) for step, (name, _) in STEPS.items() if name)
         ),
     ]
 
