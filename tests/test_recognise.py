@@ -2,8 +2,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from ssrvlad_torch.recognition.confidence import accept
+from ssrvlad_torch.recognition.confidence import ALONE, ALONE_BY_FEATURES, Confidence, accept
+from ssrvlad_torch.recognition.decoys import lead_over_decoys
 from ssrvlad_torch.recognition.recognise import AS_PAPER, NO_SEQUENCE, SSR_VLAD, Steps, recognise
+from ssrvlad_torch.recognition.signs import SignQueries, SignRows, mirrored
 from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
@@ -166,6 +168,19 @@ def test_without_decoys_confidence_is_the_prior():
     alone = recognise(queries[:1], references, ["q"], ["r"] * 80, Steps(False, follow=None))
     whole = recognise(queries, references, *names, Steps(False, follow=None))
     torch.testing.assert_close(alone.confidence, whole.confidence[:1])
+
+
+def test_a_lead_says_more_where_features_are_compared():
+    signs = torch.randint(256, (40, 16, 16, 8), generator=torch.Generator().manual_seed(0)).byte()
+    query = signs[7:8].clone()
+    query[:, 1:] = signs[20, 1:] ^ signs[30, 1:]
+    scores, decoys = (
+        SignQueries(each, SignRows(signs)).scores()[0] for each in (query, mirrored(query))
+    )
+    lead = torch.tensor([lead_over_decoys(scores, decoys).value])
+    found = recognise(query, signs, ["q"], ["r"] * 40, Steps(follow=None)).confidence
+    torch.testing.assert_close(found, Confidence.of_leads(lead, ALONE_BY_FEATURES, 1.0).right)
+    assert found > Confidence.of_leads(lead, ALONE, 1.0).right + 0.01
 
 
 def test_few_references_give_no_confidence():
