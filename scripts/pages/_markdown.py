@@ -119,17 +119,6 @@ class Page:
         write(self._output, self.text)
 
 
-def kept(page: str, heading: str) -> str:
-    """A section of a page of docs/ as it stands, of a study that has ended.
-
-    Raises:
-        ValueError: the page has no such section.
-    """
-    text = (DOCS / page).read_text(encoding="utf-8")
-    start = text.index(f"{heading}\n")
-    return text[start:].partition("\n## ")[0].rstrip() + "\n"
-
-
 def quote(file: Path, mark: str, text: str) -> None:
     """Writes text between ``<!-- mark -->`` and ``<!-- /mark -->``, and nothing else.
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 from _described import FUSED, OURS, TOGETHER, Condition, Described, all_conditions
-from _markdown import head_row, interval, paragraph, row
+from _markdown import head_row, interval, row
 
 from ssrvlad_torch.recognition.recognise import NO_SEQUENCE, Recognised, Steps, recognise
 
@@ -17,16 +17,8 @@ DATASETS = ("UofA", "Gardens Point", "CamVid")
 WAYS = ("frames at random", "consecutive frames")
 
 
-def no_sequence_section(described: Described) -> Iterator[str]:
+def no_sequence(described: Described) -> Iterator[str]:
     """The table, of conditions with label maps of one network."""
-    yield "## Queries that are no sequence\n"
-    yield paragraph(
-        f"Of each condition, {DRAWS} times some of the queries: at random from the whole drive in "
-        "random order, or consecutive frames. *Followed* is the fraction of the draws of which the "
-        "data show that they run the map, the other columns are RecallRate@1 over all frames "
-        "drawn, with 95 % bootstrap intervals over the draws. Draws that are not followed get the "
-        "same answers with `--follow no`."
-    )
     yield from head_row("method", "data set", "queries", "followed", "`--follow no`", "default")
     conditions = [c for c in all_conditions(described, seeds=()) if c.dataset in DATASETS]
     for method in (OURS, TOGETHER):
@@ -39,7 +31,6 @@ def no_sequence_section(described: Described) -> Iterator[str]:
                     cells = (interval(rate.mean(), _ends(rate)) for rate in rates)
                     name = f"{length} {way}"
                     yield row(method, dataset, name, f"{followed.mean():.2f}", *cells)
-    yield ""
 
 
 def _draw(
