@@ -6,6 +6,7 @@ import subprocess
 import sys
 from functools import partial
 from pathlib import Path
+from subprocess import DEVNULL
 
 import numpy as np
 import pytest
@@ -72,11 +73,23 @@ def other(request, tmp_path_factory):
     for program in (compiler.split()[0], runner.split()[-1 if "wine" in runner else 0]):
         if not shutil.which(program):
             pytest.skip(f"{program} is not installed")
+    if suffix:
+        stay_up(request, runner.split())
     program = tmp_path_factory.mktemp("build") / f"describe{suffix}"
     sources = [SOURCE / "describe.cpp", CORE / "ssrvlad.cpp"]
     flags = ["-std=c++17", "-O3", "-ffp-contract=off", "-pthread", f"-I{CORE}"]
     subprocess.run([*compiler.split(), *flags, *sources, "-o", program], check=True)
     return partial(run, [*runner.split(), program])
+
+
+def stay_up(request, wine):
+    """Starts Windows, which takes seconds, until the tests of the module are done. Nothing may read
+    the output of the program that starts it: the services of Windows never close it."""
+    server = [*wine[:-1], wine[-1].replace("wine64", "wineserver64")]
+    (ROOT / ".cache" / "wine").mkdir(parents=True, exist_ok=True)
+    subprocess.run([*server, "-p"], check=True)
+    request.addfinalizer(lambda: subprocess.run([*server, "-k"], check=False))
+    subprocess.run([*wine, "wineboot"], check=True, stdout=DEVNULL, stderr=DEVNULL)
 
 
 def write_categories(path, space):
