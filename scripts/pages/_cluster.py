@@ -21,7 +21,6 @@ RUNS = 2
 
 def cluster_section(networks: Path | None, folders: list[Path]) -> Iterator[str]:
     """The table, for the first YAML file in the folder of networks."""
-    yield "## A cluster on one machine\n"
     if networks is None or not folders:
         yield "Not measured: expected --networks and --pictures.\n"
         return

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import count
 
 import numpy as np
-from _markdown import head_row, paragraph, row
+from _markdown import head_row, row
 
 from ssrvlad_torch import SSRVLAD, LoopConfig
 from ssrvlad_torch.loops.memory import Memory
@@ -19,24 +19,14 @@ DRIVES, ANCHORS, WARM_UP, FRAMES = 10, 3, 3, 40
 Floats = np.ndarray
 
 
-def loops_section(sizes: Sequence[int] = SIZES) -> Iterator[str]:
-    """Lines of the section, in Markdown."""
-    yield "## Loop closures, online\n"
-    yield paragraph(
-        f"A map of {DRIVES} drives of unlike frames; then the last drive comes again. Milliseconds "
-        f"of one core for a frame, median of {FRAMES} frames in turn: the "
-        f"*search* (cosines from {ANCHORS} anchors, each drive without its mean), "
-        "the *step* of the detector, which has this search in it and follows the stream forwards "
-        "and, as a decoy, backwards. The ratio is of each frame, with its quartiles. A row of the "
-        "map takes 1920 bytes for its descriptor and about 150 for the filter."
-    )
+def loops_table(sizes: Sequence[int] = SIZES) -> Iterator[str]:
+    """A row for each number of frames in the map."""
     yield from head_row("frames", "search", "step", "step / search")
     for size in sizes:
         search, step = (1e3 * np.array(each) for each in timed(size))
         low, middle, high = np.quantile(step / search, (0.25, 0.5, 0.75))
         times = (f"{np.median(each):.2f}" for each in (search, step))
         yield row(str(size), *times, f"{middle:.2f} [{low:.2f}, {high:.2f}]")
-    yield ""
 
 
 def timed(size: int) -> tuple[list[float], ...]:

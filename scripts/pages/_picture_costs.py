@@ -31,7 +31,6 @@ def pictures_section(
     networks: Path | None, pictures: list[Path], repetitions: int
 ) -> Iterator[str]:
     """The table, for every YAML file in a folder whose network gives trainIds."""
-    yield "## From the picture to the place\n"
     if networks is None or not pictures:
         yield "Not measured: expected --networks and --camvid.\n"
         return

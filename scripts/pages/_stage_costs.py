@@ -11,7 +11,7 @@ import cc3d
 import cv2
 import numpy as np
 import torch
-from _markdown import head_row, paragraph, row
+from _markdown import head_row, row
 from skimage import measure, morphology
 from torch import Tensor
 
@@ -23,17 +23,9 @@ COPIED = 1 << 28
 Way = Callable[[], Any]
 
 
-def stage_section(labels: Tensor, config: SSRVLADConfig, repetitions: int) -> Iterator[str]:
+def stage_table(labels: Tensor, config: SSRVLADConfig, repetitions: int) -> Iterator[str]:
     """The table of one label map and the settings of a preset at native size."""
     height, width = labels.shape[1:]
-    yield "## Stage by stage\n"
-    yield paragraph(
-        f"Milliseconds for one image of {height} x {width}, preset `{config.preset}`, all eight "
-        "layers, one thread, the same masks. Each stage of the native core reads and writes "
-        "bit-planes here; the whole core does that only once, so the stages add up to more than "
-        "the whole. *At memory speed* is the time to copy these bytes, measured in the same run on "
-        "256 MiB. The last column is the time of the native core divided by it."
-    )
     source, target = np.ones(COPIED, np.uint8), np.zeros(COPIED, np.uint8)
     stages = _stages(labels, config)
     ways = {"copy": partial(np.copyto, target, source)}
@@ -47,7 +39,6 @@ def stage_section(labels: Tensor, config: SSRVLADConfig, repetitions: int) -> It
         cells = [f"{taken[f'{stage} {r}']:.2f}" if r in own else "" for r in rivals]
         here = taken[f"{stage} native core"]
         yield row(stage, f"{here:.2f}", *cells, f"{copied:.2f}", f"{here / copied:.0f}")
-    yield ""
 
 
 def _stages(labels: Tensor, config: SSRVLADConfig) -> dict[str, dict[str, Way]]:

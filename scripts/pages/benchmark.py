@@ -30,11 +30,11 @@ import scipy.fft
 import torch
 from _cluster import cluster_section
 from _encoding_rates import encoding_rates
-from _loops_cost import loops_section
+from _loops_cost import loops_table
 from _markdown import Page, head_row, paragraph, row, save
 from _opencv import opencv_describe
 from _picture_costs import pictures_section
-from _stage_costs import stage_section
+from _stage_costs import stage_table
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
@@ -93,10 +93,7 @@ def ways_of(maps: Maps, preset: str, labels: Tensor) -> dict[str, Callable[[], o
     return ways
 
 
-def size_section(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
-    yield "## One image, one thread\n"
-    yield "Milliseconds from the label map to the descriptor:\n"
-    yield "![](figures/benchmark.svg)\n"
+def size_table(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
     yield from head_row("preset", "size", "way", "ms", "times faster than the reference")
     drawn = {}
     for preset in ("paper", "default"):
@@ -108,7 +105,6 @@ def size_section(maps: Maps, repetitions: int, figure: Path) -> Iterator[str]:
                 yield row(preset, by(size), name, span(timing.milliseconds, 1), ratio)
         drawn[preset] = {name: timing.milliseconds for name, timing in timings.items()}
     draw(drawn, figure)
-    yield ""
 
 
 def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
@@ -130,12 +126,7 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
     save(figure, path)
 
 
-def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
-    yield "## Batches and threads\n"
-    yield paragraph(
-        f"Milliseconds per image of {by(LARGE)}. *Speed-up* is the time with one thread divided by "
-        "the time with two."
-    )
+def batch_table(maps: Maps, repetitions: int) -> Iterator[str]:
     yield from head_row("preset", "way", "batch", "one thread", "two threads", "speed-up")
     for preset in ("paper", "default"):
         for name, head in heads(maps.config(preset)).items():
@@ -149,7 +140,6 @@ def batch_section(maps: Maps, repetitions: int) -> Iterator[str]:
                 ]
                 ratio = span(timings[2].times_faster_than(timings[1]), 2)
                 yield row(preset, name, str(count), *each, ratio)
-    yield ""
 
 
 def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
@@ -158,7 +148,6 @@ def with_threads(count: int, head: SSRVLAD, labels: Tensor) -> Tensor:
 
 
 def scene_section(maps: Maps, repetitions: int) -> Iterator[str]:
-    yield "## Cost against the complexity of the scene\n"
     yield paragraph(
         f"One image of {by(LARGE)} with specks of 3 x 3 pixels of random classes at random places, "
         "preset `paper`, one thread. *Uncleaned* is without closing, hole filling and region "
@@ -207,12 +196,7 @@ def strewn(labels: Tensor, count: int) -> Tensor:
     return scene
 
 
-def memory_section(options: argparse.Namespace) -> Iterator[str]:
-    yield "## Peak memory\n"
-    yield paragraph(
-        "Peak resident memory during a call minus that before it, in bytes per pixel of the batch. "
-        "Each row is a new process that has first run the method on a small image."
-    )
+def memory_table(options: argparse.Namespace) -> Iterator[str]:
     yield from head_row("preset", "way", "size", "batch", "bytes a pixel")
     for preset in ("paper", "default"):
         for name in ("torch", "native core"):
@@ -230,7 +214,6 @@ def memory_section(options: argparse.Namespace) -> Iterator[str]:
                     env={**os.environ, **EVERY_BUFFER_GIVEN_BACK},
                 )
                 yield row(preset, name, by(size), str(count), done.stdout.strip())
-    yield ""
 
 
 def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
@@ -250,15 +233,9 @@ def status_bytes(field: str) -> int:
     return next(int(entry.split()[1]) * 1024 for entry in lines if entry.startswith(field))
 
 
-def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
+def encoding_table(maps: Maps, repetitions: int) -> Iterator[str]:
     """The time of `encode` on one core, of its two halves, and on all cores."""
     workers = os.cpu_count() or 1
-    yield "## Encoding\n"
-    yield paragraph(
-        f"{FRAMES_OF_A_RUN} PNGs of 360 x 480 into a database, preset `default`. The last column "
-        "is the time divided by the sum of reading and describing. The row of all cores is timed "
-        "after the first batch, without the start of workers."
-    )
     yield from head_row("describes", "way", "ms a frame", "relative to read + describe")
     names = {
         "read": "read only, one core",
@@ -279,11 +256,9 @@ def encoding_section(maps: Maps, repetitions: int) -> Iterator[str]:
                 each = Timing(tuple(seconds / FRAMES_OF_A_RUN for seconds in timings[way].seconds))
                 ratio = span(both.times_faster_than(timings[way]), 2)
                 yield row(who, name, span(each.milliseconds, 2), ratio)
-    yield ""
 
 
 def matching_section(references: int) -> Iterator[str]:
-    yield "## Matching\n"
     try:
         import faiss
     except ImportError:
@@ -347,23 +322,29 @@ def main() -> None:
     page = Page("benchmark.md", options.output)
     pictures = sorted(options.camvid.glob("0001TP/images/*.jpg")) if options.camvid else []
     figure = options.output.parent / "figures" / "benchmark.svg"
-    sections = [
-        partial(size_section, maps, options.repetitions, figure),
-        partial(stage_section, maps.batch(LARGE, 1), maps.config("paper"), options.repetitions),
-        partial(scene_section, maps, options.repetitions),
-        partial(memory_section, options),
-        partial(pictures_section, options.networks, pictures, options.repetitions),
-        partial(loops_section),
-        partial(batch_section, maps, options.repetitions),
-        partial(encoding_section, maps, options.repetitions),
-        partial(cluster_section, options.networks, options.pictures),
-        partial(matching_section, options.references),
-    ]
+    parts = {
+        "## One image, one thread": partial(size_table, maps, options.repetitions, figure),
+        "## Stage by stage": partial(
+            stage_table, maps.batch(LARGE, 1), maps.config("paper"), options.repetitions
+        ),
+        "## Cost against the complexity of the scene": partial(
+            scene_section, maps, options.repetitions
+        ),
+        "## Peak memory": partial(memory_table, options),
+        "## From the picture to the place": partial(
+            pictures_section, options.networks, pictures, options.repetitions
+        ),
+        "## Loop closures, online": partial(loops_table),
+        "## Batches and threads": partial(batch_table, maps, options.repetitions),
+        "## Encoding": partial(encoding_table, maps, options.repetitions),
+        "## A cluster on one machine": partial(cluster_section, options.networks, options.pictures),
+        "## Matching": partial(matching_section, options.references),
+    }
     with threads(1):
-        for section in sections:
-            if not options.only or section.func.__name__.removesuffix("_section") in options.only:
-                heading, *lines = section()
-                page.section(heading.strip(), lines)
+        for heading, part in parts.items():
+            name, _, kind = part.func.__name__.rpartition("_")
+            if not options.only or name in options.only:
+                (page.table if kind == "table" else page.section)(heading, part())
     if not options.only:
         about = f"Label maps: {maps.source}. torch {torch.__version__}, "
         about += f"Python {platform.python_version()}, {platform.machine()}."
