@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
-from _markdown import head_row, paragraph, row
+from _markdown import head_row, paragraph, row, span
 
 from ssrvlad_torch.cli.bench import time_in_turn
 from ssrvlad_torch.database.database import Database
@@ -43,7 +43,7 @@ def cluster_section(networks: Path | None, folders: list[Path]) -> Iterator[str]
         yield row(
             f"`--engine {engine}`",
             ", ".join(f"{seconds:.0f}" for seconds in timing.seconds),
-            f"{ratio['median']:.2f} [{ratio['min']:.2f}, {ratio['max']:.2f}]",
+            span(ratio, 2),
         )
     yield ""
 

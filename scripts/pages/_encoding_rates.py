@@ -20,19 +20,12 @@ from ssrvlad_torch.encoding.results import EncodeOptions
 def encoding_rates(
     head: SSRVLAD, files: Sequence[FrameFile], workers: int, repetitions: int = 5
 ) -> tuple[dict[str, Timing], list[float]]:
-    """Times the halves and the whole in turn, over the same files.
-
-    Args:
-        head: on the CPU.
-        files: label maps, some thousands that fit in memory together.
-        workers: number of workers of the last way.
-        repetitions: how often.
+    """Times the halves and the whole in turn, over the same label maps, all in memory together.
 
     Returns:
-        Timings: ``"read"``, reading and digesting label maps; ``"describe"``, describing label maps
-        in memory; ``"one"``, `encode_to_database` on one core with writing and flushing; ``"all"``,
-        `encode_to_database` by workers, after the first batch. And the seconds until the first
-        batch is done, in which the workers start.
+        Timings: ``"read"``, ``"describe"``, ``"one"``, `encode_to_database` on one core with
+        writing and flushing; ``"all"``, by workers, after the first batch. And the seconds until
+        the first batch is done, in which the workers start.
     """
     items = [Item(file) for file in files]
     batches = [items[first : first + BATCH] for first in range(0, len(items), BATCH)]

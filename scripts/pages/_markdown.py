@@ -43,6 +43,12 @@ def interval(value: float, ends: Sequence[float], digits: int = 3) -> str:
     return f"{value:.{digits}f} [{ends[0]:.{digits}f}, {ends[1]:.{digits}f}]"
 
 
+def span(values: dict[str, float], digits: int) -> str:
+    """``1.94 [1.87, 2.30]``: median, min and max of `cli.bench`."""
+    median, low, high = (f"{values[key]:.{digits}f}" for key in ("median", "min", "max"))
+    return f"{median} [{low}, {high}]"
+
+
 def largest_mean_smallest(values: Sequence[float]) -> str:
     """``max/average/min`` with three significant digits."""
     three = (max(values), sum(values) / len(values), min(values))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from _markdown import head_row, paragraph, row
+from _markdown import head_row, paragraph, row, span
 
 from ssrvlad_torch import SSRVLAD, Segmenter
 from ssrvlad_torch.baselines import Frame
@@ -60,7 +60,7 @@ def pictures_section(
         yield row(
             settings.stem,
             f"{size[0]} x {size[1]}",
-            f"{whole['median']:.0f} [{whole['min']:.0f}, {whole['max']:.0f}]",
+            span(whole, 0),
             *(f"{part:.1f} ({part / parts.sum():.1%})" for part in parts),
             f"{fused.milliseconds['median'] / len(pictures):.0f}",
         )

@@ -31,7 +31,7 @@ import torch
 from _cluster import cluster_section
 from _encoding_rates import encoding_rates
 from _loops_cost import loops_table
-from _markdown import Page, head_row, paragraph, row, save
+from _markdown import Page, head_row, paragraph, row, save, span
 from _opencv import opencv_describe
 from _picture_costs import pictures_section
 from _stage_costs import stage_table
@@ -292,11 +292,6 @@ def matching_section(references: int) -> Iterator[str]:
         f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
         f"{extra:.0f} MB."
     )
-
-
-def span(values: dict[str, float], digits: int) -> str:
-    median, low, high = (f"{values[key]:.{digits}f}" for key in ("median", "min", "max"))
-    return f"{median} [{low}, {high}]"
 
 
 def by(size: Sequence[int]) -> str:

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from _described import ALONE
-from _markdown import Page, head_row, paragraph, parser, row
+from _markdown import Page, head_row, paragraph, parser, row, span
 from conditions import REAL
 from torch import Tensor, nn
 from transformers import SegformerConfig, SegformerForSemanticSegmentation
@@ -129,8 +129,8 @@ def runtimes(repetitions: int) -> str:
     ratio = timings["graph"].times_faster_than(timings["eager"])
     return paragraph(
         f"Segformer-B0 with {CLASSES} classes and random weights, a picture of {SIDES[0]} x "
-        f"{SIDES[1]}, one thread: ONNX Runtime is {ratio['median']:.2f} [{ratio['min']:.2f}, "
-        f"{ratio['max']:.2f}] times as fast as eager PyTorch ({repetitions} runs in turn)."
+        f"{SIDES[1]}, one thread: ONNX Runtime is {span(ratio, 2)} times as fast as eager PyTorch "
+        f"({repetitions} runs in turn)."
     )
 
 
