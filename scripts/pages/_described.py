@@ -65,7 +65,7 @@ FUSED = {
 
 NAMES = {
     **{"label grid": "label-grid", "HOG": "hog", "CoHOG": "cohog", "tiny image": "tiny-image"},
-    **{LOST_X: "lost-x", "NetVLAD": "netvlad", "Region-VLAD": "region-vlad"},
+    **{FEATURES: "features", LOST_X: "lost-x", "NetVLAD": "netvlad", "Region-VLAD": "region-vlad"},
 }
 """Methods other than SSR-VLAD, by their name in the package."""
 
@@ -129,7 +129,8 @@ class Described:
         cache: folder of the cached descriptors.
         added: other drives by name, read when they are first used.
         weights: folder of the weights of trained networks.
-        network: of LoST-X for drives that have no network of their own.
+        network: YAML file of the network of drives that have none of their own, for features and
+            LoST-X.
         shorter_side: of pictures that networks get; None for the size of the network.
     """
 
@@ -183,21 +184,22 @@ class Described:
         return self.kept(f"{name} {method} {version}", lambda: swept(self.drive(name), method))
 
     def _by_method(self, name: str, method: str) -> Any:
-        if method == FEATURES:
-            made: baselines.Method = EncoderFeatures(self.segmenter(network_of(name)))
-        else:
-            made = self.make(method)
+        network = network_of(name)
+        own = method == FEATURES and network
+        made = EncoderFeatures(self.segmenter(network)) if own else self.make(method)
         return made.encode_query(self.drive(name).seen())
 
     def make(self, method: str, random_weights: bool = False) -> baselines.Method:
         """A method of `baselines` by its name in the pages.
 
         Raises:
-            FileNotFoundError: a network has no weights.
+            FileNotFoundError: a network has no weights, or there is none.
         """
         if method in SETTINGS:
             return baselines.make("ssr-vlad", **SETTINGS[method])
-        own = {"network": str(self.network)} if method == LOST_X and self.network else {}
+        own = {}
+        if method in OF_NETWORKS and self.network:
+            own = {"network": str(self.network), "labels_as": TRAIN_IDS}
         if method in TRAINED and self.weights:
             places = ("weights", "vocabulary") if method == "Region-VLAD" else ("weights",)
             own = dict.fromkeys(places, str(self.weights))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from _costs import Cost, measure
 from _decide import Decisions, decide
-from _described import LOST_X, OF_PICTURES, TRAINED, Condition, Described
+from _described import OF_NETWORKS, OF_PICTURES, TRAINED, Condition, Described
 from conditions import Search, camvid, every_other, labelled, pictured
 
 from ssrvlad_torch.baselines import Frame
@@ -98,8 +98,8 @@ def costs(
     rounds: tuple[int, int],
 ) -> dict[str, Cost]:
     """Costs of methods by their names, in so many rounds, and rounds of trained networks; without
-    weights these have random ones, LoST-X cannot."""
-    able = [name for name in methods if name != LOST_X or described.network]
+    weights these have random ones; features and LoST-X need a network."""
+    able = [name for name in methods if name not in OF_NETWORKS or described.network]
     return measure(
         {name: partial(described.make, name, True) for name in able},
         frames,

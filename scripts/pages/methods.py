@@ -2,7 +2,7 @@
 """Writes docs/methods.md: input, cost and accuracy of every method.
 
     .venv/bin/python scripts/pages/methods.py --camvid ../shared/data/camvid \
-        --corridor ../shared/data/vprbench/corridor
+        --corridor ../shared/data/vprbench/corridor --network ../shared/data/networks/espnetv2.yaml
 
 Neither data set is part of this project. For CamVid see `_trials.py`. `corridor` has the layout
 of VPR-Bench: `query` and `ref`, and the ground truth and stored results in the folder or beside it
@@ -47,7 +47,7 @@ PICTURES = 8
 ROUNDS, ROUNDS_OF_NETWORKS = 40, 8
 RIVALS = (
     *("SSR-VLAD, paper", "SSR-VLAD, default", "label grid", "HOG", "CoHOG"),
-    *("NetVLAD", "Region-VLAD", "LoST-X", "tiny image"),
+    *("NetVLAD", "Region-VLAD", "LoST-X", "features", "tiny image"),
 )
 TECHNIQUES = {"CoHOG": "CoHOG", "Region-VLAD": "RegionVLAD", "NetVLAD": "NetVLAD"}
 """VPR-Bench's names of techniques in file names, by our names."""
@@ -66,7 +66,7 @@ def main() -> None:
     arguments.add_argument("--camvid", type=Path, help="folder of CamVid")
     arguments.add_argument("--corridor", type=Path, help="folder of VPR-Bench's corridor")
     arguments.add_argument("--weights", type=Path, help="folder of the trained networks' weights")
-    arguments.add_argument("--network", type=Path, help="YAML file of a network, for LoST-X")
+    arguments.add_argument("--network", type=Path, help="YAML file, for features and LoST-X")
     arguments.add_argument("--cache", type=Path, default=Path(".cache/described"))
     arguments.add_argument("--output", type=Path, default=Path("docs/methods.md"))
     options = arguments.parse_args()
