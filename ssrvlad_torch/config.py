@@ -17,10 +17,32 @@ METHOD_REVISIONS = {"residuals": 1, "harmonics": 2}
 CATEGORY_COUNT = len(CATEGORIES)
 """K of the paper: Table II has eight categories, and every descriptor has eight blocks."""
 
-THINNINGS = ("zhang-suen", "guo-hall")
-CONTEXTS = ("skeleton", "keypoints")
-AGGREGATIONS = ("residuals", "harmonics")
-ANCHORS = ("vanishing-column", "middle")
+CHOICES = {
+    "thinning": ("zhang-suen", "guo-hall"),
+    "context": ("skeleton", "keypoints"),
+    "aggregation": ("residuals", "harmonics"),
+    "anchor": ("vanishing-column", "middle"),
+}
+"""The values of the settings that are names."""
+
+_INTEGERS = {
+    "working_size": (1, 1 << 14),
+    "rings": (1, 64),
+    "sectors": (1, 360),
+    "harmonics": (1, 1 << 12),
+    "boundary_harmonics": (1, 1 << 12),
+}
+_FRACTIONS = {
+    "opening": (0.0, 0.5),
+    "closing": (0.0, 0.5),
+    "hole_area": (0.0, 1.0),
+    "region_area": (0.0, 1.0),
+    "radius": (5e-324, 1.0),
+    "inner_radius": (5e-324, 1.0),
+    "spectral_weight": (0.0, 4.0),
+    "power": (0.5, 1.0),
+}
+"""The least and the greatest value of each setting; that of ``radius`` is above 0."""
 
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {
@@ -129,32 +151,31 @@ class SSRVLADConfig:
             raise ValueError(
                 f"labels_as must be a name, a path or a LabelSpace, got {self.labels_as!r}"
             )
-        if self.working_size is not None:
-            _check_integer("working_size", self.working_size, 1, 1 << 14)
-        for name, highest in (("opening", 0.5), ("closing", 0.5), ("hole_area", 1.0)):
-            _check_fraction(name, getattr(self, name), highest)
-        _check_fraction("region_area", self.region_area, 1.0)
-        _check_integer("rings", self.rings, 1, 64)
-        _check_integer("sectors", self.sectors, 1, 360)
-        _check_fraction("radius", self.radius, 1.0, above_zero=True)
-        _check_fraction("inner_radius", self.inner_radius, 1.0, above_zero=True)
-        _check_choice("thinning", self.thinning, THINNINGS)
-        _check_choice("context", self.context, CONTEXTS)
-        _check_choice("aggregation", self.aggregation, AGGREGATIONS)
-        _check_choice("anchor", self.anchor, ANCHORS)
-        _check_fraction("spectral_weight", self.spectral_weight, 4.0)
-        _check_fraction("power", self.power, 1.0, lowest=0.5)
-        for field in dataclasses.fields(self):
-            if field.type == "float":  # equal settings, like 1 and 1.0, get one fingerprint
-                object.__setattr__(self, field.name, float(getattr(self, field.name)) + 0.0)
-        most = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
-        for name in ("harmonics", "boundary_harmonics"):
+        for name, choices in CHOICES.items():
+            _check_choice(name, getattr(self, name), choices)
+        for name, (lowest, highest) in _INTEGERS.items():
             number = getattr(self, name)
-            _check_integer(name, number, 1, 1 << 12)
-            if self.aggregation == "harmonics" and number > most:
+            whole = isinstance(number, int) and not isinstance(number, bool)
+            if (name, number) != ("working_size", None) and not (
+                whole and lowest <= number <= highest
+            ):
                 raise ValueError(
-                    f"{name} must be at most {most} with {self.rings} rings and {self.sectors} "
-                    f"sectors, got {number}"
+                    f"{name} must be an integer from {lowest} to {highest}, got {number!r}"
+                )
+        for name, (least, most) in _FRACTIONS.items():
+            value = getattr(self, name)
+            is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not is_number or not least <= value <= most:
+                words = "above 0" if 0 < least < 0.1 else f"from {least:g}"
+                raise ValueError(f"{name} must be a fraction {words} to {most}, got {value!r}")
+            # equal settings, like 1 and 1.0, get one fingerprint
+            object.__setattr__(self, name, float(value) + 0.0)
+        basis = self.rings * (2 * ((self.sectors + 1) // 2) - 1)
+        for name in ("harmonics", "boundary_harmonics"):
+            if self.aggregation == "harmonics" and getattr(self, name) > basis:
+                raise ValueError(
+                    f"{name} must be at most {basis} with {self.rings} rings and {self.sectors} "
+                    f"sectors, got {getattr(self, name)}"
                 )
 
     @classmethod
@@ -282,20 +303,6 @@ def _parts(fraction: float, unit: int) -> int:
 
 def _rounded(numerator: int, denominator: int) -> int:
     return (2 * numerator + denominator) // (2 * denominator)
-
-
-def _check_integer(name: str, value: object, lowest: int, highest: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or not lowest <= value <= highest:
-        raise ValueError(f"{name} must be an integer from {lowest} to {highest}, got {value!r}")
-
-
-def _check_fraction(
-    name: str, value: object, highest: float, above_zero: bool = False, lowest: float = 0.0
-) -> None:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not number or not lowest <= value <= highest or (above_zero and value == 0):  # type: ignore[operator]
-        least = "above 0" if above_zero else f"from {lowest:g}"
-        raise ValueError(f"{name} must be a fraction {least} to {highest}, got {value!r}")
 
 
 def _check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:

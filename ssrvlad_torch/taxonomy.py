@@ -233,18 +233,11 @@ def _parse_class(entry: object, where: str) -> LabelClass:
             f"expected one of {', '.join((*CATEGORIES, DYNAMIC, VOID))}"
         )
     colour = entry.get("colour")
-    if colour is not None and not _is_colour(colour):
-        raise ValueError(
-            f"{where}: id {identity} has colour {colour!r}; expected three of 0 to 255"
-        )
-    return LabelClass(
-        identity, str(entry["name"]), category, None if colour is None else tuple(colour)
-    )
-
-
-def _is_colour(value: object) -> bool:
-    return (
-        isinstance(value, (list, tuple))
-        and len(value) == 3
-        and all(isinstance(part, int) and 0 <= part < 256 for part in value)
-    )
+    if colour is not None:
+        parts = colour if isinstance(colour, (list, tuple)) else ()
+        if len(parts) != 3 or not all(isinstance(p, int) and 0 <= p < 256 for p in parts):
+            raise ValueError(
+                f"{where}: id {identity} has colour {colour!r}; expected three of 0 to 255"
+            )
+        colour = tuple(parts)
+    return LabelClass(identity, str(entry["name"]), category, colour)

@@ -17,7 +17,7 @@ from PIL import Image
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.config import AGGREGATIONS, ANCHORS, CONTEXTS, PRESETS, THINNINGS
+from ssrvlad_torch.config import CHOICES, PRESETS
 from ssrvlad_torch.datasets.synthetic_city import QUERY, SyntheticCity
 from ssrvlad_torch.descriptor import SweepHead
 from ssrvlad_torch.stages.harmonics import waves
@@ -69,14 +69,14 @@ def with_few_harmonics(
         closing=st.sampled_from([0.0, 0.05, 0.1]),
         hole_area=st.floats(0, 0.1),
         region_area=st.floats(0, 0.05),
-        thinning=st.sampled_from(THINNINGS),
+        thinning=st.sampled_from(CHOICES["thinning"]),
         rings=st.integers(1, 6),
         sectors=st.sampled_from([1, 2, 4, 7, 12]),
         radius=st.floats(0.05, 1.0),
         inner_radius=st.floats(0.02, 1.0),
-        context=st.sampled_from(CONTEXTS),
-        aggregation=st.sampled_from(AGGREGATIONS),
-        anchor=st.sampled_from(ANCHORS),
+        context=st.sampled_from(CHOICES["context"]),
+        aggregation=st.sampled_from(CHOICES["aggregation"]),
+        anchor=st.sampled_from(CHOICES["anchor"]),
         harmonics=st.integers(1, 60),
         boundary_harmonics=st.integers(1, 60),
         spectral_weight=st.floats(0, 2),

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, native
-from ssrvlad_torch.config import PRESETS, THINNINGS
+from ssrvlad_torch.config import CHOICES, PRESETS
 from ssrvlad_torch.stages.components import drop_regions, fill_holes
 from ssrvlad_torch.stages.keypoints import end_points, intersections
 from ssrvlad_torch.stages.layers import category_table, entries_of
@@ -48,7 +48,7 @@ def assert_the_same(some: Tensor, radius: int = 1, area: int = 5) -> None:
         assert torch.equal(got, open_and_close(some, opening, closing))
     assert torch.equal(run("fill_holes", some, area)[0], fill_holes(some, area))
     assert torch.equal(run("drop_regions", some, area)[0], drop_regions(some, area))
-    for number, name in enumerate(THINNINGS):
+    for number, name in enumerate(CHOICES["thinning"]):
         assert torch.equal(run("thin", some, number)[0], thin(some, RULES[name]))
     ends, crossings = run("keypoints", some, results=2)
     assert torch.equal(ends, end_points(some))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.config import THINNINGS
+from ssrvlad_torch.config import CHOICES
 from ssrvlad_torch.deployment.stages.skeleton import thin_in_graph
 from ssrvlad_torch.stages import skeleton
 from ssrvlad_torch.stages.bitplanes import unpack
@@ -30,7 +30,7 @@ def thin(planes, variant):
     return by_frontier
 
 
-variants = pytest.mark.parametrize("variant", THINNINGS)
+variants = pytest.mark.parametrize("variant", CHOICES["thinning"])
 
 
 @variants

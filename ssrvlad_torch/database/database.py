@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import errno
+import json
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import timedelta
@@ -127,8 +128,13 @@ class Database(StoredFrames):
             )
         if cls.exists(text):
             raise ValueError(f"{text} is a database already")
-        if is_local(text) and (Path(text).is_file() or _is_used(Path(text))):
-            raise ValueError(f"{text} exists and is not a database; expected a new or empty folder")
+        if is_local(text) and Path(text).exists():
+            inside = Path(text).iterdir() if Path(text).is_dir() else [Path(text)]
+            remains = ("_transactions", "_versions", "data")  # of an interrupted `create`
+            if any(entry.name not in remains for entry in inside) or Path(text).is_file():
+                raise ValueError(
+                    f"{text} exists and is not a database; expected a new or empty folder"
+                )
         if config and config.labels_as not in label_space_names():
             config = dataclasses.replace(config, labels_as=label_space(config.labels_as))
         shapes = {DESCRIPTOR: (config.length if config else width or 0,)}
@@ -245,16 +251,15 @@ class Database(StoredFrames):
 
         Arguments and errors as for `append`; ``check`` as for `adopt`.
         """
-        records = self._with_arrivals(_records(frames))
-        self._change([self.write_apart(records, descriptors, extra)], "merge", check)
-
-    def _with_arrivals(self, records: Sequence[FrameRecord]) -> list[FrameRecord]:
         stored = self._columns(["frame", "arrival"]).filter(pc.field("arrival") >= 0)
-        numbers = dict(zip(*(column.to_pylist() for column in stored.columns), strict=True))
-        return [
-            record._replace(arrival=numbers.get(record.frame, -1)) if record.arrival < 0 else record
-            for record in records
+        arrivals = dict(zip(*(column.to_pylist() for column in stored.columns), strict=True))
+        records = [
+            record._replace(arrival=arrivals.get(record.frame, record.arrival))
+            if record.arrival < 0
+            else record
+            for record in _records(frames)
         ]
+        self._change([self.write_apart(records, descriptors, extra)], "merge", check)
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
@@ -280,7 +285,8 @@ class Database(StoredFrames):
         check_records(records, self.origins)
         with engine.writing(self.path):
             fragments = engine.write_fragments(self._table, rows) if records else []
-        return StagedRows(engine.to_json(fragments), tuple(rows["frame"].to_pylist()))
+        texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
+        return StagedRows(texts, tuple(rows["frame"].to_pylist()))
 
     def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
         """Adds rows that `write_apart` wrote, in one commit.
@@ -363,9 +369,3 @@ class Database(StoredFrames):
 
 def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:
     return [FrameRecord.of_id(f) if isinstance(f, str) else f for f in require_list(frames)]
-
-
-def _is_used(folder: Path) -> bool:
-    """Whether a folder holds anything but the remains of an interrupted `Database.create`."""
-    remains = {"_transactions", "_versions", "data"}
-    return folder.is_dir() and any(entry.name not in remains for entry in folder.iterdir())

@@ -11,7 +11,6 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import errno
-import json
 import os
 import random
 import re
@@ -235,13 +234,8 @@ def write_fragments(
     return fragments
 
 
-def to_json(fragments: Iterable[FragmentMetadata]) -> tuple[str, ...]:
-    """Fragments as JSON, for `replacement` in any process."""
-    return tuple(json.dumps(fragment.to_json()) for fragment in fragments)
-
-
 def replacement(table: LanceDataset, ids: pa.Table | None, fragments: Iterable[str]) -> Any:
-    """The operation that removes the rows with ``ids`` and adds fragments, given by `to_json`."""
+    """The operation that removes the rows with ``ids`` and adds fragments, given in JSON."""
     added = [lance().FragmentMetadata.from_json(text) for text in fragments]
     if ids is None:
         return lance().LanceOperation.Update(new_fragments=added)

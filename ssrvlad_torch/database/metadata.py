@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace
@@ -124,22 +124,18 @@ class Meta(NamedTuple):
             ExtraDescriptor(**{**each, "cells": tuple(each.get("cells", ()))})
             for each in content.get("beside", ())
         )
-        return cls(_config(content, path), extra, origins)
-
-
-def _config(content: dict[str, Any], path: str) -> SSRVLADConfig | None:
-    if content["config"] is None:
-        return None
-    try:
-        config = SSRVLADConfig.from_dict(content["config"])
-    except ValueError as error:
-        raise ValueError(f"{path} has settings of another version: {error}") from error
-    if config.fingerprint != content["fingerprint"]:
-        raise ValueError(
-            f"{path} has fingerprint {content['fingerprint']}, made by another version of the "
-            f"method; the same settings have {config.fingerprint} here: encode it again"
-        )
-    return config
+        if content["config"] is None:
+            return cls(None, extra, origins)
+        try:
+            config = SSRVLADConfig.from_dict(content["config"])
+        except ValueError as error:
+            raise ValueError(f"{path} has settings of another version: {error}") from error
+        if config.fingerprint != content["fingerprint"]:
+            raise ValueError(
+                f"{path} has fingerprint {content['fingerprint']}, made by another version of the "
+                f"method; the same settings have {config.fingerprint} here: encode it again"
+            )
+        return cls(config, extra, origins)
 
 
 def _digest(text: str) -> str:

@@ -6,7 +6,7 @@ import re
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
 from decimal import Decimal
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
@@ -78,7 +78,13 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
         sequence, _, name = query.rpartition("/")
         if sequence in starts:
             start, end = starts[sequence], ends[sequence]
-            place = bisect_left(references.frames, natural_key(name), start, end, key=_name_key)
+            place = bisect_left(
+                references.frames,
+                natural_key(name),
+                start,
+                end,
+                key=lambda frame: natural_key(frame.rpartition("/")[2]),
+            )
             is_reference = place < end and references.frames[place] == query
             ranges[number] = max(start, place - reach), min(end, place + reach + is_reference)
     return ranges
@@ -104,10 +110,6 @@ def excluded_pairs(
         rows = np.arange(len(references))
         excluded |= (rows >= first) & (rows < last)
     return torch.from_numpy(excluded)
-
-
-def _name_key(frame: str) -> tuple[Any, str]:
-    return natural_key(frame.rpartition("/")[2])
 
 
 def _is_between(frame: str, first: int | None, last: int | None) -> bool:

@@ -87,7 +87,9 @@ def find_frames(
     for file in files:
         named = replace(file, sequence=sequence or names[file.folder], named=bool(sequence))
         earlier = found.setdefault(named.frame, named)
-        if earlier is not named and not _is_same(earlier, named):
+        if earlier is not named and not (
+            earlier.row == named.row and earlier.path.resolve() == named.path.resolve()
+        ):
             raise ValueError(
                 f"frame {named.frame!r} is both {earlier.location} and {named.location}; "
                 "give one of them another --sequence"
@@ -99,7 +101,11 @@ def find_frames(
         sorted(drive, key=lambda file: natural_key(file.name)) for drive in by_sequence.values()
     ]
     drives = _with_given_poses(drives, poses, largest_gap) if poses else drives
-    selected = [file for drive in drives for file in _selected(drive, every, start, fps)]
+    selected = list[FrameFile]()
+    for drive in drives:
+        frames = [file for file in drive if not (isinstance(file, VideoFile) and file.lost)]
+        chosen = frames if fps is None else at_rate(frames, fps)
+        selected += [*every_nth(chosen, every, start), *drive[len(frames) :]]
     if not selected:
         longest = max(map(len, drives))
         raise ValueError(f"no sequence has a frame {start}; the longest has {longest} frames")
@@ -115,13 +121,6 @@ def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]
     if every < 1 or start < 0:
         raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
     return drive[start::every]
-
-
-def _selected(drive: list[FrameFile], every: int, start: int, fps: float | None) -> list[FrameFile]:
-    """The chosen frames of a sequence, and what stands for frames that are lost."""
-    frames = [file for file in drive if not (isinstance(file, VideoFile) and file.lost)]
-    chosen = frames if fps is None else at_rate(frames, fps)
-    return [*every_nth(chosen, every, start), *drive[len(frames) :]]
 
 
 def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
@@ -232,10 +231,6 @@ def _expand(source: str, kind: FileKind, topic: str | None) -> list[FrameFile]:
         if files:
             return files
     raise ValueError(f"{source} holds no {kind.name}; expected {', '.join(kind.suffixes)} files")
-
-
-def _is_same(file: FrameFile, other: FrameFile) -> bool:
-    return (file.path.resolve(), file.row) == (other.path.resolve(), other.row)
 
 
 def _frames_at(path: Path, kind: FileKind, topic: str | None) -> Iterator[FrameFile]:

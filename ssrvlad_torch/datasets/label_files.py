@@ -53,7 +53,10 @@ def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
         raise ValueError(one_line(error)) from error
     if labels.ndim != 2 or labels.size == 0 or labels.dtype.kind not in "iu":
         raise ValueError(f"expected an (H, W) integer label map, got {labels.shape} {labels.dtype}")
-    return _with_dtype_of_torch(labels)
+    if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
+        # torch would truncate unsigned ids of 32 or 64 bits, and an unknown id could become known
+        return labels.astype(np.uint64).clip(max=np.iinfo(np.int64).max).astype(np.int64)
+    return labels.astype(labels.dtype.newbyteorder("="), copy=False)
 
 
 def digest(labels: LabelMap) -> str:
@@ -65,20 +68,14 @@ def digest(labels: LabelMap) -> str:
     return content.hexdigest()[:32]
 
 
-def _with_dtype_of_torch(labels: LabelMap) -> LabelMap:
-    """The labels in the machine's byte order. Unsigned ids of 32 or 64 bits become signed: torch
-    would truncate them, and an unknown id could become a known one."""
-    if labels.dtype.kind == "u" and labels.dtype.itemsize > 2:
-        return labels.astype(np.uint64).clip(max=np.iinfo(np.int64).max).astype(np.int64)
-    return labels.astype(labels.dtype.newbyteorder("="), copy=False)
-
-
 def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
     with _opened(content) as image:
         check_pixels(image.height, image.width)
         image.verify()  # decoding a PNG does not check its checksums
     with _opened(content) as image:
-        raw_mode = _raw_mode(image)
+        # Pillow's name for the storage of a pixel is the first argument of the decoder
+        arguments = image.tile[0].args if image.tile else ""
+        raw_mode = str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
         if image.format == "PNG" and raw_mode in _SIXTEEN_BIT_LOW_BYTE:
             return _first_of_sixteen_bit_channels(content, raw_mode)
         if image.mode in ("L", "LA", "RGB", "RGBA") and ";" in raw_mode:
@@ -102,12 +99,6 @@ def _decode_image(content: bytes, space: LabelSpace) -> npt.NDArray[Any]:
 
 def _opened(content: bytes) -> ImageFile:
     return Image.open(io.BytesIO(content), formats=_FORMATS)
-
-
-def _raw_mode(image: ImageFile) -> str:
-    """Pillow's name for the storage of a pixel: the first argument of the decoder."""
-    arguments = image.tile[0].args if image.tile else ""
-    return str(arguments[0] if isinstance(arguments, tuple) and arguments else arguments)
 
 
 def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray[Any]:

@@ -26,11 +26,17 @@ def read_name(name: str) -> tuple[Pose, float]:
         >>> read_name("@0303189.3@5787193.0@31@U@@@@@90@@@@@@")[0]
         Pose(x=303189.3, y=5787193.0, heading=0.0)
     """
-    fields = name.split("@") + [""] * _FIELDS
-    x, y = _number(fields[1]), _number(fields[2])
-    if fields[0] or math.isnan(x + y):
+    if not name.startswith("@"):
         return UNKNOWN, math.nan
-    return Pose(x, y, heading_of_course(_number(fields[_HEADING]))), _seconds(fields[_TIME])
+    fields = name.split("@") + [""] * _FIELDS
+    x, y, course = (_number(fields[n]) for n in (1, 2, _HEADING))
+    if math.isnan(x + y):
+        return UNKNOWN, math.nan
+    try:
+        time = datetime.strptime(fields[_TIME], _TIME_FORMAT).replace(tzinfo=UTC).timestamp()
+    except ValueError:  # some data sets have only a year or a month
+        time = math.nan
+    return Pose(x, y, heading_of_course(course)), time
 
 
 def write_name(name: str, pose: Pose, stamp: float = math.nan) -> str:
@@ -57,11 +63,4 @@ def _number(text: str) -> float:
     try:
         return parse_number(text)
     except ValueError:
-        return math.nan
-
-
-def _seconds(text: str) -> float:
-    try:
-        return datetime.strptime(text, _TIME_FORMAT).replace(tzinfo=UTC).timestamp()
-    except ValueError:  # some data sets have only a year or a month
         return math.nan

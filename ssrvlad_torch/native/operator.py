@@ -14,16 +14,10 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from ..config import AGGREGATIONS, ANCHORS, CONTEXTS, THINNINGS, SSRVLADConfig
+from ..config import CHOICES, SSRVLADConfig
 from . import Labels, Settings, Table, core
 
 _CACHED_HEADS = 16
-_CHOICES = {
-    "thinning": THINNINGS,
-    "context": CONTEXTS,
-    "aggregation": AGGREGATIONS,
-    "anchor": ANCHORS,
-}
 _NO_ID = 1 << 40
 _NATIVE_DTYPES = (torch.uint8, torch.int16, torch.int32, torch.int64)
 
@@ -59,7 +53,7 @@ def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tenso
         UnknownIdError: an id is not in the table.
         RuntimeError: memory is short, or the native core does not accept the size.
     """
-    head = _head(settings)
+    head = _Head(settings)
     if labels.dtype == torch.uint64:
         wide = labels.to(torch.int64)
         labels = torch.where(wide < 0, _NO_ID, wide)
@@ -97,24 +91,20 @@ def _(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
     return labels.new_empty((labels.shape[0], length), dtype=torch.float32)
 
 
+@lru_cache(maxsize=_CACHED_HEADS)
 class _Head:
-    """A head of the library, freed together with this object."""
+    """A head of the library, freed together with this object; one for the same settings."""
 
-    def __init__(self, config: SSRVLADConfig) -> None:
-        library = core().library
+    def __init__(self, settings: str) -> None:
+        config, library = SSRVLADConfig.from_dict(json.loads(settings)), core().library
         if library is None:
             raise RuntimeError("the native core was not built")
         self.library, self.length = library, config.length
         values = {name: getattr(config, name) for name, *_ in Settings._fields_}
-        values.update({name: choices.index(values[name]) for name, choices in _CHOICES.items()})
+        values.update({name: choices.index(values[name]) for name, choices in CHOICES.items()})
         self.handle = library.ssrvlad_new(
             Settings(**{**values, "working_size": config.working_size or 0})
         )
         if not self.handle:
             raise RuntimeError("the native core refuses the settings, or memory is short")
         weakref.finalize(self, library.ssrvlad_free, ctypes.c_void_p(self.handle))
-
-
-@lru_cache(maxsize=_CACHED_HEADS)
-def _head(settings: str) -> _Head:
-    return _Head(SSRVLADConfig.from_dict(json.loads(settings)))
