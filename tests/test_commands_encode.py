@@ -210,6 +210,13 @@ def test_two_drives_of_one_folder_name_stay_apart(ssrvlad, tmp_path):
     assert frames == tuple(f"{s}/{n:03d}" for s in ("01/labels", "labels") for n in range(3))
 
 
+def test_a_stack_beside_its_folder_needs_a_name(ssrvlad, maps, tmp_path):
+    np.save(maps.with_suffix(".npy"), np.ones((2, 6, 8), np.uint8))
+    sources = [maps, maps.with_suffix(".npy")]
+    code, _, err = ssrvlad("encode", *sources, "-o", tmp_path / "db", "--labels-as", "camvid-11")
+    assert code == 2 and "needs a name that no sequence has" in err[0]
+
+
 def test_another_segmenter_encodes_anew_and_says_so(ssrvlad, photos, tmp_path):
     """The same network, with other normalisation, labels the same pictures otherwise."""
     settings = (tmp_path / "net.yaml").read_text()

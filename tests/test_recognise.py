@@ -10,10 +10,12 @@ from ssrvlad_torch.recognition.sweep import COLUMNS
 
 
 def two_traverses(
-    rows: int, noise: float, common: float = 2.0
+    rows: int, noise: float, common: float = 2.0, near: int = 1
 ) -> tuple[torch.Tensor, torch.Tensor]:
+    """Each frame looks like the ``near - 1`` before it."""
     generator = torch.Generator().manual_seed(0)
-    places = torch.randn(rows, 64, generator=generator)
+    places = torch.randn(rows + near - 1, 64, generator=generator).unfold(0, near, 1).sum(-1)
+    places /= near**0.5
     return tuple(
         F.normalize(
             places
@@ -69,6 +71,17 @@ def test_a_map_in_small_folders_is_searched_as_one_that_is_whole():
     for names in (["r"] * 80, cut):
         found = recognise(queries, references, ["q"] * 80, names, Steps(follow=None))
         assert (found.matches.indices[:, 0] == order).float().mean() > 0.95
+
+
+def test_folders_too_short_to_be_followed_spoil_no_answer():
+    queries, references = two_traverses(80, 0.8, common=0.0, near=8)
+    names = ["q"] * 80, [f"{row // 5:02d}" for row in range(80)]
+    alone = recognise(queries, references, *names, Steps(follow=None))
+    for mode in ("online", "offline"):
+        found = recognise(queries, references, *names, Steps(follow=mode))
+        assert found.used["follow"] == {"q": NO_SEQUENCE}
+        assert torch.equal(found.matches.indices, alone.matches.indices)
+        assert right(found, 80) > 0.6
 
 
 def test_two_streams_in_turn_are_followed_each_by_itself():

@@ -98,7 +98,7 @@ def resolve(
     try:
         return replace(found, files=find(find_label_files))
     except ValueError:
-        found_labels = dataset or found_by(find_label_files, paths)
+        found_labels = dataset or any(found_by(find_label_files, [path]) for path in paths)
         if not found_labels and found_by(find_image_files, paths):
             raise ValueError(
                 f"{' '.join(paths)} holds images and no label maps; name the network that "

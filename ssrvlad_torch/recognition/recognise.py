@@ -13,7 +13,14 @@ from torch import Tensor
 
 from .blocks import BlockScores, FusedDecoys, SomeScores, fused_scores, of_vectors
 from .candidates import Search, follow_candidates, gain_of_candidates
-from .confidence import ALONE, ALONE_BY_FEATURES, Confidence, Prior, answers_together
+from .confidence import (
+    ALONE,
+    ALONE_BY_FEATURES,
+    Confidence,
+    Prior,
+    answered,
+    answers_together,
+)
 from .courses import Course, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
@@ -42,7 +49,8 @@ class Steps:
             for a map of fewer references.
         sweep: use all anchors of queries that have several, see `sweep.narrowed`.
         follow: see `follow.follow`; ``None`` judges each query alone. So are sequences of which
-            the data do not show that they run the map, see `courses.course`.
+            the data do not show that they run the map, see `courses.course`, and those whose
+            answers the decoy beats without exception.
         delay: number of later queries that an online answer waits for.
 
     Raises:
@@ -227,11 +235,12 @@ def recognise_by_search(
             )
 
         taken = steps.follow and course(partial(gain_of_candidates, found, sequences), run)
+        decision = None
         if steps.follow and taken:
             places = _places(taken, run, partial(followed, mode=steps.follow), top)
             empty = torch.tensor([not len(found.candidates(query)) for query in run])
             decision = _followed(places, empty, steps.follow, taken)
-        else:
+        if decision is None:
             against = decoys(standardised) if decoys else None
             judged = [_best_candidates(found, against, query, top) for query in run]
             decision = _alone(judged, steps.follow)
@@ -296,25 +305,27 @@ def _decided(
 ) -> _Decision:
     """Follows one sequence of queries by the scores of all rows, or judges each alone."""
     mode = steps.follow
-    queries, mode = range(len(scores)), steps.follow
+    queries = range(len(scores))
     taken = course(partial(gain, scores, sequences), queries) if mode else None
-    if not (mode and taken):
-        judged = [
-            (
-                best_of(scores[query], top),
-                lead_over_decoys(scores[query], None if decoys is None else decoys[query]),
-            )
-            for query in queries
-        ]
-        return _alone(judged, mode, prior)
+    if mode and taken:
 
-    def followed(taken: Course, part: range) -> Places:
-        motion = Motion().at(taken.rate)
-        some = SomeScores(scores, part)
-        return follow(some, sequences, None, mode, steps.delay, top, motion, taken.way)
+        def followed(taken: Course, part: range) -> Places:
+            motion = Motion().at(taken.rate)
+            some = SomeScores(scores, part)
+            return follow(some, sequences, None, mode, steps.delay, top, motion, taken.way)
 
-    empty = torch.tensor([not scores[query].isfinite().any() for query in queries])
-    return _followed(_places(taken, queries, followed, top), empty, mode, taken)
+        empty = torch.tensor([not scores[query].isfinite().any() for query in queries])
+        places = _places(taken, queries, followed, top)
+        if decision := _followed(places, empty, mode, taken):
+            return decision
+    judged = [
+        (
+            best_of(scores[query], top),
+            lead_over_decoys(scores[query], None if decoys is None else decoys[query]),
+        )
+        for query in queries
+    ]
+    return _alone(judged, mode, prior)
 
 
 def _places(
@@ -329,14 +340,17 @@ def _places(
     return Places(*(values[order] for values in found))
 
 
-def _followed(places: Places, empty: Tensor, mode: Mode, taken: Course) -> _Decision:
+def _followed(places: Places, empty: Tensor, mode: Mode, taken: Course) -> _Decision | None:
     """The decision about queries that were followed; an empty query has no candidate. For the
-    scores, see `Recognised`."""
+    scores, see `Recognised`. ``None`` where the decoy beats every answer: the sequences of the map
+    are too short to be run."""
     scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
     scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
     matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
     near = places.near.masked_fill(empty, torch.nan)
     sure = Confidence.of_places(near, places.backward, mode)
+    if not answered(sure).any():
+        return None
     how = ", ".join(part for part in (mode, str(taken)) if part)
     return _Decision(matches, sure, follow=how)
 
