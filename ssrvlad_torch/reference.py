@@ -7,9 +7,8 @@ counts, and descriptors within 1e-6. It needs the extra ``eval``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +17,7 @@ from .config import AREA_LAYERS, CATEGORY_COUNT, FAINT, SSRVLADConfig
 from .taxonomy import NO_LAYER, LabelSpace, label_space
 
 try:
-    from skimage import measure, morphology
+    from skimage import measure, morphology, segmentation
 except ImportError as error:
     raise ImportError("ssrvlad_torch.reference needs: pip install ssrvlad-torch[eval]") from error
 
@@ -26,15 +25,10 @@ Mask = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]
 Floats = npt.NDArray[np.float64]
 
-CELLS = (24, 32)
-"""Rows and columns of the grid of cells."""
-
-FEATURE_CELLS, FEATURE_SIGNS = 16, 64
-"""Rows, and columns, of the cells of features, and signs of each."""
+CELLS = (24, 32)  # rows and columns
 
 
-@dataclass(frozen=True)
-class LayerTrace:
+class LayerTrace(NamedTuple):
     """One layer of one image, step by step; ``centre`` is ``None`` for a layer without pixels."""
 
     layer: Mask
@@ -45,8 +39,7 @@ class LayerTrace:
     centre: tuple[int, int] | None
 
 
-@dataclass(frozen=True)
-class Description:
+class Description(NamedTuple):
     """The descriptor of one image and its histograms.
 
     ``histograms`` are ``(blocks, N, M)`` each: for residuals ``points``, the sum of all d_i of
@@ -93,8 +86,8 @@ def trace(layer: Mask, config: SSRVLADConfig) -> LayerTrace:
     """One layer of the paper, from its pixels to its keypoints."""
     clean = clean_layer(layer, config)
     skeleton = thin(clean, config.thinning)
-    ends, crossings = end_points(skeleton), intersections(skeleton)
-    return LayerTrace(layer, clean, skeleton, ends, crossings, centroid(clean))
+    keypoints = end_points(skeleton), intersections(skeleton)
+    return LayerTrace(layer, clean, skeleton, *keypoints, centroid(clean))
 
 
 def residuals(traces: list[LayerTrace], config: SSRVLADConfig) -> Description:
@@ -147,8 +140,6 @@ def boundaries(layers: list[Mask]) -> list[Mask]:
     """
     height, width = layers[0].shape
     masks = [np.zeros((height, width), bool) for _ in range(4)]
-    if min(height, width) < 3:
-        return masks
     upright, level, rising, falling = (mask[1:-1, 1:-1] for mask in masks)
     for layer in layers:
         nw, ne, sw, se = layer[:-2, :-2], layer[:-2, 2:], layer[2:, :-2], layer[2:, 2:]
@@ -167,9 +158,8 @@ def categorise(label_map: npt.NDArray[Any], space: LabelSpace) -> Integers:
     categories = np.full(label_map.shape, -1, np.int64)
     for label in space.classes:
         categories[label_map == label.id] = label.category_index
-    if (categories < 0).any():
-        unknown = label_map[categories < 0].min()
-        raise ValueError(f"label id {unknown} is not in label space {space.name}")
+    if len(unknown := label_map[categories < 0]):
+        raise ValueError(f"label id {unknown.min()} is not in label space {space.name}")
     return categories
 
 
@@ -188,47 +178,35 @@ def reduce_by_majority(categories: Integers, grid: tuple[int, int]) -> Integers:
 
 def clean_layer(layer: Mask, config: SSRVLADConfig) -> Mask:
     """Opening, closing, then small enclosed holes filled, then small regions dropped."""
-    opening = square(config.radius_pixels(config.opening, *layer.shape))
-    closing = square(config.radius_pixels(config.closing, *layer.shape))
+    opening = config.radius_pixels(config.opening, *layer.shape)
+    closing = config.radius_pixels(config.closing, *layer.shape)
     layer = dilate(erode(layer, opening), opening)
     layer = erode(dilate(layer, closing), closing)
     layer = layer | small_holes(layer, config.area_pixels(config.hole_area, *layer.shape))
     return layer & ~small_regions(layer, config.area_pixels(config.region_area, *layer.shape))
 
 
-def square(radius: int) -> npt.NDArray[np.uint8]:
-    """The structuring element of `2 * radius + 1` pixels."""
-    return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
+def dilate(layer: Mask, radius: int) -> Mask:
+    """Dilation by a square of ``2 * radius + 1`` pixels; those outside the image are ignored."""
+    square = morphology.footprint_rectangle((2 * radius + 1, 2 * radius + 1))
+    return np.asarray(morphology.dilation(layer, square, mode="ignore"), bool)
 
 
-def dilate(layer: Mask, element: npt.NDArray[np.uint8]) -> Mask:
-    """Dilation; pixels outside the image are ignored."""
-    return np.asarray(morphology.dilation(layer, element, mode="ignore"), bool)
-
-
-def erode(layer: Mask, element: npt.NDArray[np.uint8]) -> Mask:
-    """Erosion; pixels outside the image are ignored."""
-    return np.asarray(morphology.erosion(layer, element, mode="ignore"), bool)
+def erode(layer: Mask, radius: int) -> Mask:
+    """Erosion, the dilation of the background."""
+    return ~dilate(~layer, radius)
 
 
 def small_holes(layer: Mask, area: int) -> Mask:
     """4-connected background regions of fewer than ``area`` pixels that touch no border."""
-    holes = np.zeros_like(layer)
-    for region in measure.regionprops(measure.label(~layer, connectivity=1)):
-        top, left, bottom, right = region.bbox
-        enclosed = top > 0 and left > 0 and bottom < layer.shape[0] and right < layer.shape[1]
-        if enclosed and region.num_pixels < area:
-            holes[tuple(region.coords.T)] = True
-    return holes
+    enclosed = segmentation.clear_border(measure.label(~layer, connectivity=1)) > 0
+    return small_regions(enclosed, area, connectivity=1)
 
 
-def small_regions(layer: Mask, area: int) -> Mask:
-    """8-connected regions of fewer than ``area`` pixels."""
-    regions = np.zeros_like(layer)
-    for region in measure.regionprops(measure.label(layer, connectivity=2)):
-        if region.num_pixels < area:
-            regions[tuple(region.coords.T)] = True
-    return regions
+def small_regions(layer: Mask, area: int, connectivity: int = 2) -> Mask:
+    """Regions of fewer than ``area`` pixels, by default 8-connected."""
+    options: dict[str, Any] = {"max_size": max(0, area - 1), "connectivity": connectivity}
+    return np.asarray(layer & ~morphology.remove_small_objects(layer, **options))
 
 
 def neighbours(mask: Mask) -> list[Mask]:
@@ -240,18 +218,14 @@ def neighbours(mask: Mask) -> list[Mask]:
 
 
 def thin(layer: Mask, variant: str) -> Mask:
-    """The skeleton by a named variant.
-
-    ``"zhang-suen"`` follows the paper below; ``"guo-hall"`` is ``skimage.morphology.thin``, whose
-    two tables are algorithm A1 of Guo & Hall, CACM 32(3), 1989.
-    """
+    """The skeleton by a named variant. ``"guo-hall"`` is ``skimage.morphology.thin``, whose two
+    tables are algorithm A1 of Guo & Hall, CACM 32(3), 1989."""
     return zhang_suen(layer) if variant == "zhang-suen" else np.asarray(morphology.thin(layer))
 
 
 def zhang_suen(layer: Mask) -> Mask:
     """Zhang & Suen, A fast parallel algorithm for thinning digital patterns, CACM 27(3), 1984.
 
-    Equal to ``cv2.ximgproc.thinning(THINNING_ZHANGSUEN)`` on a padded image;
     ``skimage.morphology.skeletonize(method="zhang")`` deletes more patterns than the paper.
     """
     while True:
@@ -259,12 +233,8 @@ def zhang_suen(layer: Mask) -> Mask:
         for first in (True, False):
             ring = neighbours(layer)
             p2, _, p4, _, p6, _, p8, _ = ring
-            on = np.sum(ring, axis=0)  # B(P1)
-            steps = crossing_number(ring)  # A(P1)
-            if first:
-                products = (p2 & p4 & p6) | (p4 & p6 & p8)
-            else:
-                products = (p2 & p4 & p8) | (p2 & p6 & p8)
+            steps, on = crossing_number(ring), np.sum(ring, axis=0)  # A(P1), B(P1)
+            products = p4 & p6 & (p2 | p8) if first else p2 & p8 & (p4 | p6)
             layer = layer & ~((on >= 2) & (on <= 6) & (steps == 1) & ~products)
         if (layer == before).all():
             return layer
@@ -290,13 +260,11 @@ def intersections(skeleton: Mask) -> Mask:
 
 def centroid(layer: Mask) -> tuple[int, int] | None:
     """Row and column of the centre of the layer's pixels (Eq. 1), halves rounded up."""
-    rows, columns = np.nonzero(layer)
-    if len(rows) == 0:
+    pixels, count = np.argwhere(layer), int(layer.sum())
+    if not count:
         return None
-    return (
-        int((2 * rows.sum() + len(rows)) // (2 * len(rows))),
-        int((2 * columns.sum() + len(rows)) // (2 * len(rows))),
-    )
+    row, column = ((2 * pixels.sum(0) + count) // (2 * count)).tolist()
+    return row, column
 
 
 def shape_context(
@@ -310,8 +278,7 @@ def shape_context(
     """
     dy, dx = (context - np.asarray(point)).T
     squared = dy**2 + dx**2
-    ring = np.searchsorted(limits, squared)
-    turn = np.arctan2(dy, dx) / (2 * np.pi)
+    ring, turn = np.searchsorted(limits, squared), np.arctan2(dy, dx) / (2 * np.pi)
     sector = np.floor(turn * sectors + 1e-12).astype(np.int64) % sectors
     counted = (squared > 0) & (ring < len(limits))
     histogram = np.zeros((len(limits), sectors), np.int64)
@@ -338,26 +305,21 @@ def pool(layer: Mask, shift: int) -> Floats:
     """The fraction of each cell that a layer covers after it is moved ``shift`` columns left."""
     height, width = layer.shape
     rows, columns = overlaps(height, CELLS[0], 0), overlaps(width, CELLS[1], shift)
-    sums = rows.T @ layer.astype(np.int64) @ columns
-    return np.asarray(sums / (height * width))
+    return np.asarray(rows.T @ layer.astype(np.int64) @ columns / layer.size)
 
 
 def overlaps(pixels: int, cells: int, shift: int) -> Integers:
     """How much of each pixel lies in each cell, in ``1 / (pixels * cells)`` of a side."""
-    shared = np.zeros((pixels, cells), np.int64)
-    for pixel in range(pixels):
-        start, end = (pixel - shift) * cells, (pixel - shift + 1) * cells
-        for cell in range(cells):
-            shared[pixel, cell] = max(0, min(end, (cell + 1) * pixels) - max(start, cell * pixels))
-    return shared
+    start, cell = (np.arange(pixels)[:, None] - shift) * cells, np.arange(cells) * pixels
+    shared = np.minimum(start + cells, cell + pixels) - np.maximum(start, cell)
+    return np.maximum(shared, 0)
 
 
 def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:
     """The mean of the cells in each soft bin, ``(N, M)``; bins without cells are 0."""
     weights = soft_bins(config)
-    counts, totals = np.tensordot(cells, weights, 2), weights.sum((0, 1))
-    means: Floats = np.divide(counts, totals, out=np.zeros_like(counts), where=totals > 0)
-    return means
+    totals = weights.sum((0, 1))
+    return np.asarray(np.tensordot(cells, weights, 2) / np.where(totals > 0, totals, 1))
 
 
 @lru_cache(maxsize=8)
@@ -378,26 +340,22 @@ def soft_bins(config: SSRVLADConfig) -> Floats:
             steps = math.log(distance) / math.log(1 / config.inner_radius)
             ring = max(0.0, (config.rings - 1) * (1 + steps))
         sector = math.atan2(dy, dx) / (2 * math.pi) * config.sectors
-        for n, in_ring in between(ring):
-            for m, in_sector in between(sector):
-                if distance <= 1 and n < config.rings:
-                    weights[sy // 4, sx // 4, n, m % config.sectors] += in_ring * in_sector
+        for one, other in np.ndindex(2, 2):
+            n, m = math.floor(ring) + one, math.floor(sector) + other
+            if distance <= 1 and n < config.rings:
+                linear = (1 - abs(ring - n)) * (1 - abs(sector - m))
+                weights[sy // 4, sx // 4, n, m % config.sectors] += linear
     return weights
-
-
-def between(position: float) -> list[tuple[int, float]]:
-    """The two integers around a position, each with its linear weight."""
-    below = math.floor(position)
-    return [(below, 1 - (position - below)), (below + 1, position - below)]
 
 
 @lru_cache(maxsize=8)
 def basis(config: SSRVLADConfig, count: int) -> list[Floats]:
     """The ``count`` smoothest functions over the bins, ``(N, M)`` each; finer ones weigh more."""
-    waves = []
-    for u in range(config.rings):
-        for v in range((config.sectors + 1) // 2):
-            waves += [(u * u + v * v, u, v, sine) for sine in ((False, True) if v else (False,))]
+    waves = [
+        (u * u + v * v, u, v, sine)
+        for u, v in np.ndindex(config.rings, (config.sectors + 1) // 2)
+        for sine in ((False, True) if v else (False,))
+    ]
     functions = []
     for squared, u, v, sine in sorted(waves)[:count]:
         rings = np.cos(np.pi * u * (np.arange(config.rings) + 0.5) / config.rings)
@@ -414,8 +372,9 @@ def normalise(vector: Floats) -> Floats:
 
 
 def features(activations: list[Floats]) -> npt.NDArray[np.uint8]:
-    """The signs of one picture, `stages.features.Features`, from ``(C, h, w)`` activations."""
-    side, signs = FEATURE_CELLS, FEATURE_SIGNS
+    """The signs ``(16, 16, 8)`` of one picture, see `stages.features.Features`, from activations
+    ``(C, h, w)``."""
+    side, signs = 16, 64
     parts = []
     for activation in activations:
         height, width = activation.shape[1:]

@@ -71,7 +71,6 @@ def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
     [
         (("--temporal", "1e308m"), f"{REACH}, got '1e308m'"),
         (("--as-of", 10**20), f"TOWN has no version {10**20}; the first is 1"),
-        (("--window", "10:4"), "--window: expected FIRST not above LAST, got '10:4'"),
         (
             ("--threshold", "nan"),
             "Invalid value for '--threshold': Input should be less than or equal to 1",
@@ -85,12 +84,6 @@ def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
 def test_values_that_say_nothing(ssrvlad, database, maps, options, message):
     code, _, err = ssrvlad("query", database, maps, *options)
     assert (code, err) == (2, [f"ssrvlad: {message.replace('TOWN', str(database))}"])
-
-
-def test_a_window_without_frames_is_refused(ssrvlad, database, maps):
-    code, _, err = ssrvlad("query", database, maps, "--window", "900:950")
-    message = f"ssrvlad: --window 900:950: no frame of {database} has such a number"
-    assert (code, err) == (2, [message])
 
 
 def test_info(ssrvlad, database):

@@ -43,19 +43,6 @@ def test_sequences_are_selected_by_name():
         chosen(sequences=["night", "dusk"])
 
 
-def test_a_range_of_numbers_includes_both_ends_and_excludes_frames_without_a_number():
-    assert chosen(first=2) == ["day/2", "day/10", "night/3", "night/t1418132416"]
-    assert chosen(last=3) == ["day/1", "day/2", "night/3"]
-    assert chosen(first=2, last=3, sequences=["day"]) == ["day/2"]
-    assert chosen(first=1418132416) == ["night/t1418132416"]
-
-
-def test_a_time_with_decimals_is_one_number():
-    frames = frame_set("a/1305031102.175", "a/1305031102.21", "a/1305031104.5")
-    inside = select(frames, first=1305031102, last=1305031103)
-    assert inside.tolist() == [True, True, False]
-
-
 @given(st.sets(st.integers(0, 30)), st.integers(0, 40), st.integers(0, 5))
 def test_neighbours_are_the_frames_around_the_position_of_a_query(numbers, query, reach):
     references = frame_set("a/5", "z/5", *(f"m/{number}" for number in numbers))

@@ -51,7 +51,6 @@ class Protocol(NamedTuple):
     progress: Callable[[str, int], AbstractContextManager[Callable[[int], None]]]
 
 
-AT_RECALL = 0.5
 _FUSED = "--fuse"
 _AHEAD = 16
 
@@ -101,7 +100,7 @@ def _measured(
     members: dict[str, Recognition] = {}
 
     def measured(found: Sequence[Recognition]) -> list[Row]:
-        return [measure(each, truth, convention, AT_RECALL) for each in found]
+        return [measure(each, truth, convention) for each in found]
 
     for name, method in methods.items():
         labelled = "labels" in method.needs

@@ -132,19 +132,13 @@ METHODS = {
 """Methods by name: the module of this package and the class in it."""
 
 
-def class_of(name: str) -> type[Method]:
-    """The class of a method of `METHODS`; its module is imported here, not earlier."""
-    if name not in METHODS:
-        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
-    module, class_name = METHODS[name]
-    method: type[Method] = getattr(import_module(f".{module}", __package__), class_name)
-    return method
-
-
 def make(name: str, **settings: Any) -> Method:
     """A method of `METHODS`, created with the settings; an unknown name or setting is a
     ValueError."""
-    method = class_of(name)
+    if name not in METHODS:
+        raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
+    module, class_name = METHODS[name]  # imported here, not earlier
+    method: type[Method] = getattr(import_module(f".{module}", __package__), class_name)
     try:
         signature(method).bind(**settings)
     except TypeError as error:

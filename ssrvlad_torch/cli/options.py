@@ -79,9 +79,6 @@ Weights = Annotated[
         "~/.cache/ssrvlad/weights."
     ),
 ]
-RandomWeights = Annotated[
-    bool, typer.Option("--random-weights", help="Use random weights, only to measure costs.")
-]
 
 
 def option(help: str, *flags: str, default: object = None, **settings: Any) -> Any:

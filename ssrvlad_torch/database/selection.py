@@ -1,11 +1,9 @@
-"""Selection of references: by sequence, by number or time, and without a query's neighbours."""
+"""Selection of references: by sequence, and without a query's neighbours."""
 
 from __future__ import annotations
 
-import re
 from bisect import bisect_left
 from collections.abc import Collection, Sequence
-from decimal import Decimal
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,38 +16,18 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-def select(
-    frames: FrameSet,
-    sequences: Collection[str] | None = None,
-    first: int | None = None,
-    last: int | None = None,
-) -> npt.NDArray[np.bool_]:
-    """Selects frames by sequence and by number.
-
-    The number of a frame is the last one in its name: a counter or a time, perhaps with decimals.
-
-    Args:
-        frames: R frames.
-        sequences: sequences to select; by default all.
-        first, last: least and greatest number; if one is given, frames without a number are not
-            selected.
-
-    Returns:
-        ``(R,)`` bool.
+def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
+    """``(R,)`` bool, the frames of some sequences, by default of all.
 
     Raises:
         ValueError: no frame has one of the sequences; the message names it.
     """
-    chosen = np.ones(len(frames.frames), bool)
-    if sequences is not None:
-        missing = sorted(set(sequences) - set(frames.sequences))
-        if missing:
-            raise ValueError(f"there is no sequence {missing[0]!r} in the database")
-        chosen &= np.fromiter((s in sequences for s in frames.sequences), bool, len(chosen))
-    if first is not None or last is not None:
-        inside = (_is_between(frame, first, last) for frame in frames.frames)
-        chosen &= np.fromiter(inside, bool, len(chosen))
-    return chosen
+    if sequences is None:
+        return np.ones(len(frames), bool)
+    missing = sorted(set(sequences) - set(frames.sequences))
+    if missing:
+        raise ValueError(f"there is no sequence {missing[0]!r} in the database")
+    return np.fromiter((s in sequences for s in frames.sequences), bool, len(frames))
 
 
 def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
@@ -110,11 +88,3 @@ def excluded_pairs(
         rows = np.arange(len(references))
         excluded |= (rows >= first) & (rows < last)
     return torch.from_numpy(excluded)
-
-
-def _is_between(frame: str, first: int | None, last: int | None) -> bool:
-    numbers = re.findall(r"\d+(?:\.\d+)?", frame.rpartition("/")[2])
-    if not numbers:
-        return False
-    number = Decimal(numbers[-1])
-    return (first is None or number >= first) and (last is None or number <= last)

@@ -62,7 +62,7 @@ def needs_similarity(convention: Convention) -> bool:
 
 
 def measure(
-    recognition: Recognition, truth: PartialTruth, convention: Convention, at_recall: float
+    recognition: Recognition, truth: PartialTruth, convention: Convention
 ) -> dict[str, Any]:
     """All metrics with 95 % intervals, thresholds to choose from, and the details of the
     recognition. Queries whose true matches are not known are left out."""
@@ -74,7 +74,7 @@ def measure(
         scores, rows, true_rows, convention=convention, similarity=similarity, resamples=RESAMPLES
     )
     curve = precision_recall_curve(judge(scores, rows, true_rows), true_rows)
-    metrics["thresholds"] = operating_points(curve, [at_recall])
+    metrics["thresholds"] = operating_points(curve)
     metrics["references"] = len(recognition.references.frames)
     if recognition.recognised:
         beaten = ~answered(recognition.recognised.sure)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ...baselines import METHODS
 from ...files import parse_yaml
-from ..options import DriveOptions, Json, RandomWeights, StepOptions, TruthOptions, Workers, option
+from ..options import DriveOptions, Json, StepOptions, TruthOptions, Workers, option
 from ..output import finish, fraction, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ def compare(
     fuse: str | None = option(
         "Methods whose scores are also fused, two or more of --method, separated by commas."
     ),
-    random_weights: RandomWeights = False,
     workers: Workers = 2,
     as_json: Json = False,
 ) -> None:
@@ -65,7 +64,7 @@ def compare(
     fused = [name.strip() for name in fuse.split(",")] if fuse else []
     if fuse and (len(set(fused)) < max(2, len(fused)) or not set(fused) <= set(names)):
         raise ValueError(f"--fuse: expected two or more of {', '.join(names)}, got {fuse!r}")
-    methods = _make(names, _parsed(settings or ()), random_weights)
+    methods = _make(names, _parsed(settings or ()))
     drives = Drives.open(note, **vars(options))
     true = TrueMatches.of(*truth.definition, drives.whole.truth)
     if true.metres is not None:
@@ -79,18 +78,9 @@ def compare(
     finish([Skipped(row["method"], row["reason"]) for row in rows if "reason" in row])
 
 
-def _make(
-    names: Sequence[str], settings: Mapping[str, Any], random_weights: bool
-) -> dict[str, Method | str]:
+def _make(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, Method | str]:
     """The methods by name; for a method that cannot be made, the reason."""
-    from inspect import signature
-
-    from ...baselines import class_of
-
     by_method: dict[str, dict[str, Any]] = {name: {} for name in names}
-    for name, values in by_method.items():
-        if random_weights and "random_weights" in signature(class_of(name)).parameters:
-            values["random_weights"] = True
     for key, value in settings.items():
         name, dot, setting = key.partition(".")
         if not dot or name not in by_method:

@@ -30,7 +30,6 @@ def evaluate(
     source: SourceOptions,
     recognition: RecognitionOptions,
     truth: TruthOptions,
-    at_recall: float = option("Recall at which to print the precision.", default=0.5, min=0, max=1),
     as_of: AsOf = None,
     as_json: Json = False,
     report: Path | None = option(
@@ -62,7 +61,7 @@ def evaluate(
     true = TrueMatches.of(*truth.definition, opened.truth)
     found = _recognised(stored, opened, recognition, truth.convention)
     known = true.among(found.references, found.queries, note)
-    metrics = measure(found, known, truth.convention, at_recall)
+    metrics = measure(found, known, truth.convention)
     if as_json:
         print_json(metrics)
     else:

@@ -30,10 +30,6 @@ def query(
     from_sequence: list[str] | None = option(
         "Use only candidates of this sequence; can be repeated."
     ),
-    window: str | None = option(
-        "Use only candidates whose number or time stamp is in the range FIRST:LAST, FIRST: or "
-        ":LAST. The number of a frame is the last number in its name."
-    ),
     exclude: int | None = option(
         "Leave out candidates of the query's own sequence that are at most N frames away. Its own "
         "sequence is --sequence, or the one that the database has for its folder.",
@@ -62,9 +58,8 @@ def query(
     from ...encoding.search import search, search_by_index
     from ..sources import resolve
 
-    first, last = _window(window)
-    if index and (recognition.reach or window or recognition.extra):
-        raise ValueError("--index does not go with a temporal sum, --window or --extra")
+    if index and (recognition.reach or recognition.extra):
+        raise ValueError("--index does not go with a temporal sum or --extra")
     opened = Database.open(database, as_of)
     top = min(top, max(1, len(opened)))
     frames = resolve(source, opened, compared=True)
@@ -73,10 +68,7 @@ def query(
         note(f"--index searches descriptors of label maps, without {unused} of {database}")
 
     def excluded(queries: FrameSet, references: FrameSet) -> Tensor | None:
-        where = select(references, from_sequence, first, last)
-        if window and not where.any():
-            raise ValueError(f"--window {window}: no frame of {database} has such a number")
-        return excluded_pairs(queries, references, where, exclude)
+        return excluded_pairs(queries, references, select(references, from_sequence), exclude)
 
     with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
         if index:
@@ -118,18 +110,3 @@ def _print(
             say(f"{frame}: {listed or 'no candidate'} ({kind}, confidence {confidence:.2f})")
     if not as_json:
         note(way + decided_in_words(used, t, estimate))
-
-
-def _window(text: str | None) -> tuple[int | None, int | None]:
-    if text is None:
-        return None, None
-    first, colon, last = text.partition(":")
-    try:
-        if not colon:
-            raise ValueError
-        low, high = int(first) if first else None, int(last) if last else None
-    except ValueError:
-        raise ValueError(f"--window: expected FIRST:LAST in whole numbers, got {text!r}") from None
-    if low is not None and high is not None and low > high:
-        raise ValueError(f"--window: expected FIRST not above LAST, got {text!r}")
-    return low, high
