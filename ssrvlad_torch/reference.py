@@ -312,7 +312,7 @@ def overlaps(pixels: int, cells: int, shift: int) -> Integers:
     """How much of each pixel lies in each cell, in ``1 / (pixels * cells)`` of a side."""
     start, cell = (np.arange(pixels)[:, None] - shift) * cells, np.arange(cells) * pixels
     shared = np.minimum(start + cells, cell + pixels) - np.maximum(start, cell)
-    return np.maximum(shared, 0)
+    return np.asarray(np.maximum(shared, 0))
 
 
 def soft_histogram(cells: Floats, config: SSRVLADConfig) -> Floats:

@@ -43,8 +43,8 @@ def test_recall_rate_without_true_matches_or_queries_is_nan():
 @pytest.mark.parametrize(
     ("shape", "queries", "n", "message"),
     [
-        ((2, 5), 2, 10, "RecallRate@10 needs 10 candidates a query, got 5"),
-        ((2, 5), 2, 0, "at least 1, got 0"),
+        ((2, 5), 2, 10, "RecallRate@10: expected N from 1 to 5, the candidates of a query"),
+        ((2, 5), 2, 0, "RecallRate@0: expected N from 1 to 5"),
     ],
 )
 def test_recall_rate_refuses_what_does_not_fit(shape, queries, n, message):
@@ -87,7 +87,7 @@ def test_evaluate_refuses_what_it_cannot_compute():
         evaluate(scores, indices, truth, convention="vpr-tutorial", similarity=np.ones((3, 4)))
     with pytest.raises(ValueError, match="1 of 2 queries have scores of candidates that are NaN"):
         evaluate(np.array([[math.nan], [1]]), indices[:, :1], truth, at=(1,))
-    with pytest.raises(ValueError, match="RecallRate@5 needs 5 candidates a query, got 4"):
+    with pytest.raises(ValueError, match="RecallRate@5: expected N from 1 to 4"):
         evaluate(scores[:, :4], indices[:, :4], truth)
 
 

@@ -10,14 +10,13 @@ import torch
 from helpers import street
 from reports import Page, frame_set, noisy, report_of
 
-from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows
+from ssrvlad_torch.evaluation.metrics import CONVENTIONS, figure_rows, fraction
 from ssrvlad_torch.evaluation.outcomes import judge
 from ssrvlad_torch.evaluation.report import (
     RIGHT_MATCHES,
     WRONG_MATCHES,
     Match,
     chosen_matches,
-    fraction,
     reduced_cosines,
     render,
     score_groups,
@@ -75,16 +74,16 @@ def test_it_tells_every_figure_with_its_interval(report, page):
 def test_it_tells_every_threshold(report, page):
     points = report.metrics["thresholds"]
     expected = [
-        ("precision 99\N{NO-BREAK SPACE}%", points["at_precision"]["0.99"]),
-        ("precision 100\N{NO-BREAK SPACE}%", points["at_precision"]["1"]),
-        ("recall 50\N{NO-BREAK SPACE}%", points["at_recall"]["0.5"]),
+        ("precision 0.99", points["at_precision"]["0.99"]),
+        ("precision 1", points["at_precision"]["1"]),
+        ("recall 0.5", points["at_recall"]["0.5"]),
         ("suggested", points["suggested"]),
     ]
     texts = [text for around, text in page.texts if around[-1] in ("th", "td")]
     for name, point in expected:
         row = texts[texts.index(name) :][1:6]
         if point is None:
-            assert row == ["none", *["\N{EN DASH}"] * 4]
+            assert row == ["none", *["-"] * 4]
         else:
             fractions = [f"{point[key]:.3f}" for key in ("precision", "precision_low", "recall")]
             assert row == [f"{point['score']:.4f}", *fractions, str(point["accepted"])]

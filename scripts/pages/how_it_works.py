@@ -44,7 +44,7 @@ def main() -> None:
         write_city(Path(folder) / "city", frames=8)
         frame = sorted((Path(folder) / "city" / "reference").iterdir())[4]
         draw(np.asarray(Image.open(frame))).savefig(given.output / "stages.png", dpi=140)
-        shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None).picture
+        _, shown = run_demo(Path(folder) / "demo", FRAMES, 0, lambda _: None)
         shutil.copy(shown, given.output / "demo.png")
 
 

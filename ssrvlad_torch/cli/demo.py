@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +29,9 @@ _ABOVE = "Queries: the second drive, in winter, beside the first track, with poo
 _BELOW = "Best match of each in the first drive"
 
 
-@dataclass(frozen=True)
-class DemoResult:
-    """The metrics of `evaluate` with ``references`` and ``fingerprint``, and the picture."""
-
-    metrics: dict[str, Any]
-    picture: Path
-
-
-def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None]) -> DemoResult:
+def run_demo(
+    out: Path, frames: int, seed: int, progress: Callable[[int], None]
+) -> tuple[dict[str, Any], Path]:
     """Renders a city, encodes the first drive, recognises the second one, draws the result.
 
     Args:
@@ -46,6 +39,9 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
         frames: frames of each drive.
         seed: of the city.
         progress: called with the number of further steps that are done, `STEPS` for each frame.
+
+    Returns:
+        The metrics of `evaluate` with ``references`` and ``fingerprint``, and the picture.
     """
     city = empty_folder(out) / "city"
     write_city(city, frames=frames, seed=seed, progress=progress)
@@ -82,4 +78,4 @@ def run_demo(out: Path, frames: int, seed: int, progress: Callable[[int], None])
     picture = out / "demo.png"
     with replacing(picture) as temporary:
         draw_pairs(pairs, space, _ABOVE, _BELOW).save(temporary, format="PNG")
-    return DemoResult(metrics, picture)
+    return metrics, picture

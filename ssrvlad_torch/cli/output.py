@@ -135,16 +135,6 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
     return [f"fused: {' + '.join(names)}"]
 
 
-def fraction(value: float) -> str:
-    """A fraction with three digits."""
-    return "-" if math.isnan(value) else f"{value:.3f}"
-
-
-def interval(ends: Sequence[float]) -> str:
-    """Both ends of an interval."""
-    return "-" if math.isnan(ends[0]) else f"{ends[0]:.3f} to {ends[1]:.3f}"
-
-
 def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
     """Ends a command. If inputs were skipped, names them and exits with code 3.
 

@@ -143,7 +143,9 @@ def _segmenter(
             raise ValueError("--segmenter-cache needs --segmenter")
         return None
     classes, opened = channels(options.classes), _network(network)
-    segmenter = Segmenter.load(opened, labels_as, folder or _user_cache(), classes)
+    if folder is None:
+        folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"
+    segmenter = Segmenter.load(opened, labels_as, folder, classes)
     if opened.assumed:
         note(f"{network} does not say how it wants pictures; assumed: {opened.preparation}")
     return segmenter
@@ -167,26 +169,15 @@ def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None
     """Whether the first frame that can be read is a picture: not all its pixels are ids, or
     colours, of a label space."""
     for file in files:
-        if any(_reads(_known_ids, file, space) for space in spaces if space):
-            return False
-        if _reads(read_image, file):
+        for space in filter(None, spaces):
+            with suppress(ValueError):
+                ids = np.unique(read_label_map(file, space)).tolist()
+                if {*ids} <= {each.id for each in space.classes}:
+                    return False
+        with suppress(ValueError):
+            read_image(file)
             return True
     return False
-
-
-def _reads(read: Callable[..., object], *arguments: object) -> bool:
-    """Whether a function raises no ValueError."""
-    with suppress(ValueError):
-        read(*arguments)
-        return True
-    return False
-
-
-def _known_ids(file: FrameFile, space: LabelSpace) -> None:
-    """Raises a ValueError unless a frame is a label map in a label space."""
-    ids = np.unique(read_label_map(file, space))
-    if unknown := {*ids.tolist()} - {each.id for each in space.classes}:
-        raise ValueError(f"{space.name} has no ids {unknown}")
 
 
 def _open_dataset(options: SourceOptions) -> Dataset | None:
@@ -216,7 +207,3 @@ def _declared_space(name: str, classes: str | None, required: bool) -> LabelSpac
     if not network.class_names and network.labels_as is None and not required:
         return None
     return Segmenter.load(network, classes=channels(classes)).label_space
-
-
-def _user_cache() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "ssrvlad"

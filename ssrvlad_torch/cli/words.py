@@ -7,19 +7,19 @@ from typing import Any
 
 from rich.table import Table
 
-from ..evaluation.metrics import figure_rows
-from ..evaluation.thresholds import SURE_PRECISION, queries_needed
+from ..evaluation.metrics import figure_rows, fraction
+from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
 from ..recognition.confidence import Estimate
 from ..recognition.recognise import NO_SEQUENCE
 from ..recognition.standardise import MIN_FRAMES
-from .output import fraction, interval, print_table, weights_in_words
+from .output import print_table, weights_in_words
 
 
 def print_metrics(metrics: Mapping[str, Any]) -> None:
     """Prints all metrics with their intervals, and the thresholds to choose from."""
     table = Table("metric", metrics["convention"], "95 % interval")
     for name, value, ends in figure_rows(metrics):
-        table.add_row(name, fraction(value), interval(ends))
+        table.add_row(name, fraction(value), fraction(*ends))
     print_table(table)
     print_table(_thresholds(metrics["thresholds"], metrics.get("steps")))
     print(proof(metrics["thresholds"]["suggested"]))
@@ -134,15 +134,10 @@ def _listed(names: Sequence[str], most: int = 3) -> str:
 def _thresholds(points: Mapping[str, Any], used: Mapping[str, Any] | None) -> Table:
     score = (used and score_name(used)) or "score"
     table = Table("threshold for", score, "precision", "lower end", "recall", "accepted")
-    for kind in ("precision", "recall"):
-        for value, point in points[f"at_{kind}"].items():
-            table.add_row(f"{kind} {value}", *_point(point))
-    table.add_row("suggested", *_point(points["suggested"]))
+    for name, point in operating_rows(points):
+        if point is None:
+            table.add_row(name, "none")
+            continue
+        fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
+        table.add_row(name, f"{point['score']:.4f}", *fractions, str(point["accepted"]))
     return table
-
-
-def _point(point: Mapping[str, Any] | None) -> list[str]:
-    if point is None:
-        return ["none"]
-    fractions = [fraction(point[key]) for key in ("precision", "precision_low", "recall")]
-    return [f"{point['score']:.4f}", *fractions, str(point["accepted"])]

@@ -161,17 +161,12 @@ def _compare(database: Database) -> tuple[dict[int, float], float]:
         times.append(time.perf_counter() - began)
         scores = [score for frame, score in candidates if frame != frames[row]][:10]
         found[number, : len(scores)] = torch.tensor(scores)
-    return {n: _recall(exact[:, :n], found[:, :n]) for n in (1, 10)}, 1000 * float(np.median(times))
-
-
-def _recall(exact: Tensor, found: Tensor) -> float:
-    """The fraction of the exact ``(Q, n)`` scores that the found scores reach.
-
-    Frames with the same score count alike.
-    """
-    is_match = exact > -torch.inf
-    least = exact.masked_fill(~is_match, torch.inf).amin(1, keepdim=True) - _ROUNDING
-    return float((found >= least).sum() / is_match.sum().clamp(min=1))
+    recall = {}
+    for n in (1, 10):  # frames with the same score count alike
+        is_match = exact[:, :n] > -torch.inf
+        least = exact[:, :n].masked_fill(~is_match, torch.inf).amin(1, keepdim=True) - _ROUNDING
+        recall[n] = float((found[:, :n] >= least).sum() / is_match.sum().clamp(min=1))
+    return recall, 1000 * float(np.median(times))
 
 
 def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:

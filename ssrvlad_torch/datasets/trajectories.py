@@ -62,7 +62,12 @@ class Trajectory(NamedTuple):
         timed = bool(stamps) and not any(map(math.isnan, stamps))
         times = [stamps] if timed else []
         if whole or not timed:
-            seconds = [_time(name) for name in names]
+            try:
+                seconds = [parse_number(name) for name in names]
+            except ValueError as error:
+                raise ValueError(
+                    f"expected frames named by their time in seconds: {error}"
+                ) from None
             times += [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
         found = [[self._at(time) for time in each] for each in times]
         counts = [sum(pose is not UNKNOWN for pose in poses) for poses in found]
@@ -148,10 +153,3 @@ def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
     if not poses:
         raise ValueError(f"{path} holds no poses")
     return Trajectory(poses, stamps, largest_gap)
-
-
-def _time(name: str) -> float:
-    try:
-        return parse_number(name)
-    except ValueError:
-        raise ValueError(f"expected frames named by their time in seconds, got {name!r}") from None

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from ..baselines.protocol import Frame
-from ..config import SSRVLADConfig
 from ..database.frames import FrameRecord
 from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
@@ -50,7 +48,7 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
 
 
 class Describer:
-    """Items -> descriptors. It can be pickled; another process then builds the head again.
+    """Items -> descriptors. It can be pickled.
 
     Args:
         head: the method.
@@ -65,11 +63,6 @@ class Describer:
         self.origin = origin
         self.extra = tuple(extra)
         self._methods = extra_methods(extra)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickles the settings with the whole label space, whose file others may not have."""
-        config = replace(self.head.config, labels_as=self.head.label_space)
-        return _restore, (config, self.head.native, self.origin, self.extra)
 
     @property
     def device(self) -> torch.device:
@@ -128,14 +121,6 @@ class Describer:
             file.sequence, file.name, pose.x, pose.y, pose.heading, file.stamp,
             item.signature, item.digest, height, width, self.origin,
         )  # fmt: skip
-
-
-def _restore(
-    config: SSRVLADConfig, native: bool, origin: str, extra: Sequence[ExtraDescriptor]
-) -> Describer:
-    head = SSRVLAD(config)
-    head.native = head.native and native
-    return Describer(head, origin, extra)
 
 
 def _read(space: LabelSpace, item: Item) -> Item:

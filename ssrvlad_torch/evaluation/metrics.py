@@ -20,6 +20,7 @@ precision, extended precision and ROC-AUC, so these are NaN.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Literal, get_args
 
@@ -92,7 +93,10 @@ def evaluate(
     """
     outcomes, at = judge(scores, indices, truth), list(at)
     for n in at:
-        _check_n(n, indices)
+        if not 1 <= n <= indices.shape[1]:
+            raise ValueError(
+                f"RecallRate@{n}: expected N from 1 to {indices.shape[1]}, the candidates of a query"
+            )
     curves = _curves(outcomes, truth, convention, similarity)
 
     def figures(weights: Floats) -> dict[str, Floats]:
@@ -112,6 +116,11 @@ def evaluate(
         intervals = bootstrap(figures, len(outcomes), resamples, seed)
         result["intervals"] = _nested({name: list(i) for name, i in intervals.items()}, at)
     return result
+
+
+def fraction(*values: float) -> str:
+    """A fraction with three digits, or both ends of an interval; ``-`` for NaN."""
+    return "-" if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
 
 
 def figure_rows(metrics: Mapping[str, Any]) -> list[tuple[str, float, Sequence[float]]]:
@@ -174,10 +183,3 @@ def _nested(figures: dict[str, Any], at: list[int]) -> dict[str, Any]:
     rates = {str(n): figures[str(n)] for n in at}
     others = {name: figure for name, figure in figures.items() if name not in rates}
     return {"recall_at": rates, **others}
-
-
-def _check_n(n: int, indices: Indices) -> None:
-    if n < 1:
-        raise ValueError(f"the N of RecallRate@N must be at least 1, got {n}")
-    if n > indices.shape[1]:
-        raise ValueError(f"RecallRate@{n} needs {n} candidates a query, got {indices.shape[1]}")

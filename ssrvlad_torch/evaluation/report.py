@@ -16,8 +16,9 @@ from PIL import Image
 
 from ..files import check_output, replacing
 from .curves import PrecisionRecall
-from .metrics import figure_rows, precision_recall_curve
+from .metrics import figure_rows, fraction, precision_recall_curve
 from .outcomes import Bools, Floats, Outcomes, Rows, Truth
+from .thresholds import operating_rows
 from .true_matches import Viewpoints
 
 if TYPE_CHECKING:
@@ -31,7 +32,6 @@ MOST_CELLS = (400, 800)
 
 _SCORES_AT_ONCE = 1 << 24
 _WIDTH = 400
-_DASH = "\N{EN DASH}"
 _RIGHT, _WRONG, _UNKNOWN, _TRUE = "#1a73c7", "#d4501e", "#8a3a6a", "#26c281"
 
 CONVENTIONS = {
@@ -126,7 +126,7 @@ def render(report: Report) -> str:
     environment = Environment(
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    environment.globals |= {"fraction": fraction, "DASH": _DASH}
+    environment.globals["fraction"] = fraction
     matches = chosen_matches(report.outcomes, report.truth, report.cosines)
     return environment.get_template("report.html").render(
         report=report,
@@ -142,21 +142,6 @@ def render(report: Report) -> str:
         ],
         matches=[[_row(report, match) for match in kind] for kind in matches],
     )
-
-
-def fraction(*values: float) -> str:
-    """A fraction with three digits, or both ends of an interval; a dash for NaN."""
-    return _DASH if any(map(math.isnan, values)) else " to ".join(f"{v:.3f}" for v in values)
-
-
-def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
-    """Names and points of the result of `operating_points`."""
-    rows = [
-        (f"{kind} {100 * float(value):g}\N{NO-BREAK SPACE}%", point)
-        for kind in ("precision", "recall")
-        for value, point in points[f"at_{kind}"].items()
-    ]
-    return [*rows, ("suggested", points["suggested"])]
 
 
 def chosen_matches(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -100,6 +100,16 @@ def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) 
         "at_recall": {f"{r:g}": mapping(at_recall(curve, r)) for r in recalls},
         "suggested": mapping(suggested_point(curve)),
     }
+
+
+def operating_rows(points: Mapping[str, Any]) -> list[tuple[str, Mapping[str, Any] | None]]:
+    """Names and points of the result of `operating_points`."""
+    rows = [
+        (f"{kind} {value}", point)
+        for kind in ("precision", "recall")
+        for value, point in points[f"at_{kind}"].items()
+    ]
+    return [*rows, ("suggested", points["suggested"])]
 
 
 def wilson_low(right: Floats, accepted: Floats) -> Floats:

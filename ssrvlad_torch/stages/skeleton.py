@@ -16,6 +16,8 @@ first two, `thin` processes such words only: most of an image is final early.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import reduce
+from operator import and_, or_
 from typing import Protocol
 
 import torch
@@ -52,7 +54,8 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
     pixels = _within_margins(line, pitch)
     changed = []
     for first in (True, False):
-        remaining = rule(*_neighbourhood(line, pitch), first)
+        length = line.shape[0] - 2 * (pitch + 1)
+        remaining = rule(*line_neighbours(line, pitch, length, _shifted), first)
         changed.append((remaining != pixels).nonzero()[:, 0] + pitch + 1)
         pixels.copy_(remaining)
     while len(changed[0]) + len(changed[1]):
@@ -113,9 +116,9 @@ def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     one = [nw | n, ne | e, se | s, sw | w]
     other = [n | ne, e | se, s | sw, w | nw]
     two_at_least = two_or_more(one) & two_or_more(other)
-    three_at_most = ~(_all(one) & _all(other))
+    three_at_most = ~reduce(and_, one + other)
     product = (n | ne | ~se) & e if first else (s | sw | ~nw) & w
-    one_group = _any(groups) & ~two_or_more(groups)
+    one_group = reduce(or_, groups) & ~two_or_more(groups)
     return pixels & ~(one_group & two_at_least & three_at_most & ~product)
 
 
@@ -141,11 +144,6 @@ def _to_planes(line: Tensor, pitch: int, shape: torch.Size) -> Tensor:
 
 def _within_margins(line: Tensor, pitch: int) -> Tensor:
     return line[pitch + 1 : line.shape[0] - pitch - 1]
-
-
-def _neighbourhood(line: Tensor, pitch: int) -> tuple[Tensor, Ring]:
-    """All words within the margins and the neighbours of their pixels."""
-    return line_neighbours(line, pitch, line.shape[0] - 2 * (pitch + 1), _shifted)
 
 
 def _neighbourhood_of(index: Tensor, line: Tensor, pitch: int) -> tuple[Tensor, Ring]:
@@ -178,17 +176,3 @@ def _exactly_one(planes: Sequence[Bits]) -> Bits:
     a, b, c, d = planes
     one, other = a ^ b, c ^ d
     return (one - (one & (c | d))) | (other - (other & (a | b)))
-
-
-def _any(planes: Sequence[Bits]) -> Bits:
-    result = planes[0]
-    for plane in planes[1:]:
-        result = result | plane
-    return result
-
-
-def _all(planes: Sequence[Bits]) -> Bits:
-    result = planes[0]
-    for plane in planes[1:]:
-        result = result & plane
-    return result

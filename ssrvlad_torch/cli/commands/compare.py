@@ -8,9 +8,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from ...baselines import METHODS
+from ...evaluation.metrics import fraction
 from ...files import parse_yaml
 from ..options import DriveOptions, Json, StepOptions, TruthOptions, Workers, option
-from ..output import finish, fraction, note, print_json, print_table, progress_bar, say
+from ..output import finish, note, print_json, print_table, progress_bar, say
 
 if TYPE_CHECKING:
     from ...baselines import Method

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from ..options import Seed, option
 from ..output import say
@@ -21,21 +19,15 @@ def demo(
 
     Example: ssrvlad demo --out /tmp/ssrvlad-demo
     """
-    from ..demo import STEPS, run_demo
-    from ..output import progress_bar
-
-    with progress_bar("demo", STEPS * frames) as bar:
-        result = run_demo(out, frames, seed, bar.advance)
-    _print_metrics(result.metrics)
-    say(f"picture: {result.picture}")
-
-
-def _print_metrics(metrics: Mapping[str, Any]) -> None:
     from rich.table import Table
 
-    from ..output import fraction, print_table
+    from ...evaluation.metrics import fraction
+    from ..demo import STEPS, run_demo
+    from ..output import print_table, progress_bar
     from ..words import counts
 
+    with progress_bar("demo", STEPS * frames) as bar:
+        metrics, picture = run_demo(out, frames, seed, bar.advance)
     table = Table("metric", "value")
     for n, rate in metrics["recall_at"].items():
         table.add_row(f"RecallRate@{n}", fraction(rate))
@@ -43,3 +35,4 @@ def _print_metrics(metrics: Mapping[str, Any]) -> None:
     table.add_row("Recall@100%Precision", fraction(metrics["recall_at_100_precision"]))
     print_table(table)
     say(counts(metrics))
+    say(f"picture: {picture}")

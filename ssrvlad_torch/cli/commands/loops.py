@@ -10,10 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ...evaluation.loops import EVEN
+from ...evaluation.metrics import fraction
 from ...evaluation.thresholds import SURE_PRECISION, queries_needed
 from ...loops.config import LoopConfig
 from ..options import Extra, Json, MaybePreset, SourceOptions, option
-from ..output import finish, fraction, print_json, say, weights_in_words
+from ..output import finish, print_json, say, weights_in_words
 
 if TYPE_CHECKING:
     from ...database.database import Database
