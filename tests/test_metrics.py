@@ -43,7 +43,7 @@ def test_recall_rate_without_true_matches_or_queries_is_nan():
 @pytest.mark.parametrize(
     ("shape", "queries", "n", "message"),
     [
-        ((2, 5), 2, 10, "RecallRate@10: expected N from 1 to 5, the candidates of a query"),
+        ((2, 5), 2, 10, "RecallRate@10: expected N from 1 to 5 candidates"),
         ((2, 5), 2, 0, "RecallRate@0: expected N from 1 to 5"),
     ],
 )

@@ -69,7 +69,7 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
         with pytest.raises(ValueError, match=rf"{table}: {message}.* '{names[0]}'; expected names"):
             find_image_files([far], poses=str(tmp_path / table))
     pictures(tmp_path / "rgb", ["a"])
-    with pytest.raises(ValueError, match="named by their time in seconds.* 'a'"):
+    with pytest.raises(ValueError, match=r"named by their time in seconds.* 'a'"):
         find_image_files([folder], poses=str(tmp_path / "groundtruth.txt"))
 
 

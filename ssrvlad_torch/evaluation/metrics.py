@@ -94,9 +94,7 @@ def evaluate(
     outcomes, at = judge(scores, indices, truth), list(at)
     for n in at:
         if not 1 <= n <= indices.shape[1]:
-            raise ValueError(
-                f"RecallRate@{n}: expected N from 1 to {indices.shape[1]}, the candidates of a query"
-            )
+            raise ValueError(f"RecallRate@{n}: expected N from 1 to {indices.shape[1]} candidates")
     curves = _curves(outcomes, truth, convention, similarity)
 
     def figures(weights: Floats) -> dict[str, Floats]:
