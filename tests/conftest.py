@@ -21,8 +21,9 @@ import typer
 from drives import write_maps, write_photos, write_truth
 from hypothesis import settings
 from maps import Maps
+from segmenting import write_drives
 
-from ssrvlad_torch import native
+from ssrvlad_torch import SSRVLADConfig, native
 from ssrvlad_torch.deployment import export, fuse, label_graph
 from ssrvlad_torch.files import replacing
 from ssrvlad_torch.taxonomy import label_space_names
@@ -31,7 +32,7 @@ torch.set_num_threads(1)
 
 LONG = (
     "test_fuse test_export_web test_guides test_readme test_encoding test_golden test_run_onnx "
-    "test_crashes test_verify test_workers test_loops_script test_loop_stream test_export_loops "
+    "test_crashes test_verify test_workers test_loop_stream test_export_loops "
     "test_memory test_notebook test_wheel test_cli test_extra_descriptors test_commands_report "
     "test_export_describe test_native test_commands_compare test_export test_loop_closure "
     "test_export_cpp test_cohog test_place_model test_live_loops test_ros2"
@@ -148,6 +149,21 @@ def patch():
     """Patches that last as long as the tests of a file."""
     with pytest.MonkeyPatch.context() as patch:
         yield patch
+
+
+@pytest.fixture(scope="session")
+def head(tmp_path_factory):
+    """The head of ``default`` for labels of ``camvid-11`` as a file, not to be changed."""
+    path = tmp_path_factory.mktemp("heads") / "head.onnx"
+    export.export_head(SSRVLADConfig(labels_as="camvid-11"), path)
+    return path
+
+
+@pytest.fixture(scope="session")
+def drives(tmp_path_factory):
+    """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
+    files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
+    return write_drives(tmp_path_factory.mktemp("drives"))
 
 
 @pytest.fixture

@@ -19,6 +19,8 @@ from ssrvlad_torch.deployment import export
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")
 presets = pytest.mark.parametrize("preset", PRESETS)
+COLUMNS = (-8, 0, 5)
+"""Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
 
 CUSTOM: dict[str, dict[str, Any]] = {
     "few bins, opening and closing": {
@@ -46,9 +48,9 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "region_area": 0.1,
     },
     "one row of cells": {"preset": "default", "working_size": 1},
-    "harmonics at native size": {"preset": "default", "working_size": None},
-    "other harmonics, around the middle": {
+    "other harmonics, around the middle, at native size": {
         "preset": "default",
+        "working_size": None,
         "anchor": "middle",
         "thinning": "guo-hall",
         "rings": 4,
@@ -59,6 +61,8 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "spectral_weight": 0.0,
     },
 }
+RARE = ("one row of cells",)
+"""Runs no code of a graph that the others do not."""
 
 
 def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:

@@ -2,6 +2,7 @@
 
 import json
 import warnings
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -100,18 +101,23 @@ class Street(nn.Module):
 
 def write_street(path: Path, half: bool = False) -> Path:
     """`Street` as an ONNX graph with free axes, perhaps in half precision."""
+    path.write_bytes(_street_graph(half))
+    return path
+
+
+@cache
+def _street_graph(half: bool) -> bytes:
     network, example = Street(), torch.rand(2, 3, 64, 96)
     if half:
         network, example = network.half(), example.half()
     axes = dict.fromkeys((0, 2, 3), torch.export.Dim.DYNAMIC)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        torch.onnx.export(
-            network, (example,), path, input_names=["images"],
-            output_names=["scores"], dynamo=True, verbose=False, dynamic_shapes=(axes,),
-            external_data=False,
+        program = torch.onnx.export(
+            network, (example,), input_names=["images"], output_names=["scores"],
+            dynamo=True, verbose=False, dynamic_shapes=(axes,),
         )  # fmt: skip
-    return path
+    return program.model_proto.SerializeToString()
 
 
 def write_graph(

@@ -1,13 +1,10 @@
 import pytest
 import torch
 
-from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.cli import bench
 from ssrvlad_torch.cli.bench import (
     Timing,
     bench_this_machine,
-    heads,
-    onnx_head,
     threads,
     time_in_turn,
 )
@@ -36,22 +33,6 @@ def test_threads_are_put_back():
         assert torch.get_num_threads() == before + 1
         raise RuntimeError("on purpose")
     assert torch.get_num_threads() == before
-
-
-def test_both_heads_have_the_settings(core):
-    config = SSRVLADConfig(labels_as="camvid-11")
-    assert {name: head.config for name, head in heads(config).items()} == {
-        "torch": config,
-        "native core": config,
-    }
-
-
-@pytest.mark.parametrize("preset", ["paper", "default"])
-def test_the_onnx_head_is_the_head(preset):
-    config = SSRVLADConfig.from_preset(preset, labels_as=bench.LABELS_AS)  # one graph for all
-    labels = torch.randint(0, 19, (2, 37, 53), dtype=torch.uint8)
-    found, expected = onnx_head(config)(labels), SSRVLAD(config)(labels)
-    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
 
 
 def test_the_table_has_a_row_for_every_way(core, monkeypatch):

@@ -1,7 +1,5 @@
 import numpy as np
-import pytest
 import torch
-from drawings import HOLES, mask
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -52,25 +50,3 @@ def test_the_mirror_image_of_a_slanting_boundary_has_the_other_direction():
     mirrored = {"rising": "falling", "falling": "rising"}
     expected = {mirrored.get(name, name): count for name, count in drawn.items()}
     assert counts(rising[:, ::-1]) == expected
-
-
-def test_two_layers_that_meet_are_one_boundary():
-    numbers = torch.full((1, 10, 12), NONE)
-    numbers[..., 6:] = 4
-    alone = found(numbers)
-    numbers[..., :6] = 2
-    assert torch.equal(found(numbers), alone)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (2, 9), (9, 2), (3, 3)])
-def test_small_and_full_images_have_none(size):
-    for number in (0, 5, NONE):
-        assert not found(torch.full((1, *size), number)).any()
-
-
-def test_the_edge_of_the_image_is_no_boundary():
-    inside = mask(HOLES)
-    masks = found(torch.from_numpy(np.where(inside, 1, NONE))[None])
-    assert masks.any()
-    assert not masks[..., [0, -1], :].any()
-    assert not masks[..., [0, -1]].any()

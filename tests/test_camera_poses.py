@@ -15,8 +15,6 @@ from ssrvlad_torch.datasets.camera_poses import (
     optical_axis,
 )
 
-HALF = math.sqrt(0.5)
-
 EAST, NORTH, WEST = 0.0, math.pi / 2, math.pi
 
 

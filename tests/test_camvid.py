@@ -94,22 +94,6 @@ def test_a_folder_a_drive(drives):
     assert outline(open_dataset(drives / "0016E5")) == {"0016E5": ["000390", "000420"]}
 
 
-def test_the_predictions_beside_the_labels(drives):
-    dataset = open_dataset(drives, labels="predicted_net", labels_as="cityscapes-trainids")
-    assert dataset.labels_as == "cityscapes-trainids"
-    assert {file.path.parent.name for file in dataset.label_files()} == {"predicted_net"}
-    assert len(dataset.label_files()) == 3
-
-
-def test_unequal_folders_are_said(tutorial):
-    (tutorial / "trainannot" / f"{NAMES[0]}.png").unlink()
-    (tutorial / "val" / f"{NAMES[3]}.png").unlink()
-    assert open_dataset(tutorial).warnings == [
-        "1 of 5 frames have no image, the first is 0016E5/0016E5_07959",
-        "1 of 5 frames have no label map, the first is 0001TP/0001TP_006690",
-    ]
-
-
 def test_labels_of_another_space_are_taken_at_the_users_word(tutorial):
     assert open_dataset(tutorial, labels_as="my.yaml").labels_as == "my.yaml"
 

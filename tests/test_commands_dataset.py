@@ -7,7 +7,6 @@ import pytest
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 CAMVID = ("--labels-as", "camvid-11")
-ROLES = [("--role", "reference"), ("--role", "query")]
 
 
 @pytest.fixture(scope="module")

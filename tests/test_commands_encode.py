@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -35,22 +34,12 @@ def test_the_preset_of_a_database_is_used_again(ssrvlad, maps, tmp_path):
     assert "working_size None there and 120 here" in err[0]
 
 
-@pytest.mark.parametrize("pair", range(2))
-def test_runs_that_start_together_make_one_database(maps, tmp_path, pair):
-    shutil.copytree(maps, tmp_path / "other")
-    command = [sys.executable, "-m", "ssrvlad_torch", "encode", "-o", tmp_path / "db"]
-    command += ["--labels-as", "camvid-11"]
-    runs = [subprocess.Popen([*command, folder]) for folder in (maps, tmp_path / "other")]
-    assert [run.wait(120) for run in runs] == [0, 0]
-    assert len(Database.open(tmp_path / "db").load()) == 12
-
-
-def test_names_do_not_depend_on_the_locale(maps, tmp_path):
+def test_names_do_not_depend_on_the_locale(ssrvlad, maps, tmp_path):
     folder = maps.rename(tmp_path / "straße")
     plain = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"}
-    command = [sys.executable, "-m", "ssrvlad_torch", "encode", folder, "-o", tmp_path / "db"]
-    for environment in (plain, os.environ | {"PYTHONUTF8": "1"}):
-        subprocess.run([*command, "--labels-as", "camvid-11"], env=environment, check=True)
+    command = ["encode", folder, "-o", tmp_path / "db", "--labels-as", "camvid-11"]
+    subprocess.run([sys.executable, "-m", "ssrvlad_torch", *command], env=plain, check=True)
+    assert "6 already there" in ssrvlad(*command)[1]
     frames = Database.open(tmp_path / "db").load().frames
     assert frames == tuple(f"straße/{n:03d}" for n in range(6))
     code = (
@@ -61,19 +50,6 @@ def test_names_do_not_depend_on_the_locale(maps, tmp_path):
         [sys.executable, "-c", code, folder], env=plain, capture_output=True, check=False
     )
     assert b"are read as ASCII here, got '" in refused.stderr
-
-
-def test_an_unreadable_frame_is_listed_and_the_rest_lands(ssrvlad, maps, tmp_path):
-    whole = (maps / "002.png").read_bytes()
-    (maps / "002.png").write_bytes(whole[: len(whole) // 2])
-    Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / "003.png")
-    db = tmp_path / "some.ssrdb"
-    code, out, err = ssrvlad("encode", maps, "-o", db, "--labels-as", "camvid-11")
-    assert code == 3
-    assert "4 frames encoded" in out
-    assert "2 skipped" in out
-    assert [line.split(":")[1] for line in err] == [" skipped monday/002", " skipped monday/003"]
-    assert "label id 77 (768 pixels) is not in label space camvid-11" in err[1]
 
 
 def test_a_wrong_label_space_is_told_once(ssrvlad, maps, tmp_path):

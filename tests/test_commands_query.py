@@ -18,13 +18,6 @@ def test_more_candidates_than_references_are_all_of_them(ssrvlad, database, maps
     assert {len(json.loads(line)["candidates"]) for line in out.splitlines()} == {6}
 
 
-def test_a_query_finds_itself(ssrvlad, database, maps):
-    code, out, _ = ssrvlad("query", database, maps, "--top", 1)
-    assert code == 0
-    found = [line.split(" (")[0].rpartition(" ")[0] for line in out.splitlines()]
-    assert found == [f"monday/{n:03d}: monday/{n:03d}" for n in range(6)]
-
-
 def test_steps_are_told_and_taken(ssrvlad, database, maps):
     steps = ("--no-standardise", "--no-sweep", "--follow", "no")
     _, out, err = ssrvlad("query", database, maps, "--top", 1, *steps)

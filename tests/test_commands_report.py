@@ -102,15 +102,6 @@ def test_what_was_left_out_is_told(ssrvlad, evaluate, database, tmp_path, out):
     assert {"label map of friday/002", "label map of friday/003"} <= described(page)
 
 
-def test_all_queries_skipped(ssrvlad, database, tmp_path, out):
-    (tmp_path / "bad").mkdir()
-    (tmp_path / "bad" / "a.png").write_text("no image")
-    arguments = ("evaluate", database, tmp_path / "bad", "--tolerance-frames", 1, "--json")
-    code, told, err = ssrvlad(*arguments, "--report", out)
-    assert (code, json.loads(told)["recall_at"]["1"], len(err)) == (3, None, 1)
-    assert "0 queries, 0 of them with a true match" in Page(out.read_text("utf-8")).words
-
-
 @pytest.fixture
 def drive(tmp_path):
     """A data set with photos: a drive of CamVid, its label maps and a network's."""
@@ -160,21 +151,3 @@ def test_a_segmenter_shows_what_it_saw(ssrvlad, tmp_path, out, monkeypatch):
         if name.startswith("label map"):
             expected = colourise(street(int(name.rpartition("/")[2])), "camvid-11")
             np.testing.assert_array_equal(shown(page, name), expected)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("--report none/out.html", "cannot write none/out.html: there is no folder none"),
-        ("--report monday", "cannot write monday: it is a folder"),
-    ],
-)
-def test_wrong_use_is_told_before_anything_is_done(
-    ssrvlad, database, tmp_path, monkeypatch, options, message
-):
-    monkeypatch.chdir(tmp_path)
-    line = f"evaluate town.ssrdb monday --tolerance-frames 1 {options}"
-    code, out, err = ssrvlad(*line.split())
-    assert (code, out, len(err)) == (2, "", 1)
-    assert message in err[0]
-    assert not (tmp_path / "out.html").exists()

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import MASKS, SPIRAL, blobs, mask, planes
+from drawings import MASKS, blobs, mask, planes
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -63,27 +63,6 @@ def test_noise(seed, height, width, area, density):
 def test_blobs_in_a_batch():
     layers = np.stack([[blobs(8 * b + k, 45, 61, 6) < 6 for k in range(8)] for b in range(2)])
     assert_like_reference(pack(torch.from_numpy(layers)), 40)
-
-
-def test_a_spiral_is_one_region():
-    spiral = mask(SPIRAL)
-    assert torch.equal(drop_regions(planes(spiral), int(spiral.sum())), planes(spiral))
-    assert not drop_regions(planes(spiral), int(spiral.sum()) + 1).any()
-
-
-def test_images_and_layers_do_not_touch():
-    """A pixel at the bottom of one image and one at the top of the next are two regions."""
-    some = torch.zeros(2, 3, 1, dtype=torch.uint8)
-    some[0, 2], some[1, 0] = 0b11, 0b11
-    assert not drop_regions(some, 2).any()
-    some[0, 1] = 0b01
-    assert drop_regions(some, 2).tolist() == [[[0], [1], [1]], [[0], [0], [0]]]
-
-
-def test_rows_do_not_touch_around_the_edge():
-    some = torch.zeros(1, 2, 3, dtype=torch.uint8)
-    some[0, 0, 2], some[0, 1, 0] = 1, 1
-    assert not drop_regions(some, 2).any()
 
 
 def test_an_area_of_one_pixel_changes_nothing():

@@ -21,16 +21,6 @@ def curve_of(scores, correct, positives):
     return precision_recall(np.array(scores, float), np.array(correct, bool), positives)
 
 
-def test_curve_by_hand():
-    """Right, right, wrong, right; one positive is never found."""
-    curve = curve_of([0.9, 0.8, 0.6, 0.4], [1, 1, 0, 1], 4)
-    np.testing.assert_allclose(curve.thresholds, [0.9, 0.8, 0.6, 0.4])
-    np.testing.assert_allclose(curve.precision, [1, 1, 2 / 3, 3 / 4])
-    np.testing.assert_allclose(curve.recall, [1 / 4, 2 / 4, 2 / 4, 3 / 4])
-    assert curve.auc == pytest.approx(1 / 2 + 1 / 4 * (2 / 3 + 3 / 4) / 2)
-    assert curve.recall_at_full_precision == 0.5
-
-
 SCORES = st.sampled_from([-INF, -0.25, 0.0, 0.25, 0.5, 0.5 + 2**-30, 1.0])
 
 
@@ -81,13 +71,6 @@ def test_extended_precision_where_the_best_score_is_not_right():
     """P_R0 of a tie at the top is that of the tie, and R_P100 is then 0."""
     assert curve_of([0.9, 0.9, 0.9, 0.7], [1, 0, 1, 1], 3).extended_precision == (2 / 3 + 0) / 2
     assert curve_of([0.9, 0.7], [0, 1], 2).extended_precision == 0.0
-
-
-def test_all_equal_scores_are_one_point():
-    curve = curve_of([0.5] * 4, [1, 0, 1, 0], 2)
-    assert curve.auc == curve.average_precision == 0.5
-    assert curve.extended_precision == 0.25
-    assert roc_auc(curve, np.array(2.0), np.array(2.0)) == 0.5
 
 
 def test_the_precision_at_recall_zero_can_be_set():

@@ -8,7 +8,6 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 import torch
-import yaml
 from four_frames import CONFIG, FRAMES, SORTED, fill, filled, loaded
 from helpers import descriptors, record, refused
 from hypothesis import given
@@ -210,12 +209,3 @@ def test_a_database_is_not_created_over_one(path):
     with pytest.raises(ValueError, match="is a database already"):
         Database.create(path, CONFIG)
     assert len(Database.open(path)) == len(FRAMES)
-
-
-def test_a_custom_label_space_is_stored_whole(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(yaml.safe_dump(label_space("camvid-11").to_dict()))
-    Database.create(tmp_path / "db", SSRVLADConfig.from_preset("default", labels_as=file))
-    file.unlink()
-    config = Database.open(tmp_path / "db").config
-    assert label_space(config.labels_as).digest == label_space("camvid-11").digest

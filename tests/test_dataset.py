@@ -225,11 +225,6 @@ def test_other_label_maps_take_the_place_of_those_that_there_are(tmp_path):
     assert other.labels_as == "camvid-11"
 
 
-def test_a_strange_label_space_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="unknown label space 'rgb'"):
-        photos(tmp_path, "a/1.jpg").with_labels(tmp_path, "rgb")
-
-
 # ---- listing
 
 
@@ -239,12 +234,6 @@ def test_files_are_listed_by_name_without_suffix_and_ending(tmp_path):
     (tmp_path / "6_L.png").mkdir()
     assert list(files_in(tmp_path, (".png",), "_L")) == ["1", "2"]
     assert files_in(tmp_path / "nowhere", (".png",)) == {}
-
-
-def test_a_link_to_nothing_is_a_file(tmp_path):
-    """It is refused by name when its turn to be read comes."""
-    (tmp_path / "1.png").symlink_to(tmp_path / "gone.png")
-    assert list(files_in(tmp_path, (".png",))) == ["1"]
 
 
 def test_two_files_of_one_name_are_refused(tmp_path):

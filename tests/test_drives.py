@@ -8,7 +8,6 @@ from drives import write_maps, write_photos
 from ssrvlad_torch.datasets.synthetic_city import write_city
 
 CAMVID = ("--labels-as", "camvid-11")
-SMALL = ("--set", "cohog.size=128")
 
 
 def test_sequences_by_name_and_other_label_maps(compare, tmp_path):

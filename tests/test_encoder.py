@@ -1,14 +1,12 @@
 """Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
 
 import numpy as np
-import pytest
 import torch
 from drawings import VOID
 from helpers import street
 from maps import HEAD, alone, counts
 from PIL import Image
 
-from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 
@@ -111,22 +109,6 @@ def test_memory_and_database_hold_the_same_frames(town):
     assert torch.equal(in_memory.descriptors, on_disk.descriptors)
     np.testing.assert_array_equal(in_memory.poses, on_disk.poses)
     assert in_memory.empty.tolist() == on_disk.empty.tolist()
-
-
-def test_a_stack_is_encoded_row_by_row(town):
-    np.save(town.folder / "s.npy", np.stack([street(n) for n in range(4)]))
-    frames, _ = encode_to_memory(HEAD, town.files("s.npy"))
-    assert frames.frames == tuple(f"s/s-00000{n}" for n in range(4))
-    for number, descriptor in enumerate(frames.descriptors):
-        assert torch.equal(descriptor, alone(street(number)))
-
-
-def test_another_fingerprint_is_refused_before_anything_is_read(town):
-    town.add("a", [0])
-    town.database()
-    paper = SSRVLAD.from_preset("paper", labels_as="camvid-11")
-    with pytest.raises(ValueError, match="has fingerprint"):
-        encode_to_database(paper, town.files(), town.database())
 
 
 def test_workers_make_the_same_rows(town):

@@ -23,7 +23,7 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.segmenter import Segmenter, SegmenterConfig
 
 EXPORT = Path(__file__).parents[1] / "export"
-CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=24)
+CONFIG = SSRVLADConfig(labels_as="camvid-11")
 HEAD = SSRVLAD(CONFIG)
 
 AS_THE_HOST = """

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 import torch
 from drives import write_maps
+from exported import COLUMNS
 from graphs import edit_golden, turned
 from helpers import street
 from networks import photo, write_graph
 from PIL import Image
-from segmenting import write_drives, write_town
+from segmenting import write_town
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
@@ -72,8 +73,7 @@ def write_database(path, descriptors, names):
 
 @pytest.fixture
 def town(tmp_path):
-    """A head, six label maps as arrays, their descriptors as a database."""
-    export_head(CONFIG, tmp_path / "head.onnx")
+    """Six label maps as arrays, their descriptors as a database."""
     files = sorted(write_maps(tmp_path / "maps", range(6)).iterdir())
     labels = np.stack([np.asarray(Image.open(file)) for file in files])
     view = SSRVLAD(CONFIG).explain(torch.from_numpy(labels))
@@ -84,8 +84,8 @@ def town(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["map.npy", "map.pgm"])
-def test_it_prints_what_the_module_finds(place, town, tmp_path, name):
-    code, lines, errors = place(tmp_path / "head.onnx", tmp_path / name, tmp_path / "town.npy", 4)
+def test_it_prints_what_the_module_finds(place, head, town, tmp_path, name):
+    code, lines, errors = place(head, tmp_path / name, tmp_path / "town.npy", 4)
     assert (code, errors) == (0, [])
     assert lines[0] == "descriptor: 480 numbers, norm 1.000000"
     scores, rows = (part[0].tolist() for part in match(town.descriptor[2:3], town.descriptor, 4))
@@ -94,8 +94,8 @@ def test_it_prints_what_the_module_finds(place, town, tmp_path, name):
     assert found == pytest.approx(scores, abs=1e-5)
 
 
-def test_wrong_use_is_one_line(place, town, tmp_path):
-    head, labels, base = (tmp_path / n for n in ("head.onnx", "map.npy", "town.npy"))
+def test_wrong_use_is_one_line(place, head, town, tmp_path):
+    labels, base = (tmp_path / n for n in ("map.npy", "town.npy"))
     np.save(tmp_path / "strange.npy", np.full((4, 5), 77, np.uint8))
     np.save(tmp_path / "wide.npy", np.zeros((4, 5), np.int64))
     (tmp_path / "cut.npy").write_bytes(labels.read_bytes()[:-1])
@@ -159,11 +159,6 @@ def test_photographs_find_their_place_with_one_file_and_with_two(place, drive, m
     assert best == "photos/1"
     assert float(score) == pytest.approx(1, abs=1e-6)
     assert len(lines) == 4
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory):
-    return write_drives(tmp_path_factory.mktemp("drives"))
 
 
 def test_features_are_fused_with_the_descriptor_as_in_python(place, drives, tmp_path):
@@ -231,11 +226,11 @@ def test_a_damaged_golden_pair_is_one_line(place, drive, tmp_path, change, messa
 
 
 def test_of_several_anchors_the_best_counts(place, town, tmp_path):
-    columns, labels = (-20, 0, 20), np.load(tmp_path / "map.npy")
-    export_head(CONFIG, tmp_path / "sweep.onnx", columns=columns)
+    labels = np.load(tmp_path / "map.npy")
+    export_head(CONFIG, tmp_path / "sweep.onnx", columns=COLUMNS)
     given = (tmp_path / "sweep.onnx", tmp_path / "map.npy", tmp_path / "town.npy")
     code, lines, _ = place(*given)
-    swept = SweepHead(CONFIG, columns)(labels[None])[0]
+    swept = SweepHead(CONFIG, COLUMNS)(labels[None])[0]
     scores = (town.descriptor @ swept.T).amax(1).sort(descending=True)
     assert code == 0
     assert [line.split()[0] for line in lines[1:]] == [f"maps/{n}" for n in scores.indices[:5]]

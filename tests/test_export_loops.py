@@ -22,7 +22,7 @@ from ssrvlad_place import stream
 from ssrvlad_place.loops import Detector, Settings
 from ssrvlad_place.model import Seen
 
-from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig, export_head
+from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.deployment.export import head_model
@@ -36,13 +36,6 @@ SETTINGS = ("--exclude", 5, "--threshold", 0.7)
 @pytest.fixture
 def run(main_of):
     return partial(main_of, loops_onnx.main, "loops_onnx.py")
-
-
-@pytest.fixture(scope="module")
-def head(tmp_path_factory):
-    path = tmp_path_factory.mktemp("heads") / "head.onnx"
-    export_head(CONFIG, path)
-    return path
 
 
 @pytest.fixture

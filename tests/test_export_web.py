@@ -18,7 +18,7 @@ from graphs import edit_golden, turned
 from helpers import COLOUR, GRAY, PALETTES, street, write_palette, write_png
 from networks import PLAIN, colour_network, photo
 from PIL import Image
-from segmenting import write_drives, write_town
+from segmenting import write_town
 
 from ssrvlad_torch import SSRVLAD, Segmenter, SSRVLADConfig, export_head, match
 from ssrvlad_torch.deployment.fuse import fuse
@@ -28,7 +28,7 @@ from ssrvlad_torch.taxonomy import label_space
 ROOT = Path(__file__).parents[1]
 SOURCE = ROOT / "export" / "web"
 CONFIGS = {
-    "default": SSRVLADConfig(labels_as="camvid-11", working_size=20),
+    "default": SSRVLADConfig(labels_as="camvid-11"),
     "paper": SSRVLADConfig.from_preset("paper", labels_as="camvid-11"),
 }
 presets = pytest.mark.parametrize("preset", CONFIGS)
@@ -188,11 +188,10 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     assert page.run("document.getElementById('golden').value").startswith("golden pair: largest")
 
 
-def test_features_are_fused_with_the_descriptor_as_in_python(page, site, tmp_path):
-    write_drives(tmp_path)
-    shutil.copy(tmp_path / "place.onnx", site / "street.onnx")
-    frames, scores = write_town(tmp_path, site / "town.npy")[2]
-    shutil.copy(tmp_path / "today" / "5.png", site / "street.png")
+def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives):
+    shutil.copy(drives / "place.onnx", site / "street.onnx")
+    frames, scores = write_town(drives, site / "town.npy")[2]
+    shutil.copy(drives / "today" / "5.png", site / "street.png")
     query = "?model=street.onnx&database=town.npy&labels=street.png"
     open_page(page, query, f"{SHOWN} || {FAILED}")
     assert page.run(FAILED) is None

@@ -66,12 +66,6 @@ def test_an_empty_database_is_exported(tmp_path, form):
     assert (tmp_path / "out").is_file()
 
 
-def test_a_path_that_cannot_be_written_is_an_error_and_leaves_no_file(database, tmp_path):
-    with pytest.raises(OSError, match="missing"):
-        export_database(database, "npy", tmp_path / "missing" / "out.npy")
-    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["db"]
-
-
 def test_an_id_of_several_lines_is_refused_for_npy(database, tmp_path):
     database.append([record("a/1\u2028b")], descriptors(1, 1))
     with pytest.raises(ValueError, match=r"one id per line, and 1 of .* first is 'a/1\\u2028b'"):

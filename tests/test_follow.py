@@ -126,23 +126,6 @@ def test_queries_may_run_the_map_backwards():
     assert ahead.backward.mean() > 0.5
 
 
-def test_a_branch_leads_from_one_sequence_into_another():
-    sequences = ["a"] * 100 + ["b"] * 100
-    track = torch.tensor([*range(20, 60), *range(130, 170)])
-    followed = follow(noisy(track.tolist(), 200), sequences).indices[:, 0]
-    assert ((followed - track).abs() <= NEAR).float().mean() > 0.9
-
-
-def test_no_speed_crosses_from_one_sequence_into_the_next():
-    track = Filter(["a"] * 10 + ["b"] * 10, Motion(jump=0.0, change=1.0))
-    scores = torch.zeros(20)
-    scores[9] = 1.0
-    for _ in range(6):
-        track.step(scores)
-    track.step(torch.zeros(20))
-    assert track.rows()[10:].max() < 0.05 < track.rows()[7:10].sum()
-
-
 def test_queries_of_another_sequence_start_anew():
     scores = noisy(list(range(10, 30)), 60)
     both = follow(torch.cat((scores, scores)), ["m"] * 60, ["a"] * 20 + ["b"] * 20)

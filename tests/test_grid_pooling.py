@@ -1,5 +1,4 @@
 import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,19 +23,6 @@ def test_equals_the_reference_exactly(seed, height, width, shift):
         for image, s in zip(layers, shift, strict=True)
     ]
     np.testing.assert_array_equal(cells.numpy(), expected)
-
-
-@pytest.mark.parametrize("size", [(1, 1), (24, 32), (7, 300), (480, 640)])
-def test_a_full_layer_fills_every_cell(size):
-    cells = pool(torch.ones((1, 3, *size)), torch.zeros(1, dtype=torch.int64))
-    assert (cells == 1).all()
-
-
-def test_each_image_of_a_batch_has_its_own_shift():
-    masks = torch.randint(0, 2, (5, 2, 70, 50))
-    shift = torch.tensor([0, 3, -7, 40, 1])
-    singly = [pool(image[None], move[None]) for image, move in zip(masks, shift, strict=True)]
-    assert torch.equal(pool(masks, shift), torch.cat(singly))
 
 
 @given(st.integers(1, 200), st.integers(1, 40))

@@ -1,7 +1,6 @@
 """Ground truth from files of every form, and what is wrong with others."""
 
 import json
-import os
 
 import numpy as np
 import pytest
@@ -168,16 +167,6 @@ def test_a_missing_file_is_refused(tmp_path):
     for path in (tmp_path / "missing.json", tmp_path):
         with pytest.raises(ValueError, match=r"No such file|expected a file"):
             from_file(path, QUERIES, REFERENCES)
-
-
-class Code:
-    def __reduce__(self):
-        return os.system, ("touch /tmp/never",)
-
-
-def test_a_pickle_that_asks_for_code_is_refused_by_name(read):
-    with pytest.raises(ValueError, match=r"a\.npy: it refers to (posix|nt)\.system; expected"):
-        read("a.npy", vpr_bench((0, Code()), (1, [])))
 
 
 @needs_vpr_bench

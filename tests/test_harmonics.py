@@ -11,13 +11,11 @@ from ssrvlad_torch.config import AREA_LAYERS, BOUNDARY_DIRECTIONS
 from ssrvlad_torch.stages.grid_pooling import COLUMNS, ROWS
 from ssrvlad_torch.stages.harmonics import (
     Harmonics,
-    basis_table,
     coefficients,
     damped,
     harmonic_tables,
     mirrored,
     soft_histograms,
-    waves,
 )
 
 CONFIGS = [
@@ -48,12 +46,6 @@ def test_tables_equal_the_reference(config):
     np.testing.assert_allclose(basis, expected, atol=1e-13)
 
 
-@each_config
-def test_bins_are_means(config):
-    sums = harmonic_tables(config).bins.sum(1)
-    assert (torch.isclose(sums, torch.ones(1).double()) | (sums == 0)).all()
-
-
 def test_what_is_right_of_the_middle_is_in_the_first_sector():
     bins = harmonic_tables(SSRVLADConfig()).bins
     cells = torch.zeros(ROWS, COLUMNS, dtype=torch.float64)
@@ -62,26 +54,6 @@ def test_what_is_right_of_the_middle_is_in_the_first_sector():
     assert outermost.argmax() == 0
     assert outermost[1] == pytest.approx(outermost[19])  # symmetric about the axis
     assert not outermost[3:18].any()
-
-
-def test_waves_rise_in_frequency_and_are_orthogonal():
-    squared = [u * u + v * v for u, v, _ in waves(6, 20)]
-    assert squared == sorted(squared)
-    assert len(squared) == 6 * 19
-    table = basis_table(6, 20, 6 * 19, 0.0)
-    torch.testing.assert_close(table @ table.T, torch.eye(114).double(), rtol=0, atol=1e-12)
-
-
-def test_a_mirrored_street_flips_the_sign_of_the_sines():
-    """Left and right change places: angle a becomes pi - a."""
-    bins, basis = harmonic_tables(SSRVLADConfig(sectors=12, harmonics=50, boundary_harmonics=50))
-    cells = torch.rand(1, BLOCKS, ROWS, COLUMNS, dtype=torch.float64)
-    here, mirrored = (
-        coefficients(soft_histograms(c, bins), basis, (50, 50), 1.0).view(BLOCKS, -1)
-        for c in (cells, cells.flip(3))
-    )
-    sign = [(-1) ** v * (-1 if phase else 1) for _, v, phase in waves(6, 12)[:50]]
-    torch.testing.assert_close(mirrored, here * torch.tensor(sign), rtol=0, atol=1e-6)
 
 
 def test_areas_and_boundaries_have_their_own_numbers():
@@ -132,13 +104,6 @@ def test_close_to_zero_the_power_is_a_straight_line():
     assert two / one == pytest.approx(2, rel=1e-5)
     assert 1e-7 < one / coarse < 2e-6
     assert damped(torch.tensor(16.0).double(), 0.75) / coarse == pytest.approx(8)
-
-
-def test_a_constant_histogram_has_one_coefficient():
-    basis = harmonic_tables(SSRVLADConfig()).basis
-    found = coefficients(torch.full((1, BLOCKS, basis.shape[1]), 0.7), basis.float(), (9, 9), 0.75)
-    assert (found.view(BLOCKS, -1)[:, 1:].abs() < 1e-12).all()
-    assert (found.view(BLOCKS, -1)[:, 0] > 0.1).all()
 
 
 MIRRORED = [

@@ -200,12 +200,6 @@ def test_arrays_that_are_no_images(tmp_path, array):
         read(tmp_path / "a.npy")
 
 
-def test_an_array_of_objects_is_not_unpickled(tmp_path):
-    np.save(tmp_path / "a.npy", np.array([[{"id": 3}]]), allow_pickle=True)
-    with pytest.raises(ValueError, match="holds Python objects"):
-        read(tmp_path / "a.npy")
-
-
 # ---- which files are frames
 
 

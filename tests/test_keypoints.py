@@ -1,7 +1,5 @@
 import numpy as np
-import pytest
 import torch
-from drawings import MASKS, mask, planes
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -29,17 +27,6 @@ def intersections(some):
     found = keypoints.intersections(some)
     assert torch.equal(run_on_planes(both_in_graph, some)[1], found)
     return found
-
-
-@pytest.mark.parametrize("name", MASKS)
-def test_drawings(name):
-    layer = mask(MASKS[name])
-    np.testing.assert_array_equal(
-        unpack(end_points(planes(layer)))[0, 0], reference.end_points(layer)
-    )
-    np.testing.assert_array_equal(
-        unpack(intersections(planes(layer)))[0, 0], reference.intersections(layer)
-    )
 
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))

@@ -74,20 +74,3 @@ def test_an_empty_folder_holds_nothing(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="found empty/; "):
         open_dataset(tmp_path, "vpr-bench")
-
-
-def test_a_strange_layout_is_refused(tmp_path):
-    with pytest.raises(ValueError, match="unknown layout 'kitti'; expected one of extended-cmu"):
-        open_dataset(tmp_path, "kitti")
-
-
-@pytest.mark.parametrize("name", ["nowhere", "file"])
-def test_what_is_no_folder_is_refused(tmp_path, name):
-    (tmp_path / "file").touch()
-    with pytest.raises(ValueError, match=f"{name} is no folder; expected the folder of a data set"):
-        open_dataset(tmp_path / name)
-
-
-def test_other_label_maps_want_a_label_space(tmp_path):
-    with pytest.raises(ValueError, match="the label maps in out need a label space"):
-        open_dataset(plant(tmp_path, "a/1.jpg"), labels="out")

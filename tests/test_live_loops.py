@@ -11,7 +11,6 @@ from helpers import street
 from loop_streams import SEEDS
 from networks import photo
 from ros_images import CAMVID, CONFIG, SECOND, picture, seen
-from segmenting import write_drives
 from ssrvlad_ros import label_table, live_loops
 from ssrvlad_ros.place_model import PlaceModel
 
@@ -167,13 +166,6 @@ def test_pictures_of_another_form_are_refused():
 PLACES = (*range(20), *range(4, 16))
 
 
-@pytest.fixture(scope="module")
-def town(tmp_path_factory):
-    """A network as ``net.yaml``, and the fused files: ``place.onnx``, or ``net.onnx`` and
-    ``head.onnx``. Not to be changed."""
-    return write_drives(tmp_path_factory.mktemp("town"), range(1), range(1))
-
-
 def photos():
     return [photo(street(seed, 96, 128)) for seed in PLACES]
 
@@ -189,9 +181,9 @@ def live(model, start=0, end=None, **given):
 
 
 @pytest.mark.parametrize("file", ["place.onnx", "net.onnx"])
-def test_with_a_model_it_finds_what_the_detector_finds(town, file):
+def test_with_a_model_it_finds_what_the_detector_finds(drives, file):
     """By label maps from several anchors and by features, of one file or of the network's file."""
-    segmenter = Segmenter.load(town / "net.yaml")
+    segmenter = Segmenter.load(drives / "net.yaml")
     head = SSRVLAD.from_preset("default", labels_as="camvid-11")
     detector = LoopDetector(LoopConfig(exclude=5), head, [segmenter.features.descriptor])
     expected = []
@@ -199,13 +191,13 @@ def test_with_a_model_it_finds_what_the_detector_finds(town, file):
         frame = f"drive/{number * SECOND:019d}"
         expected.append(detector.update(said.labels, frame, number, features=said.features))
     assert sum(result.accepted for result in expected) > 5
-    model = PlaceModel(town / file)
+    model = PlaceModel(drives / file)
     assert model.extra == [segmenter.features.descriptor]
     assert live(model)[1] == expected
 
 
-def test_frames_of_a_model_are_kept_and_gone_on_from(town, tmp_path):
-    model, memory = PlaceModel(town / "place.onnx"), tmp_path / "drive.ssrdb"
+def test_frames_of_a_model_are_kept_and_gone_on_from(drives, tmp_path):
+    model, memory = PlaceModel(drives / "place.onnx"), tmp_path / "drive.ssrdb"
     core, _ = live(model, 0, 20, memory=memory)
     core.save()
     core, results = live(model, 20, memory=memory)
@@ -214,7 +206,7 @@ def test_frames_of_a_model_are_kept_and_gone_on_from(town, tmp_path):
     assert len(Database.open(memory)) == len(PLACES)
     with pytest.raises(ValueError, match=r"drive\.ssrdb has features of its frames, which this"):
         live_loops.LiveLoops(CONFIG, memory=memory)
-    plain = PlaceModel(town / "place.onnx", features=False)
+    plain = PlaceModel(drives / "place.onnx", features=False)
     with pytest.raises(ValueError, match="has features of its frames"):
         live_loops.LiveLoops(CONFIG, memory=memory, model=plain)
     other = tmp_path / "other.ssrdb"
@@ -226,21 +218,21 @@ def test_frames_of_a_model_are_kept_and_gone_on_from(town, tmp_path):
         live_loops.LiveLoops(CONFIG, preset="paper", model=model)
 
 
-def test_models_that_do_not_fit_are_refused(town, tmp_path):
-    model = onnx.load(town / "place.onnx")
+def test_models_that_do_not_fit_are_refused(drives, tmp_path):
+    model = onnx.load(drives / "place.onnx")
     (signs,) = (each for each in model.metadata_props if each.key == "ssrvlad.features")
     model.metadata_props.remove(signs)
     onnx.save(model, tmp_path / "plain.onnx")
     del model.metadata_props[:]
     onnx.save(model, tmp_path / "other.onnx")
     (tmp_path / "torn.onnx").write_bytes(b"torn")
-    edit_golden(town / "place.onnx", tmp_path / "wrong.onnx", turned("features"))
+    edit_golden(drives / "place.onnx", tmp_path / "wrong.onnx", turned("features"))
     for path, message in (
         (tmp_path / "plain.onnx", "gives no features: fuse it again without --no-features, or"),
         (tmp_path / "other.onnx", "no metadata ssrvlad"),
         (tmp_path / "torn.onnx", "cannot run in ONNX Runtime"),
         (tmp_path / "wrong.onnx", "is computed wrong on this machine: .* of the signs"),
-        (town / "head.onnx", "expected a file of `ssrvlad fuse`, .*; got one that takes labels"),
+        (drives / "head.onnx", "expected a file of `ssrvlad fuse`, .*; got one that takes labels"),
         (tmp_path / "none.onnx", "No such file"),
     ):
         with pytest.raises((ValueError, OSError), match=message) as error:
@@ -250,8 +242,8 @@ def test_models_that_do_not_fit_are_refused(town, tmp_path):
     assert PlaceModel(tmp_path / "wrong.onnx", check=False).extra
 
 
-def test_a_picture_that_the_network_cannot_take_changes_nothing(town):
-    core, _ = live(PlaceModel(town / "place.onnx"), 0, 1)
+def test_a_picture_that_the_network_cannot_take_changes_nothing(drives):
+    core, _ = live(PlaceModel(drives / "place.onnx"), 0, 1)
     with pytest.raises(ValueError, match=r"not finite, or the same everywhere|fails at 1x1"):
         core.update(picture(np.zeros((1, 1, 3), int), "rgb8"), SECOND)
     assert len(core._detector) == 1

@@ -10,7 +10,7 @@ import sys
 from contextlib import closing
 
 import pytest
-from helpers import street, write_street
+from helpers import street
 from loop_streams import SEEDS, write_drive
 from PIL import Image
 
@@ -86,14 +86,6 @@ def test_text_shows_the_loops_and_counts_the_rest(loops, drive):
     assert lines[13] == "steps: standardised, anchors 0, no temporal sum, followed online"
     assert len(lines) == 14
     assert "anchors -4, 0, 4, no temporal sum" in loops(drive / "00.png", settings=())[1]
-
-
-def test_sources_come_in_the_order_given(loops, drive):
-    folders = [drive.parent / name for name in ("b", "c", "a")]
-    for folder in folders:
-        write_street(folder / "0.png", 1)
-    _, out, _ = loops(*folders, "--json")
-    assert [line["frame"] for line in objects(out)] == ["b/0", "c/0", "a/0"]
 
 
 def test_precision_and_recall_by_poses(loops, drive):
@@ -284,16 +276,6 @@ def test_a_drive_of_the_same_folder_name_is_another_one(loops, drive, tmp_path, 
     assert (code, out) == (3 if live else 2, "")
     assert "frame 'drive/00' of the database is of" in err[0] and "--sequence" in err[0]
     assert run(other)[:2] == (0, ""), "its frames are known by now"
-
-
-def test_a_memory_of_another_preset_is_refused(loops, drive, tmp_path):
-    memory = tmp_path / "drive.ssrdb"
-    assert loops(drive, "--memory", memory, "--preset", "paper")[0] == 0
-    assert Database.open(memory).config.preset == "paper"
-    assert loops(drive, "--memory", memory)[0] == 0
-    code, _, err = loops(drive, "--memory", memory, "--preset", "default")
-    assert code == 2
-    assert "has fingerprint" in err[0]
 
 
 def test_a_stream_that_breaks_off_is_saved(drive, tmp_path, monkeypatch):

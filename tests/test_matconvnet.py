@@ -1,7 +1,7 @@
 """Networks in MATLAB files, with their layers as structs and as objects."""
 
-import base64
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,25 +10,7 @@ from scipy.io import savemat
 
 from ssrvlad_torch.baselines.matconvnet import read_matconvnet
 
-WITH_OBJECTS = base64.b85decode(
-    "O+i#lK|&xkE-"
-    ")ZXK~ybfX>4U6P;6mzW^ZzBE+9j4Wnpw>WFT*DIv_GIGBzzSF)cDNATTyMGcY<cHy~A1Lm*;#AZ=lEX>TBRX>@2Hb7"
-    "N_6c_1JlARr(hARr(hARr(hARr(hARr(hARr(hARr(h@c{q;0000000Bu&4*&oFX#oHLc%0*7U|{&b!oa`=q&a|?i2"
-    "(vwp?pR-"
-    "W@gAsEdh$NFt9_#_<%Sku`;!&m?1Z{BoV9+B({MWVICtE^H`9?LFy+k5@SD1oCPi}0mLPh1*stMyu@5EU7nhmo>5W^"
-    "HrIdwVJ-"
-    "^+cL)G^$@zI@Abl1D^s%GpgYZFm4dV^L_8wrs?|&vV{|6wcXGc;mfaG^(G=1z)|3iTT149D{+XI<EdVvGFKakDkKr#"
-    "#2JPx>V4fg2%ASPZ|p?od|XuQB81?o>y<D)1wr<C0I0O^IrM+cIAL8v-"
-    "LIL*S~>+By4;&U=U({q@QqYIL|J&^SCqS?=e77idjG+yo^hcOI;(>syw5rw%YJR?6R)yK#$zbH2`C$lP*itb{9Vvu<"
-    "+7)Xn6J|sWoLEV;El9`_e6`Mh#dAv|Qh)yg^ElNyJ^~?nl*x~^>J@X)$#f%o7>`-"
-    "|IhHp*`46lIrf)j`b0B<iwx(@&V0G$B<0C=3`RLxGpKoFj7Yg>#EyzvO0IT<h3NDM|$5)(OMgN=|B+LWrn6OZ5{aO5"
-    "rI=p*<D9zA+=_NTHg+o0&d#7Vx)&hULZJG)a#0Px@d*yvqE0l005m>@14?x`6f26Eh_aS73q^oB;Cf#)su8xfr5;n{"
-    "h%k1Or7E%@ZaTZ~KNBI2kY2JOU;;~?pDg#O81=oj^P>?r4;{5r|+yFxzm4Ux0Zo3v-"
-    "d1TjOrBHj>X!a;fda15b84w8$;L5;84y(kPC)zc^$_+kG(fIKsl*wk>;dnKBj&WL7Bl$wU(zhWiH*NyMZLzdq`q~n-"
-    "f%+Mb&e<FA_;qQX}buS&UI=ir_V`=KxQk}AhyEmgW8t`*^EA$0LPvhIrzuN0YN%nf`IqVhv7DQf{_cOiA^v{q#_u1R"
-    "ZbKjEqj>IoZwM<1vc@^p0IQ<m+xI{noeqrAUVvdgD5%)zuowM&6*86|i1Tjz9Fv0SBtur_4=;LUVHmY3z0{QP{D*dS"
-    "Sbp3<U|6kL4lD@d2U&`BpW&3aU_6|jMNS6"
-)
+WITH_OBJECTS = Path(__file__).with_name("with_objects.mat").read_bytes()
 """A MATLAB 7 file as NetVLAD's authors save theirs: the layers are a struct conv1_1 with weights, a
 struct relu1_1 without, an object of layerVLAD and one of layerWholeL2Normalize, both saved as the
 structs that their ``saveobj`` returns. Written with mat-io 1.0.2 (``saveobj_classes``)."""

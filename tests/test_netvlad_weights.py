@@ -133,17 +133,3 @@ def test_a_missing_layer_is_named(tmp_path):
     write_mat(tmp_path / "net.mat", trained(), conv4_2={"type": "relu", "name": "conv4_2"})
     with pytest.raises(ValueError, match=r"net\.mat lacks weights of the layer conv4_2"):
         read_netvlad_weights(tmp_path / "net.mat")
-
-
-def test_another_network_is_named(tmp_path):
-    torch.save({"features.0.weight": torch.ones(64, 3, 11, 11)}, tmp_path / "alexnet.pth")
-    with pytest.raises(ValueError, match=r"alexnet\.pth lacks encoder\.0\.weight \(2, 3, 3, 3\)"):
-        loaded(tmp_path / "alexnet.pth", None)
-
-
-def test_a_wrong_shape_is_named(tmp_path):
-    write_mat(
-        tmp_path / "net.mat", trained(), conv1_1=layer("conv1_1", *2 * [np.ones((7, 7, 3, 2))])
-    )
-    with pytest.raises(ValueError, match=r"net\.mat: encoder\.0\.weight must be \(2, 3, 3, 3\)"):
-        loaded(tmp_path / "net.mat", OUTPUTS)

@@ -7,12 +7,12 @@ import onnx
 import pytest
 import run_onnx
 import torch
+from exported import COLUMNS
 from graphs import edit_golden, turned
 from helpers import street
 from networks import PLAIN, colour_network, photo, write_graph
 from onnx import TensorProto
 from PIL import Image
-from segmenting import write_drives
 from ssrvlad_place.database import save
 from ssrvlad_place.golden import Golden
 from ssrvlad_place.model import Model, Seen, Split
@@ -23,14 +23,7 @@ from ssrvlad_torch.deployment.fuse import fuse
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
-CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=40)
-
-
-@pytest.fixture(scope="module")
-def head(tmp_path_factory):
-    path = tmp_path_factory.mktemp("heads") / "head.onnx"
-    export_head(CONFIG, path)
-    return path
+CONFIG = SSRVLADConfig(labels_as="camvid-11")
 
 
 @pytest.fixture(scope="module")
@@ -49,13 +42,6 @@ def run(main_of):
     return partial(main_of, run_onnx.main, "run_onnx.py")
 
 
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory):
-    """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
-    files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
-    return write_drives(tmp_path_factory.mktemp("drives"))
-
-
 def test_activations_that_say_nothing_are_refused(drives, tmp_path, run):
     """An image of one colour, of which an exported file gives no sign."""
     model = onnx.load(drives / "place.onnx")
@@ -72,10 +58,9 @@ def test_activations_that_say_nothing_are_refused(drives, tmp_path, run):
     assert code == 2 and "% of the features differ" in line
 
 
-def test_a_frame_of_more_than_the_file_can_count_is_skipped(tmp_path, run):
-    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
+def test_a_frame_of_more_than_the_file_can_count_is_skipped(head, tmp_path, run):
     np.save(tmp_path / "panorama.npy", np.zeros((120, 1000), np.uint8))
-    code, out, errors = run(tmp_path / "default.onnx", tmp_path / "panorama.npy")
+    code, out, errors = run(head, tmp_path / "panorama.npy")
     assert (code, out) == (3, "")
     assert "panorama.npy: the frame is too wide" in errors[0]
 
@@ -149,10 +134,9 @@ def test_a_file_of_fixed_size_takes_no_other(maps, tmp_path, run):
     files = sorted(maps.iterdir())
     labels = np.asarray(Image.open(files[0]))
     shape, path = (1, *labels.shape), tmp_path / "fixed.onnx"
-    config = SSRVLADConfig(labels_as="camvid-11")
-    export_head(config, path, "labels", "int32", (), shape)
+    export_head(CONFIG, path, "labels", "int32", (), shape)
     got = Model(path).see(files[0]).descriptor
-    np.testing.assert_allclose(got, SSRVLAD(config)(labels[None])[0], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(got, SSRVLAD(CONFIG)(labels[None])[0], rtol=0, atol=1e-6)
     np.save(tmp_path / "other.npy", labels[:-1])
     code, _, errors = run(path, tmp_path / "other.npy")
     assert code == 3
@@ -206,8 +190,7 @@ def test_of_a_sweep_the_best_anchor_counts(tmp_path, run):
     """Each reference is the descriptor of one anchor of the query."""
     labels = np.random.default_rng(0).integers(0, 11, (6, 9)).repeat(20, 0).repeat(20, 1)
     np.save(tmp_path / "query.npy", labels.astype(np.uint8))
-    config = SSRVLADConfig(labels_as="camvid-11")
-    export_head(config, tmp_path / "sweep.onnx", columns=(-8, 0, 8))
+    export_head(CONFIG, tmp_path / "sweep.onnx", columns=COLUMNS)
     model = Model(tmp_path / "sweep.onnx")
     swept = model.see(tmp_path / "query.npy").descriptor
     seen, names = list(map(Seen, swept)), ["left", "middle", "right"]
@@ -235,8 +218,9 @@ def test_network_and_head_in_two_files(fused, tmp_path, run):
     largest = out.removeprefix("largest difference for the golden pair: ")
     assert (code, float(largest) < 1e-6) == (0, True), out
     export_head(CONFIG, tmp_path / "wide.onnx", dtype="int64")
-    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "default.onnx")
-    for wrong, message in (("wide", "takes labels tensor(int64)"), ("default", "fingerprint")):
+    paper = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")
+    export_head(paper, tmp_path / "paper.onnx")
+    for wrong, message in (("wide", "takes labels tensor(int64)"), ("paper", "fingerprint")):
         code, _, (line,) = run(tmp_path / f"{wrong}.onnx", *frames, "--network", net)
         assert code == 2
         assert message in line

@@ -135,7 +135,7 @@ def test_every_command_is_in_the_table(command):
 @pytest.mark.parametrize("command", COMMANDS)
 def test_help_examples(command, run, town, photos, tmp_path):
     if command == "verify":
-        run("ssrvlad fuse seg.yaml -o place.onnx --labels-as camvid-11")
+        run("ssrvlad fuse seg.yaml -o place.onnx --labels-as cityscapes-trainids")
     if command == "locate":
         given = "--segmenter seg.yaml --labels-as cityscapes-trainids"
         run(f"ssrvlad encode photos/monday -o photos.ssrdb {given}")

@@ -45,11 +45,6 @@ def test_cells_of_many_pixels():
     assert reduce_by_majority(categories, (1, 1))[0].item() == 0
 
 
-def test_native_size_is_untouched():
-    categories = torch.randint(0, NO_LAYER + 1, (2, 5, 6), dtype=torch.uint8)
-    assert torch.equal(reduce_by_majority(categories, (5, 6))[0], categories)
-
-
 @pytest.mark.parametrize("grid", [(1, 1), (4, 5), (9, 7), (30, 40)])
 @pytest.mark.parametrize("kinds", [[0, 3, NO_LAYER, UNKNOWN], [0, 3, 5, UNKNOWN]])
 def test_unknown_ids_are_counted_and_vote_for_no_layer(grid, kinds):

@@ -42,13 +42,6 @@ def test_the_authors_way(seed, scale):
     np.testing.assert_allclose(got.numpy(), authors_way(maps, 60), rtol=1e-5)
 
 
-def test_a_long_winding_region_is_one():
-    maps = torch.zeros(1, 9, 9)
-    maps[0, ::2] = 3
-    maps[0, 1::4, -1] = maps[0, 3::4, 0] = 3
-    assert region_descriptors(maps, 9).tolist() == [[float(maps.sum())]]
-
-
 def test_scikit_image_cuts_fractions_off():
     """What the module's text says of the authors' program."""
     levels = np.array([[0.5, 1.2, 1.7], [0.0, 0.0, 2.2]])

@@ -43,14 +43,6 @@ def test_equation_2_by_numpy():
     assert descriptor.dtype == torch.float32
 
 
-def test_every_layer_weighs_the_same():
-    sums, centres, counts = random_histograms(1)
-    sums[:, 3] *= 100
-    centres[:, 3] *= 100
-    blocks = aggregate(*map(torch.from_numpy, (sums, centres, counts))).unflatten(1, (8, 60))
-    torch.testing.assert_close(blocks.norm(dim=2), torch.full((3, 8), 8**-0.5))
-
-
 def test_zero_layers_stay_exactly_zero():
     sums, centres, counts = map(torch.from_numpy, random_histograms(2))
     sums[0, 2], counts[0, 2] = 0, 0

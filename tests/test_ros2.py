@@ -17,7 +17,6 @@ from helpers import street
 from loop_streams import SEEDS
 from networks import photo
 from ros_images import CAMVID, CONFIG, picture, seen
-from segmenting import write_drives
 from ssrvlad_ros import live_loops
 
 from ssrvlad_torch import SSRVLAD, Database
@@ -240,14 +239,8 @@ def test_the_node_saves_when_it_is_interrupted(node, store, monkeypatch, tmp_pat
     assert len(Database.open(tmp_path / "db")) == 1
 
 
-@pytest.fixture(scope="module")
-def town(tmp_path_factory):
-    """A fused file with features, ``place.onnx``, and one of a head alone, ``head.onnx``."""
-    return write_drives(tmp_path_factory.mktemp("town"), range(1), range(1))
-
-
-def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, town, tmp_path):
-    given = {"model": str(town / "place.onnx"), "exclude": 5, "memory": str(tmp_path / "db")}
+def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, drives, tmp_path):
+    given = {"model": str(drives / "place.onnx"), "exclude": 5, "memory": str(tmp_path / "db")}
     monkeypatch.setattr(StandInNode, "given", given)
     running = node.LoopNode()
     assert running.listeners.keys() == {"odom", "image"}
@@ -265,8 +258,8 @@ def test_the_node_reads_pictures_with_a_model(node, store, monkeypatch, town, tm
     assert [each.name for each in Database.open(tmp_path / "db").extra] == ["features"]
 
 
-def test_wrong_parameters_are_one_line(node, monkeypatch, town):
-    monkeypatch.setattr(StandInNode, "given", {"model": str(town / "head.onnx")})
+def test_wrong_parameters_are_one_line(node, monkeypatch, drives):
+    monkeypatch.setattr(StandInNode, "given", {"model": str(drives / "head.onnx")})
     with pytest.raises(SystemExit) as end:
         node.main()
     assert end.value.code.startswith("ssrvlad_loops: ") and "got one that takes labels" in (

@@ -22,7 +22,6 @@ from helpers import (
 )
 from onnx import TensorProto, helper
 from PIL import Image
-from segmenting import write_drives
 from ssrvlad_place import database as place_database
 from ssrvlad_place.database import Database, save
 from ssrvlad_place.model import Seen
@@ -30,20 +29,13 @@ from ssrvlad_place.model import Seen
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
 
 SCRIPT = Path(run_onnx.__file__)
-CONFIG = SSRVLADConfig(labels_as="camvid-11", working_size=40)
+CONFIG = SSRVLADConfig(labels_as="camvid-11")
 
 
 def alone(*arguments, blocked=("torch", "ssrvlad_torch")):
     """Runs the script in a new process that cannot import the blocked modules."""
     command = without(blocked, SCRIPT, *arguments)
     return subprocess.run(command, capture_output=True, text=True, check=False)
-
-
-@pytest.fixture(scope="module")
-def head(tmp_path_factory):
-    path = tmp_path_factory.mktemp("heads") / "head.onnx"
-    export_head(CONFIG, path)
-    return path
 
 
 @pytest.fixture
@@ -61,13 +53,12 @@ def town(head, maps, tmp_path, run):
 SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")
 
 
-def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, maps, tmp_path):
-    export_head(SSRVLADConfig(labels_as="camvid-11"), tmp_path / "head.onnx")
+def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, head, database, tmp_path):
     queries = write_maps(tmp_path / "tuesday", range(4, 9))
     assert ssrvlad("db", "export", database, "--format", "npy", "-o", tmp_path / "t.npy")[0] == 0
     expected_lines = ssrvlad("query", database, queries, *SINGLE, "--top", 3, "--json")[1]
     arguments = (queries, "--database", tmp_path / "t.npy", "--top", 3, "--json")
-    ran = alone(tmp_path / "head.onnx", *arguments)
+    ran = alone(head, *arguments)
     assert ran.returncode == 0, ran.stderr
     lines = zip(expected_lines.splitlines(), ran.stdout.splitlines(), strict=True)
     for expected, found in (map(json.loads, pair) for pair in lines):
@@ -76,13 +67,6 @@ def test_without_torch_it_finds_what_the_command_line_finds(ssrvlad, database, m
         for candidate, other in pairs:
             assert candidate["frame"] == other["frame"]
             assert candidate["score"] == pytest.approx(other["score"], abs=1e-5)
-
-
-@pytest.fixture(scope="module")
-def drives(tmp_path_factory):
-    """A network with features as ``net.yaml``, photos in ``monday`` and ``today``, and the fused
-    files: ``place.onnx``, or ``net.onnx`` and ``head.onnx``. Not to be changed."""
-    return write_drives(tmp_path_factory.mktemp("drives"))
 
 
 def test_with_features_it_finds_what_the_command_line_finds(drives, ssrvlad, tmp_path, run):

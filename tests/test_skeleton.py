@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 import torch
-from drawings import BLOCK, CROSS, MASKS, blobs, mask, planes
+from drawings import BLOCK, CROSS, MASKS, mask, planes
 from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
@@ -57,14 +57,6 @@ def test_noise(variant, seed, height, width):
     some = random_planes(seed, (1, height, width)) | random_planes(seed + 1, (1, height, width))
     expected = [reference.thin(layer, variant) for layer in unpack(some)[0].numpy()]
     np.testing.assert_array_equal(unpack(thin(some, variant))[0], np.stack(expected))
-
-
-@variants
-def test_blobs_in_a_batch(variant):
-    layers = np.stack([blobs(seed, 51, 67, grain=11) < 5 for seed in range(4)])
-    got = thin(torch.from_numpy(layers).to(torch.uint8), variant)
-    expected = np.stack([reference.thin(layer, variant) for layer in layers])
-    np.testing.assert_array_equal(got.bool(), expected)
 
 
 @variants

@@ -22,14 +22,12 @@ from ssrvlad_torch.stages.reduction import ballots, reduce_by_majority
 from ssrvlad_torch.stages.vanishing_column import vanishing_columns
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space
 
-CPU = torch.device("cpu")
 SIZE = 6, 7
 MEMBERS = membership(label_space(SPACE), 12)
 CELLS = 3, 4
 BINS = bin_table(CELLS, 2, 4, 0.5, 0.5)
 BASIS = basis_table(2, 4, 3, 1.0)
 HALF = torch.rand(1, 8, *SIZE, generator=torch.Generator().manual_seed(1)) < 0.5
-OTHER = torch.rand(1, 8, *SIZE, generator=torch.Generator().manual_seed(2)) < 0.5
 
 
 STAGES = {

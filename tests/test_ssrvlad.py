@@ -63,8 +63,3 @@ def test_settings_of_the_method_are_taken():
     method = make("ssr-vlad", preset="paper", rings=3)
     assert method.encode_query(frames([0])).shape == (1, 8 * 3 * 12)
     assert method.config.working_size is None
-
-
-def test_an_unknown_id_is_an_error():
-    with pytest.raises(ValueError, match="label id 99"):
-        make("ssr-vlad").encode_query([Frame("b/7", np.full((4, 4), 99), SPACE)])

@@ -32,13 +32,6 @@ def curve():
     return curve_of([0.9, 0.8, 0.6, 0.4, 0.3], [1, 1, 0, 1, 1], 5)
 
 
-def test_points_at_a_precision(curve):
-    point = at_precision(curve, 1)
-    assert (point.score, point.precision, point.recall, point.accepted) == (0.8, 1.0, 0.4, 2)
-    point = at_precision(curve, 0.75)
-    assert (point.score, point.precision, point.recall, point.accepted) == (0.3, 0.8, 0.8, 5)
-
-
 def test_points_that_are_never_reached():
     wrong = curve_of([0.9, 0.8], [0, 1], 2)
     assert at_precision(wrong, 0.99) is None

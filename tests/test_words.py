@@ -42,16 +42,6 @@ def test_neighbours_are_those_of_bit_planes(shape):
         assert torch.equal(got, target)
 
 
-def all_inside(graph: Graph, words: Words) -> list[Words]:
-    return [words.with_line(inside(graph, words.grid))]
-
-
-@shapes
-def test_inside_is_every_pixel(shape):
-    (got,) = run_on_planes(all_inside, random_planes(2, shape))
-    assert (got == 255).all()
-
-
 def listed(graph: Graph, words: Words) -> list[Symbol]:
     points = points_of(graph, words)
     return [*points, count_points_in_graph(graph, points, words.grid.images)]

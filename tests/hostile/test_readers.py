@@ -197,12 +197,6 @@ def test_ground_truth(here, ssrvlad, make, message):
     one_line(ssrvlad, f"evaluate town.ssrdb maps --ground-truth {name}", message)
 
 
-def test_poses(here, ssrvlad):
-    bad.text(here / "maps" / "poses.csv", "frame,x,y\n0,inf,1\n")
-    message = "poses.csv line 2: x is inf; expected a finite number"
-    one_line(ssrvlad, "encode maps -o new.ssrdb --labels-as camvid-11", message)
-
-
 OUTPUTS = [
     "export --labels-as camvid-11 -o",
     "show maps/000.png --labels-as camvid-11 -o",
@@ -232,27 +226,6 @@ def test_a_link_stays_a_link(here, ssrvlad):
     assert ssrvlad(*["show", "maps/000.png", "--labels-as", "camvid-11", "-o", "shown.png"])[0] == 0
     assert (here / "shown.png").is_symlink()
     assert (here / "target.png").stat().st_size > 0
-
-
-VALUES = [
-    ("query town.ssrdb maps --top 0", "top"),
-    ("query town.ssrdb maps --min-confidence nan", "min-confidence"),
-    ("loops maps --labels-as camvid-11 --threshold nan", "threshold"),
-    ("loops maps --labels-as camvid-11 --threshold 2", "threshold"),
-    ("query none maps", "none"),
-    ("verify maps/000.png", "maps/000.png"),
-    ("verify photos", "photos"),
-]
-
-
-@pytest.mark.parametrize(("command", "name"), VALUES)
-def test_values(here, ssrvlad, command, name):
-    one_line(ssrvlad, command, name)
-
-
-def test_top_above_the_number_of_frames_gives_all_frames(here, ssrvlad):
-    code, out, _ = ssrvlad(*["query", "town.ssrdb", "maps", "--top", "9", "--as-paper"])
-    assert (code, len(out.splitlines())) == (0, 3)
 
 
 def test_names_with_control_characters_stay_on_their_line(here, ssrvlad):
