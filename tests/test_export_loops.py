@@ -25,7 +25,7 @@ from ssrvlad_place.model import Seen
 from ssrvlad_torch import SSRVLAD, LoopDetector, SSRVLADConfig
 from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.metadata import ExtraDescriptor
-from ssrvlad_torch.deployment.export import head_model
+from ssrvlad_torch.deployment import export
 from ssrvlad_torch.loops.config import LoopConfig
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as="camvid-11")
@@ -153,7 +153,7 @@ def test_without_torch_it_says_what_the_command_line_says(ssrvlad, head, drive, 
 def test_images_in_loops_out(tmp_path, drive, run):
     """A network of one convolution whose scores are the colours, before the head."""
     weights = np.eye(11, 3, dtype=np.float32)[..., None, None]
-    model = head_model(CONFIG, "logits")
+    model = export.head_model(CONFIG, "logits")
     del model.graph.input[:]
     model.graph.input.append(
         helper.make_tensor_value_info("image", TensorProto.UINT8, ["B", "H", "W", 3])
