@@ -12,7 +12,8 @@ import torch
 from torch import Tensor, nn
 
 from .config import SSRVLADConfig
-from .native.operator import UnknownIdError, describe, is_built, method_of, operator
+from .native import core
+from .native.operator import UnknownIdError, describe, method_of, operator
 from .stages import harmonics, residuals
 from .stages.explanation import Explanation, explain
 from .stages.front_end import FrontEnd, as_tensor, label_map
@@ -81,7 +82,7 @@ class SSRVLAD(nn.Module):
         self.config = config or SSRVLADConfig()
         self._front_end = FrontEnd(self.config)
         self._aggregation: Aggregation = AGGREGATIONS[self.config.aggregation](self.config)
-        self.native = is_built()
+        self.native = core().library is not None
         self._method = method_of(self.config)
         self._warned = False
 
@@ -212,7 +213,7 @@ class SSRVLAD(nn.Module):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restores a pickle, perhaps on a machine without the native core."""
         super().__setstate__(state)
-        self.native = self.native and is_built()
+        self.native = self.native and core().library is not None
 
     def extra_repr(self) -> str:
         """What ``print(head)`` shows: the preset, the label space and the fingerprint."""

@@ -152,6 +152,13 @@ def parse_npy(content: bytes) -> npt.NDArray[Any]:
     return npy.read_array(io.BytesIO(content), allow_pickle=False)
 
 
+def npy_bytes(array: npt.NDArray[Any]) -> bytes:
+    """The content of a ``.npy`` file of an array of numbers."""
+    file = io.BytesIO()
+    npy.write_array(file, array, allow_pickle=False)
+    return file.getvalue()
+
+
 def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     """Shape, Fortran order and dtype in the header of a ``.npy`` file; reads up to its end.
 
@@ -255,7 +262,10 @@ def replacing(path: Path) -> Iterator[Path]:
         try:
             flush(target.parent)
         except OSError:
-            _restore(before, target)
+            if before.exists():
+                before.replace(target)
+            else:
+                target.unlink()
             raise
     except OSError as error:
         if error.filename in (str(temporary), temporary) or (
@@ -350,14 +360,6 @@ def natural_key(name: str) -> tuple[Any, str]:
     decimal = _DECIMAL.fullmatch(name)
     text = f"{decimal[1]}.{decimal[2]:0<{_DECIMALS}}" if decimal else name
     return _NATURAL(text), name
-
-
-def _restore(before: Path, path: Path) -> None:
-    """Undoes a rename: restores the old file, or removes the new one if there was none."""
-    if before.exists():
-        before.replace(path)
-    else:
-        path.unlink()
 
 
 class _PlainLoader(yaml.SafeLoader):

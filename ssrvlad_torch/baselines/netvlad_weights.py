@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .matconvnet import Array, read_matconvnet
+from .matconvnet import read_matconvnet
 from .netvlad_network import IMAGENET_MEAN, IMAGENET_STD
 from .weights import read_checkpoint
 
@@ -69,13 +69,8 @@ def _from_matlab(path: Path) -> dict[str, Tensor]:
         state[f"encoder.{position}.bias"] = bias.ravel()
     if "WPCA" in weights:
         matrix, bias = weights["WPCA"]
-        state["whiten.weight"] = _centre_by_centre(matrix, len(assign))
+        outputs = matrix.shape[-1]  # MATLAB's vectors are ordered by channel, ours by centre
+        by_centre = matrix.reshape(-1, len(assign), outputs).transpose(2, 1, 0)
+        state["whiten.weight"] = by_centre.reshape(outputs, -1)
         state["whiten.bias"] = bias.ravel()
     return {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in state.items()}
-
-
-def _centre_by_centre(matrix: Array, clusters: int) -> Array:
-    """A whitening matrix for vectors ordered by centre, from MATLAB's, which is for vectors ordered
-    by channel."""
-    outputs = matrix.shape[-1]
-    return matrix.reshape(-1, clusters, outputs).transpose(2, 1, 0).reshape(outputs, -1)

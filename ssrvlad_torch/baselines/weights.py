@@ -48,8 +48,12 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
     Only tensors, plain containers and NumPy numbers are unpickled, never code. The ``module.`` that
     ``nn.DataParallel`` adds to names is removed.
     """
+    scalar = np.float64(0).__reduce__()[0]  # under NumPy's old and new modules
+    numbers: list[Any] = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
+    kinds = (np.float32, np.float64, np.int32, np.int64, bool)
+    numbers += [np.dtype, *(type(np.dtype(kind)) for kind in kinds)]
     try:
-        with torch.serialization.safe_globals(_numpy_numbers()):
+        with torch.serialization.safe_globals(numbers):
             content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:  # torch raises many kinds of errors for damaged bytes
         if isinstance(error, OSError) and error.errno is not None:
@@ -98,11 +102,3 @@ def random_network(make: Callable[[], Network]) -> Network:
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         return make().eval()
-
-
-def _numpy_numbers() -> list[Any]:
-    """The names in a pickled NumPy number, under NumPy's old and new modules."""
-    scalar = np.float64(0).__reduce__()[0]
-    kinds = [type(np.dtype(kind)) for kind in (np.float32, np.float64, np.int32, np.int64, bool)]
-    old, new = ((scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core"))
-    return [np.dtype, *kinds, old, new]

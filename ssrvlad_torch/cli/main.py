@@ -63,7 +63,11 @@ def _run(arguments: list[str], debug: bool) -> int:
     from .output import note
 
     try:
-        _require_texts(arguments)
+        for before, argument in zip(["ssrvlad", *arguments], arguments, strict=False):
+            # as of a variable that is not set: as a path it is the current folder
+            if not argument or (argument.startswith("--") and argument.endswith("=")):
+                name = argument.removesuffix("=") or f"the argument after {before}"
+                raise ValueError(f"{name} is empty; expected a text")
         code: int = app(arguments, standalone_mode=False)
         return code
     except SystemExit as end:
@@ -84,15 +88,6 @@ def _run(arguments: list[str], debug: bool) -> int:
             traceback.print_exception(error)
         note(message or f"an error in ssrvlad itself: {error!r}")
     return WRONG_USE
-
-
-def _require_texts(arguments: list[str]) -> None:
-    """Refuses an empty argument, as of a variable that is not set: as a path it is the current
-    folder."""
-    for before, argument in zip(["ssrvlad", *arguments], arguments, strict=False):
-        if not argument or (argument.startswith("--") and argument.endswith("=")):
-            name = argument.removesuffix("=") or f"the argument after {before}"
-            raise ValueError(f"{name} is empty; expected a text")
 
 
 def _sentence(error: BaseException) -> str | None:

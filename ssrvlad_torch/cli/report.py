@@ -16,7 +16,7 @@ from ..evaluation.measure import Recognition
 from ..evaluation.metrics import precision_recall_curve
 from ..evaluation.outcomes import judge
 from ..evaluation.report import Report, write_report
-from ..evaluation.true_matches import TrueMatches, Viewpoints
+from ..evaluation.true_matches import TrueMatches
 from ..recognition.sweep import score
 from .words import proof, score_name, steps_in_words, without_truth
 
@@ -47,7 +47,11 @@ def write_page(
     report = Report(
         title=title,
         metrics=metrics,
-        queries=_selected(recognition.queries, known),
+        queries=replace(
+            recognition.queries,
+            frames=tuple(recognition.queries.frames[row] for row in known),
+            poses=recognition.queries.poses[known],
+        ),
         references=recognition.references,
         outcomes=outcomes,
         truth=true_rows,
@@ -78,11 +82,6 @@ def title_and_settings(
         "queries": shortened(queries),
         "true matches": truth.words,
     }
-
-
-def _selected(places: Viewpoints, rows: Sequence[int]) -> Viewpoints:
-    frames = tuple(places.frames[row] for row in rows)
-    return replace(places, frames=frames, poses=places.poses[rows])
 
 
 def _settings(settings: Mapping[str, object], recognition: Recognition) -> dict[str, str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from rich.table import Table
 
+from ..datasets.dataset import shortened
 from ..evaluation.metrics import figure_rows, fraction
 from ..evaluation.thresholds import SURE_PRECISION, operating_rows, queries_needed
 from ..recognition.confidence import Estimate
@@ -123,12 +124,7 @@ def by_sequence(values: Mapping[str, str]) -> str:
         names.setdefault(value, []).append(name)
     if len(names) == 1:
         return next(iter(names))
-    return "; ".join(f"{value} ({_listed(of)})" for value, of in names.items())
-
-
-def _listed(names: Sequence[str], most: int = 3) -> str:
-    more = f" and {len(names) - most} more" * (len(names) > most)
-    return ", ".join(names[:most]) + more
+    return "; ".join(f"{value} ({shortened(of, most=3)})" for value, of in names.items())
 
 
 def _thresholds(points: Mapping[str, Any], used: Mapping[str, Any] | None) -> Table:

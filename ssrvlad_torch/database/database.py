@@ -13,6 +13,7 @@ import json
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import timedelta
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -327,11 +328,8 @@ class Database(StoredFrames):
             return engine.replacement(table, ids if existing else None, fragments)
 
         if len(ids):
-            self._commit(plan, f"{verb} {len(ids)} frames")
-
-    def _commit(self, plan: Callable[[LanceDataset], Any], message: str) -> None:
-        with self._lock:
-            self._use(engine.commit(self.path, plan, message))
+            with self._lock:
+                self._use(engine.commit(self.path, plan, f"{verb} {len(ids)} frames"))
 
     def _require_writable(self) -> None:
         if self._read_only:
@@ -342,7 +340,9 @@ class Database(StoredFrames):
         again restores the rows."""
         self._require_writable()
         damage: list[Damage] = []
-        self._commit(lambda t: replacement_of_damaged(t, damage), "drop damaged rows")
+        with self._lock:
+            change = partial(replacement_of_damaged, damage=damage)
+            self._use(engine.commit(self.path, change, "drop damaged rows"))
         return damage
 
     def write_index(self, column: str, kind: str, lists: int, **options: Any) -> None:

@@ -57,16 +57,13 @@ def order_of(table: pa.Table) -> npt.NDArray[np.int64]:
     sequences, codes = coded.dictionary.to_pylist(), coded.indices.to_numpy()
     rank = {sequence: n for n, sequence in enumerate(sorted(sequences, key=natural_key))}
     ranks = np.array([rank[sequence] for sequence in sequences], np.int64)[codes]
-    by_name = _order_of_names(pc.replace_substring_regex(table["frame"], "(?s)^.*/", ""))
-    return by_name[np.argsort(ranks[by_name], kind="stable")]
-
-
-def _order_of_names(names: pa.ChunkedArray) -> npt.NDArray[np.int64]:
-    """Natural order of names; names that differ only in digits are sorted by character."""
+    names = pc.replace_substring_regex(table["frame"], "(?s)^.*/", "")
     if len(pc.unique(pc.replace_substring_regex(names, "[0-9]", "0"))) == 1:
-        return np.asarray(pc.sort_indices(names)).astype(np.int64)
-    keys = [natural_key(name) for name in names.to_pylist()]
-    return np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
+        by_name = np.asarray(pc.sort_indices(names)).astype(np.int64)  # by character, faster
+    else:
+        keys = [natural_key(name) for name in names.to_pylist()]
+        by_name = np.array(sorted(range(len(keys)), key=keys.__getitem__), np.int64)
+    return by_name[np.argsort(ranks[by_name], kind="stable")]
 
 
 def _sort_rows(descriptors: npt.NDArray[Any], order: npt.NDArray[np.int64]) -> npt.NDArray[Any]:

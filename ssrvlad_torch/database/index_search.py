@@ -124,14 +124,12 @@ class IndexSearch:
         cached, scores = self._scores.get(query, (rows[:0], torch.empty(0)))
         missing = rows[~torch.isin(rows, cached)]
         if len(missing):
+            fresh = score(self._queries[query][None], self._cache.read(missing))[0]
+            fresh = fresh.masked_fill(~self._may_match(query, missing), -torch.inf)
             cached, order = torch.cat([cached, missing]).sort()
-            scores = torch.cat([scores, self._score(query, missing)])[order]
+            scores = torch.cat([scores, fresh])[order]
             self._scores[query] = cached, scores
         return scores[torch.searchsorted(cached, rows)]
-
-    def _score(self, query: int, rows: Tensor) -> Tensor:
-        scores = score(self._queries[query][None], self._cache.read(rows))[0]
-        return scores.masked_fill(~self._may_match(query, rows), -torch.inf)
 
     def spread(self, query: int) -> tuple[float, float]:
         """See `recognition.candidates.Search`."""

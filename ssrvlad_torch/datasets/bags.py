@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import check_pixels, one_line
+from ..files import check_pixels, npy_bytes, one_line
 from .frame_file import FrameFile
 from .names import BAG_SUFFIXES, absolute
 
@@ -48,7 +47,11 @@ class BagFile(FrameFile):
 
     def _content(self) -> bytes:
         assert self.row is not None
-        return _image_file(_open(self.path, self.topic, self.state).message(self.row))
+        message = _open(self.path, self.topic, self.state).message(self.row)
+        if hasattr(message, "format"):
+            content: bytes = message.data.tobytes()
+            return content
+        return npy_bytes(_pixels(message))
 
 
 def is_bag(path: Path) -> bool:
@@ -132,17 +135,6 @@ def _open(path: Path, topic: str, state: str) -> _Topic:
     """A topic, opened again when the state of the file changes."""
     del state
     return _Topic(path, topic)
-
-
-def _image_file(message: Any) -> bytes:
-    """The image of a message as an image file: a compressed image unchanged, a raw one as
-    ``.npy``."""
-    if hasattr(message, "format"):
-        content: bytes = message.data.tobytes()
-        return content
-    file = io.BytesIO()
-    np.lib.format.write_array(file, _pixels(message), allow_pickle=False)
-    return file.getvalue()
 
 
 def _pixels(message: Any) -> npt.NDArray[np.uint8]:

@@ -60,19 +60,15 @@ def read_fix(path: Path) -> Pose:
     """
     try:
         fix = read_json(path)
-        x, y = _on_map(fix["gpsLatitude"], fix["gpsLongitude"])
-        return Pose(x, y, heading_of_course(fix.get("gpsHeading", math.nan)))
+        phi, along = (math.radians(fix[f"gps{name}"]) for name in ("Latitude", "Longitude"))
+        along -= math.radians(_MERIDIAN)
+        east = _EARTH_RADIUS * math.atanh(math.cos(phi) * math.sin(along))
+        north = _EARTH_RADIUS * math.atan2(math.tan(phi), math.cos(along))
+        return Pose(east, north, heading_of_course(fix.get("gpsHeading", math.nan)))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(
             f"{path} must hold numbers gpsLatitude, gpsLongitude and gpsHeading: {error!r}"
         ) from error
-
-
-def _on_map(latitude: float, longitude: float) -> tuple[float, float]:
-    """Degrees to metres east of the meridian and north of the equator."""
-    phi, along = math.radians(latitude), math.radians(longitude - _MERIDIAN)
-    x = _EARTH_RADIUS * math.atanh(math.cos(phi) * math.sin(along))
-    return x, _EARTH_RADIUS * math.atan2(math.tan(phi), math.cos(along))
 
 
 def _cities(root: Path) -> list[str]:

@@ -22,6 +22,7 @@ from .poses import Pose
 
 _SLICE = re.compile(r"slice\d+")
 _NAME = re.compile(r"img_\d+_(c\d)_(\d{16})us(?:_rect)?")
+_POSES = "ground-truth-database-images-slice*.txt"
 _ROLES: dict[str, Role] = {"database": "reference", "query": "query"}
 
 
@@ -32,7 +33,8 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     for folder in _slices(root):
         for part, role in _ROLES.items():
             images = files_in(folder / part, IMAGE_SUFFIXES)
-            files = _pose_files(folder, part)
+            pattern = _POSES if part == "database" else "camera-poses/*.txt"
+            files = sorted(folder.glob(pattern))
             poses = {name: pose for file in files for name, pose in read_list(file).items()}
             if images and not poses:
                 notes.append(f"{folder / part} has no poses; they are at {LAYOUT.origin}")
@@ -54,18 +56,11 @@ def read_list(path: Path) -> dict[str, Pose]:
 
 
 def _slices(root: Path) -> list[Path]:
-    return itself_or_inside(root, _is_slice)
+    def is_slice(folder: Path) -> bool:
+        named = _SLICE.fullmatch(absolute_folder(folder).name)
+        return named is not None and any((folder / part).is_dir() for part in _ROLES)
 
-
-def _is_slice(folder: Path) -> bool:
-    named = _SLICE.fullmatch(absolute_folder(folder).name)
-    return named is not None and any((folder / part).is_dir() for part in _ROLES)
-
-
-def _pose_files(folder: Path, part: str) -> list[Path]:
-    if part == "database":
-        return sorted(folder.glob("ground-truth-database-images-slice*.txt"))
-    return sorted((folder / "camera-poses").glob("*.txt"))
+    return itself_or_inside(root, is_slice)
 
 
 def _plain(name: str) -> str:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
 
-from numpy.lib.format import open_memmap, write_array
+from numpy.lib.format import open_memmap
 
-from ..files import check_size, one_line, read_bytes
+from ..files import check_size, npy_bytes, one_line, read_bytes
 from .names import absolute
 from .poses import UNKNOWN, Pose
 
@@ -102,9 +101,7 @@ class FrameFile:
     def _content(self) -> bytes:
         if self.row is None:
             return read_bytes(self.path)
-        content = io.BytesIO()
-        write_array(content, open_memmap(self.path, mode="r")[self.row], allow_pickle=False)
-        return content.getvalue()
+        return npy_bytes(open_memmap(self.path, mode="r")[self.row])
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,24 +34,17 @@ def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
     except ImportError as error:
         raise ImportError("latitudes need: pip install ssrvlad-torch[gps]") from error
     found = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
-    zones = {
-        (utm.latlon_to_zone_number(latitude, longitude), latitude < 0)
-        for fix in fixes
-        for latitude, longitude in _within_a_kilometre(fix)
-    }
+    zones = set()
+    for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction
+        wide = _KILOMETRE / max(math.cos(math.radians(latitude)), _KILOMETRE)
+        for up, right in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            north, east = latitude + up * _KILOMETRE, longitude + right * wide
+            zones.add((utm.latlon_to_zone_number(north, east), north < 0))
     if len(zones) > 1:
         raise ValueError(
             "the drive comes within 1 km of the border of a UTM zone; expected x and y in metres"
         )
     return [(float(east), float(north)) for east, north, _, _ in found]
-
-
-def _within_a_kilometre(fix: Fix) -> Iterator[tuple[float, float]]:
-    """Latitudes and longitudes of a fix, and about 1 km from it in each direction."""
-    north = _KILOMETRE
-    east = _KILOMETRE / max(math.cos(math.radians(fix.latitude)), _KILOMETRE)
-    for steps in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
-        yield fix.latitude + steps[0] * north, fix.longitude + steps[1] * east
 
 
 def heading_of_course(course: float) -> float:

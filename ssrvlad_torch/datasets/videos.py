@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import check_pixels, one_line
+from ..files import check_pixels, npy_bytes, one_line
 from .frame_file import FrameFile
 from .names import absolute
 
@@ -51,10 +50,7 @@ class VideoFile(FrameFile):
         assert self.row is not None
         if self.lost:
             raise ValueError(f"the video is damaged: its last {self.lost:.3f} s cannot be read")
-        content = io.BytesIO()
-        pixels = _open(self.path, self.state).pixels(self.row)
-        np.lib.format.write_array(content, pixels, allow_pickle=False)
-        return content.getvalue()
+        return npy_bytes(_open(self.path, self.state).pixels(self.row))
 
 
 def is_video(path: Path) -> bool:
@@ -126,7 +122,10 @@ class _Video:
         self._order = sorted((decoded, time) for time, _, decoded in packets)
         self._decoded = {time: decoded for time, _, decoded in packets}
         self.end = self.times[0] + self._duration()
-        self.created = _created(self._container.metadata)
+        self.created = 0.0
+        with suppress(KeyError, ValueError):
+            created = datetime.fromisoformat(self._container.metadata["creation_time"])
+            self.created = created.timestamp()
         self._lock = Lock()
         self._start(self.times[0])
 
@@ -234,10 +233,3 @@ def _open(path: Path, state: str) -> _Video:
     """A video, opened again when the state of the file changes."""
     del state
     return _Video(path)
-
-
-def _created(metadata: dict[str, str]) -> float:
-    try:
-        return datetime.fromisoformat(metadata["creation_time"]).timestamp()
-    except (KeyError, ValueError):
-        return 0.0

@@ -105,22 +105,15 @@ class Describer:
             if len(batch) == 1:
                 return [_skipped(batch[0], error)]
             return [result for item in batch for result in self._describe([item])]
-        return [
-            Encoded(
-                self._record(item),
-                descriptors[row],
-                {name: values[row] for name, values in extra.items()},
-            )
-            for row, item in enumerate(batch)
-        ]
-
-    def _record(self, item: Item) -> FrameRecord:
-        file, pose = item.file, item.file.pose
-        height, width = np.asarray(item.labels).shape
-        return FrameRecord(
-            file.sequence, file.name, pose.x, pose.y, pose.heading, file.stamp,
-            item.signature, item.digest, height, width, self.origin,
-        )  # fmt: skip
+        encoded, (height, width) = list[Encoded | Skipped](), stack.shape[1:]
+        for row, item in enumerate(batch):
+            own = {name: values[row] for name, values in extra.items()}
+            record = FrameRecord(
+                item.file.sequence, item.file.name, *item.file.pose, item.file.stamp,
+                item.signature, item.digest, height, width, self.origin,
+            )  # fmt: skip
+            encoded.append(Encoded(record, descriptors[row], own))
+        return encoded
 
 
 def _read(space: LabelSpace, item: Item) -> Item:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -69,7 +69,10 @@ class Plan:
                 reasons[file.frame] = reason
                 if record is not None:
                     digests[file.frame] = record.digest
-        return cls(todo, reasons, digests, len(files) - len(todo), list(_gone(files, known)))
+        present, folders = {file.frame for file in files}, {file.folder for file in files}
+        signatures = zip(known, known.column("signature"), strict=True)
+        gone = [f for f, s in signatures if folder_of(s) in folders and f not in present]
+        return cls(todo, reasons, digests, len(files) - len(todo), gone)
 
     def reason(self, record: FrameRecord) -> str:
         """Why a frame was encoded, given its new record."""
@@ -142,11 +145,3 @@ def _check_names(files: Sequence[FrameFile], known: StoredRecords) -> None:
                     f"{file.location} is frame {there!r} of the database: expected --sequence "
                     f"{there.removesuffix(f'/{file.name}')}, got {name}"
                 )
-
-
-def _gone(files: Sequence[FrameFile], known: StoredRecords) -> Iterator[str]:
-    """Ids of stored frames from the folders of files, whose file is not among them."""
-    present, folders = {file.frame for file in files}, {file.folder for file in files}
-    for frame, signature in zip(known, known.column("signature"), strict=True):
-        if folder_of(signature) in folders and frame not in present:
-            yield frame

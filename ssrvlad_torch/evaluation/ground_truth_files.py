@@ -103,8 +103,10 @@ def _read_csv(path: Path) -> Pairs | Matrix:
         first = lines.fieldnames or ()
         if {"query", "reference"} <= set(first):
             return _grouped((line["query"], line["reference"]) for line in lines)
-    if not first or not all(map(_is_number, first)):
-        raise ValueError("expected a first line query,reference or a matrix of 0 and 1")
+    try:
+        [float(text) for text in first or ("",)]
+    except ValueError:
+        raise ValueError("expected a first line query,reference or a matrix of 0 and 1") from None
     return np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8-sig")
 
 
@@ -131,14 +133,6 @@ READERS: dict[str, Callable[[Path], Pairs | PickledArray | Matrix]] = {
     ".npz": _read_npz,
 }
 """Functions that read a file, by its suffix."""
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _is_ids(value: object) -> bool:

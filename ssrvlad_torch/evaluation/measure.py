@@ -82,8 +82,12 @@ def measure(
         answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
         metrics["estimates"] = {
-            name: {**estimate_in_json(each), "truly_wrong": _wrong(right, sure, each)}
+            name: {
+                **estimate_in_json(each),
+                "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
+            }
             for name, each in recognition.estimates.items()
+            for accepted in [(sure >= each.confidence) & (sure > 0)]
         }
     return {**metrics, **recognition.details}
 
@@ -91,11 +95,3 @@ def measure(
 def estimate_in_json(found: Estimate) -> dict[str, Any]:
     """The estimate as a mapping; its confidence is ``None`` where no answer is accepted."""
     return {**found._asdict(), "confidence": found.confidence if found.accepted else None}
-
-
-def _wrong(
-    right: npt.NDArray[np.bool_], sure: npt.NDArray[np.float32], found: Estimate
-) -> float | None:
-    """The fraction of the accepted answers that is wrong by the ground truth."""
-    accepted = (sure >= found.confidence) & (sure > 0)
-    return float(1 - right[accepted].mean()) if accepted.any() else None

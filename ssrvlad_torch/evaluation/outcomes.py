@@ -57,7 +57,15 @@ def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
             row, or the truth is a matrix instead of rows.
     """
     scores, indices = as_array(scores), as_array(indices)
-    _check_candidates(indices, truth)
+    if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
+        raise ValueError(
+            "expected the rows of the true matches of each query, got a matrix; they are "
+            "[np.flatnonzero(row) for row in matrix]"
+        )
+    if indices.ndim != 2 or len(indices) != len(truth):
+        raise ValueError(
+            f"expected (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
+        )
     if scores.shape != indices.shape or indices.shape[1] == 0:
         raise ValueError(
             "expected scores and indices of one shape (Q, top) with top >= 1, "
@@ -66,7 +74,10 @@ def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
     check_finite(scores, "scores of candidates")
     if ((scores > -np.inf) & (indices < 0)).any():
         raise ValueError("a candidate has a score but no row; expected -inf for an index of -1")
-    hits = _hits(indices, truth)
+    hits = np.zeros(indices.shape, bool)
+    for row, matches in enumerate(truth):
+        hits[row] = np.isin(indices[row], matches)
+    hits &= indices >= 0
     return Outcomes(
         score=scores[:, 0].astype(np.float64),
         candidate=indices[:, 0].astype(np.int64),
@@ -80,27 +91,6 @@ def as_array(values: Tensor | npt.NDArray[Any]) -> npt.NDArray[Any]:
     """A tensor of any device as an array."""
     detached = getattr(values, "detach", None)
     return np.asarray(detached().cpu() if detached else values)
-
-
-def _hits(indices: Rows, truth: Truth) -> Bools:
-    """Whether each candidate ``(Q, top)`` is a true match; an index of -1 is not."""
-    hits = np.zeros(indices.shape, bool)
-    for row, matches in enumerate(truth):
-        hits[row] = np.isin(indices[row], matches)
-    return hits & (indices >= 0)
-
-
-def _check_candidates(indices: Rows, truth: Truth) -> None:
-    """Requires candidates ``(Q, top)`` and a ground truth of rows for Q queries."""
-    if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
-        raise ValueError(
-            "expected the rows of the true matches of each query, got a matrix; they are "
-            "[np.flatnonzero(row) for row in matrix]"
-        )
-    if indices.ndim != 2 or len(indices) != len(truth):
-        raise ValueError(
-            f"expected (Q, top) candidates for {len(truth)} queries, got {indices.shape}"
-        )
 
 
 def check_finite(scores: npt.NDArray[np.floating[Any]], name: str) -> None:

@@ -196,7 +196,13 @@ class LoopDetector:
             name: memory.checked(extra[name], record.frame) for name, memory in self._others.items()
         }
         with self._updating:
-            self._check(record)
+            last = self._stamps.get(record.sequence, -math.inf)
+            if record.frame in self:
+                raise ValueError(f"frame {record.frame!r} was there before")
+            if not math.isnan(record.stamp) and not last <= record.stamp < math.inf:
+                raise ValueError(
+                    f"frame {record.frame!r}: expected a stamp from {last} on, got {record.stamp}"
+                )
             if record.sequence != self._sequence:
                 self._start_sequence(record.sequence)
                 self._tracker.start_sequence()
@@ -293,21 +299,13 @@ class LoopDetector:
             for memory in (self._memory, *self._others.values()):
                 memory.start_sequence()
 
-    def _check(self, record: FrameRecord) -> None:
-        """Requires that the frame can be the next one."""
-        frame, stamp = record.frame, record.stamp
-        if frame in self:
-            raise ValueError(f"frame {frame!r} was there before")
-        last = self._stamps.get(record.sequence, -math.inf)
-        if not math.isnan(stamp) and not last <= stamp < math.inf:
-            raise ValueError(f"frame {frame!r}: expected a stamp from {last} on, got {stamp}")
-
 
 def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
     if pose is None:
         return math.nan, math.nan, math.nan
     numbers = _numbers(pose)
-    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)) or _is_half(numbers):
+    half = len({math.isnan(each) for each in numbers[:2]}) > 1
+    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)) or half:
         raise ValueError(f"frame {frame!r}: expected a pose of finite x, y, heading, got {pose!r}")
     x, y, heading = (*numbers, math.nan)[:3]
     return x, y, heading
@@ -327,7 +325,3 @@ def _numbers(values: Iterable[object]) -> list[float]:
         return [] if any(isinstance(each, str | bytes) for each in found) else [*map(float, found)]
     except (TypeError, ValueError, OverflowError):
         return []
-
-
-def _is_half(position: Sequence[float]) -> bool:
-    return math.isnan(position[0]) != math.isnan(position[1])

@@ -127,7 +127,17 @@ def detect_loops(
     saved to the database every `CHECKPOINT_FRAMES` frames and when the stream ends or fails."""
     try:
         for frame in frames:
-            yield frame if isinstance(frame, Skipped) else _observe(detector, frame)
+            result: LoopResult | Skipped
+            if isinstance(frame, Skipped):
+                result = frame
+            else:
+                extra = {name: torch.from_numpy(values) for name, values in frame.extra.items()}
+                try:
+                    descriptor = torch.from_numpy(frame.descriptor)
+                    result = detector.observe(frame.record, descriptor, extra)
+                except ValueError as error:
+                    result = Skipped(frame.record.frame, str(error))
+            yield result
             if database and len(detector) >= len(database) + CHECKPOINT_FRAMES:
                 detector.save(database)
     finally:
@@ -193,11 +203,3 @@ def report(
         point = surest_point(loop_curve(probabilities[known], right, score.revisits))
         summary["suggested"] = point and point._asdict()
     return summary
-
-
-def _observe(detector: LoopDetector, frame: Encoded) -> LoopResult | Skipped:
-    try:
-        extra = {name: torch.from_numpy(values) for name, values in frame.extra.items()}
-        return detector.observe(frame.record, torch.from_numpy(frame.descriptor), extra)
-    except ValueError as error:
-        return Skipped(frame.record.frame, str(error))

@@ -26,11 +26,6 @@ class UnknownIdError(ValueError):
     """A label map holds an id that is not in the table."""
 
 
-def is_built() -> bool:
-    """Whether the native core can be used."""
-    return core().library is not None
-
-
 def method_of(config: SSRVLADConfig) -> str:
     """The settings of a config as JSON for the operator, without the label space."""
     settings = config.to_dict()

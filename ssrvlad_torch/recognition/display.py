@@ -16,13 +16,17 @@ def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
         scores, rows: ``(Q, top)``.
         columns: further numbers ``(Q,)`` of each query, by their names.
     """
+
+    def cell(row: int, score: float) -> str:
+        return "none" if math.isinf(score) else f"row {row} ({score:.3f})"
+
     queries, top = rows.shape
     shown = min(top, _MAX_CANDIDATES)
     names = ["query", *(f"candidate {n}" for n in range(1, shown + 1)), *columns]
     lines = [
         [
             str(query),
-            *map(_cell, rows[query, :shown].tolist(), scores[query, :shown].tolist()),
+            *map(cell, rows[query, :shown].tolist(), scores[query, :shown].tolist()),
             *(f"{column[query]:.3f}" for column in columns.values()),
         ]
         for query in range(min(queries, _MAX_QUERIES))
@@ -32,7 +36,3 @@ def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
     left = queries - len(lines)
     more = f"<p>{left} more queries</p>" if left else ""
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>{more}"
-
-
-def _cell(row: int, score: float) -> str:
-    return "none" if math.isinf(score) else f"row {row} ({score:.3f})"
