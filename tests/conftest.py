@@ -92,11 +92,17 @@ def core():
 ROOT = Path(__file__).parents[1]
 
 
+ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops"}
+"""Rooms that no traced graph depends on."""
+
+
 @cache
 def digest_of_sources() -> bytes:
     """Of everything that a traced graph depends on."""
-    files = [*sorted((ROOT / "ssrvlad_torch").rglob("*.py")), ROOT / "constraints.txt"]
-    return hashlib.sha256(b"".join(map(Path.read_bytes, files))).digest()
+    package = ROOT / "ssrvlad_torch"
+    files = [*package.rglob("*.py"), *package.rglob("*.yaml"), ROOT / "constraints.txt"]
+    below = sorted(file for file in files if not ABOVE & {*file.parts[len(package.parts) :]})
+    return hashlib.sha256(b"".join(map(Path.read_bytes, below))).digest()
 
 
 def stored(build):

@@ -32,19 +32,6 @@ def network(tmp_path):
     return settings
 
 
-def test_images_need_no_label_space_where_the_network_says_its_own(network, ssrvlad, tmp_path):
-    photos, town = tmp_path / "photos", tmp_path / "town"
-    given = ("--segmenter", network, "--segmenter-cache", tmp_path / "cache")
-    code, out, (line,) = ssrvlad("encode", photos, "-o", town, *given)
-    assert code == 0
-    assert "stored without features: " in line
-    code, out, err = ssrvlad("query", town, photos, *given, "--top", 1, "--json")
-    assert (code, err) == (0, [])
-    assert [json.loads(line)["candidates"][0]["frame"] for line in out.splitlines()] == [
-        f"photos/{seed}" for seed in range(3)
-    ]
-
-
 @pytest.fixture
 def town(network, ssrvlad, tmp_path):
     """A database of the photos, all but one with a pose."""
@@ -172,15 +159,6 @@ def test_labels_tells_a_space_from_a_network(ssrvlad, name, message):
     code, _, err = ssrvlad("labels", name)
     assert (code, len(err)) == ((2, 1) if message else (0, 0))
     assert message in "".join(err)
-
-
-def test_channels_are_named(network, ssrvlad, tmp_path):
-    code, _, err = ssrvlad(
-        "encode", tmp_path / "photos", "-o", tmp_path / "town", "--segmenter", network,
-        "--labels-as", SPACE, "--classes", "12",
-    )  # fmt: skip
-    assert (code, len(err)) == (2, 1)
-    assert "classes must be FIRST:LAST" in err[0]
 
 
 def test_show_takes_an_image(network, ssrvlad, tmp_path, monkeypatch):

@@ -20,7 +20,6 @@ from ssrvlad_torch.database.frames import FrameRecord
 from ssrvlad_torch.database.index import build_index, search_index
 from ssrvlad_torch.database.metadata import ExtraDescriptor
 from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
-from ssrvlad_torch.recognition.recognise import Steps, recognise
 
 CONFIG = SSRVLADConfig.from_preset("default", labels_as=SPACE)
 FRAMES = ["day/10", "day/2", "night/1"]
@@ -126,30 +125,6 @@ def test_an_index_holds_the_descriptors_of_the_method(tmp_path):
     build_index(database)
     [found] = search_index(Database.open(database.path), descriptors(0, 300)[17][None], 1)
     assert found[0][0] == "day/17"
-
-
-def test_two_methods_with_independent_errors_are_better_fused():
-    generator = torch.Generator().manual_seed(0)
-    maps = [torch.randn(40, 32, generator=generator) for _ in range(2)]
-    seen = [known + 2 * torch.randn(40, 32, generator=generator) for known in maps]
-    single = Steps(follow=None)
-    alone = [
-        recognise(here, there, ["a"] * 40, ["b"] * 40, single)
-        for here, there in zip(seen, maps, strict=True)
-    ]
-    both = recognise(
-        seen[0], maps[0], ["a"] * 40, ["b"] * 40, single, extra={"own": (seen[1], maps[1])}
-    )
-    right = [
-        int((found.matches.indices[:, 0] == torch.arange(40)).sum()) for found in (*alone, both)
-    ]
-    assert right[2] > max(right[:2])
-    assert alone[0].used["weights"] == {"a": {}}
-    weights = both.used["weights"]["a"]
-    assert weights.keys() == {"ssr-vlad", "own"}
-    assert sum(weights.values()) == pytest.approx(1)
-    with pytest.raises(ValueError, match="expected a sequence for each of 39 queries, got 40"):
-        recognise(seen[0], maps[0], ["a"] * 40, ["b"] * 40, extra={"own": (seen[1][1:], maps[1])})
 
 
 def test_descriptors_of_another_version_are_refused(tmp_path):

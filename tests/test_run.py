@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from ssrvlad_torch.baselines import Frame, make
+from ssrvlad_torch.baselines import Frame
 from ssrvlad_torch.baselines.run import run
 
 
@@ -68,15 +68,6 @@ def test_progress_counts_every_frame():
     assert done == [1] * 5
 
 
-def test_a_real_method_runs():
-    frames = [
-        Frame(f"a/{i}", torch.eye(8, dtype=torch.int64).numpy() * i, "camvid-11") for i in (3, 5)
-    ]
-    found = run(make("label-grid"), frames, frames, top=1)
-    assert found.indices.tolist() == [[0], [1]]
-    assert found.bytes_a_reference == 480 * 4
-
-
 @pytest.mark.parametrize(
     ("queries", "references", "settings", "message"),
     [
@@ -89,8 +80,3 @@ def test_a_real_method_runs():
 def test_what_cannot_be_run_is_refused(queries, references, settings, message):
     with pytest.raises(ValueError, match=message):
         run(Numbers(), numbered("q", *queries), numbered("r", *references), **settings)
-
-
-def test_the_refusal_of_a_method_names_the_frame():
-    with pytest.raises(ValueError, match="method hog needs images, but frame a/3 has none"):
-        run(make("hog"), numbered("a", 3), numbered("a", 3))

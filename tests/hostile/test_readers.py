@@ -73,14 +73,6 @@ def test_label_maps(here, ssrvlad, make, message):
     assert "bad/x" in err[0]
 
 
-@pytest.mark.parametrize(("make", "message"), LABEL_MAPS[:-1])
-def test_a_label_map_alone(here, ssrvlad, make, message):
-    make(here)
-    name = next(file.name for file in here.glob("x.*"))
-    error = one_line(ssrvlad, f"show {name} -o fig.png --labels-as camvid-11", message)
-    assert f"{name}: " in error
-
-
 @pytest.mark.parametrize("limit", ["5", "many"])
 def test_limits_of_the_environment(here, ssrvlad, monkeypatch, limit):
     monkeypatch.setenv("SSRVLAD_PIXEL_LIMIT", limit)
