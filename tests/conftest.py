@@ -31,12 +31,12 @@ from ssrvlad_torch.taxonomy import label_space_names
 torch.set_num_threads(1)
 
 LONG = (
-    "test_fuse test_export_web test_guides test_readme test_encoding test_golden test_run_onnx "
-    "test_crashes test_verify test_workers test_loop_stream test_export_loops "
-    "test_memory test_notebook test_wheel test_cli test_extra_descriptors test_commands_report "
-    "test_export_describe test_native test_commands_compare test_export test_loop_closure "
-    "test_export_cpp test_cohog test_place_model test_live_loops test_ros2"
+    "test_export test_fuse test_readme test_guides test_cli test_export_describe test_export_loops "
+    "test_bench test_export_cpp test_wheel test_verify test_native test_synthetic_city "
+    "test_loop_closure test_notebook test_loop_stream test_run_onnx test_live_loops "
+    "test_place_model test_commands_report test_export_web test_crashes test_export_adapters"
 )
+"""The files that take longest, in this order."""
 
 
 ALLOWED_SKIPS = ("CUDA", "SSRVLAD_LITERT", "../shared")
