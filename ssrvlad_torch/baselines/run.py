@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, TypeGuard, TypeVar
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -92,9 +92,14 @@ def run(
     if not reference_ids:
         raise ValueError(f"method {method.name} got no references")
     matches: list[Matches] = []
-    inputs: list[Tensor] = []
+    inputs: list[Any] = []
     kept: list[Tensor] = []
-    vectors: Tensor | None = encoded if _are_vectors(encoded) else None
+    vectors: Tensor | None = None
+    if isinstance(encoded, Tensor) and (
+        are_signs(encoded) or (encoded.ndim == 2 and encoded.is_floating_point())
+    ):
+        vectors = encoded
+    sweep = method.encode_sweep if steps and steps.sweep and isinstance(method, Sweeping) else None
     encoding, matching = _Clock(), _Clock()
     for frames in batches(_noted(queries, query_ids, progress), block):
         if not matches:
@@ -104,9 +109,20 @@ def run(
         matches += [best_of(row, top) for row in scores]
         kept += [scores.float()] if all_pairs else []
         if steps is not None:
-            inputs.append(scores if vectors is None else _swept(method, frames, encodings, steps))
+            described = sweep(frames) if sweep else encodings
+            inputs.append(scores if vectors is None else described)
     if not matches:
         raise ValueError(f"method {method.name} got no queries")
+    stepped: Recognised | None = None
+    if steps is not None:
+        drives, map_drives = (
+            [frame.rpartition("/")[0] for frame in ids] for ids in (query_ids, reference_ids)
+        )
+        found = torch.cat(inputs)
+        if vectors is None:
+            stepped = recognise_by_scores(found, drives, map_drives, steps, top)
+        else:
+            stepped = recognise(found, vectors, drives, map_drives, steps, top)
     return Retrieval(
         queries=tuple(query_ids),
         references=tuple(reference_ids),
@@ -116,38 +132,8 @@ def run(
         match=matching.cost,
         bytes_a_reference=encoded.nbytes / len(reference_ids),
         similarity=torch.cat(kept) if all_pairs else None,
-        stepped=_stepped(inputs, vectors, query_ids, reference_ids, steps, top) if steps else None,
+        stepped=stepped,
     )
-
-
-def _swept(method: Method, frames: Sequence[Frame], encodings: Any, steps: Steps) -> Tensor:
-    """The encodings of queries, from all anchors if the steps sweep and the method can."""
-    if steps.sweep and isinstance(method, Sweeping):
-        return method.encode_sweep(frames)
-    assert isinstance(encodings, Tensor)
-    return encodings
-
-
-def _stepped(
-    inputs: Sequence[Tensor],
-    vectors: Tensor | None,
-    queries: Sequence[str],
-    references: Sequence[str],
-    steps: Steps,
-    top: int,
-) -> Recognised:
-    """The result of the steps for encodings of queries and ``vectors`` of references, or for scores
-    if there are no vectors."""
-    rows, columns = ([frame.rpartition("/")[0] for frame in ids] for ids in (queries, references))
-    if vectors is None:
-        return recognise_by_scores(torch.cat(list(inputs)), rows, columns, steps, top)
-    return recognise(torch.cat(list(inputs)), vectors, rows, columns, steps, top)
-
-
-def _are_vectors(encodings: Any) -> TypeGuard[Tensor]:
-    if not isinstance(encodings, Tensor):
-        return False
-    return are_signs(encodings) or (encodings.ndim == 2 and encodings.is_floating_point())
 
 
 class _Clock:

@@ -81,6 +81,8 @@ def compare(
 
 def _make(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, Method | str]:
     """The methods by name; for a method that cannot be made, the reason."""
+    from ...baselines import make
+
     by_method: dict[str, dict[str, Any]] = {name: {} for name in names}
     for key, value in settings.items():
         name, dot, setting = key.partition(".")
@@ -92,7 +94,10 @@ def _make(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, Method
     methods: dict[str, Method | str] = {}
     for name, values in by_method.items():
         try:
-            methods[name] = _made(name, values)
+            methods[name] = make(name, **values)
+        except TypeError as error:
+            given = ", ".join(f"{key}={value!r}" for key, value in values.items())
+            raise ValueError(f"method {name} cannot take {given}: {error}") from error
         except (OSError, ImportError) as error:
             methods[name] = str(error)
     return methods
@@ -102,17 +107,6 @@ def _make(names: Sequence[str], settings: Mapping[str, Any]) -> dict[str, Method
 def _progress(name: str, frames: int) -> Iterator[Callable[[int], None]]:
     with progress_bar(name, frames) as bar:
         yield bar.advance
-
-
-def _made(name: str, settings: Mapping[str, Any]) -> Method:
-    """A method with its settings."""
-    from ...baselines import make
-
-    try:
-        return make(name, **settings)
-    except TypeError as error:
-        values = ", ".join(f"{key}={value!r}" for key, value in settings.items())
-        raise ValueError(f"method {name} cannot take {values}: {error}") from error
 
 
 def _parsed(pairs: Sequence[str]) -> dict[str, Any]:
@@ -162,12 +156,12 @@ def _print(rows: Sequence[Row]) -> None:
 
 def _metrics(row: Row) -> list[str]:
     names, ends = ("auc_pr", "recall_at_100_precision"), row["intervals"]
-    recalls = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
-    return [_cell(*pair) for pair in (*recalls, *((row[name], ends[name]) for name in names))]
-
-
-def _cell(value: float, ends: Sequence[float]) -> str:
-    return fraction(value) + ("" if math.isnan(value) else f"\n{ends[0]:.2f}-{ends[1]:.2f}")
+    pairs = [(row["recall_at"][n], ends["recall_at"][n]) for n in AT]
+    pairs += [(row[name], ends[name]) for name in names]
+    return [
+        fraction(value) + ("" if math.isnan(value) else f"\n{low:.2f}-{high:.2f}")
+        for value, (low, high) in pairs
+    ]
 
 
 def _times(cost: Mapping[str, float]) -> str:
