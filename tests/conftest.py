@@ -7,7 +7,6 @@ What the tests of the command line share: the command line itself, six frames, a
 
 import hashlib
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from drives import write_maps, write_photos, write_truth
 from hypothesis import settings
 from maps import Maps
 from segmenting import write_drives
+from skips import pytest_make_collect_report, pytest_runtest_makereport  # noqa: F401 - hooks
 
 from ssrvlad_torch import SSRVLADConfig, native
 from ssrvlad_torch.deployment import export, fuse, label_graph
@@ -37,32 +37,6 @@ LONG = (
     "test_place_model test_commands_report test_export_web test_crashes test_export_adapters"
 )
 """The files that take longest, in this order."""
-
-
-ALLOWED_SKIPS = ("CUDA", "SSRVLAD_LITERT", "../shared")
-"""What the reason of a skip must mention where CI is true: what a machine of CI cannot have."""
-
-
-@pytest.hookimpl(hookwrapper=True)
-def pytest_runtest_makereport():
-    """Where CI is true, a test that is skipped fails, unless it may be."""
-    outcome = yield
-    _refuse_skip(outcome.get_result())
-
-
-@pytest.hookimpl(hookwrapper=True)
-def pytest_make_collect_report():
-    """The same for the tests of a whole file."""
-    outcome = yield
-    _refuse_skip(outcome.get_result())
-
-
-def _refuse_skip(report):
-    if os.environ.get("CI") != "true" or not report.skipped or hasattr(report, "wasxfail"):
-        return
-    *_, reason = report.longrepr
-    if not any(allowed in reason for allowed in ALLOWED_SKIPS):
-        report.outcome, report.longrepr = "failed", f"skipped, which CI does not allow: {reason}"
 
 
 def pytest_collection_modifyitems(items):

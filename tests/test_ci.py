@@ -69,7 +69,7 @@ def test_ci_refuses_skips_that_are_not_allowed(tmp_path, ci, failed):
         "def test_known(): assert 0\n"
     )
     environment = {**os.environ, "CI": ci, "PYTHONPATH": str(ROOT / "tests")}
-    command = [sys.executable, "-m", "pytest", "-p", "conftest", "--rootdir", tmp_path, tmp_path]
+    command = [sys.executable, "-m", "pytest", "-p", "skips", "--rootdir", tmp_path, tmp_path]
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == (1 if failed else 0), done.stdout
     counts = {word: int(number) for number, word in re.findall(r"(\d+) (\w+)", done.stdout)}
