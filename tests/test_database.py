@@ -160,6 +160,8 @@ def test_an_invalid_id_is_refused(path, frame):
         Database.open(path).append([frame], torch.ones(1, 480))
     with pytest.raises(ValueError, match="has no name"):
         Database.open(path).append([record("a/1")._replace(name="")], torch.ones(1, 480))
+    with pytest.raises(ValueError, match=r"UTF-8 in the id of a frame, got 'a/\\udcff'"):
+        Database.open(path).append(["a/\udcff"], torch.ones(1, 480))
 
 
 def test_a_single_text_is_not_a_list_of_ids(path):

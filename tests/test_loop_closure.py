@@ -209,6 +209,8 @@ BAD_FRAMES = {
     "frame 'drive/3' was there before": (PLACES[0], "drive/3"),
     "id <sequence>/<name>, got '000007'": (PLACES[0], "000007"),
     "id <sequence>/<name>, got 'drive/'": (PLACES[0], "drive/"),
+    r"id <sequence>/<name>, got 'drive/.udcff'": (PLACES[0], "drive/\udcff"),
+    "id <sequence>/<name>, got 7": (PLACES[0], 7),
     r"expected a descriptor \(480,\).* got \(9,\)": (PLACES[0, :9], "drive/a"),
     "length 1 or zero, got nan": (math.nan * PLACES[0], "drive/a"),
     "length 1 or zero, got 2": (2 * PLACES[0], "drive/a"),

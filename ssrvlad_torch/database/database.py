@@ -282,8 +282,8 @@ class Database(StoredFrames):
         if arrays.keys() != self._shapes.keys():
             names, got = ", ".join(self._shapes), ", ".join(arrays)
             raise ValueError(f"{self.path} holds {names} of every frame, got {got}")
-        rows = to_table(records, arrays, self._shapes)
         check_records(records, self.origins)
+        rows = to_table(records, arrays, self._shapes)
         with engine.writing(self.path):
             fragments = engine.write_fragments(self._table, rows) if records else []
         texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)

@@ -114,6 +114,14 @@ def require_list(frames: _Collection) -> _Collection:
     return frames
 
 
+def is_text(frame: object) -> bool:
+    """Whether a frame's id can be stored: a text without bytes that are not UTF-8."""
+    try:
+        return isinstance(frame, str) and bool(frame.encode())
+    except UnicodeEncodeError:
+        return False
+
+
 def folder_of(signature: str) -> str:
     """The folder in a frame's signature."""
     return signature.rpartition("|")[0]

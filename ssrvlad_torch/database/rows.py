@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .checksums import checksums
-from .frames import FrameRecord
+from .frames import FrameRecord, is_text
 
 if TYPE_CHECKING:
     from ..recognition.matching import Vectors
@@ -75,12 +75,14 @@ def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> N
     """Requires records that a database with these origins can take.
 
     Raises:
-        ValueError: a record has no name, an id is given twice, or an origin is unknown.
+        ValueError: a record has no name, an id is no UTF-8 or given twice, or an origin is unknown.
     """
     if not all(record.name for record in records):
         raise ValueError("a frame has no name")
     counts = Counter(record.frame for record in records)
     for frame, count in counts.items():
+        if not is_text(frame):
+            raise ValueError(f"expected UTF-8 in the id of a frame, got {frame!a}")
         if count > 1:
             raise ValueError(f"frame {frame!r} is given {count} times")
     unknown = {record.origin for record in records} - {"", *origins}

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from ..baselines.protocol import Frame
 from ..database.database import Database
-from ..database.frames import FrameRecord
+from ..database.frames import FrameRecord, is_text
 from ..database.metadata import ExtraDescriptor
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
@@ -149,7 +149,7 @@ class LoopDetector:
             ValueError: the frame cannot be described, its id has another form or was there before,
                 or a stamp or pose is wrong. The detector is unchanged.
         """
-        sequence, _, name = frame_id.rpartition("/")
+        sequence, _, name = frame_id.rpartition("/") if is_text(frame_id) else ("", "", "")
         if not (sequence and name):
             raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
         place = _pose(pose, frame_id)
@@ -160,7 +160,7 @@ class LoopDetector:
         frame = Frame(frame_id, image=picture)
         others = {each.name: each.encode_query([frame])[0] for each in self._methods}
         if features is not None:
-            others[FEATURES] = torch.from_numpy(features)
+            others[FEATURES] = torch.tensor(np.asarray(features))
         if tensor.ndim == 1:
             return self.observe(record, tensor, others)
         swept = self.head.sweep(tensor[None], self.columns) if self.columns else None
