@@ -90,6 +90,11 @@ def test_blocks_do_not_show_on_real_numbers(monkeypatch):
     assert abs(exact[0, 1] - float(scores[0, 0])) < 0.2
 
 
+def test_a_score_equal_to_the_threshold_is_left_out():
+    assert match(torch.eye(2)[:1], torch.eye(2), top=2, threshold=0.0).indices.tolist() == [[0, -1]]
+    assert match(torch.eye(2)[:1], torch.eye(2), top=1, threshold=1.0).indices.tolist() == [[-1]]
+
+
 def test_arrays_and_doubles_are_taken():
     found = match(np.eye(3), np.eye(3), top=1)  # type: ignore[arg-type]
     assert found.indices[:, 0].tolist() == [0, 1, 2]
