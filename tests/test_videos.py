@@ -183,6 +183,17 @@ def test_what_is_no_video_is_refused(tmp_path, content):
         video_files(path)
 
 
+def test_sound_alone_is_refused(tmp_path):
+    with av.open(str(tmp_path / "a.mp4"), "w") as file:
+        stream = file.add_stream("aac", rate=8000)
+        sound = np.zeros((1, 1024), np.float32)
+        frame = av.AudioFrame.from_ndarray(sound, format="fltp", layout="mono")
+        frame.sample_rate = 8000
+        file.mux([*stream.encode(frame), *stream.encode()])
+    with pytest.raises(ValueError, match=r"a\.mp4 is not a readable video: it has no stream"):
+        video_files(tmp_path / "a.mp4")
+
+
 def test_a_gps_track_gives_poses_between_its_points(tmp_path):
     pytest.importorskip("utm")
     created = "2026-05-01T10:00:00Z"

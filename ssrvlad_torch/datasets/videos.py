@@ -107,6 +107,8 @@ class _Video:
         try:
             options = {"format_whitelist": _FORMATS}
             self._container = av.open(str(path), options=options, metadata_errors="replace")
+            if not self._container.streams.video:
+                raise ValueError("it has no stream of pictures")
             self._stream = self._container.streams.video[0]
             check_pixels(self._stream.height, self._stream.width)
             self._stream.thread_type = "AUTO"
