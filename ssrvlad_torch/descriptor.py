@@ -19,7 +19,7 @@ from .stages.explanation import Explanation, explain
 from .stages.front_end import FrontEnd, as_tensor, label_map
 from .stages.harmonics import Harmonics
 from .stages.layers import refuse_unknown
-from .stages.residuals import Residuals
+from .stages.residuals import ResidualHistograms, Residuals
 from .stages.tracing import is_exporting
 from .taxonomy import LabelSpace
 
@@ -99,14 +99,10 @@ class SSRVLAD(nn.Module):
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = self._input(labels)
-        if is_exporting() and self.config.aggregation == "harmonics":
-            found, unknown = self.counted(labels)
+        traced = self.config.aggregation == "harmonics" or torch.onnx.is_in_onnx_export()
+        if is_exporting() and traced:
+            found, unknown, *_ = self.counted(labels)
             return torch.where((unknown > 0).view(-1, *[1] * (found.ndim - 1)), torch.nan, found)
-        if torch.onnx.is_in_onnx_export():
-            raise ValueError(
-                f"aggregation {self.config.aggregation} has loops that torch.onnx.export cannot "
-                "record; export_head or `ssrvlad fuse` writes it as an ONNX file"
-            )
         if labels.is_cpu and self.native and not self._requires_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
@@ -118,7 +114,7 @@ class SSRVLAD(nn.Module):
             raise ValueError(f"expected labels on {own}, as the head is, got {tensor.device}")
         return tensor
 
-    def counted(self, labels: Tensor) -> tuple[Tensor, Tensor]:
+    def counted(self, labels: Tensor) -> tuple[Tensor, ...]:
         """The descriptors of a batch, and the number of pixels of each image with an unknown id,
         which belong to no layer: what exported files give, which cannot raise an error.
 
@@ -126,18 +122,19 @@ class SSRVLAD(nn.Module):
             labels: a tensor, as for a call.
 
         Returns:
-            descriptors as of a call, and ``(B,)`` int64.
+            descriptors as of a call, ``(B,)`` int64, and of ``paper`` ``(B, 8)`` int64, the number
+            of keypoints of each layer.
         """
-        layers, unknown = self.layers(labels)
-        return self._describe_layers(layers), unknown
+        layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
+        descriptor, *counts = self._describe_layers(layers)
+        return descriptor, unknown, *counts
 
-    def layers(self, labels: Tensor) -> tuple[Tensor, Tensor]:
-        """``(B, h, w)`` uint8, the layer of each pixel of the working grid, 0 to 7 or `NO_LAYER`,
-        and the counts of `counted`."""
-        return self._front_end.counted(label_map(labels, self.label_space))
-
-    def _describe_layers(self, layers: Tensor) -> Tensor:
-        return self._aggregation.descriptor(self._aggregation.histograms(layers))
+    def _describe_layers(self, layers: Tensor) -> tuple[Tensor, ...]:
+        histograms = self._aggregation.histograms(layers)
+        descriptor = self._aggregation.descriptor(histograms)
+        if isinstance(histograms, ResidualHistograms):
+            return descriptor, histograms.counts
+        return (descriptor,)
 
     # torch.compiler.disable would load torch's compiler when this module is imported
     @torch._disable_dynamo  # type: ignore[attr-defined]
@@ -256,8 +253,8 @@ class SweepHead(SSRVLAD):
         """The descriptors of a batch from every anchor."""
         return super().forward(labels) if is_exporting() else self.sweep(labels, self.columns)
 
-    def _describe_layers(self, layers: Tensor) -> Tensor:
-        return self._sweep_layers(layers, self.columns)
+    def _describe_layers(self, layers: Tensor) -> tuple[Tensor, ...]:
+        return (self._sweep_layers(layers, self.columns),)
 
 
 def _checked(columns: Sequence[int]) -> tuple[int, ...]:

@@ -23,13 +23,6 @@ COLUMNS = (-8, 5)
 """Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
 
 CUSTOM: dict[str, dict[str, Any]] = {
-    "few bins, opening and closing": {
-        "preset": "paper",
-        "rings": 3,
-        "sectors": 8,
-        "opening": 0.02,
-        "closing": 0.03,
-    },
     "one ring, odd sectors, keypoints as context, nothing cleaned": {
         "preset": "paper",
         "rings": 1,
@@ -40,10 +33,14 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "hole_area": 0.0,
         "region_area": 0.0,
     },
-    "guo-hall and much cleaned on a grid": {
+    "guo-hall, few bins and much cleaned on a grid": {
         "preset": "paper",
         "thinning": "guo-hall",
         "working_size": 50,
+        "rings": 3,
+        "sectors": 8,
+        "opening": 0.02,
+        "closing": 0.03,
         "hole_area": 0.2,
         "region_area": 0.1,
     },

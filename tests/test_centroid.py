@@ -1,28 +1,13 @@
 import numpy as np
 import torch
 from drawings import DOT, EMPTY, mask, planes
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.deployment.stages.centroid import centroids_in_graph
-from ssrvlad_torch.stages import centroid
 from ssrvlad_torch.stages.bitplanes import unpack
-from ssrvlad_torch.stages.centroid import centre_table
-
-
-def all_in_graph(graph, words):
-    return centroids_in_graph(graph, words)
-
-
-def centroids(some):
-    """By bit-planes and in a graph, which must agree."""
-    found = centroid.centroids(some)
-    for got, expected in zip(run_on_planes(all_in_graph, some), found, strict=True):
-        assert torch.equal(got, expected)
-    return found
+from ssrvlad_torch.stages.centroid import centre_table, centroids
 
 
 @given(seed=st.integers(0, 10_000), height=st.integers(1, 20), width=st.integers(1, 20))

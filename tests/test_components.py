@@ -2,33 +2,13 @@ import numpy as np
 import pytest
 import torch
 from drawings import MASKS, blobs, mask, planes
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.deployment.stages.components import drop_regions_in_graph, fill_holes_in_graph
-from ssrvlad_torch.stages import components
 from ssrvlad_torch.stages.bitplanes import pack, unpack
-
-
-def graph_with_area(graph, words, area):
-    return [build(graph, words, area) for build in (fill_holes_in_graph, drop_regions_in_graph)]
-
-
-def fill_holes(some, area):
-    """By bit-planes and in a graph, which must agree."""
-    filled = components.fill_holes(some, area)
-    assert torch.equal(run_on_planes(graph_with_area, some, area)[0], filled)
-    return filled
-
-
-def drop_regions(some, area):
-    """By bit-planes and in a graph, which must agree."""
-    kept = components.drop_regions(some, area)
-    assert torch.equal(run_on_planes(graph_with_area, some, area)[1], kept)
-    return kept
+from ssrvlad_torch.stages.components import drop_regions, fill_holes
 
 
 def assert_like_reference(some: torch.Tensor, area: int) -> None:
@@ -67,5 +47,5 @@ def test_blobs_in_a_batch():
 
 def test_an_area_of_one_pixel_changes_nothing():
     some = random_planes()
-    assert components.fill_holes(some, 1) is some
-    assert components.drop_regions(some, 1) is some
+    assert fill_holes(some, 1) is some
+    assert drop_regions(some, 1) is some

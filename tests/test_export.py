@@ -257,8 +257,8 @@ def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
     for node, known in all_nodes(model.graph):
         if node.op_type in operators or node.op_type.startswith(("Reduce", "Arg")):
             dtypes = {known[name] for name in node.input[:1] if name in known}
-            extremes = {kinds.UINT8} if node.op_type in ("ReduceMin", "ReduceMax") else set()
-            assert dtypes <= anywhere | extremes, node.name
+            more = {"ReduceMin": kinds.UINT8, "ReduceMax": kinds.UINT8, "Equal": kinds.BOOL}
+            assert dtypes <= anywhere | {more.get(node.op_type)}, node.name
             seen |= {node.op_type} if dtypes else set()
     assert len(seen & operators) > 5
 

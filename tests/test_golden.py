@@ -9,7 +9,7 @@ from graphs import session
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.deployment import export
-from ssrvlad_torch.deployment.golden import CORPUS_SIZES, SIZE, corpus, golden_pair, outputs_of
+from ssrvlad_torch.deployment.golden import SIZE, golden_pair, outputs_of
 from ssrvlad_torch.deployment.metadata import Metadata
 from ssrvlad_torch.descriptor import SweepHead
 from ssrvlad_torch.taxonomy import label_space_names
@@ -48,20 +48,6 @@ def test_scores_have_every_class_and_the_outputs_are_the_modules():
     np.testing.assert_array_equal(pair["descriptor"], head(pair["logits"]))
     assert "keypoints" not in pair
     assert pair["unknown"].tolist() == [0, 0]
-
-
-@pytest.mark.parametrize(("given", "dtype"), [("labels", "uint8"), ("logits", "uint8")])
-def test_the_corpus_is_what_its_input_takes(given, dtype):
-    head = SSRVLAD.from_preset("default", labels_as="mapillary-vistas-1.2")
-    maps = dict(corpus(head, given, dtype))
-    assert len(maps) == 2 * len(CORPUS_SIZES)
-    for name, array in maps.items():
-        assert array.dtype == (np.uint8 if given == "labels" else np.float32)
-        height, width = array.shape[-2:]
-        assert name.endswith(f"{height}x{width}")
-        assert not outputs_of(head, array)["unknown"].any()
-    fixed = [array.shape for _, array in corpus(head, "labels", "int64", [(9, 7)] * 3)]
-    assert set(fixed) == {(1, 9, 7)}
 
 
 def test_the_input_is_reduced_and_cleaned():

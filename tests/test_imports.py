@@ -37,7 +37,7 @@ import numpy as np
 from ssrvlad_torch import SSRVLAD
 def reference(): import ssrvlad_torch.reference
 def show(): SSRVLAD().explain(np.zeros((1, 9, 9), int)).show()
-def graph(): from ssrvlad_torch.deployment.graph import Graph; Graph({})
+def graph(): from ssrvlad_torch.deployment.export import head_model; head_model(SSRVLAD().config)
 for given in (reference, show, graph):
     try: given()
     except ImportError as error: print(error)

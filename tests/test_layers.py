@@ -1,10 +1,6 @@
 import pytest
 import torch
-from graphs import run, to_planes
-from test_bitplanes import random_planes
 
-from ssrvlad_torch.deployment.stages.layers import split_in_graph
-from ssrvlad_torch.deployment.words import grid_of
 from ssrvlad_torch.stages.layers import UNKNOWN, categorise, category_table, refuse_unknown, split
 from ssrvlad_torch.taxonomy import NO_LAYER, label_space, label_space_names
 
@@ -63,15 +59,3 @@ def test_several_unknown_ids():
 def test_split_sets_one_bit_a_pixel():
     categories = torch.tensor([[[0, 1, 2, 3, 4, 5, 6, 7, NO_LAYER]]], dtype=torch.uint8)
     assert split(categories).tolist() == [[[1, 2, 4, 8, 16, 32, 64, 128, 0]]]
-
-
-def split_categories(graph, categories):
-    grid = grid_of(*graph.sizes(categories, 3))
-    return [split_in_graph(graph, categories, grid).line]
-
-
-@pytest.mark.parametrize("shape", [(1, 1, 1), (2, 3, 7), (2, 5, 8), (1, 4, 65)])
-def test_split_in_a_graph(shape):
-    categories = random_planes(0, shape) % (NO_LAYER + 1)
-    (line,) = run(split_categories, categories)
-    assert torch.equal(to_planes(line, shape), split(categories))

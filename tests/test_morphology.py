@@ -2,34 +2,13 @@ import kornia.morphology
 import numpy as np
 import pytest
 import torch
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
-from ssrvlad_torch.deployment.stages.morphology import open_and_close_in_graph
-from ssrvlad_torch.stages import morphology
 from ssrvlad_torch.stages.bitplanes import unpack
-from ssrvlad_torch.stages.morphology import dilate, erode
-
-
-def in_graph(graph, words, opening, closing):
-    return [
-        open_and_close_in_graph(graph, words, opening, closing),
-        open_and_close_in_graph(graph, words, 0, closing),
-        open_and_close_in_graph(graph, words, opening, 0),
-    ]
-
-
-def open_and_close(planes, opening, closing):
-    """By bit-planes and in a graph, which must agree, also where a radius is always 0."""
-    done = morphology.open_and_close(planes, opening, closing)
-    both, only_closed, only_opened = run_on_planes(in_graph, planes, opening, closing)
-    assert torch.equal(both, done)
-    assert torch.equal(only_closed, morphology.open_and_close(planes, 0, closing))
-    assert torch.equal(only_opened, morphology.open_and_close(planes, opening, 0))
-    return done
+from ssrvlad_torch.stages.morphology import dilate, erode, open_and_close
 
 
 @given(
@@ -55,6 +34,7 @@ def test_equal_to_the_reference_on_every_layer(seed, height, width, radius):
 def test_opening_and_closing_equal_the_reference(seed, height, width, radii):
     planes = random_planes(seed, (2, height, width)) & random_planes(seed + 1, (2, height, width))
     done = unpack(open_and_close(planes, *radii))
+    assert torch.equal(unpack(open_and_close(planes, *map(torch.tensor, radii))), done)
     opening, closing = radii
     for got, layer in zip(done.flatten(0, 1), unpack(planes).flatten(0, 1).numpy(), strict=True):
         opened = reference.dilate(reference.erode(layer, opening), opening)

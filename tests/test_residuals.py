@@ -3,25 +3,10 @@ import pytest
 import torch
 import torch.nn.functional as F
 from drawings import SPACE, blobs
-from graphs import run
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
-from ssrvlad_torch.deployment.stages.residuals import aggregate_in_graph
 from ssrvlad_torch.stages import residuals
-
-
-def in_graph(graph, sums, centres, counts):
-    return [aggregate_in_graph(graph, sums, centres, counts)]
-
-
-def aggregate(sums, centres, counts):
-    """On tensors and in a graph, which must agree."""
-    descriptor = residuals.aggregate(sums, centres, counts)
-    (got,) = run(in_graph, sums, centres, counts)
-    assert got.dtype == descriptor.dtype
-    torch.testing.assert_close(got, descriptor, rtol=0, atol=1e-7)
-    assert torch.equal(got == 0, descriptor == 0)
-    return descriptor
+from ssrvlad_torch.stages.residuals import aggregate
 
 
 def random_histograms(seed: int = 0):

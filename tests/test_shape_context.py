@@ -1,20 +1,12 @@
-from functools import cache
-
 import numpy as np
 import pytest
 import torch
 from drawings import CROSS, mask, planes
-from graphs import run, run_on_planes, to_line
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import SSRVLADConfig, reference
-from ssrvlad_torch.deployment.stages.shape_context import (
-    log_polar_bins_in_graph,
-    shape_contexts_in_graph,
-)
-from ssrvlad_torch.deployment.words import grid_of, points_of
 from ssrvlad_torch.stages import shape_context
 from ssrvlad_torch.stages.bitplanes import points, unpack
 from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
@@ -27,45 +19,6 @@ def plain_sum(references: np.ndarray, context: np.ndarray, limits, sectors) -> n
     for point in np.argwhere(references):
         total += reference.shape_context(point, np.argwhere(context), limits, sectors)
     return total.ravel()
-
-
-@cache
-def table_of(sectors):
-    def build(graph, height, width, *limits):
-        one = graph.full([], 1, "int32")
-        listed = graph.Concat(*(limit.reshape(1) for limit in limits), axis=0)
-        grid = grid_of(one, height, width)
-        bins = log_polar_bins_in_graph(graph, grid, listed, len(limits), sectors)
-        return [bins.table, bins.pitch, bins.centre]
-
-    return build
-
-
-@pytest.mark.parametrize("sectors", [1, 2, 3, 5, 8, 12, 20, 359, 360])
-@pytest.mark.parametrize("size", [(1, 1), (1, 9), (31, 40), (150, 200)])
-def test_the_table_in_a_graph_is_the_same(size, sectors):
-    for rings in (1, 5):
-        limits = SSRVLADConfig.from_preset(
-            "paper", sectors=sectors, rings=rings, radius=0.6
-        ).ring_limits(*size)
-        expected = log_polar_bins(*size, limits, sectors, CPU).table
-        table, pitch, centre = run(table_of(sectors), *size, *limits)
-        assert pitch == expected.shape[0]
-        rows = table.view(-1, pitch).T[:, : expected.shape[1]]
-        assert torch.equal(rows, expected.long())
-        assert table[centre] == len(limits) * sectors
-
-
-@cache
-def sums_with(sectors):
-    def build(graph, words, some, *limits):
-        grid = words.grid
-        listed = graph.Concat(*(limit.reshape(1) for limit in limits), axis=0)
-        bins = log_polar_bins_in_graph(graph, grid, listed, len(limits), sectors)
-        references, context = points_of(graph, words.with_line(some)), points_of(graph, words)
-        return [shape_contexts_in_graph(graph, references, context, bins, grid.images)]
-
-    return build
 
 
 @pytest.mark.parametrize("sectors", [1, 2, 3, 5, 8, 12, 20, 360])
@@ -82,11 +35,6 @@ def test_every_offset_falls_where_the_reference_puts_it(sectors):
         histogram = reference.shape_context((0, 0), offset[None], limits, sectors).ravel()
         assert histogram.sum() == (entry < bins.total)
         assert entry == bins.total or histogram[entry] == 1
-
-
-def sums_in_graph(references, context, limits, sectors=12):
-    (sums,) = run_on_planes(sums_with(sectors), context, to_line(references), *limits)
-    return sums
 
 
 @given(
@@ -108,7 +56,6 @@ def test_sums_equal_the_reference(seed, height, width, sectors):
                 unpack(references)[b, k].numpy(), unpack(context)[b, k].numpy(), limits, sectors
             )
             np.testing.assert_array_equal(sums[b, k], expected)
-    assert torch.equal(sums_in_graph(references, context, limits, sectors), sums)
 
 
 def test_chunks_add_up(monkeypatch):
@@ -157,17 +104,6 @@ def test_layers_of_too_many_pairs_are_correlated(monkeypatch):
     assert sums[0, 0].tolist() == expected[: bins.total].tolist()
 
 
-def test_blocks_in_a_graph_add_up():
-    """More pairs than a block may have, and a layer and an image without any."""
-    some = random_planes(12, (3, 60, 70)) & 0b01011111
-    some[1] = 0
-    bins = log_polar_bins(60, 70, (4, 40, 9000), 12, CPU)
-    ends = some & random_planes(13, (3, 60, 70))
-    expected = shape_contexts(points(ends), points(some), bins, 3)
-    assert len(points(ends).group) * 400 > 4 * shape_context.PAIRS_AT_ONCE
-    assert torch.equal(sums_in_graph(ends, some, (4, 40, 9000)), expected)
-
-
 def test_nothing_to_count():
     none = points(torch.zeros(1, 5, 5, dtype=torch.uint8))
     cross = points(planes(mask(CROSS)[1:6, 1:6]))
@@ -175,8 +111,3 @@ def test_nothing_to_count():
     assert not shape_contexts(none, cross, bins, 1).any()
     assert not shape_contexts(cross, none, bins, 1).any()
     assert not shape_contexts(none, none, bins, 1).any()
-    nothing, some = torch.zeros(1, 5, 5, dtype=torch.uint8), planes(mask(CROSS)[1:6, 1:6])
-    for references, context in ((nothing, some), (some, nothing), (nothing, nothing)):
-        sums = sums_in_graph(references, context, (50,))
-        assert sums.shape == (1, 8, 12)
-        assert not sums.any()

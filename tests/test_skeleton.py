@@ -2,32 +2,20 @@ import numpy as np
 import pytest
 import torch
 from drawings import BLOCK, CROSS, MASKS, mask, planes
-from graphs import run_on_planes
 from hypothesis import given
 from hypothesis import strategies as st
 from test_bitplanes import random_planes
 
 from ssrvlad_torch import reference
 from ssrvlad_torch.config import CHOICES
-from ssrvlad_torch.deployment.stages.skeleton import thin_in_graph
 from ssrvlad_torch.stages import skeleton
 from ssrvlad_torch.stages.bitplanes import unpack
 from ssrvlad_torch.stages.skeleton import RULES, zhang_suen
 
 
-def thin_by_each_rule(graph, words):
-    large = (False, True)
-    return [thin_in_graph(graph, words, rule, each) for rule in RULES.values() for each in large]
-
-
 def thin(planes, variant):
-    """The skeleton, by frontier and in a graph, which must agree."""
-    rule = RULES[variant]
-    by_frontier = skeleton.thin(planes, rule)
-    found, first = run_on_planes(thin_by_each_rule, planes), 2 * list(RULES).index(variant)
-    for in_graph in found[first : first + 2]:
-        assert torch.equal(in_graph, by_frontier)
-    return by_frontier
+    """The skeleton by a variant's name."""
+    return skeleton.thin(planes, RULES[variant])
 
 
 variants = pytest.mark.parametrize("variant", CHOICES["thinning"])
@@ -90,7 +78,7 @@ def test_work_shrinks_as_the_image_settles():
     layer[2:62, 2:62] = layer[20:26, 500:506] = True
     work = counted_work(layer)
     assert len(work) > 40
-    assert max(work[2:]) < work[0] / 4
+    assert max(work) < layer.size / 100
     assert work[-3] < work[4]
 
 

@@ -108,7 +108,7 @@ def test_a_file_that_is_as_it_should_be(kind, files, streets):
     found = verify(files[kind], find_label_files([str(streets)]))
     names = [check.name for check in found.checks]
     golden = "golden image" if kind == "fused" else "golden pair"
-    assert names == [golden, "corpus", "maps/0", "maps/1"]
+    assert names == [golden, "maps/0", "maps/1"]
     assert found.passed
     assert found.verdict == "exact"
     assert found.difference < 1e-6
@@ -229,7 +229,6 @@ def test_label_maps_that_cannot_be_compared_are_skipped(files, ssrvlad, streets)
     assert report["passed"]
     assert [check["name"] for check in report["checks"]] == [
         "golden pair",
-        "corpus",
         "maps/0",
         "maps/1",
     ]

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from ..config import SSRVLADConfig
+from ..config import CATEGORY_COUNT, SSRVLADConfig
 from ..descriptor import SSRVLAD, SweepHead
 from ..files import check_output, replacing
 from ..stages.vanishing_column import MAX_WIDTH
 from ..taxonomy import LabelSpace
 from .golden import SIZE, golden_pair
 from .metadata import Metadata
-from .residual_graph import residual_graph
-from .trace import Axes, interface, join, traced
+from .trace import Axes, interface, traced
 
 if TYPE_CHECKING:
     import onnx
@@ -40,7 +39,7 @@ def export_head(
 ) -> None:
     """Writes the head as one ONNX file: label ids or class scores to descriptors.
 
-    The file has standard operators only. For ``default`` it is `SSRVLAD`, traced: additions,
+    The file is `SSRVLAD`, traced to standard operators. For ``default`` these are additions,
     multiplications, comparisons and table look-ups of float32, no loop, no shape that depends on
     the labels. For ``paper`` it also has loops and bitwise operators. Counts equal those of
     `SSRVLAD`, descriptors differ by less than 1e-6; settings that enlarge rounding errors of
@@ -109,16 +108,15 @@ def head_model(
     return model
 
 
-class _Method(nn.Module):
-    """A method of a head as a module."""
+class _Counted(nn.Module):
+    """`SSRVLAD.counted` as a module."""
 
-    def __init__(self, head: SSRVLAD, name: str) -> None:
+    def __init__(self, head: SSRVLAD) -> None:
         super().__init__()
-        self.head, self.name = head, name
+        self.head = head
 
-    def forward(self, labels: Tensor) -> tuple[Tensor, Tensor]:
-        found: tuple[Tensor, Tensor] = getattr(self.head, self.name)(labels)
-        return found
+    def forward(self, labels: Tensor) -> tuple[Tensor, ...]:
+        return self.head.counted(labels)
 
 
 def _graph(
@@ -131,18 +129,14 @@ def _graph(
         channels = head.label_space.channel_counts[-1]
         axes = (axes[0], channels if shape else "C", *axes[1:])
         example = example.new_zeros((len(example), channels, *example.shape[1:]), dtype=torch.float)
-    given = {input: (example, axes)}
-    if config.aggregation == "harmonics":
-        swept = [len(head.columns)] if isinstance(head, SweepHead) else []
-        outputs = {"descriptor": [axes[0], *swept, config.length], "unknown": [axes[0]]}
-        return traced(_Method(head, "counted"), given, outputs)
-    layers = traced(_Method(head, "layers"), given, {"layers": ["B", "h", "w"], "unknown": ["B"]})
-    parts = [layers, residual_graph(config)]
-    model = join(parts, ["", "residuals/"], [[("layers", "residuals/layers")]])
-    unknown, descriptor, keypoints = model.graph.output
-    del model.graph.output[:]
-    model.graph.output.extend([descriptor, unknown, keypoints])
-    return model
+    swept = [len(head.columns)] if isinstance(head, SweepHead) else []
+    outputs: dict[str, Axes] = {
+        "descriptor": [axes[0], *swept, config.length],
+        "unknown": [axes[0]],
+    }
+    if config.aggregation == "residuals":
+        outputs["keypoints"] = [axes[0], CATEGORY_COUNT]
+    return traced(_Counted(head), {input: (example, axes)}, outputs)
 
 
 def _check(

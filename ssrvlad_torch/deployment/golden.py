@@ -1,9 +1,7 @@
-"""The golden pair, an input and the module's outputs for it that every exported file carries, and
-the corpus, the inputs on which `verify` compares."""
+"""The golden pair: an input and the module's outputs for it, which every exported file carries."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -20,9 +18,6 @@ Array = npt.NDArray[Any]
 
 SIZE = (133, 171)
 """Rows and columns: above the working size of every preset, and not multiples of it."""
-
-CORPUS_SIZES = ((1, 1), (1, 23), (19, 1), (17, 23), (60, 81), (121, 160), (240, 320), (303, 211))
-"""Rows and columns of the corpus for files of any size."""
 
 _IMAGES = 2
 PATCHES = 40
@@ -57,30 +52,6 @@ def golden_pair(
             labels[-1, rows, columns] = unknown
     array = as_input(labels, len(ids), input, dtype)
     return {input: array, **outputs_of(head, array)}
-
-
-def corpus(
-    head: SSRVLAD, input: str, dtype: str, sizes: Sequence[tuple[int, int]] = CORPUS_SIZES
-) -> Iterator[tuple[str, Array]]:
-    """Names and inputs ``(1, H, W)`` or ``(1, C, H, W)``, of patches, noise and single classes.
-
-    Args:
-        head: the module.
-        input, dtype: as for `golden_pair`.
-        sizes: rows and columns; each has patches and one other kind of map.
-    """
-    ids = np.sort(_ids(head, input, dtype))
-    for number, (height, width) in enumerate(sizes):
-        rng = np.random.default_rng(number)
-        chosen = rng.permutation(ids)[: 2 + number % 3]
-        others = {
-            "noise": rng.choice(chosen, (height, width)),
-            "one class": np.full((height, width), chosen[0]),
-            "checkerboard": chosen[np.indices((height, width)).sum(0) % 2 % len(chosen)],
-        }
-        patches = _drawn(head, ids, (height, width), number + _IMAGES)
-        for kind, labels in (("patches", patches), list(others.items())[number % len(others)]):
-            yield f"{kind} {height}x{width}", as_input(labels[None], len(ids), input, dtype)
 
 
 def outputs_of(head: SSRVLAD, array: Array) -> dict[str, Array]:

@@ -53,6 +53,7 @@ def traced(
     """
     try:
         import onnxscript  # noqa: F401 - the exporter imports it
+        from onnx_ir.passes.common import ClearMetadataAndDocStringPass
     except ImportError as error:
         raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
     log = logging.getLogger("torch.onnx")
@@ -65,14 +66,18 @@ def traced(
     try:
         with warnings.catch_warnings(), torch.no_grad():
             warnings.simplefilter("ignore")
-            program = torch.onnx.export(
+            recorded = torch.export.export(
                 _OfList(module).eval(),
                 ([example for example, _ in inputs.values()],),
+                dynamic_shapes=(dynamic,) if any(dynamic) else None,
+            )
+            program = torch.onnx.export(
+                recorded,
                 input_names=list(inputs),
                 output_names=list(outputs),
-                dynamic_shapes=(dynamic,) if any(dynamic) else None,
                 opset_version=OPSET,
                 dynamo=True,
+                custom_translation_table={torch.ops.aten.floor_divide.default: _divided},
                 verbose=False,
             )
     except Exception as error:  # the exporter can raise anything
@@ -80,12 +85,26 @@ def traced(
     finally:
         log.setLevel(level)
     assert program is not None
+    ClearMetadataAndDocStringPass()(program.model)
     model: onnx.ModelProto = program.model_proto
     for value in model.graph.output:
         _name_axes(value, outputs[value.name])
     for value in model.graph.input:
         _name_axes(value, inputs[value.name][1])
     return model
+
+
+def _divided(number: Any, divisor: Any) -> Any:
+    """Division rounded down. In stages int32 is not negative, and needs no correction."""
+    from onnxscript import INT32
+    from onnxscript import opset18 as op
+    from onnxscript.function_libs.torch_lib.ops.core import aten_floor_divide
+
+    return (
+        op.Div(number, divisor)
+        if number.dtype == INT32.dtype
+        else aten_floor_divide(number, divisor)
+    )
 
 
 def _name_axes(value: onnx.ValueInfoProto, axes: Axes) -> None:

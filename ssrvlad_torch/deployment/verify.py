@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -27,7 +27,7 @@ from .fuse import (
     FusedNetwork,
     problem_of_network,
 )
-from .golden import CORPUS_SIZES, as_input, corpus, outputs_of
+from .golden import as_input, outputs_of
 from .metadata import PREFIX, Metadata
 from .runtimes import Arrays, Run, Runtime, runtime_of
 
@@ -44,7 +44,7 @@ class Check(NamedTuple):
     """One comparison.
 
     Attributes:
-        name: ``"golden pair"``, ``"golden image"``, ``"corpus"``, or a frame's id.
+        name: ``"golden pair"``, ``"golden image"``, or a frame's id.
         difference: largest difference of two descriptors; infinite for NaN or another shape.
         problem: what is wrong, or ``""``.
     """
@@ -114,12 +114,11 @@ def verify(
 ) -> Verification:
     """Compares a file of `export_head` or `fuse` on a runtime with the module.
 
-    The file runs on its golden pair; its head runs on the maps of the `corpus` and on `labels`, and
-    is compared with the module on each. Of a fused file, the head is extracted for this, and on the
-    golden image at most 1 % of the pixels may have another label than the recorded one, and at
-    most 1 % of the signs of its features be others, because runtimes compute networks differently;
-    the head must agree with the module on these labels. Of a network without a head, only labels
-    and features are compared.
+    The file runs on its golden pair; its head runs on `labels`, and is compared with the module on
+    each. Of a fused file, the head is extracted for this, and on the golden image at most 1 % of
+    the pixels may have another label than the recorded one, and at most 1 % of the signs of its
+    features be others, because runtimes compute networks differently; the head must agree with the
+    module on these labels. Of a network without a head, only labels and features are compared.
 
     Args:
         path: the file.
@@ -185,11 +184,10 @@ def _verify(
             return result
         model = _head_of(model)
         source = model.SerializeToString()
-    head = _Head(_checked(runtime, source), module, model.graph.input[0])
+    head = _HeadOnRuntime(_checked(runtime, source), module, model.graph.input[0])
     _check_defaults(result, runtime, model.SerializeToString(), head.input, golden)
     if not fused:
         result.add(head.check("golden pair", golden.pop(head.input), golden))
-    result.add(_check_corpus(head))
     for file in labels:
         _check_frame(result, head, file)
         if progress:
@@ -231,7 +229,7 @@ def _checked(runtime: Runtime, source: Path | bytes) -> CheckedRun:
     return run
 
 
-class _Head:
+class _HeadOnRuntime:
     """A head on a runtime, and the module that it is compared with."""
 
     def __init__(self, run: CheckedRun, module: SSRVLAD, value: onnx.ValueInfoProto) -> None:
@@ -249,13 +247,6 @@ class _Head:
         """The outputs for an input, compared with expected ones or with those of the module."""
         outputs = expected or outputs_of(self.module, array)
         return self.run(name, {self.input: array}, lambda got: compare(name, got, outputs))
-
-    def corpus(self) -> Iterator[tuple[str, npt.NDArray[Any]]]:
-        """Names and inputs of the corpus."""
-        kind = "logits" if self.scores else "labels"
-        sizes = (self.size,) * 3 if self.size else CORPUS_SIZES
-        for name, array in corpus(self.module, kind, self.dtype, sizes):
-            yield name, np.concatenate([array] * self.batch)
 
     def input_of(self, labels: LabelMap) -> npt.NDArray[Any]:
         """The input for a label map: ``(B, H, W)`` ids or ``(B, C, H, W)`` scores.
@@ -295,15 +286,6 @@ def _check_defaults(
         )
 
 
-def _check_corpus(head: _Head) -> Check:
-    """All maps of the corpus as one comparison."""
-    checks = [head.check(name, array) for name, array in head.corpus()]
-    wrong = [check for check in checks if check.problem]
-    problem = f"{len(wrong)} of {len(checks)} maps, " if wrong else ""
-    problem += "; ".join(f"{check.name}: {check.problem}" for check in wrong[:1])
-    return Check("corpus", max(check.difference for check in checks), problem)
-
-
 def _judge_of_image(golden: Arrays, module: SSRVLAD) -> Callable[[Arrays], Check]:
     """Judges a fused file, or a network without a head, on its golden image."""
 
@@ -316,7 +298,7 @@ def _judge_of_image(golden: Arrays, module: SSRVLAD) -> Callable[[Arrays], Check
     return judge
 
 
-def _check_frame(result: Verification, head: _Head, file: FrameFile) -> None:
+def _check_frame(result: Verification, head: _HeadOnRuntime, file: FrameFile) -> None:
     try:
         array = head.input_of(read_label_map(file, head.module.label_space))
         expected = outputs_of(head.module, array)

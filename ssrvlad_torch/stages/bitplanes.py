@@ -17,7 +17,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .tracing import MOST, is_exporting, number_in
+
 LAYERS = 8
+
+_BITS = [1 << k for k in range(LAYERS)]
 
 
 class Bitwise(Protocol):
@@ -132,52 +136,76 @@ def steps_around(ring: tuple[Bits, ...]) -> list[Bits]:
     """The 0 -> 1 steps around every pixel, in four planes; their sum is the crossing number.
 
     There is at most one step from N over NE to E, and in each of the other quarters. Each
-    subtraction removes a subset of bits.
+    exclusive or removes a subset of bits: old runtimes do not subtract bytes.
 
     Args:
         ring: the eight `neighbours`.
     """
     n, ne, e, se, s, sw, w, nw = ring
     return [
-        (ne | e) - (n & ne),
-        (se | s) - (e & se),
-        (sw | w) - (s & sw),
-        (nw | n) - (w & nw),
+        (ne | e) ^ (n & ne),
+        (se | s) ^ (e & se),
+        (sw | w) ^ (s & sw),
+        (nw | n) ^ (w & nw),
     ]
 
 
 def points(planes: Tensor) -> Points:
     """The pixels of every layer."""
-    height, width = planes.shape[1:]
-    group, position = _scan(planes)
-    return Points(group, position // width % height, position % width)
+    image, y, x = planes.nonzero().unbind(1)
+    torch._check(image.shape[0] <= MOST)
+    place = (image * planes.shape[1] + y) * planes.shape[2] + x
+    bits = torch.tensor(_BITS, dtype=torch.uint8, device=planes.device)
+    layer, entry = (planes.flatten().index_select(0, place) & bits[:, None]).nonzero().unbind(1)
+    image, y, x = (each.index_select(0, entry) for each in (image, y, x))
+    return Points(layer * planes.shape[0] + image, y, x)
 
 
 def runs(planes: Tensor) -> Runs:
     """The runs of every layer: a run starts where the pixel to its left is off."""
-    height, width = planes.shape[1:]
     padded = F.pad(planes, (1, 1))
-    group, first = _scan(planes & ~padded[..., :-2])
-    _, last = _scan(planes & ~padded[..., 2:])
-    return Runs(group, first // width % height, first % width, last % width)
+    first, last = points(planes & ~padded[..., :-2]), points(planes & ~padded[..., 2:])
+    return Runs(first.group, first.y, first.x, last.x)
 
 
 def paint(chosen: Runs, shape: torch.Size) -> Tensor:
     """Bit-planes of a shape ``(B, H, W)`` in which exactly the given runs are set."""
     count, height, width = shape
-    planes = torch.zeros(count * height * width, dtype=torch.uint8, device=chosen.group.device)
-    lengths = chosen.last - chosen.first + 1
-    run = torch.repeat_interleave(lengths)
-    within = torch.arange(run.numel(), device=run.device) - (lengths.cumsum(0) - lengths)[run]
-    image = chosen.group % count
-    position = ((image * height + chosen.y) * width + chosen.first)[run] + within
-    bit = torch.ones_like(run, dtype=torch.uint8) << (chosen.group // count)[run].to(torch.uint8)
-    return planes.scatter_add_(0, position, bit).view(shape)
+    device = chosen.group.device
+    layer = chosen.group // torch.full((), count, device=device)  # not the size: it is exported
+    row = ((chosen.group - layer * count) * height + chosen.y) * (width + 1)
+    bit = torch.tensor(_BITS, dtype=torch.int32, device=device).index_select(0, layer)
+    steps = torch.zeros(count * height * (width + 1), dtype=torch.int32, device=device)
+    steps = steps.scatter_add(0, row + chosen.first, bit)
+    steps = steps.scatter_add(0, row + chosen.last + 1, -bit).view(count, height, width + 1)
+    return steps.cumsum(2, dtype=torch.int32)[..., :width].to(torch.uint8)
+
+
+def repeated(times: Tensor) -> tuple[Tensor, Tensor]:
+    """Repeats the number n ``times[n]`` times: the numbers, and for each entry the count of equal
+    entries before it, ``(m,)`` int64 each."""
+    if not is_exporting():
+        number = torch.repeat_interleave(times)
+        within = torch.arange(number.numel(), device=number.device)
+        return number, within - (times.cumsum(0) - times)[number]
+    ends = F.pad(times.cumsum(0), (1, 0))
+    total = number_in(ends[-1])
+    starts = torch.zeros(total + 1, dtype=torch.int64).scatter_add(
+        0, ends[1:], torch.ones_like(times)
+    )
+    number = starts[:total].cumsum(0)
+    return number, torch.arange(total) - ends.index_select(0, number)
 
 
 def count_points(pixels: Points, count: int) -> Tensor:
     """``(B, 8)`` int64, the number of points of each layer of each image."""
-    return by_image(torch.bincount(pixels.group, minlength=LAYERS * count), count)
+    return by_image(count_groups(pixels, count), count)
+
+
+def count_groups(pixels: Points, count: int) -> Tensor:
+    """``(8 * B,)`` int64, the number of points of each group."""
+    zeros = pixels.group.new_zeros(LAYERS * count)
+    return zeros.scatter_add(0, pixels.group, torch.ones_like(pixels.group))
 
 
 def by_image(values: Tensor, count: int) -> Tensor:
@@ -187,12 +215,3 @@ def by_image(values: Tensor, count: int) -> Tensor:
 
 def _bits(like: Tensor) -> Tensor:
     return torch.arange(LAYERS, dtype=torch.uint8, device=like.device)
-
-
-def _scan(planes: Tensor) -> tuple[Tensor, Tensor]:
-    """Group and flat position of every set bit, sorted by group, then by position."""
-    flat = planes.reshape(-1)
-    position = flat.nonzero()[:, 0]
-    layer, entry = (flat[position] >> _bits(planes)[:, None] & 1).nonzero(as_tuple=True)
-    position = position[entry]
-    return layer * planes.shape[0] + position // planes[0].numel(), position

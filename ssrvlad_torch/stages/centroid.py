@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from .bitplanes import LAYERS, Points, by_image, runs
+from .tracing import divided, real
 
 
 def centroids(planes: Tensor) -> Points:
@@ -19,13 +20,23 @@ def centroids(planes: Tensor) -> Points:
     """
     segments = runs(planes)
     length = segments.last - segments.first + 1
-    sums = length.new_zeros((3, LAYERS * len(planes)))
-    sums[0].index_add_(0, segments.group, length)
-    sums[1].index_add_(0, segments.group, segments.y * length)
-    sums[2].index_add_(0, segments.group, (segments.first + segments.last) * length // 2)
-    group = sums[0].nonzero()[:, 0]
-    area, sum_y, sum_x = sums[:, group]
-    return Points(group, (2 * sum_y + area) // (2 * area), (2 * sum_x + area) // (2 * area))
+
+    def sums(amounts: Tensor) -> Tensor:
+        zeros = amounts.new_zeros(LAYERS * planes.shape[0])
+        return zeros.scatter_add(0, segments.group, amounts)
+
+    areas = sums(length)
+    group = areas.nonzero()[:, 0]
+    area = areas.index_select(0, group)
+
+    def mean(twice: Tensor) -> Tensor:
+        """The mean of halves over the area, from sums of up to 2 ** 63."""
+        weighted = twice * length
+        estimate = sums(weighted.to(real())).index_select(0, group) / area
+        total = sums(weighted).index_select(0, group) + area
+        return divided(total, (estimate + 1) / 2, 2 * area)[0]
+
+    return Points(group, mean(2 * segments.y), mean(segments.first + segments.last))
 
 
 def centre_table(centres: Points, count: int) -> Tensor:

@@ -8,12 +8,14 @@ propagation with pointer jumping finds them in a few rounds, also for long and w
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
-from .bitplanes import Runs, paint, runs
+from .bitplanes import LAYERS, Runs, paint, repeated, runs
+from .tracing import is_exporting, repeat_while
 
 
-def fill_holes(planes: Tensor, area: int) -> Tensor:
+def fill_holes(planes: Tensor, area: int | Tensor) -> Tensor:
     """Fills every enclosed hole of fewer than ``area`` pixels.
 
     A hole is a 4-connected background region that does not touch the border of the image.
@@ -25,7 +27,7 @@ def fill_holes(planes: Tensor, area: int) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    if area <= 1:
+    if isinstance(area, int) and area <= 1:
         return planes
     _, height, width = planes.shape
     gaps = runs(~planes)
@@ -35,7 +37,7 @@ def fill_holes(planes: Tensor, area: int) -> Tensor:
     return planes | _paint_where(enclosed & (_areas(gaps, region) < area), gaps, planes.shape)
 
 
-def drop_regions(planes: Tensor, area: int) -> Tensor:
+def drop_regions(planes: Tensor, area: int | Tensor) -> Tensor:
     """Drops every 8-connected region of fewer than ``area`` pixels.
 
     Args:
@@ -45,7 +47,7 @@ def drop_regions(planes: Tensor, area: int) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    if area <= 1:
+    if isinstance(area, int) and area <= 1:
         return planes
     segments = runs(planes)
     region = _regions(segments, planes.shape, diagonal=True)
@@ -53,7 +55,8 @@ def drop_regions(planes: Tensor, area: int) -> Tensor:
 
 
 def _paint_where(chosen: Tensor, segments: Runs, shape: torch.Size) -> Tensor:
-    return paint(Runs(*(column[chosen] for column in segments)), shape)
+    index = chosen.nonzero()[:, 0]
+    return paint(Runs(*(column.index_select(0, index) for column in segments)), shape)
 
 
 def _areas(segments: Runs, region: Tensor) -> Tensor:
@@ -63,23 +66,24 @@ def _areas(segments: Runs, region: Tensor) -> Tensor:
 
 def _total(region: Tensor, values: Tensor) -> Tensor:
     """Sum of the values of all runs of each run's region."""
-    sums = torch.zeros_like(region).index_add_(0, region, values.to(region.dtype))
-    return sums[region]
+    sums = torch.zeros_like(region).scatter_add(0, region, values.to(region.dtype))
+    return sums.index_select(0, region)
 
 
 def _regions(segments: Runs, shape: torch.Size, diagonal: bool) -> Tensor:
     """For each run, the number of the first run of its region."""
     upper, lower = _touching(segments, shape, diagonal)
-    region = torch.arange(segments.group.numel(), device=upper.device)
-    while True:
-        above, below = region[upper], region[lower]
+
+    def propagate(region: Tensor) -> tuple[Tensor, Tensor]:
+        above, below = (region.index_select(0, ends) for ends in (upper, lower))
         lowest = torch.minimum(above, below)
         hooked = region.scatter_reduce(0, above, lowest, "amin")
         hooked = hooked.scatter_reduce(0, below, lowest, "amin")
-        jumped = hooked[hooked]
-        if torch.equal(jumped, region):
-            return region
-        region = jumped
+        jumped = hooked.index_select(0, hooked)
+        return (jumped != region).any(), jumped
+
+    numbers = torch.arange(segments.group.numel(), device=upper.device)
+    return repeat_while(torch.ones((), dtype=torch.bool), propagate, numbers)[0]
 
 
 def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor, Tensor]:
@@ -89,14 +93,26 @@ def _touching(segments: Runs, shape: torch.Size, diagonal: bool) -> tuple[Tensor
     between its two ends, moved up by one row. ``diagonal`` widens this stretch by one column on
     each side.
     """
-    height, width = shape[1:]
+    count, height, width = shape
     pitch = width + 2
     row = (segments.group * (height + 1) + segments.y + 1) * pitch + 1
     first, last = row + segments.first, row + segments.last
     reach = pitch + int(diagonal)
-    begin = torch.searchsorted(last, first - reach)
-    end = torch.searchsorted(first, last - pitch + int(diagonal), right=True)
-    count = (end - begin).clamp_min(0)
-    lower = torch.repeat_interleave(count)
-    within = torch.arange(lower.numel(), device=lower.device) - (count.cumsum(0) - count)[lower]
-    return begin[lower] + within, lower
+    length = (LAYERS * count * (height + 1) + 1) * pitch
+    ends = torch.cat((first - reach, last - pitch + int(diagonal)))
+    begin, end = _rank(first, ends, length).view(2, -1).unbind()
+    before = F.pad(last, (1, 0), value=-1).index_select(
+        0, begin
+    )  # the run that begins at or left of an end
+    begin = begin - (before >= first - reach).long()
+    lower, within = repeated((end - begin).clamp_min(0))
+    return begin.index_select(0, lower) + within, lower
+
+
+def _rank(places: Tensor, given: Tensor, length: int) -> Tensor:
+    """For each given place, the number of sorted places up to it; all are below a length."""
+    if not is_exporting():
+        return torch.searchsorted(places, given, right=True)
+    ones = torch.ones_like(places, dtype=torch.int32)
+    marks = torch.zeros(length, dtype=torch.int32).scatter_add(0, places, ones)
+    return marks.cumsum(0, dtype=torch.int32).index_select(0, given).long()

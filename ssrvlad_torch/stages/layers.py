@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..taxonomy import LabelSpace
+from ..taxonomy import NO_LAYER, LabelSpace
 
 UNKNOWN = 255
 
@@ -137,4 +137,5 @@ def split(categories: Tensor) -> Tensor:
     Returns:
         ``(B, H, W)`` uint8 bit-planes, bit ``k`` set where the category is ``k``.
     """
-    return torch.ones_like(categories) << categories  # 1 << 8 has no bit in a byte
+    bits = torch.tensor([*(1 << k for k in range(NO_LAYER)), 0], dtype=torch.uint8)
+    return bits.to(categories.device)[categories.long()]

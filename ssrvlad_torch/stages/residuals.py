@@ -18,9 +18,11 @@ from .centroid import centroids
 from .components import drop_regions, fill_holes
 from .keypoints import end_points, intersections
 from .layers import split
+from .lengths import lengths
 from .morphology import open_and_close
 from .shape_context import log_polar_bins, shape_contexts
 from .skeleton import RULES, thin
+from .tracing import real
 
 
 class ResidualHistograms(NamedTuple):
@@ -53,14 +55,14 @@ class Residuals:
         Args:
             layers: ``(B, h, w)`` uint8, the layer of each pixel, 0 to 7 or `NO_LAYER`.
         """
-        config, (images, *grid) = self.config, layers.shape
+        config, (images, height, width) = self.config, layers.shape
         masks = masks_of(layers, config)
         keypoints = points(end_points(masks.skeleton) | intersections(masks.skeleton))
         centres = centroids(masks.clean)  # Eq. 1
         context = points(masks.skeleton) if config.context == "skeleton" else keypoints
 
-        limits, device = config.ring_limits(*grid), layers.device
-        bins = log_polar_bins(*grid, limits, config.sectors, device)
+        limits = lengths(config, height, width).ring_limits
+        bins = log_polar_bins(height, width, limits, config.sectors, layers.device)
         around_points = shape_contexts(keypoints, context, bins, images)
         around_centre = shape_contexts(centres, context, bins, images)
         shape = (images, -1, config.rings, config.sectors)
@@ -75,13 +77,10 @@ class Residuals:
 def masks_of(layers: Tensor, config: SSRVLADConfig) -> Masks:
     """The masks of the paper for the layers of pixels, ``(B, h, w)`` uint8: opening and closing,
     small holes filled, small regions dropped, thinning."""
-    grid = layers.shape[1], layers.shape[2]
     planes = split(layers)
-    opening = config.radius_pixels(config.opening, *grid)
-    closing = config.radius_pixels(config.closing, *grid)
-    closed = open_and_close(planes, opening, closing)
-    filled = fill_holes(closed, config.area_pixels(config.hole_area, *grid))
-    clean = drop_regions(filled, config.area_pixels(config.region_area, *grid))
+    sizes = lengths(config, layers.shape[1], layers.shape[2])
+    closed = open_and_close(planes, sizes.opening, sizes.closing)
+    clean = drop_regions(fill_holes(closed, sizes.hole_area), sizes.region_area)
     return Masks(planes, closed, clean, thin(clean, RULES[config.thinning]))
 
 
@@ -96,8 +95,10 @@ def aggregate(points: Tensor, centre: Tensor, counts: Tensor) -> Tensor:
         concatenated and normalised; exact zeros for an image in which every layer is zero.
     """
     residuals = points.flatten(2) - counts[..., None] * centre.flatten(2)  # Eq. 2, numerator
-    layers = F.normalize(residuals.double(), dim=-1)  # Eq. 2; zeros stay zeros
-    return F.normalize(layers.flatten(1), dim=-1).float()
+    layers = F.normalize(residuals.to(real()), dim=-1)  # Eq. 2; zeros stay zeros
+    descriptor = F.normalize(layers.flatten(1), dim=-1).float()
+    too_many = (points < 0).flatten(1).any(1, keepdim=True)  # only under export
+    return torch.where(too_many, torch.nan, descriptor)
 
 
 def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:

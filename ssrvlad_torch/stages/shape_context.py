@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
-from .bitplanes import LAYERS, Points, by_image
+from .bitplanes import LAYERS, Points, by_image, count_groups
+from .lengths import Length
+from .tracing import MOST, is_exporting, number_in, repeat_while
 
 PAIRS_AT_ONCE = 1 << 16
 """Most pairs of points in memory at a time, not counting those of the last reference point: a few
@@ -17,15 +20,16 @@ megabytes for any number of points."""
 MOST_PAIRS = 4
 """Pairs of points for each offset of the table; of more, a correlation is faster than a list."""
 
-ROWS_AT_ONCE = 64
-"""Rows of the table of bins that are computed at a time."""
+_BASE = 512
+_DIGITS = 5
+"""Digits of a slope after the point: 45 bits."""
 
 
 class Bins(NamedTuple):
     """The target-shaped template of the shape context, as a table over offsets.
 
     Attributes:
-        table: ``(2H - 1, 2W - 1)`` int16. The entry at ``(dy + H - 1, dx + W - 1)`` is the bin of
+        table: ``(2H - 1, 2W - 1)`` int32. The entry at ``(dy + H - 1, dx + W - 1)`` is the bin of
             the offset ``(dy, dx)``, ``ring * M + sector``, or ``total`` for the reference point
             itself and for what is farther than the last ring.
         total: N * M, the number of bins.
@@ -50,21 +54,27 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         images: B.
 
     Returns:
-        ``(B, 8, N * M)`` int64.
+        ``(B, 8, N * M)`` int64. Under export -1 for a layer of 2 ** 31 pairs or more.
     """
     pitch = bins.table.shape[1]
     groups, stride = LAYERS * images, bins.total + 1
     context_position = context.y * pitch + context.x
-    population = torch.bincount(context.group, minlength=groups)
+    population, members = (count_groups(each, images) for each in (context, references))
     group_start = population.cumsum(0) - population
+    reference_position = references.y * pitch + references.x - bins.table.numel() // 2
+    if is_exporting():
+        positions = context_position, reference_position
+        counts = _one_by_one(*positions, references.group, group_start, population, bins)
+        too_many = population.float() * members.float() >= MOST  # some count in int32
+        counts = torch.where(too_many[:, None], -1, counts.view(groups, stride)[:, : bins.total])
+        return by_image(counts, images)
     counts = torch.zeros(groups * stride, dtype=torch.int64, device=bins.table.device)
-    sums = population * torch.bincount(references.group, minlength=groups)
-    dense = sums > MOST_PAIRS * bins.table.numel()
+    dense = population * members > MOST_PAIRS * bins.table.numel()
     for group in dense.nonzero()[:, 0].tolist():
         around, among = (_chosen(each, each.group == group) for each in (references, context))
         counts[group * stride : (group + 1) * stride] = _correlated(around, among, bins)
-    references = _chosen(references, ~dense[references.group])
-    reference_position = references.y * pitch + references.x - bins.table.numel() // 2
+    listed = ~dense[references.group]
+    references, reference_position = _chosen(references, listed), reference_position[listed]
     pairs = population[references.group]
     chunk = (pairs.cumsum(0) - pairs) // PAIRS_AT_ONCE
     for part in torch.arange(len(pairs), device=pairs.device).split(torch.bincount(chunk).tolist()):
@@ -79,6 +89,31 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         bin_index += bins.table.flatten().index_select(0, offset)
         counts += torch.bincount(bin_index, minlength=groups * stride)
     return by_image(counts.view(groups, stride)[:, : bins.total], images)
+
+
+def _one_by_one(
+    context: Tensor,
+    references: Tensor,
+    group: Tensor,
+    start: Tensor,
+    population: Tensor,
+    bins: Bins,
+) -> Tensor:
+    """Counts of each bin of each group, by a loop over the reference points."""
+    stride = bins.total + 1
+
+    def count(step: Tensor, counts: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        of = group[step]
+        first, length = number_in(start[of]), number_in(population[of])
+        torch._check(first + length <= context.shape[0])
+        points = context.narrow(0, first, length) - references[step]
+        found = bins.table.flatten().index_select(0, points) + of * stride
+        counts = counts.scatter_add(0, found, torch.ones_like(found))
+        return (step + 1 < references.shape[0]).all(), step + 1, counts
+
+    zeros = torch.zeros(start.shape[0] * stride, dtype=torch.int64)
+    some = torch.full((), references.shape[0]) > 0
+    return repeat_while(some, count, torch.zeros(1, dtype=torch.int64), zeros)[1]
 
 
 def _correlated(references: Points, context: Points, bins: Bins) -> Tensor:
@@ -103,9 +138,8 @@ def _chosen(points: Points, which: Tensor) -> Points:
     return Points(*(column[which] for column in points))
 
 
-@lru_cache(maxsize=8)
 def log_polar_bins(
-    height: int, width: int, limits: tuple[int, ...], sectors: int, device: torch.device
+    height: int, width: int, limits: Sequence[Length], sectors: int, device: torch.device
 ) -> Bins:
     """The template for images of one size.
 
@@ -118,20 +152,39 @@ def log_polar_bins(
         device: of the table.
     """
     total = len(limits) * sectors
-    table = torch.empty((2 * height - 1, 2 * width - 1), dtype=torch.int16, device=device)
-    dx = torch.arange(1 - width, width, device=device)
-    rows = torch.arange(1 - height, height, device=device)[:, None]
-    for part, dy in zip(table.split(ROWS_AT_ONCE), rows.split(ROWS_AT_ONCE), strict=True):
-        squared = dy * dy + dx * dx
-        ring = sum((squared > limit).to(torch.int64) for limit in limits)
-        sector = _sectors(dy, dx, sectors)
-        inside = (squared > 0) & (squared <= limits[-1])
-        part.copy_(torch.where(inside, ring * sectors + sector, total))
-    return Bins(table, total)
+    dx = torch.arange(1 - width, width, device=device, dtype=torch.int32)
+    dy = torch.arange(1 - height, height, device=device, dtype=torch.int32)[:, None]
+    squared = dy * dy + dx * dx
+    *beyond, outside = (squared - limit > 0 for limit in limits)  # some compare in float32
+    bins = _sectors(dy, dx, sectors)
+    for each in beyond:
+        bins = bins + each.int() * sectors
+    return Bins(torch.where(outside | (squared == 0), total, bins), total)
 
 
 def _sectors(dy: Tensor, dx: Tensor, sectors: int) -> Tensor:
-    """The sector of each offset. Integer offsets lie on a boundary only at multiples of 45 degrees;
-    all others are farther from it than the added 1e-12, which is above the rounding error."""
-    turn = torch.atan2(dy.double(), dx.double()) / (2 * torch.pi)
-    return torch.floor(turn * sectors + 1e-12).to(torch.int64) % sectors
+    """The sector of each offset. A boundary at angle a is crossed at dx = dy / tan(a); points on it
+    are in the sector that begins there. Offsets above are turned by half a circle."""
+    half, odd = divmod(sectors, 2)
+    above = (dy < 0) | ((dy == 0) & (dx < 0))
+    sector: Tensor = above.int() * half
+    column = torch.where(above, -dx, dx)
+    for number in range(1, half + odd):
+        angle = 2 * math.pi * number / sectors
+        crossing = _crossing(dy.abs(), angle)
+        if odd:
+            turned = _crossing(dy.abs(), angle + 2 * math.pi * half / sectors - math.pi)
+            crossing = torch.where(dy < 0, turned, crossing)
+        sector = sector + (column <= crossing).int()
+    return sector
+
+
+def _crossing(dy: Tensor, angle: float) -> Tensor:
+    """dy / tan(angle), rounded down, from digits to the base 512, whose products are exact in
+    float32, in which some runtimes divide integers."""
+    slope: int = round(math.cos(angle) / math.sin(angle) * _BASE**_DIGITS)
+    carried = torch.zeros_like(dy)
+    for place in range(_DIGITS):
+        carried = (dy * (slope // _BASE**place % _BASE) + carried) // _BASE
+    crossing: Tensor = dy * (slope // _BASE**_DIGITS) + carried
+    return crossing

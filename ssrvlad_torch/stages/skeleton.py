@@ -4,13 +4,15 @@ Both variants delete, in two alternating sub-iterations, the pixels whose eight 
 p2 ... p9 (N, NE, E, SE, S, SW, W, NW) satisfy the published conditions, until neither
 sub-iteration deletes anything. What is outside the image is background.
 
-The batch lies in one line of 64-bit words: a word is eight pixels of a row times eight layers, the
-leftmost pixel in the lowest byte. Each row ends with at least one background pixel and each image
-with a background row, so the neighbours of a word are the words one pitch before and after it,
-and the pixels beside a pixel are a byte's shift away.
+The batch lies in one line of words: three pixels of a row times eight layers, the leftmost pixel in
+the lowest byte. Each row ends with at least one background pixel and each image with a background
+row, so the neighbours of a word are the words one pitch before and after it. Words are int32 and
+never negative, and are shifted by products and quotients: these are exact also in runtimes that
+compute in float32 or cut int64 to 32 bits.
 
-A word can change only if a word around it changed in one of the last two sub-iterations. After the
-first two, `thin` processes such words only: most of an image is final early.
+A word can change only if a pixel around it changed in one of the last two sub-iterations. `thin`
+processes such words only, which are called the frontier; at first they are those with a pixel that
+has background N, E, S or W of it: no rule deletes another one.
 """
 
 from __future__ import annotations
@@ -21,16 +23,20 @@ from operator import and_, or_
 from typing import Protocol
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from .bitplanes import Bits, line_neighbours, steps_around, two_or_more
+from .tracing import MOST, length, repeat_while
 
-PIXELS = 8
+PIXELS = 3
 """Pixels of a row in a word."""
 
-Ring = tuple[Tensor, ...]
+_SECOND, _THIRD, _ALL = 1 << 8, 1 << 16, (1 << 24) - 1
+"""The lowest bits of the second and the third pixel of a word, and all bits."""
 
-_ALL_BUT_TOP_BYTE = (1 << 56) - 1
+_BLOCK = 16
+"""Words of which one bool says whether any of them belongs to the frontier."""
 
 
 class Rule(Protocol):
@@ -51,20 +57,44 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
         ``(B, H, W)`` uint8 bit-planes.
     """
     line, pitch = _to_line(planes)
-    pixels = _within_margins(line, pitch)
-    changed = []
-    for first in (True, False):
-        length = line.shape[0] - 2 * (pitch + 1)
-        remaining = rule(*line_neighbours(line, pitch, length, _shifted), first)
-        changed.append((remaining != pixels).nonzero()[:, 0] + pitch + 1)
-        pixels.copy_(remaining)
-    while len(changed[0]) + len(changed[1]):
-        for first in (True, False):
-            frontier = _around(torch.cat(changed), line, pitch)
-            centre, ring = _neighbourhood_of(frontier, line, pitch)
-            remaining = rule(centre, ring, first)
-            line[frontier] = remaining
-            changed = [changed[1], frontier[remaining != centre]]
+    margin = pitch + 1
+    words = line.shape[0] - 2 * margin
+    centre, (north, _, east, _, south, _, west, _) = line_neighbours(line, pitch, words, _shifted)
+    border = centre & ~(north & east & south & west) != 0
+    rows = torch.stack([torch.full((), row, device=line.device) for row in (0, pitch, 2 * pitch)])
+    around = rows[:, None] + torch.arange(3, device=line.device)[:, None, None]
+    one_row = line.new_empty(pitch)  # an exported loop takes tensors, and no sizes
+
+    def near(flags: Tensor, line: Tensor) -> Tensor:
+        """Numbers of the words with pixels that have a flag at, above or below them."""
+        pitch, words = one_row.shape[0], border.shape[0]
+        above, here, below = (flags[pitch * row + 1 :][:words] for row in range(3))
+        flagged = (above | here | below) & (line[pitch + 1 :][:words] != 0)
+        by_block = flagged.view(-1, _BLOCK)
+        blocks = by_block.to(torch.uint8).amax(1).nonzero()[:, 0]
+        torch._check(blocks.shape[0] <= MOST)
+        row, word = by_block.index_select(0, blocks).nonzero().unbind(1)
+        return blocks.index_select(0, row) * _BLOCK + word
+
+    def sub_iteration(line: Tensor, flags: Tensor, first: bool) -> tuple[Tensor, Tensor, Tensor]:
+        frontier = near(flags, line)
+        nine = line.index_select(0, (frontier + around).flatten())
+        before, here, after = nine.view(3, 3, -1).unbind(0)
+        west, east = _shifted(before, here, after)
+        ring = here[0], east[0], east[1], east[2], here[2], west[2], west[1], west[0]
+        thinned = rule(here[1], ring, first)
+        index, deleted = frontier + one_row.shape[0] + 1, here[1] - thinned
+        line = line.scatter(0, index, thinned)
+        return line, _flags(index, deleted, line), deleted.sum() > 0
+
+    def iteration(line: Tensor, *recent: Tensor) -> tuple[Tensor, ...]:
+        line, flags, some = sub_iteration(line, recent[0] | recent[1], first=True)
+        line, last_flags, more = sub_iteration(line, recent[1] | flags, first=False)
+        return some | more, line, flags, last_flags
+
+    start = F.pad(border, (margin, margin))
+    going = torch.ones((), dtype=torch.bool)
+    line = repeat_while(going, iteration, line, start, start.clone())[0]
     return _to_planes(line, pitch, planes.shape)
 
 
@@ -126,49 +156,38 @@ RULES: dict[str, Rule] = {"zhang-suen": zhang_suen, "guo-hall": guo_hall}
 
 
 def _to_line(planes: Tensor) -> tuple[Tensor, int]:
-    """``(L + 2 * (pitch + 1),)`` int64 words with margins of background, and words per row."""
-    count, height, width = planes.shape
+    """``(L + 2 * (pitch + 1),)`` int32 words with margins of background, and words per row; L is a
+    multiple of `_BLOCK`."""
+    width = planes.shape[2]
     pitch = width // PIXELS + 1
-    length = count * (height + 1) * pitch
-    line = torch.zeros(length + 2 * (pitch + 1), dtype=torch.int64, device=planes.device)
-    rows = _within_margins(line, pitch).view(torch.uint8).view(count, height + 1, -1)
-    rows[:, :height, :width] = planes
-    return line, pitch
+    pixels = F.pad(planes, (0, pitch * PIXELS - width, 0, 1)).reshape(-1, PIXELS).int()
+    line = pixels[:, 0] + pixels[:, 1] * _SECOND + pixels[:, 2] * _THIRD
+    whole = length((line.shape[0] + _BLOCK - 1) // _BLOCK) * _BLOCK
+    return F.pad(line, (pitch + 1, pitch + 1 + whole - line.shape[0])), pitch
 
 
 def _to_planes(line: Tensor, pitch: int, shape: torch.Size) -> Tensor:
     count, height, width = shape
-    rows = _within_margins(line, pitch).view(torch.uint8).view(count, height + 1, -1)
+    words = line[pitch + 1 :][: count * (height + 1) * pitch]
+    pixels = torch.stack([words & 255, words // _SECOND & 255, words // _THIRD], 1)
+    rows = pixels.to(torch.uint8).view(count, height + 1, pitch * PIXELS)
     return rows[:, :height, :width].contiguous()
-
-
-def _within_margins(line: Tensor, pitch: int) -> Tensor:
-    return line[pitch + 1 : line.shape[0] - pitch - 1]
-
-
-def _neighbourhood_of(index: Tensor, line: Tensor, pitch: int) -> tuple[Tensor, Ring]:
-    """The words at an index and the neighbours of their pixels."""
-    rows = torch.tensor((-pitch, 0, pitch), device=line.device)[:, None] + index
-    words = [line.index_select(0, rows.flatten() + step).view(3, -1) for step in (-1, 0, 1)]
-    west, east = _shifted(*words)
-    here = words[1]
-    return here[1], (here[0], east[0], east[1], east[2], here[2], west[2], west[1], west[0])
 
 
 def _shifted(before: Tensor, here: Tensor, after: Tensor) -> tuple[Tensor, Tensor]:
     """Two sets of words: their pixels are the west, and the east, neighbours of those of `here`."""
-    west = here << 8 | (before >> 56 & 255)
-    east = (here >> 8 & _ALL_BUT_TOP_BYTE) | after << 56
+    west = (here * _SECOND & _ALL) + before // _THIRD
+    east = here // _SECOND + (after * _THIRD & _ALL)
     return west, east
 
 
-def _around(changed: Tensor, line: Tensor, pitch: int) -> Tensor:
-    """Indices of the words that changed and of those around them, each once, in order."""
-    near = torch.zeros_like(line, dtype=torch.bool)
-    for row in (-pitch, 0, pitch):
-        for step in (-1, 0, 1):
-            near[changed + (row + step)] = True
-    return _within_margins(near, pitch).nonzero()[:, 0] + pitch + 1
+def _flags(index: Tensor, deleted: Tensor, line: Tensor) -> Tensor:
+    """bool, set for words with deleted pixels, and for words to the right and left of them whose
+    adjacent pixel was deleted."""
+    indices = torch.cat([index, index + 1, index - 1])
+    changed = torch.cat([deleted > 0, deleted >= _THIRD, deleted & 255 > 0])
+    zeros = torch.zeros_like(line, dtype=torch.uint8)
+    return zeros.scatter_add(0, indices, changed.to(torch.uint8)).to(torch.bool)
 
 
 def _exactly_one(planes: Sequence[Bits]) -> Bits:

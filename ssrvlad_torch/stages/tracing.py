@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, cast
 
 import torch
+from torch import Tensor
 
 MAX_WHOLE = 1 << 24
 """Whole numbers up to this one are exact in float32."""
+
+MOST = 1 << 31
+"""Of entries in a list. Without a limit, the exporter writes larger numbers than int64 holds."""
 
 
 def is_exporting() -> bool:
@@ -27,6 +32,47 @@ def length(size: int) -> int:
     `torch.export` takes minutes over long formulas."""
     if isinstance(size, int):
         return size
-    symbol: Any = torch.full((), size).item()
+    symbol = number_in(torch.full((), size))
     torch._check(symbol >= 1)
+    return symbol
+
+
+def number_in(tensor: Tensor) -> int:
+    """The number in a ``()`` or ``(1,)`` tensor, 0 to 2 ** 31, as a size or an index."""
+    symbol: Any = tensor.item()
+    torch._check(symbol >= 0)
+    torch._check(symbol <= MOST)
     return cast(int, symbol)
+
+
+def repeat_while(
+    going: Tensor, body: Callable[..., tuple[Tensor, ...]], *carried: Tensor
+) -> tuple[Tensor, ...]:
+    """``going, *carried = body(*carried)`` while ``going``, ``()`` bool, is true."""
+    if is_exporting():
+        from torch._higher_order_ops.while_loop import while_loop
+
+        results: tuple[Tensor, ...] = while_loop(
+            lambda going, *_: going.clone(), lambda _, *state: body(*state), (going, *carried)
+        )
+        return results[1:]
+    while going:
+        going, *state = body(*carried)
+        carried = tuple(state)
+    return carried
+
+
+def divided(number: Tensor, estimate: Tensor, divisor: Tensor | int) -> tuple[Tensor, Tensor]:
+    """Quotient, rounded down, and remainder of a number that its dtype may not hold, as some
+    runtimes cut int64 to 32 bits. The remainder of a guess is small, so it is exact in spite of the
+    overflow, and corrects the guess.
+
+    Args:
+        number: ``(n,)`` integers, modulo 2 ** 32.
+        estimate: ``(n,)`` the quotient; rounded down it is off by at most 1.
+        divisor: above 0, at most a billion.
+    """
+    guess = estimate.floor().to(number.dtype)
+    rest = number - guess * divisor
+    more, less = (rest >= divisor).to(number.dtype), (rest < 0).to(number.dtype)
+    return guess + more - less, rest - (more - less) * divisor

@@ -29,9 +29,8 @@ def verify(
     ),
     as_json: Json = False,
 ) -> None:
-    """Compare an exported or fused file with the PyTorch module: on its golden pair, on drawn
-    label maps, and on --labels. The verdict is exact, wrong, or cannot run; the exit code is 1
-    unless it is exact.
+    """Compare an exported or fused file with the PyTorch module: on its golden pair, and on
+    --labels. The verdict is exact, wrong, or cannot run; the exit code is 1 unless it is exact.
 
     Example: ssrvlad verify place.onnx --provider CPUExecutionProvider
     """

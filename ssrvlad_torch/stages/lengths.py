@@ -1,0 +1,76 @@
+"""The settings of the paper's method in pixels of a grid, by the integer rules of `SSRVLADConfig`.
+
+Under export the size of the grid is a symbol, and a length, an area or a squared distance times a
+fraction is a product of whole numbers of up to sixty bits, which some runtimes cut to 32 silently.
+So it is divided in two steps, as by hand, see `divided`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from ..config import SSRVLADConfig
+from .tracing import divided, is_exporting
+
+_MILLION = 10**6
+_BILLION = 10**9
+_BASE = 1 << 12
+
+Length = int | Tensor
+"""An integer; under export ``()`` int32."""
+
+
+class Lengths(NamedTuple):
+    """Radii, areas and squared distances in pixels of a grid."""
+
+    opening: Length
+    closing: Length
+    hole_area: Length
+    region_area: Length
+    ring_limits: Sequence[Length]
+
+
+def lengths(config: SSRVLADConfig, height: int, width: int) -> Lengths:
+    """`SSRVLADConfig.radius_pixels`, `area_pixels` and `ring_limits` of a grid. What is 0 on every
+    grid is the integer 0."""
+    radii, areas = (config.opening, config.closing), (config.hole_area, config.region_area)
+    opening: Length
+    closing: Length
+    hole: Length
+    region: Length
+    if not is_exporting():
+        opening, closing = (config.radius_pixels(each, height, width) for each in radii)
+        hole, region = (config.area_pixels(each, height, width) for each in areas)
+        return Lengths(opening, closing, hole, region, config.ring_limits(height, width))
+    h, w = (torch.full((), size).int() for size in (height, width))
+    parts = [config.radius_pixels(fraction, _MILLION, _MILLION) for fraction in radii]
+    opening, closing = _floors(torch.minimum(h, w), parts, _MILLION, _MILLION // 2)
+    area_parts = [config.area_pixels(fraction, 1, _MILLION) for fraction in areas]
+    hole, region = _floors(h * w, area_parts, _MILLION, _MILLION - 1)
+    limits = config.ring_limits(30_000, 10_000)  # the squares of these sides sum to a billion
+    ring_limits = _floors(h * h + w * w, limits, _BILLION)
+    return Lengths(opening, closing, hole, region, ring_limits)
+
+
+def _floors(amount: Tensor, parts: Sequence[int], unit: int, offset: int = 0) -> list[Length]:
+    """``(parts * amount + offset) / unit``, rounded down; 0 for a part of 0.
+
+    Args:
+        amount: ``()`` int32, not negative.
+        parts: whole numbers up to the unit.
+        unit: at most a billion.
+        offset: below the unit.
+    """
+    whole = torch.tensor(parts, dtype=torch.int32)
+    share = torch.tensor([part / unit for part in parts])
+    high = amount // _BASE
+    low = amount - high * _BASE
+    first, rest = divided(whole * high, share * high.float(), unit)
+    estimate = rest.float() * (_BASE / unit) + share * low.float() + offset / unit
+    second, _ = divided(rest * _BASE + whole * low + offset, estimate, unit)
+    floors = (first * _BASE + second).unbind()
+    return [floor if part else 0 for floor, part in zip(floors, parts, strict=True)]
