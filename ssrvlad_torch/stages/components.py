@@ -80,7 +80,7 @@ def _regions(segments: Runs, shape: torch.Size, diagonal: bool) -> Tensor:
         hooked = region.scatter_reduce(0, above, lowest, "amin")
         hooked = hooked.scatter_reduce(0, below, lowest, "amin")
         jumped = hooked.index_select(0, hooked)
-        return (jumped != region).any(), jumped
+        return (jumped != region).sum() > 0, jumped  # any() of nothing is true in some runtimes
 
     numbers = torch.arange(segments.group.numel(), device=upper.device)
     return repeat_while(torch.ones((), dtype=torch.bool), propagate, numbers)[0]
