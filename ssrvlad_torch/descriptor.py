@@ -123,7 +123,7 @@ class SSRVLAD(nn.Module):
 
         Returns:
             descriptors as of a call, ``(B,)`` int64, and of ``paper`` ``(B, 8)`` int64, the number
-            of keypoints of each layer.
+            of keypoints of each layer, and ``(B, h, w)`` uint8, the skeletons as bit-planes.
         """
         layers, unknown = self._front_end.counted(label_map(labels, self.label_space))
         descriptor, *counts = self._describe_layers(layers)
@@ -133,7 +133,7 @@ class SSRVLAD(nn.Module):
         histograms = self._aggregation.histograms(layers)
         descriptor = self._aggregation.descriptor(histograms)
         if isinstance(histograms, ResidualHistograms):
-            return descriptor, histograms.counts
+            return descriptor, histograms.counts, histograms.skeleton
         return (descriptor,)
 
     # torch.compiler.disable would load torch's compiler when this module is imported

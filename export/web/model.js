@@ -13,7 +13,6 @@ const MAX_OTHER_PIXELS = 0.01;
 const MAX_OTHER_SIGNS = 0.01;
 const MIN_COSINE = 0.8;
 const MAX_GOLDEN_BYTES = 1 << 26;
-const PIXELS_OF_WORD = 3;
 const ARRAYS = {
   uint8: Uint8Array,
   int32: Int32Array,
@@ -70,7 +69,7 @@ export class Model {
     return this.#described(outputs, height, width);
   }
 
-  /** Of a label map: `descriptor` and, if the graph has one, `skeleton`; see `unpackedSkeleton`. */
+  /** Of a label map: `descriptor` and, if the graph has one, `skeleton`; rows * columns bytes, bit k is layer k. */
   async describe({ labels, height, width }) {
     if (this.input !== "labels") throw new Error("label maps need a file of --input labels");
     const shape = [1, height, width];
@@ -84,7 +83,7 @@ export class Model {
   }
 
   #described(outputs, height, width) {
-    const { unknown, descriptor, features, skeleton } = outputs;
+    const { unknown, descriptor, features } = outputs;
     if (unknown[0])
       throw new Error(`${unknown[0]} pixels have an id outside label space ${this.space.name}`);
     if (!descriptor.every(Number.isFinite))
@@ -92,7 +91,7 @@ export class Model {
     if (features && !features.some((signs) => signs))
       throw new Error("the activations of the network are not finite, or the same everywhere");
     const grid = workingGrid(this.config.working_size, height, width);
-    return { ...outputs, ...grid, skeleton: skeleton && unpackedSkeleton(skeleton, grid) };
+    return { ...outputs, ...grid };
   }
 
   /**
@@ -182,20 +181,4 @@ function workingGrid(size, height, width) {
   if (size === null || size >= shorter) return { rows: height, columns: width };
   const rounded = (side) => Math.floor((2 * side * size + shorter) / (2 * shorter));
   return { rows: rounded(height), columns: rounded(width) };
-}
-
-/**
- * ``rows * columns`` bytes; bit k is layer k. In the graph a row has ``pitch`` int32 words of three
- * pixels, and the line begins with a margin of ``pitch + 1`` words.
- */
-function unpackedSkeleton(line, { rows, columns }) {
-  const pitch = Math.floor(columns / PIXELS_OF_WORD) + 1;
-  if (line.length < (rows + 1) * pitch + 2 * (pitch + 1))
-    throw new Error("the skeleton in the graph has another layout");
-  const bytes = new Uint8Array(line.buffer, line.byteOffset, line.byteLength);
-  return Uint8Array.from({ length: rows * columns }, (_, at) => {
-    const [y, x] = [Math.floor(at / columns), at % columns];
-    const word = pitch + 1 + y * pitch + Math.floor(x / PIXELS_OF_WORD);
-    return bytes[4 * word + (x % PIXELS_OF_WORD)];
-  });
 }

@@ -3,7 +3,7 @@
 
 const MODEL = { graph: 7, metadata: 14 };
 const GRAPH = { node: 1, output: 12 };
-const NODE = { output: 2, name: 3, operator: 4 };
+const NODE = { output: 2 };
 const LENGTH_DELIMITED = 2;
 
 const decoder = new TextDecoder();
@@ -19,12 +19,12 @@ export function metadataOf(file) {
   return properties;
 }
 
-/** Name of the tensor that holds the skeleton with margins, or null. */
+/** Name of the tensor that holds the skeletons, or null. */
 export function skeletonTensor(file) {
   for (const graph of messages(file, MODEL.graph)) {
     for (const node of messages(graph, GRAPH.node)) {
-      const isThinning = /(^|\/)skeleton\/Loop/.test(text(node, NODE.name));
-      if (isThinning && text(node, NODE.operator) === "Loop") return text(node, NODE.output);
+      const name = text(node, NODE.output);
+      if (/(^|\/)skeleton$/.test(name)) return name;
     }
   }
   return null;

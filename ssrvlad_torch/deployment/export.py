@@ -24,6 +24,10 @@ if TYPE_CHECKING:
 INPUTS = ("labels", "logits")
 DTYPES = ("uint8", "int32", "int64")
 
+SKELETON = "skeleton"
+"""Of ``paper``: a tensor that is no output, for programs that draw it, ``(B, h, w)`` uint8
+bit-planes."""
+
 _MAX_IMAGES = _MAX_PIXELS = 1 << 24
 _IR_VERSION = 8
 """The newest that ONNX Runtime 1.17 reads."""
@@ -135,8 +139,12 @@ def _graph(
         "unknown": [axes[0]],
     }
     if config.aggregation == "residuals":
-        outputs["keypoints"] = [axes[0], CATEGORY_COUNT]
-    return traced(_Counted(head), {input: (example, axes)}, outputs)
+        outputs |= {"keypoints": [axes[0], CATEGORY_COUNT], SKELETON: [axes[0], None, None]}
+    model = traced(_Counted(head), {input: (example, axes)}, outputs)
+    shown = [value for value in model.graph.output if value.name != SKELETON]
+    del model.graph.output[:]
+    model.graph.output.extend(shown)
+    return model
 
 
 def _check(

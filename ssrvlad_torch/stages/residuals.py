@@ -32,11 +32,13 @@ class ResidualHistograms(NamedTuple):
         points: ``(B, 8, N, M)``, the sum of all d_i of each layer.
         centre: ``(B, 8, N, M)``, d_c of each layer.
         counts: ``(B, 8)``, the number of keypoints of each layer.
+        skeleton: ``(B, h, w)`` uint8 bit-planes, what was counted.
     """
 
     points: Tensor
     centre: Tensor
     counts: Tensor
+    skeleton: Tensor
 
 
 class Residuals:
@@ -67,11 +69,12 @@ class Residuals:
         around_centre = shape_contexts(centres, context, bins, images)
         shape = (images, -1, config.rings, config.sectors)
         counts = count_points(keypoints, images)
-        return ResidualHistograms(around_points.view(shape), around_centre.view(shape), counts)
+        sums = around_points.view(shape), around_centre.view(shape)
+        return ResidualHistograms(*sums, counts, masks.skeleton)
 
     def descriptor(self, histograms: ResidualHistograms) -> Tensor:
         """``(B, 8 * N * M)`` float32 descriptors."""
-        return aggregate(*histograms)  # Eq. 2
+        return aggregate(*histograms[:3])  # Eq. 2
 
 
 def masks_of(layers: Tensor, config: SSRVLADConfig) -> Masks:
