@@ -47,13 +47,8 @@ class InputError(ValueError):
 
 
 def check_regular(path: str | os.PathLike[str]) -> None:
-    """Checks that a path, or the target of a link, is a regular file: reading a pipe can block for
-    ever, and a device has no end.
-
-    Raises:
-        InputError: it is a folder, a pipe, a socket or a device.
-        OSError: it does not exist.
-    """
+    """Raises an InputError unless a path, or the target of a link, is a regular file: reading a
+    pipe can block for ever, and a device has no end."""
     mode = Path(path).stat().st_mode
     if not stat.S_ISREG(mode):
         kind = next(name for is_kind, name in _KINDS if is_kind(mode))
@@ -61,17 +56,8 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 
 
 def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
-    """The content of a file.
-
-    Args:
-        path: the file.
-        limit: largest size in bytes; by default the environment variable ``SSRVLAD_FILE_LIMIT``,
-            or 256 MiB.
-
-    Raises:
-        InputError: it is larger, or not a regular file.
-        OSError: it cannot be read.
-    """
+    """The content of a regular file of at most ``limit`` bytes, by default the environment variable
+    ``SSRVLAD_FILE_LIMIT``, or 256 MiB; another file is an InputError."""
     check_regular(path)
     with Path(path).open("rb") as file:
         size = os.fstat(file.fileno()).st_size
@@ -80,11 +66,7 @@ def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
 
 
 def check_size(size: int, name: object, limit: int | None = None) -> None:
-    """Checks the size of a file in bytes before it is read; ``limit`` as for `read_bytes`.
-
-    Raises:
-        InputError: it is larger.
-    """
+    """Refuses a size in bytes above the limit of `read_bytes` by an InputError."""
     hint = "" if limit else " (SSRVLAD_FILE_LIMIT)"
     limit = limit or _limit("SSRVLAD_FILE_LIMIT", _MAX_BYTES)
     if size > limit:
@@ -103,12 +85,8 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
 
 
 def parse_yaml(text: str, name: object) -> Any:
-    """A YAML document as plain values.
-
-    Raises:
-        InputError: it is not YAML, is nested too deeply, or has aliases, with which a short text
-            can expand to a huge one.
-    """
+    """A YAML document as plain values. Other text, deep nesting, and aliases, with which a short
+    text can expand to a huge one, are an InputError."""
     with input_errors(name, "not plain YAML"):
         return yaml.load(text, _PlainLoader)
 
@@ -119,11 +97,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
 
 
 def parse_json(text: str, name: object) -> Any:
-    """A JSON value.
-
-    Raises:
-        InputError: it is not JSON, has a key twice, or is nested too deeply.
-    """
+    """A JSON value; other text, a key twice, and deep nesting are an InputError."""
     with input_errors(name, "not JSON"):
         return json.loads(text, object_pairs_hook=_without_repeated_keys)
 
@@ -137,11 +111,8 @@ def _without_repeated_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def parse_npy(content: bytes) -> npt.NDArray[Any]:
-    """The array in the content of a ``.npy`` file.
-
-    Raises:
-        InputError: it is damaged, holds Python objects, or its length does not fit its header.
-    """
+    """The array in the content of a ``.npy`` file; damage, Python objects, and a length that does
+    not fit the header are an InputError."""
     file = io.BytesIO(content)
     shape, _, dtype = npy_header(file)
     expected, size = math.prod(shape) * dtype.itemsize, len(content) - file.tell()
@@ -160,11 +131,7 @@ def npy_bytes(array: npt.NDArray[Any]) -> bytes:
 
 
 def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
-    """Shape, Fortran order and dtype in the header of a ``.npy`` file; reads up to its end.
-
-    Raises:
-        ValueError: it is damaged.
-    """
+    """Shape, Fortran order and dtype of a ``.npy`` header, read up to its end; or ValueError."""
     version = npy.read_magic(file)
     read = npy.read_array_header_1_0 if version[0] == 1 else npy.read_array_header_2_0
     header: tuple[tuple[int, ...], bool, np.dtype[Any]] = read(file)
@@ -173,10 +140,7 @@ def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
     """The arrays in a ``.npz`` archive by name; their total size has the limit of `read_bytes`.
-
-    Raises:
-        InputError: it is damaged, too large, or holds Python objects.
-    """
+    Damage and Python objects are an InputError."""
     with input_errors(path, "not a .npz archive"):
         archive = zipfile.ZipFile(io.BytesIO(read_bytes(path)))
         entries = archive.infolist()
@@ -185,12 +149,8 @@ def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
 
 
 def check_pixels(height: int, width: int) -> None:
-    """Checks the size of a picture before it is decoded: a small file can hold many pixels.
-
-    Raises:
-        InputError: it has more pixels than the environment variable ``SSRVLAD_PIXEL_LIMIT``, or by
-            default 64 million.
-    """
+    """Raises an InputError for a picture of more pixels than the environment variable
+    ``SSRVLAD_PIXEL_LIMIT``, or 64 million, before it is decoded: a small file can hold many."""
     limit = _limit("SSRVLAD_PIXEL_LIMIT", _MAX_PIXELS)
     if height * width > limit:
         raise InputError(
@@ -207,11 +167,18 @@ def _limit(name: str, default: int) -> int:
 
 
 @contextmanager
-def input_errors(name: object, problem: str) -> Iterator[None]:
-    """Turns whatever the body raises into an `InputError`: "NAME is PROBLEM: REASON".
+def requiring(extra: str, needs: str) -> Iterator[None]:
+    """Turns an ImportError of the body into one that names the extra: "NEEDS: pip install ..."."""
+    try:
+        yield
+    except ImportError as error:
+        raise ImportError(f"{needs}: pip install ssrvlad-torch[{extra}]") from error
 
-    An `InputError` or an `OSError` passes unchanged.
-    """
+
+@contextmanager
+def input_errors(name: object, problem: str) -> Iterator[None]:
+    """Turns whatever the body raises into an `InputError`: "NAME is PROBLEM: REASON". An
+    `InputError` or an `OSError` passes unchanged."""
     try:
         yield
     except (InputError, OSError):
@@ -222,12 +189,8 @@ def input_errors(name: object, problem: str) -> Iterator[None]:
 
 
 def check_output(path: Path) -> Path:
-    """The file to write for an output path: ``path``, or the target of a link.
-
-    Raises:
-        OSError: ``path`` is a folder, a device or a pipe, or its folder does not exist. The message
-            has ``path`` as it was given.
-    """
+    """The file to write for an output path: ``path``, or the target of a link. A folder, a device
+    or a pipe, and a path in no folder, are an OSError with ``path`` as it was given."""
     if path.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
     if path.exists() and not path.is_file():
@@ -242,13 +205,10 @@ def check_output(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """A temporary file that replaces ``path`` at the end of the block, not after an error.
 
-    The file is flushed to disk, renamed, and the folder is flushed, in this order. If the folder
-    cannot be flushed, the old file is restored. The temporary file's name starts with a dot and
-    the name of ``path``. A link stays a link; its target is replaced.
-
-    Raises:
-        OSError: ``path`` cannot be written, see `check_output`, or the disk reports an error; with
-            the name of the file. The old file is unchanged.
+    The file is flushed to disk, renamed, and the folder is flushed, in this order; if the folder
+    cannot be flushed, the old file is restored. The temporary file's name starts with a dot and the
+    name of ``path``. A link stays a link; its target is replaced. An error of the disk is an
+    OSError with the name of the file.
     """
     target = check_output(path)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.{secrets.token_hex(4)}")
@@ -279,11 +239,7 @@ def replacing(path: Path) -> Iterator[Path]:
 
 
 def flush(path: Path) -> None:
-    """Flushes a file to disk, or, on POSIX systems, a folder.
-
-    Raises:
-        OSError: the disk reports an error.
-    """
+    """Flushes a file to disk, or, on POSIX systems, a folder; an error is an OSError."""
     if os.name != "posix" and path.is_dir():
         return
     descriptor = os.open(path, os.O_RDONLY if os.name == "posix" else os.O_RDWR)
@@ -294,13 +250,8 @@ def flush(path: Path) -> None:
 
 
 def require_picture(path: Path) -> None:
-    """Raises the errors of `write_picture` before the picture is drawn.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-        ValueError: matplotlib cannot write the format.
-        OSError: see `check_output`.
-    """
+    """Raises the errors of `write_picture` before the picture is drawn: an ImportError without
+    matplotlib, a ValueError for a format that it does not write, an OSError as `check_output`."""
     formats = new_figure(1, 1).canvas.get_supported_filetypes()
     if _format(path) not in formats:
         raise ValueError(f"{path}: a picture is one of {', '.join(formats)}")
@@ -308,26 +259,16 @@ def require_picture(path: Path) -> None:
 
 
 def write_picture(figure: Figure, path: Path) -> None:
-    """Writes a figure, completely or not at all, in the format of the suffix, by default PNG.
-
-    Raises:
-        ValueError, OSError: see `require_picture`; or the disk reports an error.
-    """
+    """Writes a figure whole or not at all, by its suffix or as PNG; see `require_picture`."""
     require_picture(path)
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110, format=_format(path))
 
 
 def new_figure(width: float, height: float) -> Figure:
-    """An empty figure; width and height in inches.
-
-    Raises:
-        ImportError: matplotlib is not installed.
-    """
-    try:
+    """An empty figure; width and height in inches. Without matplotlib it is an ImportError."""
+    with requiring("eval", "pictures need"):
         from matplotlib.figure import Figure
-    except ImportError as error:
-        raise ImportError("pictures need: pip install ssrvlad-torch[eval]") from error
     return Figure(figsize=(width, height), layout="constrained")
 
 
@@ -336,12 +277,7 @@ def _format(path: Path) -> str:
 
 
 def empty_folder(path: Path) -> Path:
-    """An empty folder, created if it is missing.
-
-    Raises:
-        ValueError: the folder is not empty.
-        OSError: the folder cannot be created.
-    """
+    """An empty folder, created if it is missing; one that is not empty is a ValueError."""
     path.mkdir(parents=True, exist_ok=True)
     if any(path.iterdir()):
         raise ValueError(f"{path} is not empty; expected a new or an empty folder")

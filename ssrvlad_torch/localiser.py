@@ -17,7 +17,6 @@ from .baselines.protocol import Frame
 from .config import SSRVLADConfig
 from .database.database import Database
 from .database.frames import FrameSet
-from .database.metadata import Origin
 from .datasets.frame_file import FrameFile
 from .datasets.image_files import Pixels, find_image_files, read_image
 from .datasets.poses import Pose
@@ -26,11 +25,12 @@ from .encoding.encoder import encode_to_database
 from .encoding.extra_descriptors import extra_descriptors, extra_methods, require_same
 from .encoding.results import Summary
 from .encoding.search import recognise_in
+from .encoding.source import origin_of, require_network
 from .recognition.confidence import Estimate, estimate
 from .recognition.recognise import Steps
 from .recognition.sweep import COLUMNS
 from .segmentation.features import NAME as FEATURES
-from .segmentation.networks import AUTO, runs_code
+from .segmentation.networks import AUTO
 from .segmentation.segmenter import Segmenter
 from .taxonomy import LabelSpace
 
@@ -89,8 +89,7 @@ class Localiser:
         require_same(database.extra, segmenter)
         self._methods = extra_methods(database.extra)
         self._features = any(each.name == FEATURES for each in database.extra)
-        self._loaded: FrameSet | None = None
-        self._version = 0
+        self._loaded: tuple[int, FrameSet] | None = None
 
     @classmethod
     def from_pretrained(
@@ -191,45 +190,12 @@ class Localiser:
         return Place(references.frames[row], score, sure, known, estimate(found.sure))
 
     def _references(self) -> FrameSet:
-        if self._loaded is None or self._version != self.database.version:
-            self._loaded, self._version = self.database.load(), self.database.version
-        if not self._loaded.frames:
+        version, loaded = self.database.version, self._loaded  # others may add frames meanwhile
+        if loaded is None or loaded[0] != version:
+            self._loaded = loaded = version, self.database.load()
+        if not loaded[1].frames:
             raise ValueError(f"{self.database.path} holds no frames yet")
-        return self._loaded
-
-
-def origin_of(database: Database) -> Origin:
-    """The network and the label space with which all frames of a database were labelled.
-
-    Raises:
-        ValueError: there is no network or more than one, or it has no name, or its name runs code,
-            which only a user may choose.
-    """
-    origins = [origin for origin in database.origins.values() if origin.segmenter]
-    if not origins:
-        raise ValueError(f"{database.path} was not made from pictures; name a --segmenter")
-    names = dict.fromkeys(origin.network or "a network without a name" for origin in origins)
-    if len(origins) > 1 or not origins[0].network:
-        raise ValueError(f"{database.path} was made by {', '.join(names)}; name the --segmenter")
-    if runs_code(origins[0].network):
-        raise ValueError(f"{database.path} was made by code: say --segmenter {origins[0].network}")
-    return origins[0]
-
-
-def require_network(database: Database, segmenter: Segmenter) -> None:
-    """Requires that no other network labelled frames of a database.
-
-    Raises:
-        ValueError: another network did.
-    """
-    others = {origin.segmenter: origin.network for origin in database.origins.values()}
-    others.pop("", None)
-    if others and others.keys() != {segmenter.key()}:
-        got = segmenter.name or "the given network"
-        expected = ", ".join(name or "a network without a name" for name in others.values())
-        raise ValueError(
-            f"{database.path} was made by {expected} as it was then; {got} gives other label maps"
-        )
+        return loaded[1]
 
 
 def _read(path: Path) -> Pixels:

@@ -20,11 +20,9 @@ def intact(table: pa.Table | pa.RecordBatch) -> npt.NDArray[np.bool_]:
 
 
 def checksums(table: pa.Table | pa.RecordBatch) -> Words:
-    """``(N,)`` uint64, the checksum of each row, over all columns but ``checksum``.
-
-    Any change of a single word of a row changes its checksum: words are multiplied by odd numbers
-    modulo 2^64, which is one to one.
-    """
+    """``(N,)`` uint64, the checksum of each row, over all columns but ``checksum``. Any change of a
+    single word of a row changes its checksum: words are multiplied by odd numbers modulo 2^64,
+    which is one to one."""
     total = np.zeros(table.num_rows, np.uint64)
     for field in table.schema:
         if field.name != "checksum":
@@ -33,8 +31,7 @@ def checksums(table: pa.Table | pa.RecordBatch) -> Words:
 
 
 def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
-    """A column of descriptors as ``(N, D)`` float32 numbers or uint8 signs, not copied if the
-    column is one chunk."""
+    """A column of ``(N, D)`` float32 numbers or uint8 signs; of one chunk, not copied."""
     if isinstance(column, pa.ChunkedArray):
         column = column.combine_chunks()
     values: npt.NDArray[Any] = column.flatten().to_numpy(zero_copy_only=False)

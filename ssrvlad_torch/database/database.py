@@ -47,12 +47,7 @@ Check = Callable[[StoredRecords], None]
 
 
 class StagedRows(NamedTuple):
-    """Rows on disk that no version refers to yet.
-
-    Attributes:
-        fragments: the files, described by Lance in JSON.
-        frames: ids.
-    """
+    """Rows on disk that no version refers to yet: files, described by Lance in JSON, and ids."""
 
     fragments: tuple[str, ...]
     frames: tuple[str, ...]
@@ -63,7 +58,8 @@ class Database(StoredFrames):
 
     Several processes and threads may write at once: their changes are committed one after another.
     Methods that write raise ValueError if the database was opened at a version, and OSError if the
-    disk failed; the database is then unchanged.
+    disk failed; the database is then unchanged. A process that was forked after a database was used
+    can neither read nor write one: a RuntimeError.
 
     Attributes:
         path: the folder, or the URI of an object store, for example ``s3://bucket/town``.
@@ -87,10 +83,9 @@ class Database(StoredFrames):
 
     @staticmethod
     def exists(path: str | Path) -> bool:
-        """Whether a database is at ``path``, also one of an earlier format."""
+        """Whether a database is at ``path``."""
         if is_local(str(path)):
-            versions = Path(path, "_versions").glob("*.manifest")
-            return any(versions) or Path(path, "manifest.json").is_file()
+            return any(Path(path, "_versions").glob("*.manifest"))
         try:
             engine.open_table(str(path))
         except OSError:
@@ -152,27 +147,30 @@ class Database(StoredFrames):
             version: one of `history`, opened read-only; by default the newest.
 
         Raises:
-            ValueError: the database does not exist, is damaged or of an earlier format, or was made
-                by another version of the method. If only the newest versions are damaged, the
+            ValueError: the database does not exist, is damaged, or was made by another version of
+                the method. If only the newest versions are damaged, the
                 message names the last readable one and the files of the others.
         """
         text = str(path)
-        if is_local(text) and Path(text, "manifest.json").exists():
-            raise ValueError(f"{text} was made by an earlier format of database: encode it again")
         if is_local(text) and not cls.exists(text):
             problem = "is not a database" if Path(text).exists() else "does not exist"
             raise ValueError(f"{text} {problem}")
-        if version is not None and not 1 <= version < 1 << 63:
-            raise ValueError(f"{text} has no version {version}; the first is 1")
         try:
             table = engine.open_table(text, version)
         except OSError as error:
             if error.errno == errno.EMFILE:
                 raise
             reason = engine.message_of(error)
-            if version:
-                message = f"{text} has no version {version}, or it is damaged: {reason}"
-                raise ValueError(message) from error
+            if version is not None:
+                stored = engine.local_versions(text) or [
+                    v.version for v in cls.open(text).history()
+                ]
+                if version in stored:
+                    raise ValueError(f"{text} is damaged in version {version}: {reason}") from error
+                span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
+                raise ValueError(f"{text} has no version {version}; it has {span}") from error
+            if not is_local(text) and "not found" in reason.lower():
+                raise ValueError(f"{text} does not exist") from error
             readable, later = engine.newest_readable(text)
             hint = f"; --as-of {readable} reads the version before" if readable else ""
             hint += f", without {', '.join(later)} it is the newest" if readable else ""
@@ -248,10 +246,8 @@ class Database(StoredFrames):
         check: Check | None = None,
     ) -> None:
         """Adds frames and replaces those with the same ids, in one commit. A replaced frame keeps
-        its arrival if the new record has none.
-
-        Arguments and errors as for `append`; ``check`` as for `adopt`.
-        """
+        its arrival if the new record has none. Arguments and errors as for `append`; ``check`` as
+        for `adopt`."""
         stored = self._columns(["frame", "arrival"]).filter(pc.field("arrival") >= 0)
         arrivals = dict(zip(*(column.to_pylist() for column in stored.columns), strict=True))
         records = [
@@ -273,9 +269,7 @@ class Database(StoredFrames):
         extra: Mapping[str, Vectors] | None = None,
     ) -> StagedRows:
         """Writes rows to disk without a commit; `adopt` commits them, also in another process.
-
-        Arguments and errors as for `append`. `compact` deletes rows that are never adopted.
-        """
+        Arguments and errors as for `append`. `compact` deletes rows that are never adopted."""
         self._require_writable()
         records = _records(frames)
         arrays = {DESCRIPTOR: descriptors, **(extra or {})}
@@ -285,7 +279,7 @@ class Database(StoredFrames):
         check_records(records, self.origins)
         rows = to_table(records, arrays, self._shapes)
         with engine.writing(self.path):
-            fragments = engine.write_fragments(self._table, rows) if records else []
+            fragments = engine.write_fragments(self.table(), rows) if records else []
         texts = tuple(json.dumps(fragment.to_json()) for fragment in fragments)
         return StagedRows(texts, tuple(rows["frame"].to_pylist()))
 
@@ -303,13 +297,8 @@ class Database(StoredFrames):
         self._change(written, "append", check)
 
     def _change(self, written: Sequence[StagedRows], verb: str, check: Check | None = None) -> None:
-        """Removes the rows with the ids of ``written``, and adds its rows.
-
-        Args:
-            written: the rows, or only ids.
-            verb: ``append`` refuses ids in the database; ``merge`` and ``remove`` do not.
-            check: as for `adopt`.
-        """
+        """Removes the rows with the ids of ``written``, and adds its rows; ``append`` refuses ids
+        in the database, the verbs ``merge`` and ``remove`` do not."""
         self._require_writable()
         ids = pa.table({"frame": pa.array([f for w in written for f in w.frames], pa.string())})
         if len(pc.unique(ids["frame"])) < len(ids):
@@ -332,12 +321,12 @@ class Database(StoredFrames):
                 self._use(engine.commit(self.path, plan, f"{verb} {len(ids)} frames"))
 
     def _require_writable(self) -> None:
+        engine.require_unforked()  # of another thread, a lock may never be released
         if self._read_only:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
 
     def drop_damaged(self) -> list[Damage]:
-        """Drops damaged rows in one commit, and returns what was damaged. Encoding the same files
-        again restores the rows."""
+        """Drops damaged rows in one commit, and returns them; `encode` restores them."""
         self._require_writable()
         damage: list[Damage] = []
         with self._lock:

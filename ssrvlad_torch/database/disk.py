@@ -31,8 +31,17 @@ def is_local(uri: str) -> bool:
 
 def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
     """Flushes the files of fragments; raises OSError if one is not whole."""
-    if is_local(uri):
-        flush_files(uri, [file for each in fragments for file in _whole_files(uri, each)])
+    if not is_local(uri):
+        return
+    paths = []
+    for fragment in fragments:
+        for file in fragment.files:
+            paths.append(Path(uri, "data", file.path))
+            check_data(paths[-1], file)
+        if deletions := fragment.deletion_file:
+            paths.append(Path(uri, deletions.path(fragment.id)))
+            check_deletions(paths[-1], deletions)
+    flush_files(uri, paths)
 
 
 def flush_files(uri: str, files: Iterable[Path]) -> None:
@@ -44,17 +53,6 @@ def flush_files(uri: str, files: Iterable[Path]) -> None:
         flush(file)
     for folder in {parent for file in files for parent in (file.parent, Path(uri))}:
         flush(folder)
-
-
-def _whole_files(uri: str, fragment: FragmentMetadata) -> list[Path]:
-    paths = []
-    for file in fragment.files:
-        paths.append(Path(uri, "data", file.path))
-        check_data(paths[-1], file)
-    if deletions := fragment.deletion_file:
-        paths.append(Path(uri, deletions.path(fragment.id)))
-        check_deletions(paths[-1], deletions)
-    return paths
 
 
 def check_data(path: Path, file: DataFile) -> None:

@@ -3,7 +3,8 @@
 Data files are flushed before the commit that refers to them; the manifest and the folders are
 flushed after it, see `disk`.
 
-A forked process starts Lance's threads anew.
+Lance does not survive a fork: a process that was forked after Lance was used may crash or hang in
+it, so `lance` and `require_unforked` refuse it there.
 """
 
 from __future__ import annotations
@@ -14,11 +15,14 @@ import errno
 import os
 import random
 import re
+import shutil
 import time
+import traceback
 import uuid
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from datetime import datetime, timedelta
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -36,6 +40,7 @@ if TYPE_CHECKING:
 _ATTEMPTS, _PAUSE = 100, 0.02
 _LEAST_OPEN_FILES = 64
 _OPENINGS = 10
+_DELETED_FILE = r"/_\w+/[\w-]+\.\w+ .*not found"
 _GRACE = timedelta(hours=1)
 """How long after the next one a version is kept where its use cannot be seen."""
 _MESSAGE = "lance.commit.message"
@@ -48,11 +53,8 @@ _CHANGES = {
 
 
 def lance() -> Any:
-    """The module, imported at first use, with only errors logged to the terminal.
-
-    Raises:
-        OSError: so few files can be open at once that Lance would panic.
-    """
+    """The module, imported at first use, with only errors logged to the terminal; an OSError if so
+    few files can be open at once that Lance would panic; errors as for `require_unforked`."""
     with contextlib.suppress(ImportError):  # Windows has no such limit
         import resource
 
@@ -62,13 +64,30 @@ def lance() -> Any:
                 errno.EMFILE,
                 f"a database needs {_LEAST_OPEN_FILES} open files, the limit is {most} (ulimit -n)",
             )
+    require_unforked()
     os.environ.setdefault("LANCE_LOG", "error")
-    warnings.filterwarnings("ignore", "lance is not fork-safe")  # tests fork it
+    warnings.filterwarnings("ignore", "lance is not fork-safe")  # it is refused
     import lance as module
     import lance.commit
     import lance.optimize
 
     return module
+
+
+def require_unforked() -> None:
+    """Raises RuntimeError in a process that was forked after Lance was used."""
+    if _first_user() != os.getpid():
+        raise RuntimeError(
+            "this process was forked after a database was used, and cannot read or write one: load "
+            "the frames before the fork, or open the database in processes that are spawned, as by "
+            'DataLoader(multiprocessing_context="spawn")'
+        )
+
+
+@cache
+def _first_user() -> int:
+    """The process that used Lance first: this one, or the one it was forked from."""
+    return os.getpid()
 
 
 def open_table(uri: str, version: int | None = None) -> LanceDataset:
@@ -78,12 +97,13 @@ def open_table(uri: str, version: int | None = None) -> LanceDataset:
     for attempts_left in reversed(range(_OPENINGS if version is None else 1)):
         try:  # the newest version may be an old one, and deleted, before it is opened
             table: LanceDataset = dataset(uri, version=version)
-        except (OSError, ValueError) as error:
-            if attempts_left and "not found" in str(error).lower():
+        except (OSError, ValueError, OverflowError) as error:
+            message = message_of(error)
+            if attempts_left and re.search(_DELETED_FILE, message, re.IGNORECASE):
                 continue
             if isinstance(error, OSError):
                 raise
-            raise OSError(message_of(error)) from error
+            raise OSError(message) from error
         if hold(table):
             return table
     raise OSError(f"version {version or table.version} was deleted")
@@ -92,26 +112,32 @@ def open_table(uri: str, version: int | None = None) -> LanceDataset:
 def newest_readable(uri: str) -> tuple[int | None, list[str]]:
     """The newest version of a local table that can be read, and the manifests of later ones."""
     unreadable: list[str] = []
-    for file in sorted(Path(uri, "_versions").glob("*.manifest")):  # the newest first
-        version = version_of(file)
+    for version in reversed(local_versions(uri)):
         try:
             open_table(uri, version)
         except OSError:
-            unreadable.append(f"_versions/{file.name}")
+            unreadable.append(f"_versions/{manifest(uri, version).name}")
         else:
             return version, unreadable
     return None, unreadable
 
 
+def local_versions(uri: str) -> list[int]:
+    """The stored versions of a local table, the oldest first; none of one in an object store."""
+    return sorted(version_of(file) for file in Path(uri, "_versions").glob("*.manifest"))
+
+
 def message_of(error: BaseException) -> str:
-    """The message of an error of Lance in one line, without the path of Lance's source file."""
-    return " ".join(str(error).split()).split(", /")[0] or type(error).__name__
+    """The message of an error of Lance in one line, without XML and the path of Lance's source."""
+    line = " ".join(str(error).split())
+    return re.split(r", /|: <\?xml", line)[0] or type(error).__name__
 
 
 @contextlib.contextmanager
 def writing(uri: str) -> Iterator[None]:
     """Turns errors of writing into an OSError that names the table."""
     errors: tuple[type[Exception], ...] = (OSError, RuntimeError)
+    require_unforked()
     try:
         errors += (lance().commit.CommitConflictError,)
         yield
@@ -120,12 +146,9 @@ def writing(uri: str) -> Iterator[None]:
 
 
 def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> LanceDataset:
-    """Applies a change to the newest version of a table; again if another writer was faster.
-
-    Raises:
-        OSError: the table cannot be written, or other writers were always faster. Errors of
-            ``change`` pass through.
-    """
+    """Applies a change to the newest version of a table; again if another writer was faster. An
+    OSError if that happens too often or the table cannot be written; errors of ``change`` pass
+    through."""
     for attempt in range(_ATTEMPTS):
         try:
             with writing(uri):
@@ -150,6 +173,26 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
         if is_local(uri):
             flush(Path(uri).absolute().parent)
     return table
+
+
+def discard_empty(uri: str, error: BaseException | None) -> None:
+    """After an error, deletes a local table that has no rows and that nobody else uses.
+
+    Args:
+        uri: the table.
+        error: the frames of its traceback are cleared, which may use versions.
+    """
+    while error:
+        traceback.clear_frames(error.__traceback__)
+        error = error.__cause__ or error.__context__
+    versions = local_versions(uri)
+    leases = [has_leases(uri) and seize(uri, version) for version in versions]
+    if not (leases and all(leases)):
+        return
+    with contextlib.suppress(OSError, ValueError):
+        newest = lance().dataset(uri)
+        if newest.version in versions and not newest.count_rows():
+            shutil.rmtree(uri, ignore_errors=True)
 
 
 def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:
@@ -244,16 +287,10 @@ def replacement(table: LanceDataset, ids: pa.Table | None, fragments: Iterable[s
 
 
 def commit(uri: str, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
-    """Commits one change of rows.
-
-    Of several commits planned on one version only the first succeeds, and the others are planned
-    again on the next version. So no id is added twice.
-
-    Args:
-        uri: the table.
-        plan: returns the operation for one version of the table, ``None`` if nothing is to be done.
-        message: stored with the version, see `change_of`.
-    """
+    """Commits one change of rows with a message, see `change_of`; ``plan`` returns the operation
+    for one version of the table, ``None`` if nothing is to be done. Of several commits planned
+    on one version only the first succeeds, and the others are planned again: so no id is added
+    twice."""
 
     def change(before: LanceDataset) -> LanceDataset:
         operation = plan(before)
@@ -287,12 +324,9 @@ def change_of(table: LanceDataset, version: int) -> str:
 
 
 def _exclusive(table: LanceDataset, operation: Any) -> Any:
-    """An operation that conflicts with every other one on the same version.
-
-    Lance accepts two operations on one version if they only add fragments, but not if both update
-    the same fragment: so each operation also updates the first fragment. An empty table has none:
-    there the operation overwrites the table, which `commit` allows only on the version it read.
-    """
+    """An operation that conflicts with every other one on the same version: Lance accepts two that
+    only add fragments, but not two that update the same fragment, so each updates the first one. An
+    empty table has none, and is overwritten, which `commit` allows only on the version it read."""
     fragments = table.get_fragments()
     if not fragments:
         return lance().LanceOperation.Overwrite(table.schema, operation.new_fragments)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import errno
+import glob
 import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from ..files import replacing
+from ..files import replacing, requiring
 from .database import Database
 from .frames import FrameSet
 
@@ -63,14 +64,19 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     arrays = {file.with_name(f"{file.name}.{name}.npy"): v for name, v in frames.extra.items()}
     for each in database.extra:
         texts[f".{each.name}.npy.fingerprint.txt"] = f"{each.fingerprint}\n"
-    for path, values in {file: frames.descriptors, **arrays}.items():
-        with _replacing(path) as temporary, temporary.open("wb") as stream:
-            np.save(stream, values.numpy())
     text_files = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
-    for path, text in text_files.items():
-        with _replacing(path) as temporary:
-            temporary.write_text(text, encoding="utf-8")
-    return [file, *arrays, *text_files]
+    with ExitStack() as stack:  # all files are whole before the first replaces an earlier one
+        for path, values in {file: frames.descriptors, **arrays}.items():
+            with stack.enter_context(_replacing(path)).open("wb") as stream:
+                np.save(stream, values.numpy())
+        for path, text in text_files.items():
+            stack.enter_context(_replacing(path)).write_text(text, encoding="utf-8")
+    written = [file, *arrays, *text_files]
+    for beside in [*file.parent.glob(f"{glob.escape(file.name)}.*fingerprint.txt")]:
+        array = beside.with_name(beside.name.removesuffix(".fingerprint.txt"))
+        for path in {beside, array} - {*written}:  # of an earlier export with other descriptors
+            path.unlink(missing_ok=True)
+    return written
 
 
 @contextmanager
@@ -80,16 +86,16 @@ def _replacing(file: Path) -> Iterator[Path]:
         try:
             yield temporary
         except (OSError, RuntimeError) as error:
+            if " cannot be written: " in str(error):  # another file, inside
+                raise
             number = getattr(error, "errno", None)
             reason = os.strerror(number) if number else " ".join(str(error).split())
             raise OSError(f"{file} cannot be written: {reason}") from error
 
 
 def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
-    try:
+    with requiring("hloc", "hloc's files need"):
         import h5py
-    except ImportError as error:
-        raise ImportError("hloc's files need: pip install ssrvlad-torch[hloc]") from error
     with _replacing(file) as temporary:
         _reserve_space(temporary, frames)
         with h5py.File(temporary, "w", libver="latest") as target:
@@ -102,11 +108,7 @@ def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
 
 
 def _reserve_space(file: Path, frames: FrameSet) -> None:
-    """Reserves disk space for an HDF5 file, because HDF5 aborts the process when the disk is full.
-
-    Raises:
-        OSError: the disk has not enough space.
-    """
+    """Reserves disk space, or raises an OSError: HDF5 aborts the process on a full disk."""
     names = sum(len(frame.encode()) for frame in frames.frames)
     arrays = [frames.descriptors, *frames.extra.values()]
     groups = len(arrays) * _GROUP_BYTES * (len(frames.frames) + 1)

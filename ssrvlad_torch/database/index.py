@@ -44,15 +44,10 @@ Candidates = list[tuple[str, float]]
 
 
 class IndexReport(NamedTuple):
-    """Size, speed and recall of an index.
-
-    Attributes:
-        lists: number of inverted lists; a query searches `PROBES` of them.
-        seconds: time to build it.
-        recall_at: for N of 1 and 10, the fraction of the exact N best matches that are among the N
-            best by the index; over a sample of frames, none of which matches itself.
-        milliseconds: median time of a query over the sample.
-    """
+    """The number of inverted lists of an index, of which a query searches `PROBES`; the seconds to
+    build it; for N of 1 and 10 the fraction of the exact N best matches that are among the N best
+    by the index, over a sample of frames, none of which matches itself; and the median time of a
+    query."""
 
     lists: int
     seconds: float
@@ -61,12 +56,9 @@ class IndexReport(NamedTuple):
 
 
 def build_index(database: Database) -> IndexReport:
-    """Builds the index of a database, replaces an earlier one, and compares it with exact search.
-
-    Raises:
-        ValueError: the database has fewer than `LEAST_ROWS` frames, or is damaged.
-        OSError: the index cannot be written.
-    """
+    """Builds the index of a database, replaces an earlier one, and compares it with exact search. A
+    database that is damaged or has fewer than `LEAST_ROWS` frames is a ValueError, an index that
+    cannot be written an OSError."""
     rows = len(database)
     if rows < LEAST_ROWS:
         raise ValueError(
@@ -87,17 +79,8 @@ def build_index(database: Database) -> IndexReport:
 def search_index(
     database: Database, queries: Tensor, top: int = 5, sequences: Collection[str] | None = None
 ) -> list[Candidates]:
-    """The best matches of queries among the frames of a database, by its index.
-
-    Args:
-        database: has an index.
-        queries: ``(Q, D)`` float.
-        top: number of candidates.
-        sequences: sequences of candidates, by default all.
-
-    Raises:
-        ValueError: the database has no index, or a row that was found is damaged.
-    """
+    """The ``top`` best matches of queries ``(Q, D)`` float among the frames of some sequences, by
+    default all, of a database, by its index. No index, or a damaged row, is a ValueError."""
     table, condition = require_index(database), condition_of(sequences)
     return [_search(table, query, top, condition) for query in queries]
 
@@ -113,11 +96,7 @@ def require_index(database: Database) -> LanceDataset:
 def nearest(
     table: LanceDataset, query: Tensor, count: int, condition: str | None, columns: list[str]
 ) -> pa.Table:
-    """Columns of the rows nearest to a ``(D,)`` query by the index, and their row ids.
-
-    Args:
-        condition: restricts the rows, in SQL; ``None`` for all.
-    """
+    """Columns of the rows nearest to a ``(D,)`` query that fulfil an SQL condition, if any."""
     return table.to_table(
         columns=columns,
         nearest={"column": DESCRIPTOR, "q": query.float().numpy(), "k": count, "nprobes": PROBES},

@@ -16,6 +16,7 @@ from ..recognition.motion import moments
 from ..recognition.standardise import sharing, standardise, without_mean
 from ..recognition.sweep import score
 from .checksums import intact, matrix
+from .engine import require_unforked
 from .index import CANDIDATES, condition_of, nearest, require_index
 from .reading import read_rows
 from .rows import DESCRIPTOR
@@ -44,21 +45,11 @@ class IndexSearch:
     sequence, over all frames of the version that is read, is subtracted as well. Scores are those
     of exact search, but a candidate may be missed.
 
-    Args:
-        database: has an index.
-        queries: ``(Q, D)`` raw descriptors.
-        query_sequences: the sequence of each query.
-        standardised: subtract means, see above.
-        allowed: sequences of candidates, by default all.
-        excluded: ids of the queries, and the number of frames on each side of a query in its own
-            sequence that are no candidates; ``None`` excludes none.
-
-    Attributes:
-        frames: all frames of the database in natural order, without descriptors. Their positions
-            are the row numbers of all methods.
-
-    Raises:
-        ValueError: the database has no index, lacks a sequence, or is damaged.
+    Queries are ``(Q, D)`` raw descriptors. Candidates are of the sequences ``allowed``, by default
+    all, and not within a number of frames of the query's own id; ``excluded`` has the ids and the
+    number, ``None`` for no limit. Row numbers are positions in ``frames``, all frames of the
+    database in natural order, without descriptors. No index, a missing sequence, and damage are a
+    ValueError.
     """
 
     def __init__(
@@ -112,6 +103,7 @@ class IndexSearch:
     def candidates(self, query: int) -> Tensor:
         """See `recognition.candidates.Search`."""
         if query not in self._candidates:
+            require_unforked()
             for later in range(query, min(query + _QUERIES_AHEAD, len(self))):
                 if later not in self._pending and later not in self._candidates:
                     self._pending[later] = self._pool.submit(self._nearest, later)
@@ -184,15 +176,9 @@ class IndexSearch:
 
 
 class _RowCache:
-    """Descriptors of rows, read from disk when they are first needed.
-
-    Args:
-        table: the version that is read.
-        stored: ``(R,)``, the row of the table that holds each row.
-        sequences: ``(R,)``, the number of each row's sequence.
-        means: ``(S, D)``, of each sequence, subtracted from its rows, all of which are verified
-            then; ``None`` for raw descriptors, verified when they are read.
-    """
+    """Descriptors of R rows, read from disk when they are first needed: row n is ``stored[n]`` of
+    the table and of the sequence of number ``sequences[n]``, whose mean, of ``means`` ``(S, D)``,
+    is subtracted. Raw descriptors, without means, are verified when they are read."""
 
     def __init__(
         self,
@@ -207,8 +193,7 @@ class _RowCache:
         self._vectors = torch.empty(0, int(table.schema.field(DESCRIPTOR).type.list_size))
 
     def read(self, rows: Tensor) -> Tensor:
-        """``(N, D)`` descriptors of rows. Rows around missing ones are read along with them, for
-        later calls."""
+        """``(N, D)`` descriptors of rows; rows around missing ones are read for later calls."""
         missing = rows[self._slots[rows] < 0]
         if len(missing):
             if self._used > _CACHED_ROWS:
@@ -219,6 +204,7 @@ class _RowCache:
             near = near[(near >= 0) & (near < len(self._slots))]
             near = near[self._slots[near] < 0]
             stored = self._stored[near.numpy()].tolist()
+            require_unforked()
             self.add(near, self._table.take(stored, columns=self.columns))
         return self._vectors[self._slots[rows]]
 

@@ -54,8 +54,7 @@ def has_leases(uri: str) -> bool:
 
 
 def hold(table: LanceDataset) -> bool:
-    """Holds the version of a table for as long as the object lives; ``False`` if the version is
-    deleted, or just being deleted."""
+    """Holds a table's version while the object lives; ``False`` if it is, or is being, deleted."""
     if has_leases(table.uri):
         try:
             table.__dict__["lease"] = Lease(manifest(table.uri, table.version), exclusive=False)

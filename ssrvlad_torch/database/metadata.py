@@ -38,13 +38,9 @@ class ExtraDescriptor(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """The label space of label maps, and the network that made them.
-
-    Attributes:
-        label_space: the full definition; ``None`` if unknown.
-        segmenter: identity of the network; empty if the label maps were read from files.
-        network: name that opens the network again; empty if unknown. It is not part of the key.
-    """
+    """The label space of label maps, ``None`` if unknown, and the network that made them, if they
+    were not read from files: its identity, and the name that opens it again, if known, which is not
+    part of the key."""
 
     label_space: LabelSpace | None = None
     segmenter: str = ""
@@ -96,12 +92,8 @@ class Meta(NamedTuple):
 
     @classmethod
     def of(cls, entries: Mapping[bytes, bytes], path: str) -> Meta:
-        """The metadata in the entries of the table at ``path``.
-
-        Raises:
-            ValueError: the table is not a database of this format, is damaged, or was made by
-                another version of the method.
-        """
+        """The metadata in the entries of the table at ``path``. A table that is no database of this
+        format, is damaged, or was made by another version of the method is a ValueError."""
         texts = {key.decode(): value.decode() for key, value in entries.items()}
         text = texts.get(_META, "")
         form = json.loads(text).get("format", "") if text else ""

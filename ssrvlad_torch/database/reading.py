@@ -21,13 +21,7 @@ _ERRORS = (OSError, ValueError, RuntimeError, pa.ArrowException)
 
 
 class Damage(NamedTuple):
-    """A damaged file.
-
-    Attributes:
-        file: its path below the database's folder.
-        rows: number of frames that are lost.
-        reason: one line.
-    """
+    """A file below the database's folder, the number of frames that are lost, and a line why."""
 
     file: str
     rows: int
@@ -35,15 +29,8 @@ class Damage(NamedTuple):
 
 
 def read_rows(table: LanceDataset, damage: list[Damage] | None = None) -> Iterator[pa.RecordBatch]:
-    """All rows in the order in which they are stored.
-
-    Args:
-        table: the version that is read.
-        damage: if given, damaged rows are left out and reported here.
-
-    Raises:
-        ValueError: a file is missing or a row is damaged; after the intact rows of the file.
-    """
+    """All rows in the order in which they are stored. Damaged ones are left out and reported in
+    ``damage``; without it, they are a ValueError after the intact rows of the file."""
     for fragment in table.get_fragments():
         lost: list[Damage] = []
         yield from read_intact(fragment, lost)
@@ -76,12 +63,8 @@ def read_intact(fragment: LanceFragment, damage: list[Damage]) -> Iterator[pa.Re
 
 
 def replacement_of_damaged(table: LanceDataset, damage: list[Damage]) -> Any:
-    """The operation that replaces damaged fragments by their intact rows; ``None`` without damage.
-
-    Args:
-        table: the version that is read.
-        damage: set to what is damaged.
-    """
+    """The operation that replaces damaged fragments by their intact rows, ``None`` without damage;
+    ``damage`` is set to what is damaged."""
     damage.clear()
     damaged = []
     for fragment in table.get_fragments():

@@ -51,11 +51,7 @@ def schema(shapes: Mapping[str, Shape]) -> pa.Schema:
 def to_table(
     records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], shapes: Mapping[str, Shape]
 ) -> pa.Table:
-    """N records and their descriptors as rows.
-
-    Raises:
-        ValueError: descriptors are not as `_checked` requires.
-    """
+    """N records and their descriptors as rows; descriptors are as `_checked` requires."""
     columns: dict[str, Any] = {
         name: [getattr(record, name) for record in records] for name in RECORD_COLUMNS
     }
@@ -72,11 +68,8 @@ def to_table(
 
 
 def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> None:
-    """Requires records that a database with these origins can take.
-
-    Raises:
-        ValueError: a record has no name, an id is no UTF-8 or given twice, or an origin is unknown.
-    """
+    """Raises a ValueError for a record without a name, for an id that is no UTF-8 or given twice,
+    and for an origin that a database with these does not have."""
     if not all(record.name for record in records):
         raise ValueError("a frame has no name")
     counts = Counter(record.frame for record in records)
@@ -91,13 +84,9 @@ def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> N
 
 
 class StoredRecords(Mapping[str, FrameRecord]):
-    """The records of a database by frame id, in the order in which they are stored.
-
-    A record is built when it is looked up, so that millions of them take little memory.
-
-    Args:
-        table: with the columns `RECORD_COLUMNS`.
-    """
+    """The records of a database by frame id, in the order in which they are stored in a table with
+    the columns `RECORD_COLUMNS`. A record is built when it is looked up, so that millions of them
+    take little memory."""
 
     def __init__(self, table: pa.Table) -> None:
         self._columns = [column.combine_chunks() for column in table.columns]
@@ -135,12 +124,9 @@ def folders_of(table: pa.Table) -> set[tuple[str, str]]:
 
 
 def _checked(name: str, descriptors: Vectors, shape: Shape) -> npt.NDArray[Any]:
-    """Descriptors as an array: float32 ``(N, D)``, or uint8 signs of another shape.
-
-    Raises:
-        ValueError: they have another shape, signs are not uint8, or numbers are not finite or have
-            rows whose length overflows or underflows float32.
-    """
+    """Descriptors as an array: float32 ``(N, D)``, or uint8 signs of another shape. Another shape
+    or dtype, and rows that are not finite or whose length does not fit into float32, are a
+    ValueError."""
     detach = getattr(descriptors, "detach", None)
     values = np.asarray(detach().cpu() if detach else descriptors)
     kind = dtype_of(shape[1:])

@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 
 
 def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.NDArray[np.bool_]:
-    """``(R,)`` bool, the frames of some sequences, by default of all.
-
-    Raises:
-        ValueError: no frame has one of the sequences; the message names it.
-    """
+    """``(R,)`` bool, the frames of some sequences, by default all; others are a ValueError."""
     if sequences is None:
         return np.ones(len(frames), bool)
     missing = sorted(set(sequences) - set(frames.sequences))
@@ -31,19 +27,10 @@ def select(frames: FrameSet, sequences: Collection[str] | None = None) -> npt.ND
 
 
 def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.NDArray[np.int64]:
-    """The references around each query in its own sequence.
-
-    Args:
-        queries: ids of Q frames, which need not be among the references.
-        references: frames in natural order.
-        reach: number of frames on each side of the position that the query has or would have.
-
-    Returns:
-        ``(Q, 2)`` int64, the first of these rows and the one after the last, with the query's own.
-
-    Raises:
-        ValueError: ``reach`` is negative.
-    """
+    """The references around each query in its own sequence: ``(Q, 2)`` int64, the first of these
+    rows and the one after the last, with the query's own. ``reach`` is the number of frames, from
+    0, on each side of the position that the query has or would have among the references, which are
+    in natural order."""
     if reach < 0:
         raise ValueError(f"the reach of neighbours must be 0 or more frames, got {reach}")
     starts: dict[str, int] = {}
@@ -71,13 +58,9 @@ def neighbours(queries: Sequence[str], references: FrameSet, reach: int) -> npt.
 def excluded_pairs(
     queries: FrameSet, references: FrameSet, where: npt.NDArray[np.bool_], reach: int | None
 ) -> Tensor | None:
-    """``(Q, R)`` bool, the references that are no candidates of a query; ``None`` if all are.
-
-    Args:
-        queries, references: Q and R frames.
-        where: ``(R,)`` bool, references that are candidates, from `select`.
-        reach: `neighbours` up to this number of frames are no candidates; ``None`` for no limit.
-    """
+    """``(Q, R)`` bool, the references that are no candidates of a query: those not in ``where``
+    ``(R,)`` bool, from `select`, and its `neighbours` within a reach, if any; ``None`` if all
+    are."""
     import torch
 
     if where.all() and reach is None:

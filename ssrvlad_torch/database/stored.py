@@ -25,14 +25,8 @@ if TYPE_CHECKING:
 
 
 class Version(NamedTuple):
-    """One version of a database.
-
-    Attributes:
-        version: its number, for ``open``.
-        time: when it was made.
-        frames: number of frames in it.
-        change: the change that made it.
-    """
+    """One version of a database: its number, for ``open``, when it was made, the number of frames
+    in it, and the change that made it."""
 
     version: int
     time: datetime
@@ -41,8 +35,7 @@ class Version(NamedTuple):
 
 
 class StoredFrames:
-    """One version of a table of frames, as a `Database` reads it, which documents the
-    attributes."""
+    """One version of a table of frames; `Database` documents the attributes."""
 
     def __init__(self, path: str, table: LanceDataset) -> None:
         self.path = path
@@ -57,7 +50,7 @@ class StoredFrames:
         self._shapes |= {each.name: each.shape for each in self.extra}
 
     def __len__(self) -> int:
-        return int(self._table.count_rows())
+        return int(self.table().count_rows())
 
     def __bool__(self) -> bool:
         """True, even without frames."""
@@ -82,11 +75,19 @@ class StoredFrames:
             raise ValueError(f"{self.path} holds custom descriptors, without settings")
         return self._config
 
-    def label_spaces(self) -> list[LabelSpace]:
-        """The label spaces of the frames; of an empty database, those of all its origins."""
+    def label_space(self) -> LabelSpace | None:
+        """The label space of the frames, or of the origins of an empty database, if there is one.
+
+        Raises:
+            ValueError: there are several.
+        """
         keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
-        spaces = [self.origins.get(key, Origin()).label_space for key in keys]
-        return list({space.digest: space for space in spaces if space}.values())
+        found = (self.origins.get(key, Origin()).label_space for key in keys)
+        spaces = list({space.digest: space for space in found if space}.values())
+        if len(spaces) > 1:
+            names = " and ".join(space.name for space in spaces)
+            raise ValueError(f"{self.path} holds frames of {names}; choose one with --labels-as")
+        return spaces[0] if spaces else None
 
     def require(self, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()) -> None:
         """Requires descriptors made with these settings.
@@ -141,7 +142,7 @@ class StoredFrames:
         Raises:
             ValueError: a row or a file is missing or damaged; the message names it.
         """
-        return load_frame_set(self._table, self._shapes)
+        return load_frame_set(self.table(), self._shapes)
 
     def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
         """Reads everything and reports all damage.
@@ -150,21 +151,22 @@ class StoredFrames:
             progress: called with the number of frames done since the last call.
         """
         found: list[Damage] = []
-        for batch in read_rows(self._table, found):
+        for batch in read_rows(self.table(), found):
             if progress:
                 progress(len(batch))
         return found
 
     def table(self) -> LanceDataset:
         """The version that is read, as a table of Lance, for what this class does not offer."""
+        engine.require_unforked()
         return self._table
 
     def history(self) -> list[Version]:
         """The versions that are stored, the oldest first."""
         versions = list[Version]()
-        for entry in engine.versions_of(self._table):
+        for entry in engine.versions_of(self.table()):
             number, frames = entry["version"], int(entry["metadata"]["total_rows"])
-            change = engine.change_of(self._table, number)
+            change = engine.change_of(self.table(), number)
             versions.append(Version(number, entry["timestamp"], frames, change))
         return versions
 
@@ -191,7 +193,8 @@ class StoredFrames:
         }
 
     def _columns(self, names: list[str]) -> pa.Table:
+        table = self.table()
         try:
-            return self._table.to_table(columns=names, scan_in_order=True)
+            return table.to_table(columns=names, scan_in_order=True)
         except (OSError, ValueError, RuntimeError) as error:
             raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
