@@ -274,11 +274,9 @@ class SSRVLADConfig:
         return -(-_parts(fraction, _AREA_UNIT) * height * width // _AREA_UNIT)
 
     def ring_limits(self, height: int, width: int) -> tuple[int, ...]:
-        """Largest squared distance of each ring, in pixels of the grid, innermost first.
-
-        A point at squared distance ``d2`` lies in the first ring whose limit is not below it:
-        a boundary belongs to the ring inside it. Equal or zero limits leave a ring empty.
-        """
+        """Largest squared distance of each ring, in pixels of the grid, innermost first. A point at
+        squared distance ``d2`` lies in the first ring whose limit is not below it: a boundary
+        belongs to the ring inside it. Equal or zero limits leave a ring empty."""
         steps = [
             1 - ring / (self.rings - 1) if self.rings > 1 else 0.0 for ring in range(self.rings)
         ]

@@ -47,13 +47,14 @@ class SSRVLAD(nn.Module):
     integers on both. Its tables are buffers: they follow ``to(device)``, ``half()`` does not round
     them, and the ``state_dict()`` is empty.
 
-    On a CPU the native core computes the descriptors as one operator. ``torch.compile`` and
-    ``torch.export`` keep this operator and do not make it faster. On CUDA, without a built core,
-    with ``head.native = False``, or where class scores require a gradient, the stages in torch
-    give the same numbers; ``torch.compile`` runs them without compiling and ``torch.export``
-    refuses them. Such class scores give a warning, once: they need `SurrogateSSRVLAD`.
-    ``torch.jit.trace`` is refused. `export_head` writes the head as an ONNX file.
-    ``copy.deepcopy`` and ``pickle`` keep the settings.
+    On a CPU the native core computes the descriptors as one operator, which ``torch.compile`` keeps
+    and does not make faster. On CUDA, without a built core, with ``head.native = False``, or where
+    class scores require a gradient, the stages in torch give the same numbers; ``torch.compile``
+    runs them without compiling. ``torch.export`` and ``torch.onnx.export`` record the stages of
+    ``default``; of ``paper`` the one keeps the operator, the other is refused: `export_head` writes
+    the head as an ONNX file. Class scores that require a gradient give a warning, once: they need
+    `SurrogateSSRVLAD`. ``torch.jit.trace`` is refused. ``copy.deepcopy`` and ``pickle`` keep the
+    settings.
 
     Args:
         config: the settings; the default is the preset ``default``.
@@ -99,10 +100,14 @@ class SSRVLAD(nn.Module):
     def forward(self, labels: Tensor | npt.NDArray[Any]) -> Tensor:
         """The descriptors of a batch."""
         labels = self._input(labels)
-        traced = self.config.aggregation == "harmonics" or torch.onnx.is_in_onnx_export()
-        if is_exporting() and traced:
+        if is_exporting() and isinstance(self._aggregation, Harmonics):
             found, unknown, *_ = self.counted(labels)
             return torch.where((unknown > 0).view(-1, *[1] * (found.ndim - 1)), torch.nan, found)
+        if torch.onnx.is_in_onnx_export():
+            raise ValueError(
+                "torch.onnx.export cannot record the loops of residuals: expected export_head or "
+                "ssrvlad fuse"
+            )
         if labels.is_cpu and self.native and not self._requires_gradient(labels):
             return self._describe_by_core(labels)
         descriptor: Tensor = self._describe_by_stages(labels)
@@ -161,10 +166,8 @@ class SSRVLAD(nn.Module):
 
     def explain(self, labels: Tensor | npt.NDArray[Any]) -> Explanation:
         """Every step from the label map to the descriptor; input and errors are those of a call.
-
         Clean layers, skeletons, keypoints and centres are those of the paper; the harmonics of
-        ``default`` do not use them.
-        """
+        ``default`` do not use them."""
         labels = self._input(labels)
         with torch.autocast(labels.device.type, enabled=False):
             layers = self._front_end(labels)
@@ -218,8 +221,7 @@ class SSRVLAD(nn.Module):
 
 
 def mirrored(descriptors: Tensor, config: SSRVLADConfig) -> Tensor:
-    """The descriptors ``(..., D)`` of mirrored label maps, by those of the label maps, see
-    `recognition.decoys`."""
+    """Descriptors ``(..., D)`` of mirrored label maps, by those of the label maps."""
     return _MIRRORS[config.aggregation](descriptors, config)
 
 
@@ -227,23 +229,14 @@ _MIRRORS = {"residuals": residuals.mirrored, "harmonics": harmonics.mirrored}
 
 
 def query_head(config: SSRVLADConfig, columns: Sequence[int] = ()) -> SSRVLAD:
-    """The head for queries: a `SweepHead` if there are columns and the aggregation has an anchor.
-
-    Args:
-        config: the settings.
-        columns: as for `SSRVLAD.sweep`, or none.
-    """
+    """The head for queries: a `SweepHead` if there are columns, see `SSRVLAD.sweep`, and the
+    aggregation has an anchor."""
     sweeps = columns and config.aggregation == "harmonics"
     return SweepHead(config, columns) if sweeps else SSRVLAD(config)
 
 
 class SweepHead(SSRVLAD):
-    """`SSRVLAD.sweep` as a module: its output is ``(B, S, 480)``.
-
-    Args:
-        config: the settings.
-        columns: as for `SSRVLAD.sweep`.
-    """
+    """`SSRVLAD.sweep` over some columns as a module: its output is ``(B, S, 480)``."""
 
     def __init__(self, config: SSRVLADConfig, columns: Sequence[int]) -> None:
         super().__init__(config)

@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from .config import AREA_LAYERS, CATEGORY_COUNT, FAINT, SSRVLADConfig
+from .files import requiring
 from .taxonomy import NO_LAYER, LabelSpace, label_space
 
-try:
+with requiring("eval", "ssrvlad_torch.reference needs"):
     from skimage import measure, morphology, segmentation
-except ImportError as error:
-    raise ImportError("ssrvlad_torch.reference needs: pip install ssrvlad-torch[eval]") from error
 
 Mask = npt.NDArray[np.bool_]
 Integers = npt.NDArray[np.int64]

@@ -34,20 +34,10 @@ def method_of(config: SSRVLADConfig) -> str:
 
 
 def describe(labels: Tensor, table: Tensor, origin: int, settings: str) -> Tensor:
-    """The descriptors of a batch of label maps; the images are shared among torch's threads.
-
-    Args:
-        labels: ``(B, H, W)`` ids, of any integer dtype.
-        table, origin: from `category_table`.
-        settings: from `method_of`.
-
-    Returns:
-        ``(B, D)`` float32.
-
-    Raises:
-        UnknownIdError: an id is not in the table.
-        RuntimeError: memory is short, or the native core does not accept the size.
-    """
+    """The descriptors ``(B, D)`` float32 of label maps ``(B, H, W)`` of any integer dtype; the
+    images are shared among torch's threads. The table and its origin are from `category_table`, the
+    settings from `method_of`. An id that is not in the table is an UnknownIdError, short memory and
+    a size that the native core does not accept are a RuntimeError."""
     head = _Head(settings)
     if labels.dtype == torch.uint64:
         wide = labels.to(torch.int64)

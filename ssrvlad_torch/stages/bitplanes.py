@@ -89,10 +89,13 @@ def neighbours(planes: Tensor) -> tuple[Tensor, ...]:
 
     This is the order p2 ... p9 of the thinning papers. What is outside the image is background.
     """
-    height, width = planes.shape[-2:]
     padded = F.pad(planes, (1, 1, 1, 1))
-    offsets = ((0, 1), (0, 2), (1, 2), (2, 2), (2, 1), (2, 0), (1, 0), (0, 0))
-    return tuple(padded[:, y : y + height, x : x + width] for y, x in offsets)
+    before, here, after = slice(-2), slice(1, -1), slice(2, None)
+    above, level, below = padded[:, before], padded[:, here], padded[:, after]
+    return (
+        *(above[..., here], above[..., after], level[..., after], below[..., after]),
+        *(below[..., here], below[..., before], level[..., before], above[..., before]),
+    )
 
 
 def line_neighbours(

@@ -23,7 +23,10 @@ DIRECTIONS = ("upright", "level", "rising", "falling")
 WIDTH = 2
 """Width of a straight boundary, in pixels."""
 
-_NUMBERS = AREA_LAYERS + 1
+_OUTSIDE = AREA_LAYERS + 1
+"""What a corner outside the image holds, after the layers and none."""
+
+_NUMBERS = _OUTSIDE + 1
 
 
 def boundaries(numbers: Tensor) -> Tensor:
@@ -36,30 +39,21 @@ def boundaries(numbers: Tensor) -> Tensor:
     Returns:
         ``(B, 4, H, W)``, 1 or 0 for each direction. Pixels at the image's edge have none.
     """
-    padded = F.pad(numbers.float(), (1, 1, 1, 1))
-    above, below = padded[:, :-2], padded[:, 2:]
-    corners = (row[..., part] for row in (above, below) for part in (slice(-2), slice(2, None)))
-    code = sum(corner * _NUMBERS**place for place, corner in enumerate(corners))
-    rows, columns = (_interior(length, numbers.device) for length in numbers.shape[1:])
-    index = (code * (rows[:, None] * columns)).to(torch.int64)  # the same layer all around
+    padded = F.pad(numbers.float(), (1, 1, 1, 1), value=_OUTSIDE)
+    above_below = padded[:, :-2] + padded[:, 2:] * _NUMBERS**2
+    code = above_below[..., :-2] + above_below[..., 2:] * _NUMBERS
     table = torch.tensor(_table(), dtype=torch.float32, device=numbers.device)
-    found: Tensor = table.index_select(0, index.flatten()).unflatten(0, index.shape)
-    return found.permute(0, 3, 1, 2)
-
-
-def _interior(length: int, device: torch.device) -> Tensor:
-    """``(length,)``, 0 at both ends and 1 between."""
-    index = torch.arange(length, device=device)
-    return ((index > 0) & (index < length - 1)).float()
+    return F.embedding(code.to(torch.int64), table).permute(0, 3, 1, 2)
 
 
 @cache
 def _table() -> npt.NDArray[np.bool_]:
-    """``(7 ** 4, 4)``, whether the boundary of any layer has the direction, for the layers NW, NE,
+    """``(8 ** 4, 4)``, whether the boundary of any layer has the direction, for the layers NW, NE,
     SW and SE, of which NW changes fastest."""
     code = np.arange(_NUMBERS**4)[:, None]
-    corners = (code // _NUMBERS**place % _NUMBERS for place in range(4))
-    nw, ne, sw, se = (corner == np.arange(AREA_LAYERS) for corner in corners)
+    corners = [code // _NUMBERS**place % _NUMBERS for place in range(4)]
+    inside = np.all([corner != _OUTSIDE for corner in corners], 0)
+    nw, ne, sw, se = (inside & (corner == np.arange(AREA_LAYERS)) for corner in corners)
     north, south, west, east = nw ^ ne, sw ^ se, nw ^ sw, ne ^ se
     directions = (
         north & south & ~(west | east),

@@ -28,10 +28,11 @@ def pool(masks: Tensor, shift: Tensor) -> Tensor:
     """
     height, width = masks.shape[2:]
     columns = overlaps(width, COLUMNS, shift)
-    rows = overlaps(height, ROWS, shift.new_zeros(1)).transpose(1, 2).to(real())
-    in_columns = (masks.flatten(1, 2).float() @ columns).unflatten(1, masks.shape[1:3])
-    shares: Tensor = rows @ in_columns.to(real()) / (height * width)
-    return shares
+    rows = overlaps(height, ROWS, torch.zeros_like(shift)).to(real())
+    in_columns = torch.bmm(masks.flatten(1, 2).float(), columns).unflatten(1, masks.shape[1:3])
+    summed = torch.bmm(in_columns.transpose(2, 3).flatten(1, 2).to(real()), rows)
+    shares: Tensor = summed.unflatten(1, (-1, COLUMNS)).transpose(2, 3)
+    return shares / (height * width)
 
 
 def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:
@@ -42,4 +43,4 @@ def overlaps(pixels: int, cells: int, shift: Tensor) -> Tensor:
     pixel = (torch.arange(pixels, device=shift.device) - shift[:, None])[..., None] * cells
     cell = torch.arange(cells, device=shift.device) * pixels
     within = torch.minimum(pixel + cells, cell + pixels) - torch.maximum(pixel, cell)
-    return within.clamp(min=0).float()
+    return within.float().relu()

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from ..taxonomy import NO_LAYER, LabelSpace
+from .tracing import looked_up
 
 UNKNOWN = 255
 
@@ -125,7 +126,7 @@ def merge(categories: Tensor) -> Tensor:
         ``(B, H, W)`` int64, the number of the layer, 0 to 5, or 6 for none.
     """
     table = torch.tensor(_MERGED, device=categories.device)
-    return torch.gather(table, 0, categories.to(torch.int64).flatten()).view(categories.shape)
+    return looked_up(table, categories.to(torch.int64).flatten()).view(categories.shape)
 
 
 def split(categories: Tensor) -> Tensor:

@@ -2,41 +2,37 @@
 
 from __future__ import annotations
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .lengths import Length
 from .tracing import repeat_while
 
 
-def dilate(planes: Tensor, radius: int | Tensor) -> Tensor:
+def dilate(planes: Tensor, radius: int) -> Tensor:
     """Dilation by a square of ``2 * radius + 1`` pixels; outside the image is background.
 
     The semantics are those of ``skimage.morphology.dilation(mode="ignore")``.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
-        radius: pixels, 0 for no change; ``()`` int32 under export.
+        radius: pixels, 0 for no change.
 
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    if isinstance(radius, int):
-        return _spread(_spread(planes, radius, -1), radius, -2)
-
-    def by_one_pixel(planes: Tensor, left: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        return left > 1, dilate(planes, 1), left - 1
-
-    return repeat_while(radius > 0, by_one_pixel, planes, radius)[0]
+    return _spread(_spread(planes, radius, -1), radius, -2)
 
 
-def erode(planes: Tensor, radius: int | Tensor) -> Tensor:
+def erode(planes: Tensor, radius: int) -> Tensor:
     """Erosion by a square; pixels outside the image are ignored, so the border erodes nothing.
 
     The semantics are those of ``skimage.morphology.erosion(mode="ignore")``.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
-        radius: pixels, 0 for no change; ``()`` int32 under export.
+        radius: pixels, 0 for no change.
 
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
@@ -44,18 +40,30 @@ def erode(planes: Tensor, radius: int | Tensor) -> Tensor:
     return ~dilate(~planes, radius)
 
 
-def open_and_close(planes: Tensor, opening: int | Tensor, closing: int | Tensor) -> Tensor:
+def open_and_close(planes: Tensor, opening: Length, closing: Length) -> Tensor:
     """Opening, which removes parts thinner than the square, then closing, which fills such gaps.
 
     Args:
         planes: ``(B, H, W)`` uint8 bit-planes.
-        opening, closing: radii in pixels, 0 for none.
+        opening, closing: radii in pixels, 0 for none; ``()`` int32 under export.
 
     Returns:
         ``(B, H, W)`` uint8 bit-planes.
     """
-    opened = dilate(erode(planes, opening), opening)
-    return erode(dilate(opened, closing), closing)
+    return _close(~_close(~planes, opening), closing)
+
+
+def _close(planes: Tensor, radius: Length) -> Tensor:
+    """Dilation, then erosion."""
+    if isinstance(radius, int):
+        return erode(dilate(planes, radius), radius)
+
+    def dilate_by_one(planes: Tensor, left: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        planes = torch.where(left == radius, ~planes, planes)  # erosion begins
+        return left > 1, dilate(planes, 1), left - 1
+
+    eroded = ~repeat_while(radius > 0, dilate_by_one, planes, 2 * radius)[0]
+    return torch.where(radius > 0, eroded, planes)
 
 
 def _spread(planes: Tensor, radius: int, dimension: int) -> Tensor:

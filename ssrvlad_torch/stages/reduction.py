@@ -11,11 +11,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from ..taxonomy import NO_LAYER
 from .tracing import length as size
-from .tracing import real
+from .tracing import looked_up, real
 
 RADIX = 64
 DIGITS = 4
@@ -29,13 +30,14 @@ class Grouped(NamedTuple):
     """A side of the image in cells, and the pixels of each cell in groups of one length.
 
     Attributes:
-        pixels: ``(cells * groups, length)`` int64, the pixels of each group.
-        inside: the same shape, 1 for a pixel of the group, 0 for an entry too many.
+        pixels: ``(groups, cells, length)`` int64, the pixels of each group of a cell; the number
+            of pixels of the side for an entry too many.
+        sizes: ``(cells,)`` int64, the number of pixels of each cell.
         groups: the number of groups in a cell.
     """
 
     pixels: Tensor
-    inside: Tensor
+    sizes: Tensor
     groups: int
 
 
@@ -46,14 +48,18 @@ def ballots(table: Tensor) -> tuple[Tensor, Tensor]:
         table: ``(T,)`` uint8: 0 to 7, `NO_LAYER`, or a larger number for an unknown id.
 
     Returns:
-        ``(n, T)`` int32, the votes of each entry, and ``(K,)`` int64, the kinds in the order of the
-        digits. The last kind are the unknown ids; `NO_LAYER` has no votes.
+        ``(n, T)`` int32, the votes of each entry, and ``(DIGITS * n,)`` int64, the kind of each
+        digit, of the lowest digits first. The last one counts the unknown ids; `NO_LAYER` has no
+        votes, and stands for digits without a kind.
     """
     table = table.clamp(max=NO_LAYER + 1)
-    kinds = sorted({*table.tolist(), NO_LAYER + 1} - {NO_LAYER})
-    votes = torch.zeros(-(-len(kinds) // DIGITS), len(table), dtype=torch.int32)
+    kinds = sorted({*table.tolist()} - {NO_LAYER, NO_LAYER + 1})
+    words = -(-(len(kinds) + 1) // DIGITS)
+    kinds += [NO_LAYER] * (DIGITS * words - 1 - len(kinds)) + [NO_LAYER + 1]
+    votes = torch.zeros(words, len(table), dtype=torch.int32)
     for place, kind in enumerate(kinds):
-        votes[place // DIGITS, table == kind] = RADIX ** (place % DIGITS)
+        if kind != NO_LAYER:
+            votes[place % words, table == kind] = RADIX ** (place // words)
     return votes, torch.tensor(kinds)
 
 
@@ -73,32 +79,25 @@ def reduce_by_majority(
     Returns:
         ``(B, h, w)`` uint8, 0 to `NO_LAYER`, and ``(B,)`` int64, the number of unknown pixels.
     """
-    rows = grouped(entries.shape[1], grid[0], ROWS, entries.device)
-    columns = grouped(entries.shape[2], grid[1], COLUMNS, entries.device)
-    sums = []
-    for word in votes.float():
-        cast = word.index_select(0, entries.flatten()).view(entries.shape)
-        sums.append(_summed(_summed(cast, rows).transpose(1, 2), columns))
-    numbers, digits = torch.stack(sums, 1), []
-    for _ in range(DIGITS):
-        higher = torch.floor(numbers * (1 / RADIX))
-        digits.append(numbers - higher * RADIX)
-        numbers = higher
-    number = real(entries.shape[1] * entries.shape[2])
-    counts = torch.stack(digits, 2).flatten(1, 2)[:, : len(kinds)].to(number)
-    counts = counts.unflatten(3, (grid[0], rows.groups)).unflatten(2, (grid[1], columns.groups))
-    counts = counts.sum((3, 5))  # (B, K, w, h)
-    tall, wide = (
-        side.inside.sum(1).unflatten(0, (cells, side.groups)).sum(1).to(number)
-        for side, cells in ((rows, grid[0]), (columns, grid[1]))
-    )
-    of_layers = counts[:, :-1]
-    none = wide[:, None] * tall - of_layers.sum(1)
-    counted = torch.cat((of_layers, none[:, None]), 1)
-    each = kinds.clamp(max=NO_LAYER).to(number).view(-1, 1, 1)
-    most = torch.where(counted == counted.amax(1, keepdim=True), each, NO_LAYER)
-    categories = most.amin(1).transpose(1, 2).to(torch.uint8)  # argmax may take any of equal ones
-    return categories, counts[:, -1].to(torch.int64).sum((1, 2))
+    images, height, width = entries.shape
+    rows = grouped(height, grid[0], ROWS, entries.device)
+    columns = grouped(width, grid[1], COLUMNS, entries.device)
+    entry = entries.flatten()
+    cast = (looked_up(word, entry).view(entries.shape) for word in votes.float())
+    in_rows = torch.cat([_summed(votes_of_pixels, rows) for votes_of_pixels in cast])
+    numbers = _summed(in_rows.transpose(1, 2), columns)
+    places = RADIX ** -torch.arange(DIGITS, device=entries.device).float().view(-1, 1, 1, 1)
+    higher = torch.floor(numbers * (places / RADIX))
+    digits = (torch.floor(numbers * places) - higher * RADIX).to(real(height * width))
+    counts = digits.view(len(kinds) * images, columns.groups, -1).sum(1)
+    counts = counts.view(-1, rows.groups, grid[0]).sum(1).view(len(kinds), images, -1)
+    of_layers, unknown = counts[:-1], counts[-1]
+    area = (columns.sizes[:, None] * rows.sizes).flatten()
+    counted = torch.cat((of_layers, (area - of_layers.sum(0))[None]))
+    each = kinds.clamp(max=NO_LAYER).to(counts).view(-1, 1, 1)
+    most = torch.where(counted == counted.amax(0), each, NO_LAYER)
+    categories = most.amin(0).to(torch.uint8)  # argmax may take any of equal ones
+    return categories.view(images, grid[1], -1).transpose(1, 2), unknown.sum(1).to(torch.int64)
 
 
 def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped:
@@ -110,16 +109,15 @@ def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped
     product = torch.arange(cells + 1, device=device) * pixels + (cells - 1)
     estimate = torch.floor((product.to(real()) + 0.5) / cells).to(torch.int64)
     rest = product - estimate * cells  # runtimes round some quotients to the next whole number
-    begin = (estimate + (rest >= cells).long() - (rest < 0).long())[:, None]
-    index = begin[:-1] + torch.arange(groups * length, device=device)
-    inside = (index < begin[1:]).to(real())
-    index = index.clamp(max=pixels - 1)
-    shape = (cells * groups, length)
-    return Grouped(index.view(shape), inside.view(shape), groups)
+    begin = estimate + (rest >= cells).long() - (rest < 0).long()
+    within = torch.arange(groups * length, device=device).view(-1, 1, length)
+    index = within + begin[:-1, None]
+    index = torch.where(index < begin[1:, None], index, pixels)
+    return Grouped(index, begin[1:] - begin[:-1], groups)
 
 
 def _summed(numbers: Tensor, side: Grouped) -> Tensor:
-    """``(B, pixels, n)`` -> ``(B, cells * groups, n)``, the sums over each group."""
-    parts = numbers.index_select(1, side.pixels.flatten())
-    grouped: Tensor = parts.unflatten(1, side.pixels.shape)
-    return grouped.mul_(side.inside[..., None].float()).sum(2)
+    """``(N, pixels, n)`` -> ``(N, groups * cells, n)``, the sums over each group."""
+    parts = F.pad(numbers, (0, 0, 0, 1)).index_select(1, side.pixels.flatten())
+    grouped: Tensor = parts.unflatten(1, (-1, side.pixels.shape[2]))
+    return grouped.sum(2)

@@ -65,12 +65,13 @@ class Residuals:
 
         limits = lengths(config, height, width).ring_limits
         bins = log_polar_bins(height, width, limits, config.sectors, layers.device)
-        around_points = shape_contexts(keypoints, context, bins, images)
-        around_centre = shape_contexts(centres, context, bins, images)
         shape = (images, -1, config.rings, config.sectors)
+        around_points, around_centre = (
+            sums.reshape(shape)
+            for sums in shape_contexts((keypoints, centres), context, bins, images)
+        )
         counts = count_points(keypoints, images)
-        sums = around_points.view(shape), around_centre.view(shape)
-        return ResidualHistograms(*sums, counts, masks.skeleton)
+        return ResidualHistograms(around_points, around_centre, counts, masks.skeleton)
 
     def descriptor(self, histograms: ResidualHistograms) -> Tensor:
         """``(B, 8 * N * M)`` float32 descriptors."""

@@ -39,8 +39,10 @@ class Bins(NamedTuple):
     total: int
 
 
-def shape_contexts(references: Points, context: Points, bins: Bins, images: int) -> Tensor:
-    """Sum of the shape contexts around each layer's reference points.
+def shape_contexts(
+    references: Sequence[Points], context: Points, bins: Bins, images: int
+) -> list[Tensor]:
+    """Sums of the shape contexts around each layer's reference points.
 
     Around every reference point the context points of the same layer are counted by ring and
     sector; the reference point itself is not counted. Pairs are listed chunk by chunk. A layer with
@@ -48,14 +50,29 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
     transforms, at about 130 bytes of memory for each pixel.
 
     Args:
-        references: the centres of the histograms.
+        references: the centres of the histograms; one sum for each entry.
         context: the points to count.
         bins: from `log_polar_bins`, for the size of the image.
         images: B.
 
     Returns:
-        ``(B, 8, N * M)`` int64. Under export -1 for a layer of 2 ** 31 pairs or more.
+        ``(B, 8, N * M)`` int64 each. Under export -1 for a layer of 2 ** 31 pairs or more.
     """
+    sums = len(references)
+    around = _joined(references, LAYERS * images)
+    counts = _counts(around, _joined([context] * sums, LAYERS * images), bins, images * sums)
+    return [by_image(each, images) for each in counts.unflatten(0, (sums, -1)).unbind()]
+
+
+def _joined(lists: Sequence[Points], groups: int) -> Points:
+    """One list, with groups of their own for every list."""
+    group = torch.cat([each.group + groups * number for number, each in enumerate(lists)])
+    y, x = (torch.cat(places) for places in list(zip(*lists, strict=True))[1:])
+    return Points(group, y, x)
+
+
+def _counts(references: Points, context: Points, bins: Bins, images: int) -> Tensor:
+    """``(8 * B, N * M)`` int64, the sums of `shape_contexts` for each group."""
     pitch = bins.table.shape[1]
     groups, stride = LAYERS * images, bins.total + 1
     context_position = context.y * pitch + context.x
@@ -66,8 +83,7 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         positions = context_position, reference_position
         counts = _one_by_one(*positions, references.group, group_start, population, bins)
         too_many = population.float() * members.float() >= MOST  # some count in int32
-        counts = torch.where(too_many[:, None], -1, counts.view(groups, stride)[:, : bins.total])
-        return by_image(counts, images)
+        return torch.where(too_many[:, None], -1, counts.view(groups, stride)[:, : bins.total])
     counts = torch.zeros(groups * stride, dtype=torch.int64, device=bins.table.device)
     dense = population * members > MOST_PAIRS * bins.table.numel()
     for group in dense.nonzero()[:, 0].tolist():
@@ -88,7 +104,7 @@ def shape_contexts(references: Points, context: Points, bins: Bins, images: int)
         bin_index = (group * stride).index_select(0, owner)
         bin_index += bins.table.flatten().index_select(0, offset)
         counts += torch.bincount(bin_index, minlength=groups * stride)
-    return by_image(counts.view(groups, stride)[:, : bins.total], images)
+    return counts.view(groups, stride)[:, : bins.total]
 
 
 def _one_by_one(
@@ -169,22 +185,26 @@ def _sectors(dy: Tensor, dx: Tensor, sectors: int) -> Tensor:
     above = (dy < 0) | ((dy == 0) & (dx < 0))
     sector: Tensor = above.int() * half
     column = torch.where(above, -dx, dx)
-    for number in range(1, half + odd):
-        angle = 2 * math.pi * number / sectors
-        crossing = _crossing(dy.abs(), angle)
-        if odd:
-            turned = _crossing(dy.abs(), angle + 2 * math.pi * half / sectors - math.pi)
-            crossing = torch.where(dy < 0, turned, crossing)
+    angles = [2 * math.pi * number / sectors for number in range(1, half + odd)]
+    crossings = _crossings(dy.abs(), angles)
+    if odd:
+        turn = 2 * math.pi * half / sectors - math.pi
+        turned = _crossings(dy.abs(), [angle + turn for angle in angles])
+        crossings = torch.where(dy < 0, turned, crossings)
+    for crossing in crossings.unbind():
         sector = sector + (column <= crossing).int()
     return sector
 
 
-def _crossing(dy: Tensor, angle: float) -> Tensor:
-    """dy / tan(angle), rounded down, from digits to the base 512, whose products are exact in
-    float32, in which some runtimes divide integers."""
-    slope: int = round(math.cos(angle) / math.sin(angle) * _BASE**_DIGITS)
-    carried = torch.zeros_like(dy)
+def _crossings(dy: Tensor, angles: Sequence[float]) -> Tensor:
+    """dy / tan(angle) of each angle, rounded down, from digits to the base 512, whose products are
+    exact in float32, in which some runtimes divide integers."""
+    slopes = [round(math.cos(angle) / math.sin(angle) * _BASE**_DIGITS) for angle in angles]
+
+    def times(digits: list[int]) -> Tensor:
+        return dy * torch.tensor(digits, dtype=dy.dtype, device=dy.device).view(-1, 1, 1)
+
+    carried = times([0] * len(slopes))
     for place in range(_DIGITS):
-        carried = (dy * (slope // _BASE**place % _BASE) + carried) // _BASE
-    crossing: Tensor = dy * (slope // _BASE**_DIGITS) + carried
-    return crossing
+        carried = (times([slope // _BASE**place % _BASE for slope in slopes]) + carried) // _BASE
+    return times([slope // _BASE**_DIGITS for slope in slopes]) + carried

@@ -2,7 +2,8 @@
 
 Both variants delete, in two alternating sub-iterations, the pixels whose eight neighbours
 p2 ... p9 (N, NE, E, SE, S, SW, W, NW) satisfy the published conditions, until neither
-sub-iteration deletes anything. What is outside the image is background.
+sub-iteration deletes anything. The second is the first with the neighbours turned by half a circle.
+What is outside the image is background.
 
 The batch lies in one line of words: three pixels of a row times eight layers, the leftmost pixel in
 the lowest byte. Each row ends with at least one background pixel and each image with a background
@@ -35,6 +36,10 @@ PIXELS = 3
 _SECOND, _THIRD, _ALL = 1 << 8, 1 << 16, (1 << 24) - 1
 """The lowest bits of the second and the third pixel of a word, and all bits."""
 
+_RING = (3, 6, 7, 8, 5, 2, 1, 0)
+"""The eight neighbours, N first and clockwise, among nine pixels that are sorted by column, then
+row; n and 8 - n are opposite."""
+
 _BLOCK = 16
 """Words of which one bool says whether any of them belongs to the frontier."""
 
@@ -42,8 +47,8 @@ _BLOCK = 16
 class Rule(Protocol):
     """A variant of thinning."""
 
-    def __call__(self, pixels: Bits, ring: tuple[Bits, ...], first: bool, /) -> Bits:
-        """The pixels that remain after the first or the second sub-iteration."""
+    def __call__(self, pixels: Bits, ring: tuple[Bits, ...], /) -> Bits:
+        """The pixels that remain after the first sub-iteration."""
 
 
 def thin(planes: Tensor, rule: Rule) -> Tensor:
@@ -76,30 +81,29 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
         row, word = by_block.index_select(0, blocks).nonzero().unbind(1)
         return blocks.index_select(0, row) * _BLOCK + word
 
-    def sub_iteration(line: Tensor, flags: Tensor, first: bool) -> tuple[Tensor, Tensor, Tensor]:
-        frontier = near(flags, line)
+    def sub_iteration(
+        line: Tensor, before_last: Tensor, last: Tensor, some: Tensor, order: Tensor
+    ) -> tuple[Tensor, ...]:
+        frontier = near(before_last | last, line)
         nine = line.index_select(0, (frontier + around).flatten())
         before, here, after = nine.view(3, 3, -1).unbind(0)
         west, east = _shifted(before, here, after)
-        ring = here[0], east[0], east[1], east[2], here[2], west[2], west[1], west[0]
-        thinned = rule(here[1], ring, first)
+        ring = torch.cat((west, here, east)).index_select(0, order).unbind(0)
+        thinned = rule(here[1], ring)
         index, deleted = frontier + one_row.shape[0] + 1, here[1] - thinned
-        line = line.scatter(0, index, thinned)
-        return line, _flags(index, deleted, line), deleted.sum() > 0
-
-    def iteration(line: Tensor, *recent: Tensor) -> tuple[Tensor, ...]:
-        line, flags, some = sub_iteration(line, recent[0] | recent[1], first=True)
-        line, last_flags, more = sub_iteration(line, recent[1] | flags, first=False)
-        return some | more, line, flags, last_flags
+        line, more = line.scatter(0, index, thinned), deleted.sum() > 0
+        flags = _flags(index, deleted, line)
+        return some | more, line, last & torch.ones_like(flags), flags, more, 8 - order
 
     start = F.pad(border, (margin, margin))
     going = torch.ones((), dtype=torch.bool)
-    line = repeat_while(going, iteration, line, start, start.clone())[0]
+    order = torch.tensor(_RING, device=line.device)
+    line = repeat_while(going, sub_iteration, line, start, start.clone(), going.clone(), order)[0]
     return _to_planes(line, pitch, planes.shape)
 
 
-def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
-    """One sub-iteration of Zhang & Suen, CACM 27(3), 1984.
+def zhang_suen(pixels: Bits, ring: tuple[Bits, ...]) -> Bits:
+    """The first sub-iteration of Zhang & Suen, CACM 27(3), 1984.
 
     `thin` with it equals ``cv2.ximgproc.thinning(THINNING_ZHANGSUEN)`` on an image padded with
     background (OpenCV never touches border pixels). ``skimage.morphology.skeletonize`` differs:
@@ -108,13 +112,12 @@ def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     The conditions are A(P) = 1 (one 0 -> 1 step around the pixel), 2 <= B(P) <= 6 (neighbours that
     are on), and two products that are zero. If A = 1, the neighbours that are on form one arc, in
     which corners and sides alternate, so B need not be counted: B >= 2 if the arc has a corner and
-    a side. If B = 7 and the products are zero, the neighbour that is off is E or S in the first
-    sub-iteration, W or N in the second. Subtraction removes a subset of bits.
+    a side. If B = 7 and the products are zero, the neighbour that is off is E or S. Subtraction
+    removes a subset of bits.
 
     Args:
         pixels: `Bits`: a tensor, or a symbol of a graph.
         ring: p2 ... p9, each of the type of ``pixels``.
-        first: whether it is the first of the two sub-iterations.
 
     Returns:
         The pixels that remain.
@@ -122,17 +125,13 @@ def zhang_suen(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     n, ne, e, se, s, sw, w, nw = ring
     north_west, south_east = n | w, e | s
     two_on = (north_west | south_east) & (ne | se | sw | nw)
-    if first:
-        product = e & s & north_west  # p2 p4 p6 or p4 p6 p8
-        seven_on = se & ((ne | e) - e | sw - (s & sw))
-    else:
-        product = n & w & south_east  # p2 p4 p8 or p2 p6 p8
-        seven_on = nw & ((sw | w) - w | ne - (n & ne))
+    product = e & s & north_west  # p2 p4 p6 or p4 p6 p8
+    seven_on = se & ((ne | e) - e | sw - (s & sw))
     return pixels - (pixels & _exactly_one(steps_around(ring)) & two_on & ~(product | seven_on))
 
 
-def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
-    """One sub-iteration of algorithm A1 of Guo & Hall, CACM 32(3), 1989.
+def guo_hall(pixels: Bits, ring: tuple[Bits, ...]) -> Bits:
+    """The first sub-iteration of algorithm A1 of Guo & Hall, CACM 32(3), 1989.
 
     `thin` with it equals ``skimage.morphology.thin``. OpenCV's ``THINNING_GUOHALL`` differs: it
     runs the two sub-iterations in the other order.
@@ -147,7 +146,7 @@ def guo_hall(pixels: Bits, ring: tuple[Bits, ...], first: bool) -> Bits:
     other = [n | ne, e | se, s | sw, w | nw]
     two_at_least = two_or_more(one) & two_or_more(other)
     three_at_most = ~reduce(and_, one + other)
-    product = (n | ne | ~se) & e if first else (s | sw | ~nw) & w
+    product = (n | ne | ~se) & e
     one_group = reduce(or_, groups) & ~two_or_more(groups)
     return pixels & ~(one_group & two_at_least & three_at_most & ~product)
 

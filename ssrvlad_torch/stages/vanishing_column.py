@@ -7,7 +7,11 @@ vanishing point, which a label map does not show. Not in the paper.
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
+
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from .tracing import real
@@ -47,11 +51,11 @@ def vanishing_columns(numbers: Tensor) -> Tensor:
         ``(B,)`` int64, negative to the left.
     """
     height, width = numbers.shape[1:]
-    is_open = torch.stack([numbers == layer for layer in OPEN_LAYERS])
-    open_pixels = is_open.to(real(height)).sum((0, 2))
+    is_open = reduce(or_, [numbers == layer for layer in OPEN_LAYERS])
+    open_pixels = is_open.to(real(height)).sum(1)
     level = torch.floor((open_pixels * LEVELS + 0.5) / height).to(torch.int64)
     table = _digits([level**POWER >> SHIFT for level in range(LEVELS + 1)], numbers.device)
-    weight = table.index_select(0, level.flatten()).unflatten(0, level.shape)  # (B, W, digits)
+    weight = F.embedding(level, table)  # (B, W, digits)
     twice_from_middle = (2 * torch.arange(width, device=numbers.device) - (width - 1)).to(real())
     moment = (weight * twice_from_middle[:, None]).sum(1)
     whole, rest = divmod(ONE, PULL)

@@ -8,14 +8,8 @@ from torch import Tensor
 
 
 def soft_boundaries(layers: Tensor) -> Tensor:
-    """The weight of each direction at every pixel, as if neighbours were independent.
-
-    Args:
-        layers: ``(B, K, h, w)``, 0 to 1.
-
-    Returns:
-        ``(B, 4, h, w)``, 0 to 1: upright, level, rising, falling.
-    """
+    """``(B, 4, h, w)``, 0 to 1, the weight of each direction, upright, level, rising, falling, at
+    every pixel of layers ``(B, K, h, w)``, 0 to 1, as if neighbours were independent."""
     if min(layers.shape[2:]) < 3:
         return torch.zeros_like(layers[:, :4])
     ends = slice(None, -2), slice(2, None)

@@ -7,16 +7,9 @@ from torch import Tensor
 
 
 def soft_pool(layers: Tensor, shift: Tensor, cells: tuple[int, int]) -> Tensor:
-    """The fraction of every cell that each layer covers, the image moved ``shift`` columns left.
-
-    Args:
-        layers: ``(B, 8, h, w)``, 0 to 1.
-        shift: ``(B,)`` columns, any real number, negative to move right.
-        cells: rows and columns of the grid of cells.
-
-    Returns:
-        ``(B, 8, rows, columns)``, 0 to 1; equal to `pool` for layers of 0 and 1 and whole shifts.
-    """
+    """``(B, 8, rows, columns)``, 0 to 1, the fraction of every cell that each of layers ``(B, 8, h,
+    w)`` covers, the image moved ``shift`` ``(B,)`` columns, any real number, to the left; equal to
+    `pool` for layers of 0 and 1 and whole shifts."""
     rows = soft_overlaps(layers.shape[2], cells[0], shift.new_zeros(1))
     columns = soft_overlaps(layers.shape[3], cells[1], shift)
     return rows.mT[:, None] @ layers @ columns[:, None]

@@ -23,17 +23,10 @@ def soft_coefficients(
     numbers: tuple[int, int],
     power: float,
 ) -> Tensor:
-    """The descriptor of each image: the coefficients of its histograms in the basis.
-
-    Args:
-        area: ``(B, 6, rows, columns)`` from `soft_pool`.
-        lengths: ``(B, 4, rows, columns)``, lengths of the boundaries in sides of a cell.
-        bins, basis, numbers, power: as for `soft_histograms` and `coefficients`.
-
-    Returns:
-        ``(B, 6 * numbers[0] + 4 * numbers[1])`` of length 1 at most; zeros for an image without
-        layers.
-    """
+    """The descriptor of each image, ``(B, 6 * numbers[0] + 4 * numbers[1])`` of length 1 at most:
+    the coefficients of its histograms in the basis, of ``area`` ``(B, 6, rows, columns)`` and
+    ``lengths`` ``(B, 4, rows, columns)``, in sides of a cell, from `soft_pool`. Other arguments as
+    for `soft_histograms` and `coefficients`."""
     coefficients = torch.cat(
         [
             (safe_root(cells.flatten(2) @ bins.T) @ basis[:number].T).flatten(1)

@@ -23,17 +23,10 @@ def membership(space: LabelSpace, channels: int) -> Tensor:
 
 
 def soft_layers(scores: Tensor, members: Tensor, temperature: float) -> Tensor:
-    """The probability of every category at every pixel: the sum over its classes.
-
-    Args:
-        scores: ``(B, C, H, W)`` logits, or probabilities, which count by their logarithm (see
-            `are_probabilities`). If they sum to less than 1, the rest is void.
-        members: `membership`.
-        temperature: divides the logits before the softmax; 1 leaves probabilities as they are.
-
-    Returns:
-        ``(B, 8, H, W)``, 0 to 1; the rest to 1 belongs to no layer.
-    """
+    """The probability of every category at every pixel, ``(B, 8, H, W)``, the sum over its classes
+    by `membership`; the rest to 1 belongs to no layer. Scores ``(B, C, H, W)`` are logits, which
+    the temperature divides, or probabilities, which count by their logarithm (see
+    `are_probabilities`); if these sum to less than 1, the rest is void."""
     if are_probabilities(scores):
         missing = 1 - scores.sum(1, keepdim=True)
         missing = missing.where(missing > TOLERANCE, 0)

@@ -9,19 +9,12 @@ TINY = 1e-6
 
 
 def soft_majority(layers: Tensor, grid: tuple[int, int], temperature: float) -> Tensor:
-    """The fraction of each cell that each category covers; a low temperature favours the largest.
+    """``(B, 8, h, w)``, the fraction of each cell of the grid that each category covers, of layers
+    ``(B, 8, H, W)``, 0 to 1; a low temperature favours the largest.
 
-    This is the softmax in place of the vote of `reduce_by_majority`: fractions to the power of
-    ``1 / temperature``, normalised. At temperature 1 they are the mean of the pixels. Pixel
-    ``(y, x)`` belongs to cell ``(y * h // H, x * w // W)``.
-
-    Args:
-        layers: ``(B, 8, H, W)`` from `soft_layers`.
-        grid: ``(h, w)`` with ``h <= H`` and ``w <= W``.
-        temperature: above 0.
-
-    Returns:
-        ``(B, 8, h, w)``, 0 to 1.
+    This is the softmax in place of the vote of `reduce_by_majority`: fractions to the power of ``1
+    / temperature``, normalised. At temperature 1 they are the mean of the pixels. Pixel ``(y, x)``
+    belongs to cell ``(y * h // H, x * w // W)``.
     """
     if tuple(layers.shape[2:]) == grid:
         return layers

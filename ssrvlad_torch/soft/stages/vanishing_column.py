@@ -15,14 +15,8 @@ the middle of the image has the weight of a twentieth of all columns, fully open
 
 
 def soft_vanishing_columns(layers: Tensor) -> Tensor:
-    """How many columns right of the middle the vanishing column is, in each image.
-
-    Args:
-        layers: ``(B, K, h, w)``, 0 to 1.
-
-    Returns:
-        ``(B,)``, negative to the left; `vanishing_columns` rounds it.
-    """
+    """``(B,)``, how many columns right of the middle the vanishing column of layers ``(B, K, h,
+    w)``, 0 to 1, is, negative to the left; `vanishing_columns` rounds it."""
     width = layers.shape[3]
     open_fraction = layers[:, OPEN].sum(1).clamp(max=1).mean(1)
     weight = open_fraction**POWER
