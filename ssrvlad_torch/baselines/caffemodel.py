@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..files import requiring
+
 _MESSAGES = {
     "BlobShape": {"dim": (1, "repeated int64")},
     "BlobProto": {
@@ -31,16 +33,9 @@ _MESSAGES = {
 
 
 def read_caffemodel(path: Path) -> dict[str, Tensor]:
-    """The weights and biases of a Caffe network's layers.
-
-    Returns:
-        ``<layer>.weight`` and ``<layer>.bias`` float32, in Caffe's shapes: a convolution's is
-        ``(out, in / groups, h, w)``, as in PyTorch.
-
-    Raises:
-        ImportError: protobuf is not installed.
-        ValueError: the file is not a Caffe network, or is damaged.
-    """
+    """The arrays ``<layer>.weight`` and ``<layer>.bias`` float32 of a Caffe network, in Caffe's
+    shapes: a convolution's is ``(out, in / groups, h, w)``, as in PyTorch. Another or a damaged
+    file is a ValueError, no protobuf an ImportError."""
     network, damaged = _network_message()
     try:
         network.ParseFromString(path.read_bytes())
@@ -66,14 +61,12 @@ def _array(blob: Any) -> Tensor:
 
 def _network_message() -> tuple[Any, type[Exception]]:
     """An empty ``NetParameter``, and the error that it raises for damaged bytes."""
-    try:
+    with requiring("eval", "Caffe's files need"):
         from google.protobuf.descriptor_pb2 import FieldDescriptorProto as Field
         from google.protobuf.descriptor_pb2 import FileDescriptorProto
         from google.protobuf.descriptor_pool import DescriptorPool
         from google.protobuf.message import DecodeError
         from google.protobuf.message_factory import GetMessageClass
-    except ImportError as error:
-        raise ImportError("Caffe's files need: pip install ssrvlad-torch[eval]") from error
     file = FileDescriptorProto(name="caffe.proto", package="caffe", syntax="proto2")
     for message, fields in _MESSAGES.items():
         added = file.message_type.add(name=message)

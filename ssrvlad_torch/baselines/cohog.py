@@ -38,12 +38,9 @@ _SCORES_AT_ONCE = 1 << 20
 
 @dataclass(frozen=True)
 class Regions(Columns):
-    """Encoded queries.
-
-    Attributes:
-        descriptors: ``(Q, regions, 32)`` float32 of length 1, or zero for a flat region.
-        chosen: ``(Q, regions)`` bool, the regions whose entropy reaches the threshold.
-    """
+    """Encoded queries: descriptors ``(Q, regions, 32)`` float32 of length 1, or zero for a flat
+    region, and which regions are chosen, ``(Q, regions)`` bool: their entropy reaches the
+    threshold."""
 
     descriptors: Tensor
     chosen: Tensor
@@ -52,15 +49,10 @@ class Regions(Columns):
 class CoHOG:
     """Compares each region of the query with the most similar region of the reference.
 
-    The score is the mean, over the query's regions of high entropy, of the largest cosine with
-    any region of the reference. A query without such a region matches nothing.
-
-    Args:
-        size: side in pixels of the square to which images are resized, a multiple of 16 from 32.
-        entropy_threshold: mean entropy of a chosen region as a fraction of 8 bits, 0 to 1.
-
-    Raises:
-        ValueError: a setting is outside its range.
+    The score is the mean, over the query's regions of high entropy, of the largest cosine with any
+    region of the reference. A query without such a region matches nothing. Images are resized to
+    squares with sides of ``size`` pixels, a multiple of 16 from 32; the mean entropy of a chosen
+    region is at least a threshold, a fraction of 8 bits, 0 to 1. Other settings are a ValueError.
     """
 
     name = "cohog"
@@ -119,12 +111,9 @@ def region_descriptors(pictures: Tensor) -> Tensor:
     """HOG of 2 x 2 cells at every cell: square root of gray, 5 x 5 Sobel; each pixel votes for the
     two bins next to its direction.
 
-    Args:
-        pictures: ``(B, H, W)`` uint8; ``H`` and ``W`` are multiples of 16.
-
-    Returns:
-        ``(B, (H / 16 - 1) * (W / 16 - 1), 32)`` float32 of length 1, or zero: cells from the upper
-        left to the lower right, directions from 0 to 360 degrees in each.
+    Of pictures ``(B, H, W)`` uint8, sides multiples of 16, ``(B, (H / 16 - 1) * (W / 16 - 1), 32)``
+    float32 of length 1, or zero: cells from the upper left to the lower right, directions from 0 to
+    360 degrees in each.
     """
     brightest = pictures.amax((1, 2), keepdim=True).clamp(min=1)
     along_x, along_y = sobel((pictures / brightest).sqrt())
@@ -163,11 +152,8 @@ def region_entropies(pictures: Tensor) -> Tensor:
 
 def local_entropy(pictures: Tensor, radius: int) -> Tensor:
     """Shannon entropy, in bits, of the gray values in a disc around each pixel: ``(B, H, W)``
-    float32, 0 to 8, of pictures ``(B, H, W)`` uint8.
-
-    The disc holds the pixels at most ``radius`` away inside the picture, as in
-    ``skimage.filters.rank.entropy``.
-    """
+    float32, 0 to 8, of pictures ``(B, H, W)`` uint8. The disc holds the pixels at most ``radius``
+    away inside the picture, as in ``skimage.filters.rank.entropy``."""
     images, height, width = pictures.shape
     reach = torch.arange(-radius, radius + 1)
     disc = (reach[:, None] ** 2 + reach**2 <= radius**2).flatten()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import torch
@@ -19,7 +19,6 @@ from ..evaluation.metrics import Convention
 from ..evaluation.true_matches import TrueMatches, Viewpoints
 from ..recognition.follow import runs
 from ..recognition.fusion import FusedScores
-from ..recognition.matching import Matches
 from ..recognition.recognise import AS_PAPER, Steps, recognise_by_scores
 from ..taxonomy import LabelSpace, label_space
 from .protocol import Frame, Method
@@ -32,16 +31,9 @@ Note = Callable[[str], object]
 
 
 class Protocol(NamedTuple):
-    """How methods are measured.
-
-    Attributes:
-        true: the definition of a true match.
-        convention: of the metrics.
-        steps: between encodings and a decision.
-        workers: threads that read ahead.
-        fused: names of the methods whose scores are fused.
-        progress: shows the progress of a method with a number of frames.
-    """
+    """How methods are measured: what is a true match, the convention of the metrics, the steps
+    between encodings and a decision, the threads that read ahead, the names of the methods that are
+    fused, and what shows the progress of a method with a number of frames."""
 
     true: TrueMatches
     convention: Convention
@@ -58,14 +50,8 @@ _AHEAD = 16
 def compare(
     methods: Mapping[str, Method | str], drives: Drives, protocol: Protocol, note: Note
 ) -> list[Row]:
-    """The rows of all methods in their order, then the rows of the fused methods.
-
-    Args:
-        methods: by name; of a method that cannot be made, the reason.
-        drives: the references and the queries.
-        protocol: how methods are measured.
-        note: gets what is left out.
-    """
+    """The rows of all methods in their order, then the rows of the fused methods. A method that
+    cannot be made is given by the reason; ``note`` gets what is left out."""
     lacking = {kind: reason for kind in KINDS if (reason := drives.lacks(kind))}
     rows: dict[str, list[Row]] = {}
     able: dict[str, Method] = {}
@@ -138,19 +124,11 @@ def run_method(
     workers: int,
     all_pairs: bool,
     steps: Steps | None = None,
-    progress: Callable[[int], None] | None = None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> list[Recognition]:
     """The candidates of every query: of single frames, and, if steps are given, after the steps.
-
-    Args:
-        method: reads label maps or images.
-        references, queries: files of label maps or images, as the method needs.
-        labels_as: label space of the label maps; ``None`` for images.
-        workers: threads that read ahead.
-        all_pairs: whether the scores of all pairs are needed.
-        steps: between encodings and a decision.
-        progress: called with 1 for every frame that is done.
-    """
+    Files are label maps of a label space, or images without one; ``progress`` is called with 1 for
+    every frame."""
     retrieval = run(
         method,
         _frames(queries, labels_as, workers),
@@ -164,14 +142,14 @@ def run_method(
     single = Recognition(
         references=Viewpoints.of(references),
         queries=Viewpoints.of(queries),
-        matches=Matches(retrieval.scores, retrieval.indices),
+        matches=retrieval.matches,
         similarity=None if pairs is None else pairs.cpu().numpy(),
         details={
             "method": method.name,
             "temporal": getattr(method, "temporal", None),
             "steps": None,
-            "encode_ms": asdict(retrieval.encode),
-            "match_ms": asdict(retrieval.match),
+            "encode_ms": retrieval.encode,
+            "match_ms": retrieval.match,
             "bytes_a_reference": retrieval.bytes_a_reference,
         },
     )
@@ -183,12 +161,8 @@ def run_method(
 
 
 def fused_methods(members: Sequence[Recognition], steps: Steps) -> list[Recognition]:
-    """The fused recognition of single frames, and the followed one if ``steps.follow``.
-
-    Args:
-        members: recognitions of single frames by each method, with scores of all pairs.
-        steps: of which only following applies.
-    """
+    """The fused recognition of single frames, and the followed one if ``steps.follow``. Members are
+    recognitions of single frames by each method, with scores of all pairs."""
     first, details = members[0], [member.details for member in members]
     methods, names = [each["method"] for each in details], _sequences(first.queries.frames)
     scores = [_scores(member) for member in members]

@@ -21,12 +21,7 @@ Both float; channel c of the probabilities, at any resolution, stands for id c o
 def segmenter_of(
     network: Segmenter | str | Path | None, method: str, labels_as: str | LabelSpace = AUTO
 ) -> Segmenter:
-    """The segmentation network of a method, given or by its name.
-
-    Raises:
-        FileNotFoundError: there is none.
-        ValueError: it cannot be used.
-    """
+    """A method's segmentation network, given or by its name; none is a FileNotFoundError."""
     if network is None:
         raise FileNotFoundError(
             f"no network: {method} needs a segmentation network, by the setting network"
@@ -35,14 +30,8 @@ def segmenter_of(
 
 
 def dense_network(segmenter: Segmenter) -> DenseNetwork:
-    """A segmentation network with one of its activations, and a softmax behind it.
-
-    Args:
-        segmenter: its setting ``features`` names the activation; without, see `find_activations`.
-
-    Raises:
-        ValueError: the network has no such activation, or more than one is named.
-    """
+    """A segmentation network with one of its activations, see `find_activations`, and a softmax
+    behind it; no such activation, or several, are a ValueError."""
     names = segmenter.features.names
     if len(names) != 1:
         raise ValueError(f"features: expected one activation for LoST-X, got {', '.join(names)}")

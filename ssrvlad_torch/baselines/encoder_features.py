@@ -20,16 +20,9 @@ _BATCH = 4
 
 
 class EncoderFeatures:
-    """Signs of what the encoder of a segmentation network sees in each cell of a grid.
-
-    Args:
-        network: the network, or its name, see `open_network`.
-        labels_as: label space of its classes, if neither they nor its YAML file say it.
-
-    Raises:
-        FileNotFoundError: there is no network.
-        ValueError: the network cannot be used, or has no features.
-    """
+    """Signs of what the encoder of a segmentation network sees in each cell of a grid. The network
+    is given, or its name, see `open_network`, with the label space of its classes, if neither they
+    nor its YAML file say it. None is a FileNotFoundError, one without features a ValueError."""
 
     name = "features"
     needs = frozenset({"images", "weights"})

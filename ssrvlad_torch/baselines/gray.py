@@ -6,26 +6,18 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from PIL import Image
 from torch import Tensor
 
 from .protocol import Frame, image_of
 
-_LUMA = (19595, 38470, 7471)
-"""Red, green and blue in parts of 1 << 16 (ITU-R BT.601)."""
-
 _WEIGHT_UNIT = 2048
 
 
-def gray(images: Tensor) -> Tensor:
-    """``(B, H, W)`` uint8 luma (ITU-R BT.601) of RGB pictures ``(B, H, W, 3)`` uint8, rounded to
-    the same integers as Pillow's mode ``L``."""
-    parts = images.to(torch.int32) * torch.tensor(_LUMA, dtype=torch.int32, device=images.device)
-    return (parts.sum(-1, dtype=torch.int32) + (1 << 15) >> 16).to(torch.uint8)
-
-
 def grays(frames: Sequence[Frame], method: str) -> Tensor:
-    """``(B, H, W)`` uint8, the gray pictures of frames of one size; for errors see `image_of`."""
-    return gray(torch.from_numpy(np.stack([image_of(frame, method) for frame in frames])))
+    """``(B, H, W)`` uint8, the luma (ITU-R BT.601) of frames of one size; errors of `image_of`."""
+    pictures = [Image.fromarray(image_of(frame, method)).convert("L") for frame in frames]
+    return torch.from_numpy(np.stack([np.asarray(picture) for picture in pictures]))
 
 
 def resize(pictures: Tensor, height: int, width: int) -> Tensor:

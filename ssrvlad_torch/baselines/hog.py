@@ -40,36 +40,22 @@ class HOG(GridMethod):
     def _describe(self, frames: Sequence[Frame]) -> Tensor:
         pictures = grays(frames, self.name)
         small = resize(pictures, CELL * self.rows, CELL * self.columns).float()
-        along_x, along_y = central_differences(small)
+        along_x = F.pad(small[:, :, 2:] - small[:, :, :-2], (1, 1))
+        along_y = F.pad(small[:, 2:] - small[:, :-2], (0, 0, 1, 1))
         turn = torch.atan2(along_y.double(), along_x.double()) / torch.pi % 1
         bins = (turn * ORIENTATIONS).long()
         cells = cell_histograms(bins, torch.hypot(along_x, along_y), ORIENTATIONS)
         return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
 
     def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `Grid`. Not exact: a gradient between two bins counts in the first of them, and so
-        does its mirror image."""
+        """See `Grid`. Not exact: a gradient between two bins counts in the first of them."""
         cells: Tensor = vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS))
         return cells.flip(-2, -1).flatten(-3)
 
 
-def central_differences(pictures: Tensor) -> tuple[Tensor, Tensor]:
-    """Differences of the neighbours along x and along y of ``(B, H, W)`` float pictures; zero at
-    the border."""
-    along_x = F.pad(pictures[:, :, 2:] - pictures[:, :, :-2], (1, 1))
-    along_y = F.pad(pictures[:, 2:] - pictures[:, :-2], (0, 0, 1, 1))
-    return along_x, along_y
-
-
 def cell_histograms(bins: Tensor, votes: Tensor, count: int) -> Tensor:
-    """Sums of the votes of each bin over square cells of ``CELL`` pixels, ``(B, H / CELL, W / CELL,
-    count)``.
-
-    Args:
-        bins: ``(B, H, W)`` int64, 0 to ``count - 1``; ``H`` and ``W`` are multiples of ``CELL``.
-        votes: ``(B, H, W)`` float.
-        count: number of bins.
-    """
+    """Sums of votes ``(B, H, W)`` float of each bin over square cells of ``CELL`` pixels, ``(B, H /
+    CELL, W / CELL, count)``; ``bins`` ``(B, H, W)`` int64 are 0 to ``count - 1``."""
     images, height, width = bins.shape
     row, column = (torch.arange(side, device=bins.device) // CELL for side in (height, width))
     entry = (row[:, None] * (width // CELL) + column) * count + bins

@@ -19,15 +19,12 @@ from torch import Tensor
 
 def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
     """Cost of M pairs of keypoints, low if they keep their order along the image; infinity for
-    fewer than two pairs.
+    fewer than two pairs. ``columns`` are x of the keypoints in both images, ``(M,)`` float each,
+    and ``distances`` ``(M,)`` float the cosine distances between the features of each pair.
 
     The weight w_k of a pair is the largest distance minus its own, after all are divided by their
     sum; if all distances are equal, so are the weights. The cost is the cosine distance between the
     two vectors of weighted columns, divided by the length of w and by M.
-
-    Args:
-        columns: x of the keypoints in both images, ``(M,)`` float each.
-        distances: ``(M,)`` float, cosine distances between the features of each pair.
     """
     count = len(columns[0])
     if count < 2:
@@ -42,27 +39,17 @@ def layout_cost(columns: tuple[Tensor, Tensor], distances: Tensor) -> float:
 
 
 def class_sums(features: Tensor, labels: Tensor, classes: Tensor) -> tuple[Tensor, Tensor]:
-    """The parts of the mean features of classes: sums ``(S, D)`` of the features of each class, and
-    numbers of places ``(S, 1)``.
-
-    Args:
-        features: ``(D, P)`` float, the x_i.
-        labels: ``(P,)`` int64, the l_i.
-        classes: ``(S,)`` int64, channel numbers.
-    """
+    """The parts of the mean features of classes ``(S,)`` int64, channel numbers: sums ``(S, D)`` of
+    the features ``(D, P)`` float of each class, and numbers of places ``(S, 1)``, by labels
+    ``(P,)`` int64."""
     members = (labels == classes[:, None]).to(features.dtype)
     return members @ features.mT, members.sum(dim=1, keepdim=True)
 
 
 def lost_descriptor(features: Tensor, probabilities: Tensor, means: Tensor) -> Tensor:
     """The descriptor of an image, ``(S * D,)`` of length 1: L_s = sum_i m_is |x_i - mu_s| (Eq. 1),
-    each normalised to length 1, concatenated.
-
-    Args:
-        features: ``(D, P)`` float, the x_i.
-        probabilities: ``(S, P)`` float, the m_is.
-        means: ``(S, D)`` float, the mu_s; zero for a class without places.
-    """
+    each normalised to length 1, concatenated; of features ``(D, P)``, probabilities ``(S, P)`` and
+    means ``(S, D)``, zero for a class without places."""
     residuals = [
         (features - mean[:, None]).abs() @ weight
         for mean, weight in zip(means, probabilities, strict=True)

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ..files import one_line
+from ..files import one_line, requiring
 
 _WORKSPACE = "__function_workspace__"
 _HEADER = b"MATLAB 5.0 MAT-file"
@@ -25,25 +25,17 @@ Array = npt.NDArray[np.float32]
 
 
 class MatConvNet(NamedTuple):
-    """The content of a MatConvNet file.
-
-    Attributes:
-        weights: the arrays of each layer with weights, by the layer's name, in MATLAB's shapes: a
-            convolution has ``(h, w, in, out)`` and the biases.
-        average: ``(3,)`` first pixel of the average image, RGB of 0 to 255.
-    """
+    """The content of a MatConvNet file: the arrays of each layer with weights, by its name, in
+    MATLAB's shapes, for a convolution ``(h, w, in, out)`` and the biases; and the first pixel
+    ``(3,)`` of the average image, RGB of 0 to 255."""
 
     weights: dict[str, list[Array]]
     average: Array
 
 
 def read_matconvnet(path: Path) -> MatConvNet:
-    """Reads a network, saved with its layers as structs or as objects.
-
-    Raises:
-        ImportError: SciPy is not installed.
-        ValueError: the file is damaged, is of MATLAB's version 7.3, or holds no such network.
-    """
+    """Reads a network, saved with its layers as structs or as objects. A file that is damaged, of
+    MATLAB's version 7.3 or without such a network is a ValueError, no SciPy an ImportError."""
     with path.open("rb") as file:
         content = _load(file, path)
     try:
@@ -65,10 +57,8 @@ def read_matconvnet(path: Path) -> MatConvNet:
 
 
 def _load(stream: BinaryIO, path: Path) -> dict[str, Any]:
-    try:
+    with requiring("eval", "MATLAB files need"):
         from scipy.io import loadmat
-    except ImportError as error:
-        raise ImportError("MATLAB files need: pip install ssrvlad-torch[eval]") from error
     try:
         content: dict[str, Any] = loadmat(stream)
     except NotImplementedError as error:
@@ -83,11 +73,8 @@ def _load(stream: BinaryIO, path: Path) -> dict[str, Any]:
 
 
 def _saved_objects(content: dict[str, Any], path: Path) -> Iterator[Any]:
-    """The structs of the objects in a file.
-
-    The stream starts with the last four bytes of a MAT header and four of padding. With a complete
-    header in place of these eight bytes it is a MAT file.
-    """
+    """The structs of the objects in a file. Their stream starts with the last four bytes of a MAT
+    header and four of padding: with a complete header in place of these eight it is a MAT file."""
     if _WORKSPACE in content:
         stream = content[_WORKSPACE].tobytes()
         inner = _load(BytesIO(_HEADER.ljust(124) + stream[:4] + stream[8:]), path)

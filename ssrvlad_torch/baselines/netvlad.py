@@ -32,17 +32,9 @@ class NetVLAD(VectorMethod):
     """Descriptors of a trained network, compared by their cosine.
 
     Images keep their own size, as in the authors' programs. A descriptor has 4096 numbers; without
-    whitening, 32768.
-
-    Args:
-        weights: a file that `read_netvlad_weights` can read, or a folder with one under its
-            published name; None is ``~/.cache/ssrvlad/weights``.
-        random_weights: only to measure the cost of the method; the name then says so.
-        device: of the network.
-
-    Raises:
-        FileNotFoundError: there are no weights; the message says where to get them.
-        ValueError: the weights are damaged or do not fit.
+    whitening, 32768. Weights are a file for `read_netvlad_weights`, or a folder with one under its
+    published name, by default ``~/.cache/ssrvlad/weights``; a FileNotFoundError says where to get
+    them. Random ones, which the name then tells, are for the cost of the method.
     """
 
     needs = frozenset({"images", "weights"})

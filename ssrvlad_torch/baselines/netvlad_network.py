@@ -1,7 +1,5 @@
-"""The NetVLAD network (Arandjelovic et al., CVPR 2016): image -> descriptor.
-
-VGG-16 is configuration D of Simonyan and Zisserman, ICLR 2015; the layer is that of Section 3.1.
-"""
+"""The NetVLAD network (Arandjelovic et al., CVPR 2016): image -> descriptor. VGG-16 is
+configuration D of Simonyan and Zisserman, ICLR 2015; the layer is that of Section 3.1."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from inspect import signature
 from itertools import groupby, islice
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -55,10 +55,8 @@ class Encodings(Protocol):
 
 
 class Columns:
-    """A base for frozen dataclasses of encodings with one row per frame in every field.
-
-    A field is a tensor, or a list with one tensor per frame.
-    """
+    """A base for frozen dataclasses of encodings whose fields are tensors with one row per frame,
+    or lists with one tensor per frame."""
 
     def __len__(self) -> int:
         return len(next(iter(vars(self).values())))
@@ -90,32 +88,15 @@ class Method(Protocol):
     needs: frozenset[str]
 
     def encode_query(self, frames: Iterable[Frame]) -> Encodings:
-        """The encodings of Q queries, each independent of the others.
-
-        Raises:
-            ValueError: a frame lacks what the method needs, or cannot be encoded.
-        """
+        """The encodings of Q queries, each independent of the others. A frame that lacks what the
+        method needs, or cannot be encoded, is a ValueError."""
 
     def encode_reference(self, frames: Iterable[Frame]) -> Encodings:
-        """The encodings of R references; the frames of a sequence follow each other in order.
-
-        Raises:
-            ValueError: a frame lacks what the method needs, or cannot be encoded.
-        """
+        """The encodings of R references, those of a sequence in order; errors as for queries."""
 
     def scores(self, queries: Any, references: Any) -> Tensor:
         """``(Q, R)`` float32, at most 1, higher for more similar frames, ``-inf`` for no candidate.
-
-        A row does not depend on the other rows. The memory in addition to the result is bounded.
-        """
-
-
-@runtime_checkable
-class Sweeping(Protocol):
-    """A method that can describe queries from several anchors, see `recognition.sweep`."""
-
-    def encode_sweep(self, frames: Iterable[Frame]) -> Tensor:
-        """``(Q, S, D)`` float32, one vector for each anchor of `recognition.sweep.COLUMNS`."""
+        A row does not depend on the other rows. The memory in addition to the result is bounded."""
 
 
 METHODS = {
@@ -133,8 +114,7 @@ METHODS = {
 
 
 def make(name: str, **settings: Any) -> Method:
-    """A method of `METHODS`, created with the settings; an unknown name or setting is a
-    ValueError."""
+    """A method of `METHODS` with settings; an unknown name or setting is a ValueError."""
     if name not in METHODS:
         raise ValueError(f"unknown method {name!r}; expected one of {', '.join(METHODS)}")
     module, class_name = METHODS[name]  # imported here, not earlier
@@ -147,8 +127,7 @@ def make(name: str, **settings: Any) -> Method:
 
 
 def image_of(frame: Frame, method: str) -> Image:
-    """The image of a frame for a method. A missing image, or one that is not ``(H, W, 3)`` uint8,
-    is a ValueError."""
+    """The image of a frame for a method; none, or not ``(H, W, 3)`` uint8, is a ValueError."""
     if frame.image is None:
         raise ValueError(f"method {method} needs images, but frame {frame.frame} has none")
     got = frame.image

@@ -1,8 +1,5 @@
-"""Image -> descriptors of its regions: the first half of Region-VLAD.
-
-The network is AlexNet-Places365 up to conv3 (Zhou et al., TPAMI 2018), after its published
-prototxt.
-"""
+"""Image -> descriptors of its regions: the first half of Region-VLAD. The network is
+AlexNet-Places365 up to conv3 (Zhou et al., TPAMI 2018), after its published prototxt."""
 
 from __future__ import annotations
 
@@ -64,19 +61,12 @@ _PYTORCH = (b"PK\x03\x04", b"\x80\x02")
 
 
 class RegionFeatures:
-    """conv3 of AlexNet-Places365 and the regions in it with the highest energy.
+    """conv3 of AlexNet-Places365 and the at most ``regions`` regions in it with the highest energy.
 
-    Args:
-        weights: ``alexnet_places365.caffemodel`` as published, or a PyTorch file with the same
-            layers by Caffe's names (``conv1.weight``, ``conv1.bias``, ... ``conv3.bias``); or a
-            folder with one of them; None is ``~/.cache/ssrvlad/weights``.
-        random_weights: only to measure costs.
-        regions: N, the most regions of an image.
-        device: of the network.
-
-    Raises:
-        FileNotFoundError: there are no weights; the message says where to get them.
-        ValueError: the weights are damaged or do not fit.
+    Weights are ``alexnet_places365.caffemodel`` as published, or a PyTorch file with the same
+    layers by Caffe's names (``conv1.weight``, ``conv1.bias``, ... ``conv3.bias``), or a folder with
+    one of them, by default ``~/.cache/ssrvlad/weights``; a FileNotFoundError says where to get
+    them. Random ones are for measuring costs.
     """
 
     def __init__(

@@ -24,20 +24,10 @@ _ORIGIN = (
 class RegionVLAD(VectorMethod):
     """VLAD of an image's regions over a vocabulary, compared by the cosine.
 
-    Args:
-        weights: of the network, see `RegionFeatures`.
-        vocabulary: a file that `read_vocabulary` can read, or a folder with
-            ``region_vlad_vocabulary.npy`` or the authors' file; None is
-            ``~/.cache/ssrvlad/weights``.
-        random_weights: random network and vocabulary, only to measure the cost of the method; the
-            name then says so.
-        regions, words: N and V of the paper: 400 and 256, or 200 and 128.
-        device: of the network.
-
-    Raises:
-        FileNotFoundError: there are no weights or no vocabulary; the message says where to get
-            them.
-        ValueError: they are damaged or do not fit.
+    ``regions`` and ``words`` are N and V of the paper: 400 and 256, or 200 and 128. For weights,
+    also random ones, see `RegionFeatures`; the vocabulary is a file for `read_vocabulary`, or a
+    folder with ``region_vlad_vocabulary.npy`` or the authors' file, by default
+    ``~/.cache/ssrvlad/weights``.
     """
 
     needs = frozenset({"images", "weights"})
@@ -70,10 +60,8 @@ class RegionVLAD(VectorMethod):
 
 def vlad(descriptors: Tensor, words: Tensor) -> Tensor:
     """Vector of locally aggregated descriptors (Jegou et al., CVPR 2010) with signed square root.
-
     ``(R, D)`` descriptors and ``(V, D)`` words give ``(V * D,)`` float of length 1, or zeros if
-    there are no descriptors.
-    """
+    there are no descriptors."""
     nearest = torch.cdist(descriptors, words).argmin(1)
     residuals = torch.zeros_like(words).index_add_(0, nearest, descriptors - words[nearest])
     rooted = residuals.sign() * residuals.abs().sqrt()

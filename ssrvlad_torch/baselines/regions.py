@@ -14,23 +14,16 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from ..files import requiring
+
 
 def region_descriptors(maps: Tensor, count: int) -> Tensor:
-    """The aggregated descriptors of the regions with the highest energy.
+    """The aggregated descriptors ``(R, C)`` float32 of the at most ``count`` regions with the
+    highest energy, by falling energy, of activations ``(C, H, W)`` float that are not negative.
 
     A descriptor is the sum of the local descriptors, the values of all maps at one place, over the
     region's bounding box. Regions with equal energy are in the order of their maps, then of their
     first places from top to bottom, then from left to right.
-
-    Args:
-        maps: ``(C, H, W)`` float activations that are not negative.
-        count: N, the most regions to take.
-
-    Returns:
-        ``(R, C)`` float32 by falling energy; R is below ``count`` if there are fewer regions.
-
-    Raises:
-        ImportError: scikit-image is not installed.
     """
     channel, y, x = (maps >= 1).nonzero(as_tuple=True)
     number, regions = _numbered(maps)
@@ -50,10 +43,8 @@ def region_descriptors(maps: Tensor, count: int) -> Tensor:
 def _numbered(maps: Tensor) -> tuple[Tensor, int]:
     """The number of each place's region, -1 for none, and the number of regions. Regions are
     numbered in the order of their first places."""
-    try:
+    with requiring("eval", "region-vlad needs"):
         from skimage.measure import label
-    except ImportError as error:
-        raise ImportError("region-vlad needs: pip install ssrvlad-torch[eval]") from error
     levels = maps.numpy(force=True).astype(np.int64)
     apart = np.arange(len(levels))[:, None, None] * (levels.max(initial=0) + 1)  # maps do not join
     numbers, count = label(np.where(levels > 0, levels + apart, 0), return_num=True, connectivity=3)

@@ -18,18 +18,9 @@ from .vectors import VectorMethod
 
 
 class SSRVLADMethod(VectorMethod):
-    """Raw descriptors of queries against references summed over their neighbours (Eq. 3).
-
-    Frames may have different label spaces.
-
-    Args:
-        preset: ``"paper"`` or ``"default"``.
-        temporal: t of Eq. 3, the reference frames to sum on each side inside a sequence.
-        settings: fields of `SSRVLADConfig` that replace those of the preset.
-
-    Raises:
-        ValueError: the preset or a setting does not exist, or a value is outside its range.
-    """
+    """Raw descriptors of queries, which may have different label spaces, against references summed
+    over ``temporal`` frames on each side inside a sequence (t of Eq. 3); ``settings`` are fields of
+    `SSRVLADConfig` that replace those of the preset."""
 
     name = "ssr-vlad"
     needs = frozenset({"labels"})

@@ -27,12 +27,8 @@ _LEAST_Z = -80.0
 
 @dataclass(frozen=True)
 class Drive(Columns):
-    """Encoded references.
-
-    Attributes:
-        pictures: ``(R, height * width)`` float32.
-        sequence: ``(R,)`` int64, the number of each frame's sequence.
-    """
+    """Encoded references: pictures ``(R, height * width)`` float32, and the number of each frame's
+    sequence, ``(R,)`` int64."""
 
     pictures: Tensor
     sequence: Tensor
@@ -114,12 +110,8 @@ def normalise_patches(pictures: Tensor) -> Tensor:
 
 
 def enhance(difference: Tensor, sequence: Tensor) -> Tensor:
-    """Contrast enhancement, ``(Q, R)`` float32, at most 1, higher for more similar pictures.
-
-    Args:
-        difference: ``(Q, R)`` of queries and references.
-        sequence: ``(R,)`` numbers, of the references.
-    """
+    """Contrast enhancement of differences ``(Q, R)`` over each sequence of references, whose
+    numbers are ``(R,)``: ``(Q, R)`` float32, at most 1, higher for more similar pictures."""
     scores = torch.zeros_like(difference, dtype=torch.float32)
     for number in sequence.unique():
         columns = sequence == number

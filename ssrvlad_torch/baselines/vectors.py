@@ -12,10 +12,8 @@ from .protocol import Frame, batches
 
 
 class VectorMethod:
-    """A method that encodes queries and references alike, in batches of frames of one kind.
-
-    A subclass defines `name`, `length` and `_describe`, the vectors of a batch.
-    """
+    """A method that encodes queries and references alike, in batches of frames of one kind. A
+    subclass defines `name`, `length` and `_describe`, the vectors of a batch."""
 
     name: str
     length: int
@@ -42,14 +40,8 @@ class VectorMethod:
 
 
 class GridMethod(VectorMethod):
-    """A method with eight numbers in each cell of a grid over the frame.
-
-    Args:
-        rows, columns: of the grid. With 6 x 10 a descriptor has 480 numbers, as SSR-VLAD's.
-
-    Raises:
-        ValueError: fewer than one row or column.
-    """
+    """A method with eight numbers in each cell of a grid over the frame; with 6 x 10 cells a
+    descriptor has 480, as SSR-VLAD's. Fewer than one row or column is a ValueError."""
 
     def __init__(self, rows: int = 6, columns: int = 10) -> None:
         if rows < 1 or columns < 1:

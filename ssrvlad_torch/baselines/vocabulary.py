@@ -8,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
-from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
+from ..datasets.image_files import Pixels, decode_image
 from ..evaluation.object_arrays import load_pickle
-from ..files import replacing
+from ..files import read_bytes, replacing, requiring
 from .region_features import RegionFeatures
 
 CHANNELS = 384
@@ -25,19 +24,11 @@ _SUFFIXES = (".bmp", ".jpeg", ".jpg", ".png", ".ppm")
 
 
 def read_vocabulary(path: Path, words: int = 256, regions: int = 400) -> Tensor:
-    """The words of a vocabulary, ``(words, 384)`` float32.
-
-    Args:
-        path: a ``.npy`` file, or the authors' pickle (``Vocabulary_400.pkl`` and
-            ``Vocabulary_100_200_300.pkl``): fitted ``KMeans`` objects of scikit-learn by regions,
-            words and layer. Only the cluster centres are read: this does not need scikit-learn and
-            runs no code, see `load_pickle`.
-        words: V, number of words.
-        regions: N, the entry of the pickle to read.
-
-    Raises:
-        ValueError: the file is damaged or does not hold this vocabulary.
-    """
+    """The words of a vocabulary, V and N of the paper, ``(words, 384)`` float32: of a ``.npy``
+    file, or the authors' pickle (``Vocabulary_400.pkl`` and ``Vocabulary_100_200_300.pkl``) of
+    fitted ``KMeans`` objects of scikit-learn by regions, words and layer. Only the cluster centres
+    are read: this does not need scikit-learn and runs no code, see `load_pickle`. Another content
+    is a ValueError."""
     with path.open("rb") as file:
         start = file.read(len(_NPY))
     try:
@@ -58,25 +49,13 @@ def train_vocabulary(
     words: int = 256,
     seed: int = 0,
 ) -> Tensor:
-    """Clusters the regions of all images of a folder with k-means, writes the centres and returns
-    them, ``(words, 384)`` float32.
+    """Clusters the regions of all images of a folder and those in it with k-means, writes the
+    centres to a ``.npy`` file and returns them, ``(words, 384)`` float32.
 
     The authors used 2,600 images of many places. Every region needs 1.5 kB of memory, an image 0.6
-    MB.
-
-    Args:
-        folder: of the images; subfolders included.
-        path: the ``.npy`` file to write.
-        features: the descriptors of regions; its network must be the one that will be used.
-        words: V, number of words.
-        seed: of the choice of the first centres.
-
-    Raises:
-        ImportError: scikit-learn is not installed.
-        ValueError: there is no image, an image cannot be read, or there are too few regions.
-
-    Examples:
-        >>> train_vocabulary("images", "vocabulary.npy", RegionFeatures())  # doctest: +SKIP
+    MB. The network of ``features`` must be the one that will be used; the seed is of the choice of
+    the first centres. No image, one that cannot be read, and too few regions are a ValueError;
+    without scikit-learn it is an ImportError.
     """
     regions = list(features(_images(Path(folder))))
     if not regions:
@@ -89,11 +68,9 @@ def train_vocabulary(
 
 def _cluster(points: Tensor, count: int, seed: int) -> Tensor:
     """``(count, D)`` centres of k-means from k-means++ seeds."""
-    try:
+    with requiring("eval", "a vocabulary needs"):
         from sklearn.cluster import KMeans
         from sklearn.exceptions import ConvergenceWarning
-    except ImportError as error:
-        raise ImportError("a vocabulary needs: pip install ssrvlad-torch[eval]") from error
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error", ConvergenceWarning)  # fewer distinct points than words
@@ -103,14 +80,13 @@ def _cluster(points: Tensor, count: int, seed: int) -> Tensor:
     return torch.from_numpy(clusters.cluster_centers_)
 
 
-def _images(folder: Path) -> Iterator[npt.NDArray[np.uint8]]:
+def _images(folder: Path) -> Iterator[Pixels]:
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in _SUFFIXES:
             try:
-                with Image.open(path) as image:
-                    yield np.asarray(image.convert("RGB"))
-            except UnidentifiedImageError as error:
-                raise ValueError(f"{path} is not an image") from error
+                yield decode_image(read_bytes(path))
+            except ValueError as error:
+                raise ValueError(f"{path}: {error}") from error
 
 
 def _centres(path: Path, words: int, regions: int) -> Any:

@@ -23,13 +23,9 @@ def weights_folder() -> Path:
 
 
 def find_weights(weights: str | Path | None, names: Sequence[str], origin: str) -> Path:
-    """The file of a method's weights; a FileNotFoundError says what is missing and who has it.
-
-    Args:
-        weights: a file of any name, or a folder; None for `weights_folder`.
-        names: published file names, relative to the folder; the first that exists is used.
-        origin: who publishes them, for the message.
-    """
+    """The file of a method's weights: one of any name, or in a folder, by default
+    `weights_folder`, the first published name that exists. A FileNotFoundError says what is
+    missing and who has it."""
     path = weights_folder() if weights is None else Path(weights).expanduser()
     folder = weights is None or path.is_dir()
     for candidate in [path / name for name in names] if folder else [path]:
@@ -43,11 +39,8 @@ def find_weights(weights: str | Path | None, names: Sequence[str], origin: str) 
 
 def read_checkpoint(path: Path) -> dict[str, Tensor]:
     """The tensors of a PyTorch checkpoint, bare or under ``state_dict``; anything else is a
-    ValueError.
-
-    Only tensors, plain containers and NumPy numbers are unpickled, never code. The ``module.`` that
-    ``nn.DataParallel`` adds to names is removed.
-    """
+    ValueError. Only tensors, plain containers and NumPy numbers are unpickled, never code. The
+    ``module.`` that ``nn.DataParallel`` adds to names is removed."""
     scalar = np.float64(0).__reduce__()[0]  # under NumPy's old and new modules
     numbers: list[Any] = [(scalar, f"numpy.{core}.multiarray.scalar") for core in ("core", "_core")]
     kinds = (np.float32, np.float64, np.int32, np.int64, bool)
@@ -73,11 +66,8 @@ def read_checkpoint(path: Path) -> dict[str, Tensor]:
 
 def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
     """Loads weights into a network and ignores those that it does not have. The network may be on
-    the device ``meta``, where it needs no memory.
-
-    Raises:
-        ValueError: a tensor is missing, has another shape, or is not finite.
-    """
+    the device ``meta``, where it needs no memory. A tensor that is missing, has another shape or is
+    not finite is a ValueError."""
     expected = network.state_dict()
     for name, tensor in expected.items():
         got = state.get(name)
@@ -95,10 +85,8 @@ def fill(network: nn.Module, state: Mapping[str, Tensor], path: Path) -> None:
 
 
 def random_network(make: Callable[[], Network]) -> Network:
-    """A network with random weights, the same every time, to measure costs.
-
-    It does not change the random state of the caller.
-    """
+    """A network with random weights, the same every time, to measure costs. It does not change the
+    random state of the caller."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         return make().eval()

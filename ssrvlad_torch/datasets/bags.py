@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import check_pixels, npy_bytes, one_line
+from ..files import check_pixels, npy_bytes, one_line, requiring
 from .frame_file import FrameFile
 from .names import BAG_SUFFIXES, absolute
 
@@ -32,11 +32,7 @@ _BUFFERED = 16
 
 @dataclass(frozen=True)
 class BagFile(FrameFile):
-    """One image of a bag; its ``row`` is the number of the message on the topic.
-
-    Attributes:
-        topic: name of the topic.
-    """
+    """One image of a topic of a bag; its ``row`` is the number of the message on the topic."""
 
     topic: str = ""
 
@@ -60,18 +56,10 @@ def is_bag(path: Path) -> bool:
 
 
 def bag_files(path: Path, topic: str | None = None) -> list[FrameFile]:
-    """The images of one topic of a bag in order of time; their sequence has no name yet. A frame is
-    named by the time at which its message was recorded, in nanoseconds.
-
-    Args:
-        path: a ``.bag``, ``.mcap`` or ``.db3`` file, or the folder of a ROS 2 bag.
-        topic: name of the topic; ``None`` if only one topic has images.
-
-    Raises:
-        ValueError: the bag cannot be read, the topic does not exist or has no images, or several
-            topics have images and ``topic`` is ``None``.
-        ImportError: the extra ``rosbag`` is not installed.
-    """
+    """The images of one topic of a bag, by default the only one, in order of time; their sequence
+    has no name yet. A frame is named by the time at which its message was recorded, in nanoseconds.
+    A bag that cannot be read, no such topic, and several without a choice are a ValueError; without
+    the extra ``rosbag``, an ImportError."""
     opened = _Topic(path, topic)
     name, folder = opened.connection.topic, absolute(path)
     return [
@@ -84,11 +72,9 @@ class _Topic:
     """The messages of one topic. Reading them in order reads the bag once."""
 
     def __init__(self, path: Path, topic: str | None) -> None:
-        try:
+        with requiring("rosbag", f"{path} needs"):
             from rosbags.highlevel import AnyReader
             from rosbags.typesys import Stores, get_typestore
-        except ImportError as error:
-            raise ImportError(f"{path} needs: pip install ssrvlad-torch[rosbag]") from error
         try:
             # bags written before ROS 2 Iron do not hold the types of their messages
             self.bag = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
@@ -138,8 +124,7 @@ def _open(path: Path, topic: str, state: str) -> _Topic:
 
 
 def _pixels(message: Any) -> npt.NDArray[np.uint8]:
-    """Pixels ``(H, W, 3)`` uint8 of a raw image; an unknown encoding and too few bytes raise a
-    ValueError."""
+    """Pixels ``(H, W, 3)`` uint8 of a raw image; an unknown encoding is a ValueError."""
     if message.encoding not in _CHANNELS:
         expected = ", ".join(_CHANNELS)
         raise ValueError(f"image encoding: got {message.encoding!r}, expected one of {expected}")

@@ -12,19 +12,14 @@ from .poses import Pose, parse_number
 
 
 class Ground(NamedTuple):
-    """The axes of a world that span its ground plane.
-
-    Attributes:
-        x: number (0 to 2) of the world axis that becomes x of a `Pose`.
-        y: number of the axis that becomes y, to the left of x seen from above.
-    """
+    """The numbers, 0 to 2, of the axes of a world that span its ground plane: those that become x
+    and y of a `Pose`, y to the left of x seen from above."""
 
     x: int
     y: int
 
     def pose(self, centre: Sequence[float], axis: Sequence[float]) -> Pose:
-        """The pose of a camera at ``centre`` ``(3,)`` in metres with the optical axis ``axis``
-        ``(3,)``."""
+        """The pose of a camera by its centre ``(3,)`` in metres and its optical axis ``(3,)``."""
         return Pose(centre[self.x], centre[self.y], math.atan2(axis[self.y], axis[self.x]))
 
 
@@ -35,14 +30,9 @@ Y_UP_LEFT_HANDED = Ground(0, 2)
 
 
 def optical_axis(quaternion: Sequence[float]) -> tuple[float, float, float]:
-    """Optical axis, a unit vector in the world, of a camera that looks along its own +z.
-
-    It is the third row of the rotation from world to camera (COLMAP and VisualSFM: x to the right,
-    y down, z ahead), which is given as a quaternion ``(w, x, y, z)`` of any length.
-
-    Raises:
-        ValueError: the quaternion is zero or not finite.
-    """
+    """Optical axis, a unit vector in the world, of a camera that looks along its own +z: the third
+    row of the rotation from world to camera (COLMAP and VisualSFM: x to the right, y down, z
+    ahead), given as a quaternion ``(w, x, y, z)`` of any length but 0, else a ValueError."""
     length = math.hypot(*quaternion)
     if not 0 < length < math.inf:
         raise ValueError(f"quaternion {tuple(quaternion)} is not a rotation")

@@ -55,7 +55,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         Traverse.of(drive, images.get(drive, {}), labels.get(drive, {}), poses={})
         for drive in drives
     )
-    truth = GroundTruth("the neighbouring frames of the drive", frames=1)
+    truth = GroundTruth(frames=1)
     return Dataset(LAYOUT.name, root, traverses, labels_as or spaces.pop(), truth)
 
 

@@ -25,8 +25,7 @@ _MERIDIAN = 9.0
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``. ``labels_as`` chooses between ids and train ids; fine annotations
-    are preferred to coarse ones."""
+    """The data set in ``root``; fine annotations of the label space before coarse ones."""
     cities = _cities(root)
     space = labels_as or _published_encoding(root, cities)
     ending = _ENCODINGS.get(space, "labelIds")
@@ -52,12 +51,9 @@ def read(root: Path, labels_as: str | None) -> Dataset:
 
 
 def read_fix(path: Path) -> Pose:
-    """The pose of one frame in metres of a transverse Mercator projection at 9 degrees east.
-
-    The Earth is a sphere here; distances in the data set have an error of at most 0.5 %.
-    ``gpsHeading`` is in degrees clockwise from north. A file without a latitude or longitude is a
-    ValueError.
-    """
+    """The pose of one frame in metres of a transverse Mercator projection at 9 degrees east. The
+    Earth is a sphere here; distances in the data set have an error of at most 0.5 %. ``gpsHeading``
+    is in degrees clockwise from north. A file without a latitude or longitude is a ValueError."""
     try:
         fix = read_json(path)
         phi, along = (math.radians(fix[f"gps{name}"]) for name in ("Latitude", "Longitude"))

@@ -24,14 +24,8 @@ Role = Literal["reference", "query"]
 
 @dataclass(frozen=True)
 class DatasetFrame:
-    """One frame of a data set.
-
-    Attributes:
-        sequence, name: the frame's id is ``<sequence>/<name>``.
-        image: the image, ``None`` if it is not on disk.
-        label: the label map, ``None`` if it is not on disk.
-        pose: metres and radians, NaN where unknown.
-    """
+    """One frame of a data set, of the id ``<sequence>/<name>``: its image and its label map,
+    ``None`` if it is not on disk, and its pose in metres and radians, NaN where unknown."""
 
     sequence: str
     name: str
@@ -51,16 +45,9 @@ class DatasetFrame:
 
 
 class GroundTruth(NamedTuple):
-    """The definition of a true match: a file or one of two tolerances, as in ``evaluate``.
+    """The definition of a true match, as in ``evaluate``: a file, or the largest distance in metres
+    on the ground or in frames along the drive."""
 
-    Attributes:
-        source: where the definition comes from.
-        file: a file of true matches.
-        metres: largest distance on the ground.
-        frames: largest distance in frames along the drive.
-    """
-
-    source: str
     file: Path | None = None
     metres: float | None = None
     frames: int | None = None
@@ -68,13 +55,8 @@ class GroundTruth(NamedTuple):
 
 @dataclass(frozen=True)
 class Traverse:
-    """One drive along a route with one camera.
-
-    Attributes:
-        name: the sequence of its frames.
-        frames: the frames in natural order of their names.
-        role: the role that the data set declares, or ``None``.
-    """
+    """One drive along a route with one camera: its sequence, its frames in natural order of their
+    names, and the role that the data set declares, if any."""
 
     name: str
     frames: tuple[DatasetFrame, ...]
@@ -89,8 +71,7 @@ class Traverse:
         poses: Mapping[str, Pose],
         role: Role | None = None,
     ) -> Traverse:
-        """A traverse of all frames that have an image or a label map; the mappings are by the
-        names of the frames."""
+        """A traverse of all frames with an image or a label map, which are by frame name."""
         frames = tuple(
             DatasetFrame(name, key, images.get(key), labels.get(key), poses.get(key, UNKNOWN))
             for key in sorted({*images, *labels}, key=natural_key)
@@ -145,16 +126,9 @@ class Dataset:
         ]
 
     def select(self, patterns: Sequence[str] = (), role: Role | None = None) -> Dataset:
-        """The data set with only some of its traverses.
-
-        Args:
-            patterns: names of sequences, where ``*`` is any text and ``?`` any letter; all
-                sequences if empty.
-            role: only traverses with this role.
-
-        Raises:
-            ValueError: a pattern matches no sequence, or none has the role.
-        """
+        """The data set with only the traverses of a role, if given, and of names that match a
+        pattern, if any: ``*`` is any text and ``?`` any letter. A pattern that matches none, and a
+        role that none has, are a ValueError."""
         names = [traverse.name for traverse in self.traverses]
         chosen = set() if patterns else set(names)
         for pattern in patterns:
@@ -185,19 +159,13 @@ class Dataset:
         return posed
 
     def with_labels(self, folder: str | Path, labels_as: str) -> Dataset:
-        """The data set with other label maps, for example the predictions of a network.
+        """The data set with label maps of another folder and label space, for example the
+        predictions of a network; none there, or an unknown label space, is a ValueError.
 
         A label map has the name of its frame or of the frame's image. It is in one of:
         ``folder/<sequence>``; ``folder/<path of the image's folder below the root>``; the folder
         called ``folder`` beside that of the image (``0016E5/images`` and ``0016E5/predicted``);
         ``folder`` itself, if all frames have different names.
-
-        Args:
-            folder: the folder of the label maps.
-            labels_as: their label space, a name or a ``.yaml`` file.
-
-        Raises:
-            ValueError: no frame has a label map there, or the label space does not exist.
         """
         label_space(labels_as)
         find = _label_finder(self, Path(folder))
@@ -211,11 +179,7 @@ class Dataset:
         return replace(labelled, labels_as=labels_as)
 
     def label_files(self, every: int = 1, start: int = 0) -> list[FrameFile]:
-        """The files of the label maps; for ``every`` and ``start`` see `find_frames`.
-
-        Raises:
-            ValueError: no frame has a label map, or ``every`` or ``start`` is out of range.
-        """
+        """The files of the label maps, see `find_frames`; without any, a ValueError."""
         missing = "no label maps; segment its images and give the folder of the results and their "
         return self._files(lambda frame: frame.label, missing + "label space", every, start)
 
@@ -262,17 +226,9 @@ class Layout(NamedTuple):
 
 
 def files_in(folder: Path, suffixes: Sequence[str], ending: str = "") -> dict[str, Path]:
-    """The files of a folder by their names without suffix and ending; empty if the folder does not
-    exist. Hidden files and folders are left out.
-
-    Args:
-        folder: the folder to list.
-        suffixes: suffixes of the files, in lower case.
-        ending: text before the suffix in which the names must end.
-
-    Raises:
-        ValueError: two files have one name.
-    """
+    """The files of a folder with one of the suffixes, in lower case, and the ending before it, by
+    their names without both; empty if the folder does not exist. Hidden files and folders are left
+    out. Two files of one name are a ValueError."""
     files: dict[str, Path] = {}
     for entry in sorted(folder.iterdir()) if folder.is_dir() else ():
         matches = entry.suffix.lower() in suffixes and entry.stem.endswith(ending)

@@ -40,19 +40,11 @@ class Drives:
         labels: Path | None,
         labels_as: str | None,
     ) -> Drives:
-        """Opens a data set, or two folders. A file that may be an image or a label map is a label
-        map if the label space is known.
-
-        Args:
-            note: gets what the data set lacks.
-            dataset: folder of the data set; without it, ``references`` and ``queries`` are folders.
-            references, queries: names of sequences, or patterns of them.
-            odd_even: even frames of ``references`` are references, odd ones queries.
-            layout, labels, labels_as: see `open_dataset`.
-
-        Raises:
-            ValueError: arguments that do not go together, or see `open_dataset`.
-        """
+        """Opens a data set, or, without ``dataset``, folders as references and queries. A file that
+        may be an image or a label map is a label map if the label space is known. With
+        ``odd_even``, even frames of ``references`` are references, odd ones queries. For
+        ``layout``, ``labels``, ``labels_as`` and errors see `open_dataset`; arguments that do not
+        go together are a ValueError too. ``note`` gets what the data set lacks."""
         names, asked = (references or (), queries or ()), (labels, labels_as)
         if dataset:
             name = None if layout == "auto" else layout
@@ -151,5 +143,13 @@ def _unambiguous(dataset: Dataset) -> Dataset:
 
 
 def _joined(parts: Sequence[Dataset]) -> Dataset:
+    roots = dict[str, Path]()
+    for part in parts:
+        for traverse in part.traverses:
+            if (other := roots.setdefault(traverse.name, part.root)) is not part.root:
+                raise ValueError(
+                    f"{other} and {part.root} both have a sequence {traverse.name!r}; expected "
+                    "another name of one of the folders"
+                )
     traverses = tuple(traverse for part in parts for traverse in part.traverses)
     return _unambiguous(replace(parts[0], traverses=traverses, truth=None))

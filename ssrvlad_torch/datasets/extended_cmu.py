@@ -45,7 +45,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
                     f"{unknown[0]!r}: expected names img_<number>_c<camera>_<microseconds>us"
                 )
             traverses += _traverses(absolute_folder(folder).name, images, poses, role)
-    truth = GroundTruth("within 5 m, Nie et al., arXiv 2202.03677", metres=5.0)
+    truth = GroundTruth(metres=5.0)  # Nie et al., arXiv 2202.03677
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
 
 

@@ -31,7 +31,7 @@ _ONLY_IMAGES = tuple(suffix for suffix in IMAGE_SUFFIXES if suffix not in LABEL_
 def read(root: Path, labels_as: str | None) -> Dataset:
     """The sequences in ``root``, or the sequence that ``root`` is."""
     file = next((root / name for name in _TRUTHS if (root / name).is_file()), None)
-    truth = GroundTruth(file.name, file=file) if file else None
+    truth = GroundTruth(file) if file else None
     traverses = tuple(_traverse(folder) for folder in _sequences(root))
     return Dataset(LAYOUT.name, root, traverses, labels_as, truth)
 

@@ -87,11 +87,8 @@ class FrameFile:
         return f"{self.folder}|{self.state}"
 
     def read(self) -> bytes:
-        """The bytes of the file; for a row of a stack, the bytes of a ``.npy`` file of this row.
-
-        Raises:
-            ValueError: the file is missing or cannot be read, or its name is not valid text.
-        """
+        """The bytes of the file; for a row of a stack, the bytes of a ``.npy`` file of this row. A
+        file that is missing or cannot be read, or whose name is not valid text, is a ValueError."""
         try:
             self.frame.encode()
             return self._content()
@@ -106,15 +103,11 @@ class FrameFile:
 
 @dataclass(frozen=True)
 class RemoteFile(FrameFile):
-    """One frame in a remote file system.
-
-    Attributes:
-        path: path in the remote file system.
-        folder: URI of the folder.
-        listed: size and modification time when the folder was listed.
-    """
+    """One frame in a remote file system: its path there, the URI of its folder without secrets and
+    settings, size and modification time when that was listed, and the URI to connect by."""
 
     listed: str = ""
+    uri: str = ""
 
     readers: ClassVar[int] = 16
 
@@ -134,15 +127,15 @@ class RemoteFile(FrameFile):
         return self.listed
 
     def _content(self) -> bytes:
-        with _file_system(self.folder).open_input_file(str(self.path)) as source:
+        with _file_system(self.uri).open_input_file(str(self.path)) as source:
             check_size(source.size(), self.location)
             content: bytes = source.read()
         return content
 
 
 @cache
-def _file_system(folder: str) -> FileSystem:
-    """The connection to a folder's file system, one per process."""
+def _file_system(uri: str) -> FileSystem:
+    """The connection to a file system, one per process."""
     from pyarrow.fs import FileSystem
 
-    return FileSystem.from_uri(folder)[0]
+    return FileSystem.from_uri(uri)[0]

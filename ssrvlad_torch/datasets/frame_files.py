@@ -32,13 +32,8 @@ Content = TypeVar("Content")
 
 @dataclass(frozen=True)
 class FileKind:
-    """Which files are frames.
-
-    Attributes:
-        name: name of the kind for messages.
-        suffixes: suffixes of frame files, in lower case; other files are ignored.
-        stack_rank: rank of a ``.npy`` array whose rows are frames.
-    """
+    """Which files are frames: those with one of the suffixes, in lower case. A ``.npy`` array of
+    the stack's rank holds one in each row. The name is for messages."""
 
     name: str
     suffixes: tuple[str, ...]
@@ -113,22 +108,15 @@ def find_frames(
 
 
 def every_nth(drive: list[FrameFile], every: int, start: int) -> list[FrameFile]:
-    """Frame ``start`` of a sequence and every ``every``-th after it.
-
-    Raises:
-        ValueError: ``every`` or ``start`` is out of range.
-    """
+    """Frame ``start`` of a sequence and every ``every``-th after it; out of range, a ValueError."""
     if every < 1 or start < 0:
         raise ValueError(f"expected every >= 1 and start >= 0, got {every} and {start}")
     return drive[start::every]
 
 
 def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
-    """The first frame in each interval of ``1 / fps`` seconds since the first frame of a sequence.
-
-    Raises:
-        ValueError: ``fps`` is not above 0, or a frame has no time.
-    """
+    """The first frame in each interval of ``1 / fps`` seconds since the first frame of a sequence;
+    a ValueError if ``fps`` is not above 0, or a frame has no time."""
     if not 0 < fps < math.inf:
         raise ValueError(f"expected fps above 0, got {fps}")
     chosen = dict[int, FrameFile]()
@@ -143,17 +131,8 @@ def at_rate(drive: list[FrameFile], fps: float) -> list[FrameFile]:
 def _with_given_poses(
     drives: Sequence[list[FrameFile]], source: str, largest_gap: float | None
 ) -> list[list[FrameFile]]:
-    """The frames with their poses.
-
-    Args:
-        drives: all frames of each sequence, in order.
-        source: a CSV file, see `read_poses`; a file of KITTI, TUM, GPX or NMEA, see
-            `read_trajectory`; or ``exif`` for the EXIF tags of the images.
-        largest_gap: see `Trajectory`.
-
-    Raises:
-        ValueError: the file is damaged, does not fit the frames, or has no pose of them.
-    """
+    """All frames of each sequence with the poses of a CSV file, see `read_poses`, of a file of
+    KITTI, TUM, GPX or NMEA, see `read_trajectory`, or with ``exif`` of their EXIF tags."""
     if source == "exif":
         return [_posed(drive, _poses_of_exif(drive)) for drive in drives]
     path = Path(source)
@@ -278,15 +257,8 @@ def _stack_length(path: Path, kind: FileKind) -> int | None:
 def with_poses(
     files: Sequence[FrameFile], find: Callable[[Path], PoseTable | None] = PoseTable.of_folder
 ) -> Iterator[FrameFile]:
-    """Files with their poses, see `PoseTable`, or parsed from the file name, see `utm_names`.
-
-    Args:
-        files: files of any folders.
-        find: function from a folder to its table of poses.
-
-    Raises:
-        ValueError: a file of poses is damaged, or can mean two frames.
-    """
+    """Files with the poses of the table that ``find`` gives for their folder, or of their names,
+    see `utm_names`; a ValueError if a table is damaged, or can mean two frames."""
     folders = {file.local_folder for file in files} - {None}
     tables = {folder: find(folder) for folder in folders if folder}
     for file in files:

@@ -9,6 +9,8 @@ from typing import NamedTuple
 
 from PIL import ExifTags, Image
 
+from ..files import requiring
+
 _KILOMETRE = 1 / 111.2
 """Degrees of latitude."""
 
@@ -22,17 +24,11 @@ class Fix(NamedTuple):
 
 
 def eastings_northings(fixes: Sequence[Fix]) -> list[tuple[float, float]]:
-    """UTM coordinates ``(east, north)`` in metres of the fixes of one drive.
-
-    Raises:
-        ValueError: a position is outside UTM, or within 1 km of the border of a zone, across which
-            coordinates of other drives would not compare.
-        ImportError: the extra ``gps`` is not installed.
-    """
-    try:
+    """UTM coordinates ``(east, north)`` in metres of the fixes of one drive. A position outside
+    UTM, or within 1 km of the border of a zone, across which coordinates of other drives would not
+    compare, is a ValueError; without the extra ``gps``, an ImportError."""
+    with requiring("gps", "latitudes need"):
         import utm
-    except ImportError as error:
-        raise ImportError("latitudes need: pip install ssrvlad-torch[gps]") from error
     found = [utm.from_latlon(fix.latitude, fix.longitude) for fix in fixes]
     zones = set()
     for latitude, longitude, _ in fixes:  # and about 1 km from it in each direction

@@ -30,23 +30,21 @@ find_image_files = partial(find_frames, FileKind("images", SUFFIXES, stack_rank=
 
 
 def decode_image(content: bytes) -> Pixels:
-    """An image in 8-bit RGB, turned upright by its EXIF orientation.
+    """The image ``(H, W, 3)`` uint8 in the bytes of a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy``
+    file, turned upright by its EXIF orientation.
 
     Gray becomes three equal channels, alpha is dropped, CMYK is converted without a colour profile,
-    the high 8 of 16 bits are kept, and the first frame of an animation is read.
-
-    Args:
-        content: the bytes of a JPEG, PNG, WebP, BMP, TIFF, PPM or ``.npy`` file.
-
-    Returns:
-        ``(H, W, 3)`` uint8.
-
-    Raises:
-        ValueError: the file is damaged or of another format, its pixels have 32 bits or are
-            floats, it looks like a label map, or the array is not ``(H, W, 3)`` uint8.
+    the high 8 of 16 bits are kept, and the first frame of an animation is read. Damaged and other
+    files, pixels of 32 bits or floats, and what looks like a label map are a ValueError.
     """
     try:
-        return _decode_npy(content) if content.startswith(MAGIC_PREFIX) else _decode(content)
+        if not content.startswith(MAGIC_PREFIX):
+            return _decode(content)
+        array = parse_npy(content)
+        if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
+            raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
+        check_pixels(*array.shape[:2])
+        return array
     except UnidentifiedImageError as error:
         raise ValueError(f"is no image file; expected {', '.join(_FORMATS)} or .npy") from error
     except Exception as error:  # decoders raise any exception on damaged bytes
@@ -60,12 +58,8 @@ def read_image(file: FrameFile) -> Pixels:
 
 def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
     """Writes images under names that hold their positions, see `utm_names`: hard links or copies of
-    files, and PNGs of rows of a stack or a bag.
-
-    Raises:
-        ValueError: the folder is not empty, or an image has no pose or cannot be read.
-        OSError: the folder cannot be written.
-    """
+    files, and PNGs of rows of a stack or a bag. A folder that is not empty, and an image without a
+    pose or that cannot be read, are a ValueError."""
     empty_folder(folder)
     for file in files:
         name = write_name(file.frame.replace("/", "_"), file.pose, file.stamp)
@@ -77,14 +71,6 @@ def write_pictures(folder: Path, files: Sequence[FrameFile]) -> None:
             target.hardlink_to(file.path)
         except OSError:  # another disk
             shutil.copyfile(file.path, target)
-
-
-def _decode_npy(content: bytes) -> Pixels:
-    array = parse_npy(content)
-    if array.ndim != 3 or array.shape[2] != 3 or array.size == 0 or array.dtype != np.uint8:
-        raise ValueError(f"expected an (H, W, 3) uint8 image, got {array.shape} {array.dtype}")
-    check_pixels(*array.shape[:2])
-    return array
 
 
 def _decode(content: bytes) -> Pixels:
@@ -107,8 +93,7 @@ def _decode(content: bytes) -> Pixels:
 
 
 def require_photograph(values: npt.NDArray[np.uint8]) -> None:
-    """Raises a ValueError for a label map: small values, besides 255 for void, in uniform areas. A
-    dark photograph has noise instead."""
+    """Raises a ValueError for a label map: small values, or 255, in areas without noise."""
     ids = np.flatnonzero(np.bincount(values.ravel(), minlength=256)[:255])
     is_uniform = np.mean(values[:, 1:] == values[:, :-1]) > _UNIFORM
     if len(ids) > 1 and ids[-1] <= _HIGHEST_ID and is_uniform:

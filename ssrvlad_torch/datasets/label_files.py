@@ -29,19 +29,13 @@ find_label_files = partial(find_frames, FileKind("label maps", SUFFIXES, stack_r
 
 
 def read_label_map(file: FrameFile, space: LabelSpace) -> LabelMap:
-    """The ids of a label map.
+    """The ids of a label map, ``(H, W)`` of an integer dtype that torch has, in the machine's byte
+    order: uint8, uint16 or signed.
 
     Reads 8- and 16-bit single-channel images, palette images (see `_ids_of_palette`), images with
     several 16-bit channels (SYNTHIA: the first channel is the class), images in the colours of the
-    label space, and ``.npy``.
-
-    Returns:
-        ``(H, W)`` of an integer dtype that torch has, in the machine's byte order: uint8, uint16 or
-        signed.
-
-    Raises:
-        ValueError: the file is missing, damaged or of another format, its name is not valid text,
-            it holds a colour that the label space lacks, or its palette can mean two things.
+    label space, and ``.npy``. Other and damaged files, names that are not valid text, a colour that
+    the label space lacks, and a palette that can mean two things are a ValueError.
     """
     content = file.read()
     try:
@@ -102,11 +96,9 @@ def _opened(content: bytes) -> ImageFile:
 
 
 def _first_of_sixteen_bit_channels(content: bytes, raw_mode: str) -> npt.NDArray[Any]:
-    """The first channel of an image of 16-bit channels.
-
-    Pillow reads only the high bytes. Read again with swapped bytes, it gives the low bytes; gray
-    with alpha is read as four bytes, and the second is the low one.
-    """
+    """The first channel of an image of 16-bit channels. Pillow reads only the high bytes. Read
+    again with swapped bytes, it gives the low bytes; gray with alpha is read as four bytes, and the
+    second is the low one."""
     with _opened(content) as image:
         high = np.asarray(image)[..., 0].astype(np.uint16)
     with _opened(content) as image:

@@ -10,9 +10,10 @@ from pathlib import Path, PurePath
 from urllib.parse import unquote
 
 BAG_SUFFIXES = (".bag", ".mcap", ".db3")
+VIDEO_SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts")
 
 KnownFolders = Collection[tuple[str, str]]
-"""Named folders, stacks and bags, ``(folder, sequence)``; the folder is empty if it is unknown."""
+"""Named folders, stacks, bags and videos, ``(folder, sequence)``; an unknown folder is empty."""
 
 
 def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[str, str]:
@@ -32,8 +33,8 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
     Examples:
         >>> sequence_names(["/data/00/labels", "/data/01/labels", "/data/park"])
         {'/data/00/labels': '00/labels', '/data/01/labels': '01/labels', '/data/park': 'park'}
-        >>> sequence_names(["/data/01/labels"], [("/data/00/labels", "labels")])
-        {'/data/01/labels': '01/labels'}
+        >>> sequence_names(["/data/park"], [("/data/park", "garden")])
+        {'/data/park': 'garden'}
     """
     known_names = _grouped((_real(folder), name) for folder, name in known if folder)
     owners = _grouped((name, folder) for folder, name in known)
@@ -58,15 +59,7 @@ def sequence_names(folders: Collection[str], known: KnownFolders = ()) -> dict[s
 
 
 def check_sequences(folders: KnownFolders, known: KnownFolders) -> None:
-    """Requires that no sequence has the name of a known sequence of another folder.
-
-    Args:
-        folders: folders with their sequences.
-        known: folders that have a name.
-
-    Raises:
-        ValueError: a sequence has the name of another folder's sequence.
-    """
+    """Raises a ValueError for a sequence with the name of a known sequence of another folder."""
     owners = _grouped((name, _real(folder)) for folder, name in known if folder)
     for folder, name in folders:
         if folder and _real(folder) not in owners.get(name, {_real(folder)}):
@@ -91,12 +84,12 @@ def _real(folder: str) -> str:
 
 
 def path_ends(folder: str) -> list[str]:
-    """The ends of a path or a URI, the shortest first; of a stack or a bag without the suffix."""
+    """The ends of a path or a URI, the shortest first; of a stack, bag or video without suffix."""
     if is_uri(folder):
         parts = [part for part in unquote(folder.partition("://")[2]).split("/") if part]
     else:
         path = PurePath(folder)
-        if path.suffix.lower() in (".npy", *BAG_SUFFIXES):
+        if path.suffix.lower() in (".npy", *BAG_SUFFIXES, *VIDEO_SUFFIXES):
             path = path.with_suffix("")
         parts = [part for part in path.parts if part != path.anchor] or [path.anchor]
     return ["/".join(parts[-count:]) for count in range(1, len(parts) + 1)]
@@ -132,9 +125,7 @@ def absolute(path: Path) -> str:
 
 
 def absolute_folder(folder: Path) -> Path:
-    """A folder's absolute path, so that ``.`` and ``..`` have a name and a parent too.
-
-    A symbolic link keeps its own name.
-    """
+    """A folder's absolute path, so that ``.`` and ``..`` have a name and a parent too. A symbolic
+    link keeps its own name."""
     path = folder.absolute()
     return path.resolve() if path.name == ".." else path

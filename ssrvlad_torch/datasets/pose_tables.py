@@ -33,22 +33,15 @@ class PoseTable:
 
     @classmethod
     def of_folder(cls, folder: Path) -> PoseTable | None:
-        """The ``poses.csv`` in a folder of frames or beside it; ``None`` without one.
-
-        Raises:
-            ValueError: the file is damaged; see `read_poses`.
-        """
+        """The ``poses.csv`` in a folder of frames or beside it; ``None`` without one."""
         for parent in (folder, absolute_folder(folder).parent):
             if (parent / FILE_NAME).is_file():
                 return cls(parent / FILE_NAME, read_poses(parent / FILE_NAME), folder)
         return None
 
     def pose_of(self, file: FrameFile) -> Pose | None:
-        """The pose of a frame; ``None`` if it has no row.
-
-        Raises:
-            ValueError: the frame has rows that differ, or its row can be that of another folder.
-        """
+        """The pose of a frame; ``None`` if it has no row. Rows that differ, and one that can be
+        that of another folder, are a ValueError."""
         suffixes = ("", file.path.suffix)
         ids = (f"{folder}/{file.name}{s}" for folder in self._folders(file) for s in suffixes)
         rows = [key for key in ids if key in self.poses]
@@ -83,8 +76,7 @@ class PoseTable:
             )
 
     def _folders_with(self, file: FrameFile) -> Iterator[str]:
-        """Folders beside that of the frame with a file of the same name, but without an id of it
-        in the table."""
+        """Folders beside the frame's with a file of its name that has no id in the table."""
         assert self.folder is not None
         home, place = absolute_folder(self.folder), file.path.relative_to(self.folder)
         if not self._listed:

@@ -7,7 +7,7 @@ import io
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from ..files import read_text, replacing
 from .gps import Fix, eastings_northings, heading_of_course
@@ -37,15 +37,10 @@ def parse_number(text: str) -> float:
 
 
 def read_poses(path: Path) -> dict[str, Pose]:
-    """Poses by frame; a frame is an id ``<sequence>/<name>`` or only a name.
-
-    The columns are ``frame``, ``x``, ``y`` and optionally ``heading``; or ``frame``, ``latitude``
-    and ``longitude`` in degrees and optionally ``course``, in degrees clockwise from north.
-
-    Raises:
-        ValueError: a column is missing, a value is no number, or one of two coordinates is NaN; the
-            message names file and line.
-    """
+    """Poses by frame, an id ``<sequence>/<name>`` or only a name, of the columns ``frame``, ``x``,
+    ``y`` and optionally ``heading``; or ``frame``, ``latitude`` and ``longitude`` in degrees and
+    optionally ``course``, in degrees clockwise from north. A missing column, a value that is no
+    number, and one NaN of two coordinates are a ValueError that names file and line."""
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
     try:
         columns = rows.fieldnames or ()
@@ -64,11 +59,7 @@ def read_poses(path: Path) -> dict[str, Pose]:
 
 
 def write_poses(path: Path, poses: Mapping[str, Pose]) -> None:
-    """Writes a table ``frame,x,y,heading`` that `read_poses` reads.
-
-    Raises:
-        OSError: the file cannot be written.
-    """
+    """Writes a table ``frame,x,y,heading`` that `read_poses` reads."""
     with replacing(path) as temporary, temporary.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
         rows.writerow(("frame", *Pose._fields))
@@ -82,11 +73,13 @@ def poses_of_fixes(fixes: Sequence[Fix]) -> list[Pose]:
 
 
 def _by_frame(
-    rows: Iterable[dict[str, str]], kind: Callable[..., Position], *columns: str
+    rows: Iterable[dict[Any, Any]], kind: Callable[..., Position], *columns: str
 ) -> dict[str, Position]:
     """The position of each frame. A frame may have several rows if they are equal."""
     positions: dict[str, Position] = {}
     for row in rows:
+        if None in row:  # as by decimal commas
+            raise ValueError(f"more cells than columns: {','.join(row[None])}")
         position = kind(*(_number(row, column) for column in columns))
         if math.isnan(position[0]) != math.isnan(position[1]):
             x, y = (f"{column} is {row[column]}" for column in columns[:2])

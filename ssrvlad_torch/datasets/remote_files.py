@@ -8,22 +8,16 @@ from pathlib import Path, PurePosixPath
 from .frame_file import FrameFile, RemoteFile
 
 
-def remote_files(folder: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile]:
-    """The frames of a folder; their sequence has no name yet.
-
-    Args:
-        folder: a URI.
-        kind: name of the kind of frames for messages.
-        suffixes: suffixes of frame files, in lower case.
-
-    Raises:
-        ValueError: pyarrow does not support the URI's scheme, or the folder holds no frames.
-        OSError: the folder cannot be read.
-    """
+def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile]:
+    """The frames in the folder of a URI, files with one of the suffixes in lower case; their
+    sequence has no name yet. A scheme that pyarrow does not support, and no frames, are a
+    ValueError that names the kind; a folder that cannot be read is an OSError."""
     from pyarrow.fs import FileSelector, FileSystem, FileType
 
-    folder = folder.rstrip("/")
-    system, root = FileSystem.from_uri(folder)
+    system, root = FileSystem.from_uri(uri.rstrip("/"))
+    scheme, _, address = uri.partition("?")[0].rstrip("/").partition("://")
+    user, _, rest = address.rpartition("@")
+    folder = f"{scheme}://{rest if ':' in user else address}"  # is stored, so it holds no password
     found = list[FrameFile]()
     for entry in system.get_file_info(FileSelector(root)):
         path = PurePosixPath(entry.path)
@@ -31,7 +25,8 @@ def remote_files(folder: str, kind: str, suffixes: Sequence[str]) -> list[FrameF
             continue
         if path.suffix.lower() in suffixes:
             listed = f"{entry.size} {entry.mtime_ns}"
-            found.append(RemoteFile("", path.stem, Path(path), folder=folder, listed=listed))
+            file = RemoteFile("", path.stem, Path(path), folder=folder, listed=listed, uri=uri)
+            found.append(file)
     if not found:
         raise ValueError(f"{folder} holds no {kind}; expected {', '.join(suffixes)} files")
     return found

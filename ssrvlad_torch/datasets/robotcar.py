@@ -9,9 +9,7 @@ matrix from camera to world, row by row. The world's third axis points down.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TextIO
 
 from .camera_poses import Z_DOWN, optical_axis, parse_numbers, read_poses
 from .dataset import Dataset, GroundTruth, Layout, Role, Traverse, files_in, folders_in
@@ -47,24 +45,22 @@ def read(root: Path, labels_as: str | None) -> Dataset:
         name = f"{condition}-{camera.name}"
         if images:
             traverses.append(Traverse.of(name, images, labels={}, poses=of_camera, role=role))
-    truth = GroundTruth("within 5 m, the coarse limit of Sattler et al., CVPR 2018", metres=5.0)
+    truth = GroundTruth(metres=5.0)  # the coarse limit of Sattler et al., CVPR 2018
     notes = [f"{note}; it is at {LAYOUT.origin}" for note in notes]
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, tuple(notes))
 
 
 def read_nvm(path: Path) -> dict[str, Pose]:
-    """Poses by ``<condition>/<camera>/<name>``; the points of the model are not read.
-
-    Raises:
-        ValueError: the file is not an NVM_V3 model, ends too early, or has a line that is not a
-            camera; the message names file and line.
-    """
+    """Poses by ``<condition>/<camera>/<name>``; the points of the model are not read. A file that
+    is not an NVM_V3 model, ends too early, or has a line that is not a camera is a ValueError that
+    names file and line."""
     poses = {}
     number = 1
     with path.open(encoding="utf-8", errors="replace") as file:
         if not file.readline().startswith("NVM_V3"):
             raise ValueError(f"{path} is not an NVM_V3 model")
-        lines = _words_of_lines(file)
+        numbered = ((number, line.split()) for number, line in enumerate(file, 2))
+        lines = ((number, words) for number, words in numbered if words)
         try:
             number, words = next(lines)
             for missing in range(int(words[0]), 0, -1):
@@ -90,13 +86,6 @@ def read_v2_poses(path: Path) -> dict[str, Pose]:
 def _cameras(root: Path) -> list[Path]:
     conditions = folders_in(root / "images")
     return [c for condition in conditions for c in folders_in(condition) if c.name in _CAMERAS]
-
-
-def _words_of_lines(file: TextIO) -> Iterator[tuple[int, list[str]]]:
-    """Numbers and words of the lines after the first, without empty lines."""
-    for number, line in enumerate(file, 2):
-        if words := line.split():
-            yield number, words
 
 
 def _plain(name: str) -> str:

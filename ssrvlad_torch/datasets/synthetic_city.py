@@ -43,6 +43,7 @@ from .segmentation_noise import SegmentationNoise
 LABEL_SPACES = ("cityscapes-trainids", "cityscapes-ids")
 FRAME_SECONDS = 1 / 3
 MINIMUM_SIZE = 16
+RADIUS = 5.0
 
 REFERENCE = Conditions()
 QUERY = Conditions(
@@ -105,16 +106,13 @@ class SyntheticCity:
         labels_as: str = "cityscapes-trainids",
         turns: Iterable[int] | None = None,
     ) -> Iterator[CityFrame]:
-        """The frames of a drive along the route, computed lazily.
+        """The frames of a drive along the route, computed lazily; fewer than ``frames`` (>= 1) if
+        the route ends earlier.
 
-        Args:
-            frames: number of frames (>= 1); fewer if the route ends earlier.
-            conditions: conditions of the drive.
-            size: height and width in pixels, each >= 16. The field of view is 85 degrees wide.
-            labels_as: "cityscapes-trainids", with 255 for classes without a train id (guard rail,
-                parking, ground, pole group), or "cityscapes-ids".
-            turns: the route, which starts eastwards: at each junction 1 for left, 0 for straight on
-                and -1 for right; ``None`` for the endless default route.
+        Height and width in pixels are at least 16; the field of view is 85 degrees wide. Labels are
+        "cityscapes-trainids", with 255 for classes without a train id (guard rail, parking, ground,
+        pole group), or "cityscapes-ids". The route starts eastwards: at each junction ``turns``
+        have 1 for left, 0 for straight on and -1 for right; ``None`` is the endless default route.
         """
         require(frames >= 1, "frames", frames, "at least 1")
         require(min(size) >= MINIMUM_SIZE, "size", size, f"at least {MINIMUM_SIZE} pixels a side")
@@ -158,7 +156,6 @@ def write_city(
     size: tuple[int, int] = (240, 320),
     query: Conditions = QUERY,
     labels_as: str = "cityscapes-trainids",
-    radius: float = 5.0,
     progress: Callable[[int], None] | None = None,
 ) -> CityFiles:
     """Write two traverses of one city, their poses and their true matches.
@@ -166,7 +163,7 @@ def write_city(
     The label maps are 8-bit palette PNGs: pixel values are ids, and the palette has the colours of
     the label space. ``poses.csv`` has a line ``frame,x,y,heading`` for each frame, named
     ``<sequence>/<name>``. ``ground_truth.json`` maps every query frame to the reference frames
-    within `radius` metres whose headings differ by less than 45 degrees. Each file is written
+    within `RADIUS` metres whose headings differ by less than 45 degrees. Each file is written
     whole or not at all. A query traverse with a `spacing` up to the reference's stays on the
     mapped part of the route.
 
@@ -175,13 +172,11 @@ def write_city(
         frames: number of frames of each traverse.
         seed, size, labels_as: as in `SyntheticCity` and `SyntheticCity.traverse`.
         query: conditions of the query traverse; the reference traverse has `REFERENCE`.
-        radius: metres (>= 0).
         progress: called with 1 after each written frame.
 
     Raises:
         ValueError: a value is out of range, or the folder is not empty.
     """
-    require(radius >= 0, "radius", radius, "metres >= 0")
     require(frames >= 1, "frames", frames, "at least 1")
     city, out = SyntheticCity(seed), empty_folder(Path(out))
     files = CityFiles(
@@ -192,7 +187,7 @@ def write_city(
     for folder, conditions in ((files.reference, REFERENCE), (files.query, query)):
         traverse = city.traverse(frames, conditions, size, labels_as)
         poses[folder.name] = _write_frames(folder, traverse, colours, progress)
-    matches = _true_matches(poses["query"], poses["reference"], radius)
+    matches = _true_matches(poses["query"], poses["reference"])
     write_poses(files.poses, poses["reference"] | poses["query"])
     with replacing(files.ground_truth) as temporary:
         temporary.write_text(json.dumps(matches, indent=1), encoding="utf-8")
@@ -204,26 +199,16 @@ def write_tour(
     frames: int | None = None,
     seed: int = 0,
     size: tuple[int, int] = (240, 320),
-    conditions: Conditions = REFERENCE,
-    labels_as: str = "cityscapes-trainids",
     progress: Callable[[int], None] | None = None,
 ) -> Path:
-    """Write one drive along `TOUR`, which closes loops: label PNGs and their ``poses.csv``.
-
-    Args:
-        out: folder, new or empty, for ``poses.csv`` and the folder ``tour``.
-        frames: number of frames; ``None`` for the whole tour, about 1100.
-        seed, size, labels_as, progress: as in `write_city`.
-        conditions: conditions of the drive.
-
-    Returns:
-        The folder of the label PNGs.
-    """
+    """Write one drive along `TOUR`, which closes loops, into a new or empty folder: ``poses.csv``,
+    and label PNGs in the folder ``tour``, which it returns. The whole tour has about 1100 frames.
+    Other arguments as for `write_city`."""
     folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
     length = sys.maxsize if frames is None else frames
-    traverse = city.traverse(length, conditions, size, labels_as, TOUR)
-    poses = _write_frames(folder, traverse, palette(labels_as), progress)
+    traverse = city.traverse(length, size=size, turns=TOUR)
+    poses = _write_frames(folder, traverse, palette("cityscapes-trainids"), progress)
     write_poses(folder.with_name("poses.csv"), poses)
     return folder
 
@@ -258,14 +243,12 @@ def _convert(labels: NDArray[np.uint8], labels_as: str) -> NDArray[np.uint8]:
     return table[labels]
 
 
-def _true_matches(
-    query: dict[str, Pose], reference: dict[str, Pose], radius: float
-) -> dict[str, list[str]]:
+def _true_matches(query: dict[str, Pose], reference: dict[str, Pose]) -> dict[str, list[str]]:
     """The reference frames that show the same place, for each query frame."""
     names, poses = list(reference), np.array(list(reference.values()))
     matches = {}
     for name, pose in query.items():
         x, y, heading = (poses - pose).T
-        same = (np.hypot(x, y) <= radius) & (np.cos(heading) > math.cos(math.pi / 4))
+        same = (np.hypot(x, y) <= RADIUS) & (np.cos(heading) > math.cos(math.pi / 4))
         matches[name] = [names[index] for index in np.flatnonzero(same)]
     return matches

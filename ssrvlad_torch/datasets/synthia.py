@@ -42,7 +42,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
             name = f"{absolute_folder(folder).name}-{'-'.join(camera.parts)}"
             if images or labels:
                 traverses.append(Traverse.of(name, images, labels, poses))
-    truth = GroundTruth("within 7 m on x and z, VPR-Bench", metres=7.0)
+    truth = GroundTruth(metres=7.0)  # on x and z, as in VPR-Bench
     space = labels_as or "synthia"
     return Dataset(LAYOUT.name, root, tuple(traverses), space, truth, tuple(notes))
 

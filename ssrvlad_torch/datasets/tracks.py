@@ -15,15 +15,10 @@ SUFFIXES = (".gpx", ".nmea")
 
 
 def read_track(path: Path) -> list[tuple[float, Fix]]:
-    """The positions of a receiver, each with its time in seconds since 1970 UTC.
-
-    Of a GPX file all track points are read. Of an NMEA file the RMC sentences are read, which have
-    position, course, time and date; those without a valid position are left out.
-
-    Raises:
-        ValueError: the file is damaged, a point has no time, or times are out of order.
-        ImportError: the extra ``gps`` is not installed.
-    """
+    """The positions of a receiver, each with its time in seconds since 1970 UTC: all track points
+    of a GPX file, or the RMC sentences of an NMEA file with a valid position, which have position,
+    course, time and date. A damaged file, a point without a time, and times out of order are a
+    ValueError; without the extra ``gps``, an ImportError."""
     text = read_text(path)
     try:
         track = list((_of_gpx if path.suffix.lower() == ".gpx" else _of_nmea)(text))
@@ -63,6 +58,9 @@ def _of_nmea(text: str) -> Iterator[tuple[float, Fix]]:
             sentence = pynmea2.parse(line, check=True)
             if sentence.status != "A":
                 continue
+            position = sentence.lat, sentence.lat_dir, sentence.lon, sentence.lon_dir
+            if not all(position):  # the parser would say 0
+                raise ValueError(f"expected a position, got {','.join(position)}")
             course = float(sentence.true_course or "nan")
             fix = Fix(sentence.latitude, sentence.longitude, course)
             yield _seconds(sentence.datetime), fix

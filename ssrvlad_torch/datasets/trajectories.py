@@ -38,17 +38,10 @@ class Trajectory(NamedTuple):
     largest_gap: float | None = None
 
     def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
-        """The pose of each frame: the n-th pose, or with stamps the pose at its time.
-
-        Args:
-            names: names of all frames of the drive, in order; with stamps, times in seconds, or
-                whole numbers of milliseconds, microseconds or nanoseconds.
-            stamps: times of the frames in seconds, if they have any besides their names.
-
-        Raises:
-            ValueError: the numbers of frames and poses differ, a name is no time, or no unit, or
-                several, give the frames poses.
-        """
+        """The pose of each frame: the n-th pose, or, if poses have stamps, the pose at its time,
+        which is one of ``stamps`` in seconds or its name, in seconds or a whole number of milli-,
+        micro- or nanoseconds. Other numbers of frames than poses, a name that is no time, and no
+        unit, or several, that give poses are a ValueError."""
         if self.stamps:
             return self._at_times(names, stamps)
         if len(names) != len(self.poses):
@@ -56,8 +49,8 @@ class Trajectory(NamedTuple):
         return self.poses
 
     def _at_times(self, names: Sequence[str], stamps: Sequence[float]) -> list[Pose]:
-        """The poses at the stamps, or at the times that are names, in the unit in which the most
-        frames have one."""
+        """The poses at the stamps, or at the times that are names, in the unit that reaches most of
+        the trajectory: in too small a unit all frames of a drive are near its first pose."""
         whole = all(name.isdecimal() for name in names)
         timed = bool(stamps) and not any(map(math.isnan, stamps))
         times = [stamps] if timed else []
@@ -68,11 +61,15 @@ class Trajectory(NamedTuple):
                 raise ValueError(
                     f"expected frames named by their time in seconds: {error}"
                 ) from None
-            times += [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
+            named = [[t * unit for t in seconds] for unit in (_UNITS if whole else _UNITS[:1])]
+            times += [each for each in named if not (timed and _are_same(each, stamps))]
         found = [[self._at(time) for time in each] for each in times]
-        counts = [sum(pose is not UNKNOWN for pose in poses) for poses in found]
-        most = max(counts)
-        best = [poses for poses, count in zip(found, counts, strict=True) if count == most]
+        reached = [
+            len({bisect_left(self.stamps, t) for t, pose in pairs if pose is not UNKNOWN})
+            for pairs in (list(zip(*each, strict=True)) for each in zip(times, found, strict=True))
+        ]
+        most = max(reached)
+        best = [poses for poses, count in zip(found, reached, strict=True) if count == most]
         if not most or any(poses != best[0] for poses in best):
             problem = "several units of time fit" if most else "no pose is near in time to"
             raise ValueError(
@@ -110,26 +107,29 @@ class Trajectory(NamedTuple):
         )
 
 
+def _are_same(times: Sequence[float], stamps: Sequence[float]) -> bool:
+    """Whether times are those of stamps, as in the names of a video's frames, in microseconds."""
+    return all(abs(time - stamp) <= _UNITS[2] for time, stamp in zip(times, stamps, strict=True))
+
+
 def read_trajectory(path: Path, largest_gap: float | None = None) -> Trajectory:
     """The trajectory in a GPX or NMEA file, by its suffix, see `tracks`; or in a file of KITTI or
-    TUM, recognised by the count of numbers in a line.
+    TUM, recognised by the count of numbers in a line. A file of another form is a ValueError that
+    names the line.
 
     KITTI: twelve numbers, the matrix ``(3, 4)`` from the camera to the world of the first camera (x
     to the right, y down, z ahead). TUM: ``time x y z qx qy qz qw``, the camera in a world whose z
     is up. The heading is the direction of the camera's z axis. GPX and NMEA: east and north in
-    metres of UTM; the heading is the course, unknown where the file has none.
-
-    Args:
-        path: the file.
-        largest_gap: see `Trajectory`; by default 5 s for GPX and NMEA.
-
-    Raises:
-        ValueError: the file has another form; the message names the line.
+    metres of UTM; the heading is the course, unknown where the file has none. The largest gap, see
+    `Trajectory`, is 5 s for these by default.
     """
     if path.suffix.lower() in SUFFIXES:
         times, fixes = zip(*read_track(path), strict=True)
         gap = _GAP if largest_gap is None else largest_gap
-        return Trajectory(poses_of_fixes(fixes), list(times), gap)
+        try:
+            return Trajectory(poses_of_fixes(fixes), list(times), gap)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
     poses, stamps = list[Pose](), list[float]()
     for number, line in enumerate(read_text(path).splitlines(), 1):
         words = line.replace(",", " ").split()

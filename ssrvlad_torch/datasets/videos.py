@@ -18,11 +18,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ..files import check_pixels, npy_bytes, one_line
+from ..files import check_pixels, npy_bytes, one_line, requiring
 from .frame_file import FrameFile
-from .names import absolute
+from .names import VIDEO_SUFFIXES, absolute
 
-SUFFIXES = (".mp4", ".m4v", ".mov", ".mkv", ".webm", ".avi", ".ts", ".mts")
 _FORMATS = "mov,matroska,avi,mpegts"
 """No format that names other files, as playlists do."""
 
@@ -34,10 +33,7 @@ _TOLERATED = 0.5
 @dataclass(frozen=True)
 class VideoFile(FrameFile):
     """One frame of a video; its ``row`` is its presentation time in the units of the stream.
-
-    Attributes:
-        lost: seconds from here to the end of the video that cannot be read; 0 for a frame.
-    """
+    ``lost`` are the seconds from here to the end that cannot be read; 0 for a frame."""
 
     lost: float = 0
 
@@ -55,7 +51,7 @@ class VideoFile(FrameFile):
 
 def is_video(path: Path) -> bool:
     """Whether the name of a file is that of a video."""
-    return path.suffix.lower() in SUFFIXES and not path.is_dir()
+    return path.suffix.lower() in VIDEO_SUFFIXES and not path.is_dir()
 
 
 def video_files(path: Path) -> list[FrameFile]:
@@ -71,7 +67,7 @@ def video_files(path: Path) -> list[FrameFile]:
         ImportError: the extra ``video`` is not installed.
     """
     video = _Video(path)
-    folder = absolute(path.with_suffix(""))
+    folder = absolute(path)
     files = list[FrameFile]()
     for time in (*video.times, *video.missing()):
         seconds = (time - video.times[0]) * video.unit
@@ -99,10 +95,8 @@ class _Video:
     """
 
     def __init__(self, path: Path) -> None:
-        try:
+        with requiring("video", f"{path} needs"):
             import av
-        except ImportError as error:
-            raise ImportError(f"{path} needs: pip install ssrvlad-torch[video]") from error
         self._errors = av.error.FFmpegError
         try:
             options = {"format_whitelist": _FORMATS}
@@ -159,8 +153,7 @@ class _Video:
         return [following] if self.end > following + longest else []
 
     def _scan(self) -> Iterator[tuple[int, bool, int]]:
-        """Of every frame that is shown: its time, whether decoding can begin there, and when it is
-        decoded."""
+        """Of every shown frame: time, whether decoding can begin there, when it is decoded."""
         seen = set[int]()
         with suppress(self._errors):  # a truncated file ends here
             for packet in self._container.demux(self._stream):

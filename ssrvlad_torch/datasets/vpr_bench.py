@@ -17,8 +17,7 @@ _TRUTH = "ground_truth_new.npy"
 
 
 def read(root: Path, labels_as: str | None) -> Dataset:
-    """The data set in ``root``; its ground truth may also be beside ``root``, as
-    ``<folder>.ground_truth_new.npy``."""
+    """The data set in ``root``; its truth may be ``<folder>.ground_truth_new.npy`` beside it."""
     traverses = []
     for name, role in _FOLDERS:
         images = files_in(root / name, IMAGE_SUFFIXES)
@@ -30,7 +29,7 @@ def read(root: Path, labels_as: str | None) -> Dataset:
     folder = absolute_folder(root)
     candidates = (root / _TRUTH, folder.with_name(f"{folder.name}.{_TRUTH}"))
     file = next((path for path in candidates if path.is_file()), None)
-    truth = GroundTruth("VPR-Bench", file=file) if file else None
+    truth = GroundTruth(file) if file else None
     notes = () if file else (f"{root} has no {_TRUTH}; it is at {LAYOUT.origin}",)
     return Dataset(LAYOUT.name, root, tuple(traverses), labels_as, truth, notes)
 

@@ -18,17 +18,12 @@ def in_order(
     ahead: int,
     start: Callable[[], object] | None = None,
 ) -> Iterator[Result]:
-    """The results of ``work`` on items, in their order.
+    """The results of ``work``, which several threads call, on items, in their order. ``start`` is
+    called once in each worker.
 
-    Items are taken in the caller's thread while the workers are busy with earlier ones. If that
-    raises an error, it comes after the results of all earlier items.
-
-    Args:
-        work: called with each item; must be thread-safe for several threads.
-        items: taken one by one, at most ``ahead`` of them before the first has a result.
-        threads: number of workers.
-        ahead: number of items in memory.
-        start: called once in each worker.
+    Items are taken one by one in the caller's thread while the workers are busy with earlier ones,
+    at most ``ahead`` of them before the first has a result. If taking one raises an error, it comes
+    after the results of all earlier items.
     """
     pending: deque[Future[Result]] = deque()
     with ThreadPoolExecutor(max(1, threads), "", start) as pool:

@@ -18,19 +18,14 @@ Figures = Callable[[Floats], dict[str, Floats]]
 
 
 def bootstrap(figures: Figures, queries: int, resamples: int, seed: int = 0) -> dict[str, Interval]:
-    """Percentile intervals of figures, at the confidence `LEVEL`, by name.
+    """Percentile intervals of figures, at the confidence `LEVEL`, by name, from a number of
+    resamples from 1 on; equal seeds give equal ones.
 
     A resample draws Q queries with replacement (Efron, "Bootstrap methods: another look at the
-    jackknife", Annals of Statistics 1979). An interval shows how a figure varies with the choice of
-    queries, not with the map. Queries of one drive are not independent, so the intervals are
-    slightly too narrow.
-
-    Args:
-        figures: computes the figures of B resamples at once. Resamples in which a figure is NaN are
-            left out; the interval is NaN if all are.
-        queries: Q, the number of queries.
-        resamples: number of resamples, at least 1.
-        seed: seed of the draws; equal seeds give equal intervals.
+    jackknife", Annals of Statistics 1979). Those in which a figure is NaN are left out; the
+    interval is NaN if all are. An interval shows how a figure varies with the choice of queries,
+    not with the map. Queries of one drive are not independent, so the intervals are slightly too
+    narrow.
     """
     rng = np.random.default_rng(seed)
     block = max(1, _CELLS // max(1, queries))

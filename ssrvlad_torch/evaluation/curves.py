@@ -1,8 +1,5 @@
-"""Precision and recall over thresholds, and the figures that summarise a curve.
-
-A curve is stored as counts. The counts may have a leading axis of resamples; every figure then has
-it too.
-"""
+"""Precision and recall over thresholds, and the figures that summarise a curve. A curve is stored
+as counts. The counts may have a leading axis of resamples; every figure then has it too."""
 
 from __future__ import annotations
 
@@ -48,19 +45,16 @@ class PrecisionRecall:
 
     @property
     def auc(self) -> Floats:
-        """AUC-PR, the area under the curve by the trapezoid rule, from recall 0 to the highest
-        recall that is reached."""
+        """AUC-PR, the area by the trapezoid rule, from recall 0 to the highest reached."""
         precision = np.concatenate((self._at_recall_zero[..., None], self.precision), axis=-1)
         heights = (precision[..., 1:] + precision[..., :-1]) / 2
         return _divide((self._found * heights).sum(axis=-1), self.positives)
 
     @property
     def average_precision(self) -> Floats:
-        """The mean precision over the thresholds, weighted by the recall that each adds.
-
-        Unlike `auc` it does not interpolate between points. It equals scikit-learn's
-        ``average_precision_score`` if the positives are the right candidates.
-        """
+        """The mean precision over the thresholds, weighted by the recall that each adds. Unlike
+        `auc` it does not interpolate between points. It equals scikit-learn's
+        ``average_precision_score`` if the positives are the right candidates."""
         return _divide((self._found * self.precision).sum(axis=-1), self.positives)
 
     @property
@@ -72,10 +66,8 @@ class PrecisionRecall:
     @property
     def extended_precision(self) -> Floats:
         """EP = (P_R0 + R_P100) / 2 (Ferrarini et al., RA-L 2020, DOI 10.1109/LRA.2020.2969197).
-
         P_R0 is the precision at the highest threshold, where the recall is lowest. R_P100 is
-        Recall@100%Precision; it is 0 where P_R0 is below 1.
-        """
+        Recall@100%Precision; it is 0 where P_R0 is below 1."""
         return self._if_positives((self._at_highest_threshold + self.recall_at_full_precision) / 2)
 
     @property
@@ -103,14 +95,8 @@ class PrecisionRecall:
 
 @dataclass(frozen=True)
 class Ranking:
-    """Queries by decreasing score of the best candidate, without the queries that have none.
-
-    Attributes:
-        order: ``(C,)`` int64, the queries.
-        correct: ``(C,)`` bool, whether the best candidate is a true match.
-        last_of_tie: ``(T,)`` int64, the last index of each distinct score.
-        thresholds: ``(T,)`` float64, the distinct scores.
-    """
+    """The queries ``(C,)`` that have a candidate by decreasing score of the best one, whether it is
+    a true match ``(C,)``, and the last index ``(T,)`` of each distinct score ``(T,)``."""
 
     order: Rows
     correct: Bools
@@ -120,13 +106,9 @@ class Ranking:
     def curve(
         self, weights: Floats, positives: Floats, start: float | None = None
     ) -> PrecisionRecall:
-        """The exact curve of the best candidates: every distinct score is a threshold.
-
-        Args:
-            weights: ``(..., Q)`` float64, the count of each query.
-            positives: ``(...)`` float64, the denominator of the recall.
-            start: as in `PrecisionRecall`.
-        """
+        """The exact curve of the best candidates: every distinct score is a threshold. ``weights``
+        ``(..., Q)`` float64 are the counts of the queries, ``positives`` ``(...)`` the denominator
+        of the recall."""
         ranked = weights[..., self.order]
         accepted = np.cumsum(ranked, axis=-1)[..., self.last_of_tie]
         right = np.cumsum(ranked * self.correct, axis=-1)[..., self.last_of_tie]
@@ -134,12 +116,8 @@ class Ranking:
 
 
 def rank(scores: Floats, correct: Bools) -> Ranking:
-    """Ranks queries by the score of their best candidate.
-
-    Args:
-        scores: ``(Q,)`` float64, -inf for a query without a candidate, which is never accepted.
-        correct: ``(Q,)`` bool, whether the best candidate is a true match.
-    """
+    """Ranks queries by the scores ``(Q,)`` float64 of their best candidates, -inf for none, which
+    is never accepted; ``correct`` ``(Q,)`` bool, whether it is a true match."""
     candidates = np.flatnonzero(scores > -np.inf)
     order = candidates[np.argsort(-scores[candidates], kind="stable")]
     ranked = scores[order]
@@ -149,16 +127,10 @@ def rank(scores: Floats, correct: Bools) -> Ranking:
 
 def roc_auc(curve: PrecisionRecall, right: Floats, wrong: Floats) -> Floats:
     """ROC-AUC ``(...)``, 0 to 1: the probability that a right best candidate has a higher score
-    than a wrong one, with ties counted half; NaN where all are right or all are wrong.
-
-    A query without a candidate counts as wrong with the lowest score. The figure equals
-    scikit-learn's ``roc_auc_score(correct, scores)``.
-
-    Args:
-        curve: from `Ranking.curve`.
-        right, wrong: ``(...)`` float64, number of queries whose best candidate is right, and of all
-            others.
-    """
+    than a wrong one, with ties counted half; NaN where all are right or all are wrong. A query
+    without a candidate counts as wrong with the lowest score. The figure equals scikit-learn's
+    ``roc_auc_score(correct, scores)``; ``right`` and ``wrong`` ``(...)`` are the numbers of
+    queries."""
     found = np.insert(curve.true_positives, 0, 0.0, axis=-1)
     missed = np.insert(curve.accepted - curve.true_positives, 0, 0.0, axis=-1)
     area = (np.diff(missed) * (found[..., 1:] + found[..., :-1]) / 2).sum(axis=-1)

@@ -25,17 +25,10 @@ def from_poses(
     metres: float,
     degrees: float | None = None,
 ) -> list[Rows]:
-    """True matches of each query: the references within a distance, including the limit.
-
-    Args:
-        queries: ``(Q, 2+)`` x and y in metres, and heading in radians if ``degrees`` is given.
-        references: ``(R, 2+)`` in the same form.
-        metres: largest distance of a true match.
-        degrees: largest absolute difference of the headings; ``None`` for any.
-
-    Raises:
-        ValueError: a pose is missing (NaN), a limit is negative, or the distance is infinite.
-    """
+    """True matches of each query: the references within a distance in metres, including the limit,
+    of any heading, or of one within some degrees. Poses are ``(Q, 2+)`` and ``(R, 2+)``, x and y in
+    metres, then heading in radians. A missing pose (NaN), a negative limit and an infinite distance
+    are a ValueError."""
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
     if degrees is not None and not degrees >= 0:
@@ -61,17 +54,10 @@ def from_frame_numbers(
 ) -> list[Rows]:
     """True matches of each query: the references at most ``frames`` frames away in the drive.
 
-    The frames of a sequence, queries and references together, are numbered in the order of their
-    names. If the queries' sequences are not among those of the references, queries and references
-    must be one sequence each: aligned traverses of equal length, whose n-th frames match.
-
-    Args:
-        queries, references: frame ids, ``<sequence>/<name>``.
-        frames: largest distance of a true match.
-
-    Raises:
-        ValueError: it is not clear which sequences belong together, aligned traverses differ in
-            length, or ``frames`` is negative.
+    The frames of a sequence, queries and references together, of the ids ``<sequence>/<name>``, are
+    numbered in the order of their names. If the queries' sequences are not among those of the
+    references, queries and references must be one sequence each: aligned traverses of equal length,
+    whose n-th frames match. Others, and a negative number, are a ValueError.
     """
     if frames < 0:
         raise ValueError(f"the tolerance must be 0 frames or more, got {frames}")

@@ -58,11 +58,7 @@ def from_file(path: str | Path, queries: Frames, references: Frames) -> PartialT
 
 
 def unmatched_entries(path: str | Path, queries: Frames) -> list[str]:
-    """Entries of a file of pairs that name none of the queries; empty for files of other forms.
-
-    Raises:
-        ValueError: the file cannot be read, or has another form.
-    """
+    """Entries of a file of pairs that name none of the queries; empty for files of other forms."""
     content, find = _read(Path(path)), _finder(queries)
     return [entry for entry in content if find(entry) is None] if isinstance(content, dict) else []
 
@@ -102,7 +98,10 @@ def _read_csv(path: Path) -> Pairs | Matrix:
         lines = csv.DictReader(file, restval="", skipinitialspace=True)
         first = lines.fieldnames or ()
         if {"query", "reference"} <= set(first):
-            return _grouped((line["query"], line["reference"]) for line in lines)
+            rows = list(lines)
+            if more := next((row for row in rows if None in row), None):
+                raise ValueError(f"a line of {more['query']} has more cells than columns")
+            return _grouped((row["query"], row["reference"]) for row in rows)
     try:
         [float(text) for text in first or ("",)]
     except ValueError:

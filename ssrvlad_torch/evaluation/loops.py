@@ -19,14 +19,8 @@ EVEN = 0.5
 
 
 class LoopScore(NamedTuple):
-    """Counts of frames.
-
-    Attributes:
-        accepted: frames that close a loop.
-        right: accepted frames whose candidate is near.
-        revisits: frames with an earlier frame that is near and looks the same way.
-        recognised: revisits that are right.
-    """
+    """Counts of frames: those that close a loop, and of them those whose candidate is near; those
+    with an earlier frame that is near and looks the same way, and of them those that are right."""
 
     accepted: int
     right: int
@@ -47,21 +41,14 @@ class LoopScore(NamedTuple):
 def score_loops(
     candidates: Rows, poses: Floats, exclude: int, metres: float, first: int = 0
 ) -> LoopScore:
-    """Compares the loops of a stream with the poses of its frames.
+    """Compares the loops of a stream with the poses ``(N, 3)`` of its frames, x and y in metres and
+    heading in radians, NaN where unknown; ``candidates`` ``(N,)`` int64 are rows, -1 for none.
+    Frames from the row ``first`` on are counted.
 
-    A loop is right if its two frames are near each other, whatever their headings. A frame is a
-    revisit if an earlier frame, not among the ``exclude`` most recent ones, is near and looks the
-    same way; an unknown heading matches any. Frames without a position are left out.
-
-    Args:
-        candidates: ``(N,)`` int64, row of the candidate of each frame that closes a loop, else -1.
-        poses: ``(N, 3)`` x and y in metres and heading in radians, NaN where unknown.
-        exclude: number of frames just before a frame that are too recent to be revisited.
-        metres: largest distance of near frames.
-        first: row of the first frame that is counted.
-
-    Raises:
-        ValueError: the distance is negative or infinite, or no frame has a position.
+    A loop is right if its two frames are near each other, at most ``metres``, whatever their
+    headings. A frame is a revisit if an earlier frame, not among the ``exclude`` most recent ones,
+    is near and looks the same way; an unknown heading matches any. Frames without a position are
+    left out; if all are, or the distance is negative or infinite, it is a ValueError.
     """
     if not 0 <= metres < math.inf:
         raise ValueError(f"the tolerance must be 0 metres or more and finite, got {metres}")
@@ -93,17 +80,10 @@ def loop_errors(candidates: Rows, poses: Floats) -> Floats:
 
 
 def loop_curve(probabilities: Floats, right: Bools, revisits: int) -> PrecisionRecall:
-    """Precision and recall over thresholds, from the loops that a detector with a low threshold
-    found.
-
-    The curve is approximate: a detector with a higher threshold rejects some loops, and a rejected
-    loop may change the probabilities of later frames.
-
-    Args:
-        probabilities: ``(L,)``, of each loop, see `LoopResult`.
-        right: ``(L,)``, whether each loop is right.
-        revisits: number of frames that could be recognised.
-    """
+    """Precision and recall over thresholds, by the probabilities ``(L,)`` of the loops that a
+    detector with a low threshold found, by which are right ``(L,)``, and by the number of revisits.
+    It is approximate: a higher threshold rejects some loops, which may change the probabilities of
+    later frames."""
     thresholds, steps = np.unique(-probabilities, return_inverse=True)
     return PrecisionRecall(
         accepted=np.cumsum(np.bincount(steps, minlength=len(thresholds))).astype(np.float64),

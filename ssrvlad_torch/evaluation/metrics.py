@@ -98,10 +98,13 @@ def evaluate(
     curves = _curves(outcomes, truth, convention, similarity)
 
     def figures(weights: Floats) -> dict[str, Floats]:
-        return {
-            **recall_rates_at(outcomes, convention, at, weights),
-            **_summaries(outcomes, convention, curves, weights),
-        }
+        counted = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
+        total = weights @ counted
+        rates = {}
+        for n in at:
+            found = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
+            rates[str(n)] = np.where(total > 0, found / np.maximum(total, 1), np.nan)
+        return {**rates, **_summaries(outcomes, convention, curves, weights)}
 
     values = {name: float(value[0]) for name, value in figures(np.ones((1, len(truth)))).items()}
     result = {
@@ -143,19 +146,6 @@ def _curves(
     if convention == "vpr-bench":
         return lambda weights: ranking.curve(weights, weights @ outcomes.correct, start=1.0)
     return lambda weights: ranking.curve(weights, weights @ outcomes.has_match)
-
-
-def recall_rates_at(
-    outcomes: Outcomes, convention: Convention, at: Iterable[int], weights: Floats
-) -> dict[str, Floats]:
-    """RecallRate@N ``(B,)`` by N as text; ``weights`` ``(B, Q)`` are the counts of the queries."""
-    counted = np.ones(len(outcomes), bool) if convention == "vpr-bench" else outcomes.has_match
-    total = weights @ counted
-    rates = {}
-    for n in at:
-        found = weights @ ((outcomes.rank > 0) & (outcomes.rank <= n))
-        rates[str(n)] = np.where(total > 0, found / np.maximum(total, 1), np.nan)
-    return rates
 
 
 def _summaries(

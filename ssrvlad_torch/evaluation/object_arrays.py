@@ -24,11 +24,7 @@ _MEMO_OPCODES = ("PUT", "BINPUT", "LONG_BINPUT")
 
 def load_object_array(file: BinaryIO) -> PickledArray:
     """The pickled array at the position of a file; ``numpy.save`` writes one after the header of a
-    ``.npy`` file of objects.
-
-    Raises:
-        ValueError: as for `load_pickle`, or the pickle holds no array.
-    """
+    ``.npy`` file of objects. Errors as for `load_pickle`; another content is a ValueError too."""
     loaded = load_pickle(file)
     if not isinstance(loaded, PickledArray):
         raise ValueError(f"expected a pickled array, got a {type(loaded).__name__}")
@@ -36,15 +32,10 @@ def load_object_array(file: BinaryIO) -> PickledArray:
 
 
 def load_pickle(file: BinaryIO) -> Any:
-    """The content of the pickle at the position of a file.
-
-    Returns:
-        Numbers, text, lists, tuples and mappings; a `PickledArray` for an array; a `PickledObject`
-        for an object of scikit-learn, with its attributes only.
-
-    Raises:
-        ValueError: the pickle is damaged, or holds another type, which the message names.
-    """
+    """The content of the pickle at the position of a file: numbers, text, lists, tuples and
+    mappings; a `PickledArray` for an array; a `PickledObject` for an object of scikit-learn, with
+    its attributes only. A damaged pickle, and one of another type, which the message names, is a
+    ValueError."""
     try:
         _check_memo(file)
         return _Unpickler(file, encoding="latin1").load()
@@ -77,12 +68,8 @@ class PickledObject:
 
 
 class PickledArray:
-    """Stand-in for a pickled array. Iterating gives its rows, each as a flat list.
-
-    Attributes:
-        shape: of the array.
-        values: the elements in C order: numbers or objects.
-    """
+    """Stand-in for a pickled array: its shape, and its elements in C order, numbers or objects.
+    Iterating gives its rows, each as a flat list."""
 
     __slots__ = ("shape", "values")
 

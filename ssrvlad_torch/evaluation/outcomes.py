@@ -45,17 +45,9 @@ class Outcomes:
 
 
 def judge(scores: Scores, indices: Indices, truth: Truth) -> Outcomes:
-    """Compares the candidates of each query with the ground truth.
-
-    Args:
-        scores: ``(Q, top)`` from `ssrvlad_torch.match`, best first, -inf without a candidate.
-        indices: ``(Q, top)`` int64 rows of the references, -1 without a candidate.
-        truth: true matches of each query.
-
-    Raises:
-        ValueError: the shapes do not fit, a score is NaN or +inf, a candidate has a score but no
-            row, or the truth is a matrix instead of rows.
-    """
+    """Compares the candidates of each query, ``(Q, top)`` scores, best first, and int64 rows from
+    `ssrvlad_torch.match`, with its true matches. Shapes that do not fit, a score that is NaN or
+    +inf, a candidate with a score but no row, and a matrix instead of rows are a ValueError."""
     scores, indices = as_array(scores), as_array(indices)
     if isinstance(truth, np.ndarray) or any(np.asarray(rows).dtype == bool for rows in truth):
         raise ValueError(

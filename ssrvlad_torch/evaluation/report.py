@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from PIL import Image
 
-from ..files import check_output, replacing
+from ..files import check_output, replacing, requiring
 from .curves import PrecisionRecall
 from .metrics import figure_rows, fraction, precision_recall_curve
 from .outcomes import Bools, Floats, Outcomes, Rows, Truth
@@ -91,8 +91,7 @@ class Report:
 
 
 class Match(NamedTuple):
-    """A query, its best candidate, and the true match with the highest cosine; rows, -1 for
-    none."""
+    """Rows of a query, its best candidate, and its true match of the highest cosine, or -1."""
 
     query: int
     candidate: int
@@ -100,15 +99,11 @@ class Match(NamedTuple):
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Writes the page, whole or not at all.
+    """Writes the page, whole or not at all; it needs the extra ``eval`` (Jinja2, matplotlib).
 
     The page shows the figures with their intervals, operating points, precision against recall, the
     scores of right and wrong candidates, the similarity matrix, and a table of matches. Its size is
     bounded for any number of queries and references. It needs no other file and no network.
-
-    Raises:
-        ImportError: the extra ``eval`` (Jinja2, matplotlib) is not installed.
-        OSError: the file cannot be written; an existing file at ``path`` is unchanged.
     """
     check_output(path)
     page = render(report).encode("utf-8", "replace")
@@ -118,11 +113,9 @@ def write_report(path: Path, report: Report) -> None:
 
 def render(report: Report) -> str:
     """The page as HTML text, from ``templates/report.html``."""
-    try:
+    with requiring("eval", "a report needs"):
         import matplotlib  # noqa: F401
         from jinja2 import Environment, PackageLoader
-    except ImportError as error:
-        raise ImportError("a report needs: pip install ssrvlad-torch[eval]") from error
     environment = Environment(
         loader=PackageLoader(__package__), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
@@ -195,8 +188,7 @@ def _drawn(draw: Callable[[Axes, Report], None], report: Report) -> str:
 
 
 def _precision_recall(axes: Axes, report: Report) -> None:
-    """The curve by the convention, the one by ``exact`` if that is another, and the operating
-    points, which belong to ``exact``."""
+    """The curves by the convention and by ``exact``, of which the operating points are."""
     exact = precision_recall_curve(report.outcomes, report.truth)
     convention = report.metrics["convention"]
     for name, curve in {"exact": exact, convention: report.curve}.items():
@@ -213,8 +205,7 @@ def _precision_recall(axes: Axes, report: Report) -> None:
 
 
 def score_groups(outcomes: Outcomes) -> dict[str, Floats]:
-    """Scores of the best candidates that are right, wrong, and wrong because no reference shows the
-    place."""
+    """Scores of best candidates: right, wrong, and of places that no reference shows."""
     wrong = (outcomes.candidate >= 0) & ~outcomes.correct
     groups = {
         "right": outcomes.correct,
@@ -283,8 +274,7 @@ def _row(report: Report, match: Match) -> dict[str, Any]:
 
 
 def _picture(pixels: Pixels) -> str:
-    """The address of a picture, at most `_WIDTH` wide; reducing averages pixels, so that thin poles
-    remain visible."""
+    """The address of a picture, reduced to `_WIDTH` by means, so that thin poles remain."""
     image = Image.fromarray(pixels)
     if image.width > _WIDTH:
         height = max(1, round(image.height * _WIDTH / image.width))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from statistics import NormalDist
 from typing import Any, NamedTuple
 
@@ -18,14 +18,9 @@ _Z2 = NormalDist().inv_cdf((1 + LEVEL) / 2) ** 2
 
 
 class OperatingPoint(NamedTuple):
-    """A threshold and its figures.
-
-    Attributes:
-        score: the threshold; candidates with this score or a higher one are accepted.
-        precision, recall: 0 to 1.
-        precision_low: lower end of the 95 % interval of the precision, see `wilson_low`.
-        accepted: number of queries whose best candidate is accepted.
-    """
+    """A threshold, from which on scores are accepted, its precision and recall, 0 to 1, the
+    lower end of the 95 % interval of the precision, see `wilson_low`, and the number of accepted
+    queries."""
 
     score: float
     precision: float
@@ -71,7 +66,11 @@ def suggested_point(
     if not low.max(initial=0.0):
         return None
     last = int(np.flatnonzero(low >= min(precision, float(low.max())))[-1])
-    return _point(curve, last)._replace(score=_score_below(curve, last))
+    score = curve.thresholds[last]
+    below = np.nextafter(np.float32(score), np.float32(-np.inf))
+    if last + 1 < len(curve.thresholds):
+        below = (score + curve.thresholds[last + 1]) / 2
+    return _point(curve, last)._replace(score=float(below))
 
 
 def queries_needed(precision: float = SURE_PRECISION) -> int:
@@ -79,25 +78,18 @@ def queries_needed(precision: float = SURE_PRECISION) -> int:
     return math.ceil(_Z2 * precision / (1 - precision))
 
 
-def operating_points(curve: PrecisionRecall, recalls: Sequence[float] = (0.5,)) -> dict[str, Any]:
-    """The points at 99 % and 100 % precision and at given recalls, and the suggested one.
-
-    Args:
-        curve: of one set of queries, without a leading axis. Use the convention ``exact``, which
-            counts accepted queries of unknown places as mistakes.
-        recalls: each 0 to 1.
-
-    Returns:
-        ``at_precision`` by ``"0.99"`` and ``"1"``, ``at_recall`` by the recall as text, and
-        ``suggested``; each point as a mapping, or ``None``.
-    """
+def operating_points(curve: PrecisionRecall) -> dict[str, Any]:
+    """The points at 99 % and 100 % precision and at a recall of 0.5, and the suggested one, as
+    mappings, or ``None``: ``at_precision`` by ``"0.99"`` and ``"1"``, ``at_recall`` by ``"0.5"``,
+    and ``suggested``. The curve is of one set of queries, by the convention ``exact``, which counts
+    accepted queries of unknown places as mistakes."""
 
     def mapping(point: OperatingPoint | None) -> dict[str, Any] | None:
         return point and point._asdict()
 
     return {
         "at_precision": {f"{p:g}": mapping(at_precision(curve, p)) for p in (0.99, 1.0)},
-        "at_recall": {f"{r:g}": mapping(at_recall(curve, r)) for r in recalls},
+        "at_recall": {"0.5": mapping(at_recall(curve, 0.5))},
         "suggested": mapping(suggested_point(curve)),
     }
 
@@ -129,14 +121,6 @@ def _point(curve: PrecisionRecall, index: int) -> OperatingPoint:
         recall=float(curve.recall[index]),
         accepted=int(curve.accepted[index]),
     )
-
-
-def _score_below(curve: PrecisionRecall, index: int) -> float:
-    """A score between a threshold and the next lower one."""
-    score = curve.thresholds[index]
-    if index + 1 < len(curve.thresholds):
-        return float(score + curve.thresholds[index + 1]) / 2
-    return float(np.nextafter(np.float32(score), np.float32(-np.inf)))
 
 
 def _check_fraction(name: str, fraction: float) -> None:

@@ -166,8 +166,7 @@ def _counted(frames: Iterable[str], dataset: Dataset | None) -> tuple[str, ...]:
 
 
 def _rows(truth: PartialTruth, references: Viewpoints) -> tuple[PartialTruth, Collection[str]]:
-    """The rows of the references for positions among the counted references, and the ids of the
-    positions that have no row."""
+    """The references' rows for counted positions, and the ids of those without one."""
     row = {frame: number for number, frame in enumerate(references.frames)}
     rows = np.array([row.get(frame, -1) for frame in references.counted], np.int64)
     known = [None if positions is None else rows[positions] for positions in truth]

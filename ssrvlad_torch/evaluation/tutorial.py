@@ -21,13 +21,9 @@ STEPS = 100
 
 @dataclass(frozen=True)
 class PairCounts:
-    """Counts of pairs of each query at each threshold.
-
-    Attributes:
-        accepted, right: ``(Q, T)`` float64, accepted pairs, and true matches among them.
-        positives: ``(Q,)`` float64, pairs that can be found.
-        thresholds: ``(T,)`` float64, decreasing.
-    """
+    """Counts of pairs of each query at each threshold: accepted ones and true matches among them
+    ``(Q, T)``, those that can be found ``(Q,)``, and the decreasing thresholds ``(T,)``, all
+    float64."""
 
     accepted: Floats
     right: Floats
@@ -48,18 +44,13 @@ class PairCounts:
 def count_pairs(
     similarity: npt.NDArray[np.floating[Any]], truth: Truth, single: bool = False
 ) -> PairCounts:
-    """Counts pairs at `STEPS` thresholds, linearly spaced from the highest finite similarity to the
-    lowest; without a finite similarity there are no thresholds.
+    """Counts pairs of a similarity ``(Q, R)`` at `STEPS` thresholds, linearly spaced from the
+    highest finite similarity to the lowest; without a finite similarity there are no thresholds. A
+    pair that cannot match has -inf and gets the lowest similarity, as in the tutorial.
 
-    Args:
-        similarity: ``(Q, R)``; a pair that cannot match has -inf and gets the lowest similarity, as
-            in the tutorial.
-        truth: true matches of each query, the tutorial's ``GThard``.
-        single: if true, only the best reference of each query is counted, and the positives are the
-            queries with a true match; otherwise all pairs and all true pairs.
-
-    Raises:
-        ValueError: the shapes do not fit, or a similarity is NaN or +inf.
+    With ``single``, only the best reference of each query is counted, and the positives are the
+    queries with a true match; otherwise all pairs and all true pairs. Shapes that do not fit, and a
+    similarity that is NaN or +inf, are a ValueError.
     """
     if similarity.ndim != 2 or len(similarity) != len(truth):
         raise ValueError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -16,32 +17,39 @@ IN_MEMORY = 1 << 26
 """Scores that are in memory at once."""
 
 
-class BlockScores(Scores):
-    """Scores of one sequence of queries, computed in blocks of queries that fit in memory."""
+class Computed(Scores):
+    """The scores of each query by a function."""
 
-    def __init__(
-        self,
-        compute: Callable[[slice], Tensor],
-        queries: int,
-        references: int,
-        anchors: int,
-        excluded: Tensor | None,
-    ) -> None:
-        self._compute, self._queries, self._excluded = compute, queries, excluded
-        fits = anchors * queries * references <= IN_MEMORY
-        room = IN_MEMORY // (4 * anchors * max(1, references))
-        self._size = queries if fits else max(1, room)
-        self._first, self._block = 0, torch.empty(0)
+    def __init__(self, compute: Callable[[int], Tensor], queries: int) -> None:
+        self._compute, self._queries = compute, queries
 
     def __len__(self) -> int:
         return self._queries
 
     def __getitem__(self, query: int, /) -> Tensor:
-        if not self._first <= query < self._first + len(self._block):
-            self._first = query - query % self._size
-            self._block = self._compute(slice(self._first, self._first + self._size))
-        row = self._block[query - self._first]
-        return row if self._excluded is None else row.masked_fill(self._excluded[query], -torch.inf)
+        return self._compute(query)
+
+
+def in_blocks(
+    compute: Callable[[slice], Tensor],
+    queries: int,
+    references: int,
+    anchors: int,
+    excluded: Tensor | None,
+) -> Computed:
+    """Scores of one sequence of queries, computed in blocks of queries that fit in memory."""
+    fits = anchors * queries * references <= IN_MEMORY
+    size = queries if fits else max(1, IN_MEMORY // (4 * anchors * max(1, references)))
+
+    @lru_cache(maxsize=1)
+    def block(number: int) -> Tensor:
+        return compute(slice(number * size, (number + 1) * size))
+
+    def row(query: int) -> Tensor:
+        row = block(query // size)[query % size]
+        return row if excluded is None else row.masked_fill(excluded[query], -torch.inf)
+
+    return Computed(row, queries)
 
 
 def of_vectors(
@@ -49,16 +57,10 @@ def of_vectors(
     references: Rows,
     excluded: Tensor | None,
     compare: Callable[[Tensor, Rows], Tensor] = score,
-) -> BlockScores:
+) -> Computed:
     """The scores of queries ``(Q, D)`` or ``(Q, S, D)``."""
-    anchors = queries.shape[1] if queries.ndim == 3 else 1
-    return BlockScores(
-        lambda part: compare(queries[part], references),
-        len(queries),
-        len(references),
-        anchors,
-        excluded,
-    )
+    sizes = len(queries), len(references), queries.shape[1] if queries.ndim == 3 else 1
+    return in_blocks(lambda part: compare(queries[part], references), *sizes, excluded)
 
 
 def fused_scores(
@@ -67,39 +69,22 @@ def fused_scores(
     """The scores of all methods as one, and the weights of several methods."""
     if len(members) == 1:
         return members[0], {}
-    fused = FusedScores(dict(zip(names, members, strict=True)))
-    fits = len(fused) * len(fused[0]) <= IN_MEMORY
-    return fused.whole() if fits else fused, fused.weights
+    scores = FusedScores(dict(zip(names, members, strict=True)))
+    fits = len(scores) * len(scores[0]) <= IN_MEMORY
+    return scores.whole() if fits else scores, scores.weights
 
 
-class FusedDecoys(Scores):
+def fused_decoys(
+    members: Sequence[Scores], decoys: Sequence[Scores], weights: Sequence[float]
+) -> Scores:
     """Scores of the decoys by all methods as one, as the scores of the map are fused."""
+    if len(decoys) == 1:
+        return decoys[0]
 
-    def __init__(
-        self, members: Sequence[Scores], decoys: Sequence[Scores], weights: Sequence[float]
-    ) -> None:
-        self._members, self._decoys, self._weights = members, decoys, weights
-
-    def __len__(self) -> int:
-        return len(self._decoys[0])
-
-    def __getitem__(self, query: int, /) -> Tensor:
-        if len(self._decoys) == 1:
-            return self._decoys[0][query]
-        pairs = zip(self._members, self._decoys, strict=True)
-        both = [torch.cat((own[query], decoys[query])) for own, decoys in pairs]
+    def row(query: int) -> Tensor:
+        pairs = zip(members, decoys, strict=True)
+        both = [torch.cat((own[query], against[query])) for own, against in pairs]
         first = len(both[0]) // 2
-        return fused(both, self._weights, first)[first:]
+        return fused(both, weights, first)[first:]
 
-
-class SomeScores(Scores):
-    """The scores of some queries."""
-
-    def __init__(self, scores: Tensor | Scores, queries: range) -> None:
-        self._scores, self._queries = scores, queries
-
-    def __len__(self) -> int:
-        return len(self._queries)
-
-    def __getitem__(self, query: int, /) -> Tensor:
-        return self._scores[self._queries[query]]
+    return Computed(row, len(decoys[0]))

@@ -91,16 +91,9 @@ def follow_candidates(
     motion: Motion | None = None,
     way: int = FORWARDS,
 ) -> Places:
-    """The place of each query of one sequence, given the others; see `follow`.
-
-    Time for a query depends on its candidates, not on the map.
-
-    Args:
-        search: finds candidates and scores rows.
-        sequences: the sequence of each row of the map; the rows of one stand together and in order.
-        part: numbers of the queries; without, all.
-        mode, delay, top, motion, way: as for `follow`.
-    """
+    """The place of each query of one sequence, of the numbers ``part`` or all, given the others;
+    for the other arguments see `follow`. Time for a query depends on its candidates, not on the
+    map."""
     track = CandidateFilter(sequences, motion, (way, -way))
     states = (state for state, _ in track.states(search, part))
     if mode == "offline":
@@ -145,7 +138,7 @@ class CandidateFilter:
     def _step(self, before: State | None, search: Search, query: int) -> tuple[State, float]:
         rows = search.candidates(query)
         rows = rows if before is None else torch.cat((rows, self._reached(before)))
-        rows = torch.from_numpy(np.unique(rows.numpy()))
+        rows = torch.from_numpy(np.unique(rows.numpy())) if len(rows) else torch.tensor([0])
         mapped, elsewhere, unmapped = (
             self._anywhere(rows) if before is None else self._predicted(before, rows)
         )
@@ -249,8 +242,7 @@ class CandidateFilter:
         return inside & (self._sequence(targets) == self._sequence(rows))
 
     def _fresh(self, rows: Tensor, listed: Tensor) -> tuple[float, Tensor]:
-        """The fraction of the rows elsewhere that is listed now, and which of the listed rows were
-        listed before."""
+        """The fraction of the rows elsewhere that is listed now; which were listed before."""
         known = torch.isin(listed, rows, assume_unique=True)
         return int((~known).sum()) / max(1, self._length - len(rows)), known
 

@@ -98,8 +98,7 @@ class Confidence(NamedTuple):
 
 
 def _posterior(leads: Tensor, prior: Prior, together: float) -> tuple[Tensor, Tensor, Tensor]:
-    """``a``, ``b`` and the weight of each point of the grid; queries that err together count as
-    one."""
+    """``a``, ``b`` and the weight of each grid point; queries that err together are one."""
     steps = torch.linspace(-_REACH, _REACH, _GRID, dtype=torch.double)
     across, along = (each.flatten() for each in torch.meshgrid(steps, steps, indexing="ij"))
     offsets = prior.offset + prior.deviations[0] * across

@@ -14,13 +14,8 @@ from .motion import BACKWARDS, FORWARDS, Motion
 
 
 class Course(NamedTuple):
-    """How queries run a map.
-
-    Attributes:
-        way: `motion.FORWARDS` or `motion.BACKWARDS`.
-        rate: see `motion.Motion`.
-        streams: number of streams whose frames alternate among the queries.
-    """
+    """How queries run a map: `motion.FORWARDS` or `motion.BACKWARDS`, at a rate, see
+    `motion.Motion`, and as how many streams whose frames alternate."""
 
     way: int = FORWARDS
     rate: float = 1
@@ -53,11 +48,9 @@ docs/fusion.md none had it, and of 16 of these maps in random order one."""
 
 
 def course(gain: Gain, queries: range) -> Course | None:
-    """The course of the queries of one sequence, ``None`` where the data do not show one.
-
-    Of all kinds the one with the highest gain in either way is taken; two streams need a third more
-    than one. It must be likelier in one way than in the other.
-    """
+    """The course of the queries of one sequence, ``None`` where the data do not show one. Of all
+    kinds the one with the highest gain in either way is taken; two streams need a third more than
+    one. It must be likelier in one way than in the other."""
     motions = [Motion(unmapped=0.0, rate=kind.rate) for kind in _KINDS]
     gains = [
         {

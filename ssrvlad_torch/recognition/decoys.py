@@ -96,15 +96,9 @@ def _best(scores: Tensor, rows: Tensor | None) -> _Best:
 def decoy_scores(
     queries: Tensor, references: Rows, mirror: Mirror, mean: Tensor | None = None
 ) -> Tensor:
-    """``(Q, R)`` float32 cosines of queries to the mirrored references.
-
-    Args:
-        queries: ``(Q, D)``, or ``(Q, S, D)`` of a sweep, of which the best anchor counts.
-        references: of which the decoys are made.
-        mirror: of the method.
-        mean: ``(D,)``, what the references have in common, if it was not subtracted from them. It
-            is not mirrored: only what makes the places differ is.
-    """
+    """``(Q, R)`` float32 cosines of queries ``(Q, D)``, or ``(Q, S, D)`` of a sweep, of which the
+    best anchor counts, to the mirrored references. ``mean`` ``(D,)`` is what these have in common,
+    if it was not subtracted; it is not mirrored: only what makes the places differ is."""
     swept = queries[:, None] if queries.ndim == 2 else queries
     units = unit_queries(swept)
     turned = mirror(units)

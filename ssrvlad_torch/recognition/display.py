@@ -10,12 +10,8 @@ _MAX_QUERIES, _MAX_CANDIDATES = 10, 5
 
 
 def candidates_table(scores: Tensor, rows: Tensor, **columns: Tensor) -> str:
-    """The row and the score of the best candidates of the first queries.
-
-    Args:
-        scores, rows: ``(Q, top)``.
-        columns: further numbers ``(Q,)`` of each query, by their names.
-    """
+    """The row and the score ``(Q, top)`` of the best candidates of the first queries, and further
+    numbers ``(Q,)`` of each query by their names."""
 
     def cell(row: int, score: float) -> str:
         return "none" if math.isinf(score) else f"row {row} ({score:.3f})"

@@ -132,8 +132,15 @@ class Filter:
 
     def update(self, likelihood: Tensor) -> None:
         """Updates the belief by the likelihood ``(cells,)`` of the next frame."""
-        update = self._first if self._starting else self.after
-        self.belief, total = update(self.belief, likelihood)
+        if self._starting:
+            belief, ways = self.belief, len(self._ways)
+            mapped, cells = belief.mapped * likelihood, belief.cells * likelihood
+            by_way = float(cells.sum())
+            total = by_way * ways + belief.unmapped
+            decoys = by_way * (ways - 1) / total
+            self.belief = Belief(mapped / total, cells / total, decoys, belief.unmapped / total)
+        else:
+            self.belief, total = self.after(self.belief, likelihood)
         unmapped = self.motion.unmapped_at_start(len(self))
         alone = (1 - unmapped) * float(likelihood.sum()) / max(1, len(self)) + unmapped
         self.gain += math.log(total / alone)
@@ -159,8 +166,7 @@ class Filter:
         return torch.zeros_like(self._inside).index_copy_(0, self._cells[: len(self)], rows)
 
     def after(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
-        """The belief one frame later, by the likelihood ``(cells,)`` of the later frame, and how
-        likely that frame was."""
+        """The belief one frame later, by its likelihood ``(cells,)``, and how likely it was."""
         if not len(self):
             return belief._replace(decoys=0.0, unmapped=1.0), 1.0
         mapped = moved(belief.mapped, self.motion, self._ways)
@@ -178,8 +184,7 @@ class Filter:
         return Belief(mapped, cells[0].div_(total), decoys, unmapped / total), total
 
     def before(self, likelihood: Tensor, future: Future) -> Future:
-        """The future one frame earlier, by the likelihood ``(cells,)`` of the later frame: the
-        backward algorithm."""
+        """The future one frame earlier, by the later likelihood ``(cells,)``."""
         weighted = future.mapped * likelihood
         any_row = float((prior_of_speeds() * weighted).sum()) * self._each(1.0)
         lost, unmapped = self.motion.off_track_back(any_row, future.unmapped)
@@ -201,11 +206,3 @@ class Filter:
     def _each(self, any_row: float) -> float:
         """The probability of each row and way, by that of any."""
         return any_row / (max(1, len(self)) * len(self._ways))
-
-    def _first(self, belief: Belief, likelihood: Tensor) -> tuple[Belief, float]:
-        """The belief after the first frame, and how likely the frame was."""
-        mapped, cells = belief.mapped * likelihood, belief.cells * likelihood
-        by_way = float(cells.sum())
-        total = by_way * len(self._ways) + belief.unmapped
-        decoys = by_way * (len(self._ways) - 1) / total
-        return Belief(mapped / total, cells / total, decoys, belief.unmapped / total), total

@@ -36,7 +36,7 @@ class Matches(NamedTuple):
 @torch.no_grad()
 def match(
     queries: Vectors,
-    references: Vectors | Rows,
+    references: Vectors,
     top: int = 5,
     threshold: float | None = None,
     excluded: Tensor | None = None,
@@ -50,7 +50,7 @@ def match(
     Args:
         queries: ``(Q, D)`` float.
         references: ``(R, D)`` float; in memory or memory-mapped, in single or half precision;
-            scores are computed in float32. `Rows` of them save a pass over the memory at each call.
+            scores are computed in float32.
         top: number of candidates, at least 1.
         threshold: only candidates with a higher score are returned.
         excluded: ``(Q, R)`` bool, references that are no candidates.
@@ -63,8 +63,7 @@ def match(
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
         tensor([[0]])
     """
-    queries = real_tensor(queries, "queries")
-    vectors = references.vectors if isinstance(references, Rows) else real_tensor(references)
+    queries, vectors = real_tensor(queries, "queries"), real_tensor(references)
     _check(queries, vectors, top)
     size = len(queries), len(vectors)
     if excluded is not None and (excluded.shape != size or excluded.dtype != torch.bool):
@@ -75,11 +74,7 @@ def match(
     units = unit_queries(queries)
     for first in range(0, len(vectors), _REFERENCE_BLOCK):
         last = first + _REFERENCE_BLOCK
-        block = (
-            references.block(first, last)
-            if isinstance(references, Rows)
-            else Rows.of(vectors[first:last].float())
-        )
+        block = Rows.of(vectors[first:last].float())
         for start in range(0, len(queries), _QUERY_BLOCK):
             part = slice(start, start + _QUERY_BLOCK)
             cosines = block.cosines(units[part])
@@ -94,17 +89,7 @@ def match(
 
 
 class Rows(NamedTuple):
-    """References for many calls, with their lengths.
-
-    Attributes:
-        vectors: ``(R, D)`` float.
-        lengths: ``(R,)`` float32.
-
-    Examples:
-        >>> rows = Rows.of(torch.eye(3))
-        >>> match(torch.eye(3)[1:2], rows, top=1).indices
-        tensor([[1]])
-    """
+    """References ``(R, D)`` float for many calls, with their lengths ``(R,)`` float32."""
 
     vectors: Tensor
     lengths: Tensor
@@ -122,10 +107,6 @@ class Rows(NamedTuple):
 
     def __len__(self) -> int:
         return len(self.vectors)
-
-    def block(self, first: int, last: int) -> Rows:
-        """Rows from ``first`` up to, not including, ``last``, in float32."""
-        return Rows(self.vectors[first:last].float(), self.lengths[first:last])
 
     def mean(self) -> Tensor:
         """``(D,)`` float32, the mean of the rows at length 1; rows of zero do not count."""

@@ -118,11 +118,10 @@ def nearness(scores: Tensor) -> Tensor:
     return (1 - scores).clamp_(min=_ROUNDING).log_().neg_()
 
 
-def lead(near: Tensor, rows: Tensor | None = None) -> Tensor:
+def lead(near: Tensor) -> Tensor:
     """``(Q,)``, how much nearer the first candidate is than the best row `ELSEWHERE`; infinite if
-    no row is elsewhere. ``near`` ``(Q, N)`` is the nearness of all rows of the map, or of ``rows``
-    ``(N,)``, rising."""
-    rows = torch.arange(near.shape[1]) if rows is None else rows
+    no row is elsewhere. ``near`` ``(Q, N)`` is the nearness of all rows of the map."""
+    rows = torch.arange(near.shape[1])
     apart = (rows - rows[near.argmax(1)][:, None]).abs()
     return near.amax(1) - near.masked_fill(apart <= ELSEWHERE, -torch.inf).amax(1)
 
@@ -148,17 +147,10 @@ def _moments(near: Tensor) -> tuple[float, float]:
 def likelihoods(
     scores: Tensor, motion: Motion, spread: tuple[float, float] | None = None
 ) -> Tensor:
-    """How much likelier a query is at each row than at a place that the map lacks.
-
-    Args:
-        scores: ``(R,)`` float cosines, -inf where there can be no match.
-        motion: of which the weight and the level are used.
-        spread: mean and standard deviation of the nearness of all rows; without, of these scores.
-
-    Returns:
-        ``(R,)`` float32, ``exp(weight * (z - level))``, 0 where there can be no match; 1 everywhere
-        if scores are all equal or all -inf.
-    """
+    """How much likelier a query is at each row than at a place that the map lacks: ``(R,)``
+    float32, ``exp(weight * (z - level))`` of scores ``(R,)`` float, 0 where they are -inf; 1
+    everywhere if they are all equal. ``spread`` is the mean and standard deviation of the nearness
+    of all rows; without, of these scores."""
     z = nearness(scores.float())
     mean, deviation = _moments(z) if spread is None else spread
     if deviation <= MIN_SPREAD:
@@ -211,8 +203,7 @@ def _shifts(motion: Motion, back: bool) -> tuple[_Shift, ...]:
 
 @cache
 def transitions(motion: Motion) -> Tensor:
-    """``(steps, 7, 7)`` float32: for each of `Motion.steps` the probability of each speed after
-    each speed; without jumps."""
+    """``(steps, 7, 7)`` float32, by step, the probabilities after each speed; no jumps."""
     probabilities = torch.zeros(len(motion.steps), len(SPEEDS), len(SPEEDS))
     for speed, (prior, _) in enumerate(SPEEDS):
         by_speed = motion.change * prior * torch.ones(len(SPEEDS))

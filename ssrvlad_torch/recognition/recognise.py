@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from .blocks import BlockScores, FusedDecoys, SomeScores, fused_scores, of_vectors
+from .blocks import Computed, fused_decoys, fused_scores, in_blocks, of_vectors
 from .candidates import Search, follow_candidates, gain_of_candidates
 from .confidence import (
     ALONE,
@@ -21,10 +21,10 @@ from .confidence import (
     answered,
     answers_together,
 )
-from .courses import Course, course
+from .courses import Gain, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
-from .follow import Mode, Places, Scores, follow, gain, runs, stacked
+from .follow import Mode, Places, Scores, follow, gain, runs
 from .matching import Matches, Rows, Vectors, best_of
 from .motion import Motion
 from .signs import REACH, SignQueries, SignRows, are_signs
@@ -173,9 +173,14 @@ def recognise(
                 turned = SignQueries(mirrored_signs(vectors[part]), rows, standardised, reach)
                 for found, each in ((members, signs), (decoys, turned)):
                     size = len(run), len(rows), each.moves
-                    found.append(BlockScores(each.scores, *size, without))
+                    found.append(in_blocks(each.scores, *size, without))
                 continue
-            compared, reach = _prepared(vectors[part], rows, steps.sweep, standardised)
+            compared, reach = vectors[part], 0
+            if compared.ndim == 3 and steps.sweep:
+                compared, reach = narrowed(compared, rows, COLUMNS, standardised)
+            else:
+                compared = compared[:, compared.shape[1] // 2] if compared.ndim == 3 else compared
+                compared = standardise(compared) if standardised else compared
             members.append(of_vectors(compared, rows, without))
             if mirrors is not None:
                 mean = None if standardised else rows.mean()
@@ -184,9 +189,9 @@ def recognise(
             width = max(width, reach)
         scores, weights = fused_scores(members, list(pairs))
         whole = len(decoys) == len(members)
-        against_decoys = FusedDecoys(members, decoys, list(weights.values())) if whole else None
+        against_decoys = fused_decoys(members, decoys, list(weights.values())) if whole else None
         prior = ALONE if mirrored == set(queries_of) else ALONE_BY_FEATURES
-        decision = _decided(scores, reference_sequences, steps, top, against_decoys, prior)
+        decision = _by_scores(scores, reference_sequences, steps, top, against_decoys, prior)
         return replace(decision, standardise=standardised, sweep=width, weights=weights)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -204,7 +209,7 @@ def recognise_by_scores(
     steps = replace(steps or Steps(), standardise=False, sweep=False)
 
     def decide(run: range) -> _Decision:
-        return _decided(scores[run.start : run.stop], reference_sequences, steps, top)
+        return _by_scores(scores[run.start : run.stop], reference_sequences, steps, top)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
 
@@ -226,24 +231,23 @@ def recognise_by_search(
         enough = min(len(run), len(reference_sequences)) >= MIN_FRAMES
         standardised = steps.standardise and enough
         found = search(standardised)
-        sequences = reference_sequences
+        sequences, delay = reference_sequences, steps.delay
 
-        def followed(taken: Course, part: range, mode: Mode) -> Places:
-            motion = Motion().at(taken.rate)
-            return follow_candidates(
-                found, sequences, part, mode, steps.delay, top, motion, taken.way
-            )
+        def followed(part: range, mode: Mode, motion: Motion, way: int) -> Places:
+            return follow_candidates(found, sequences, part, mode, delay, top, motion, way)
 
-        taken = steps.follow and course(partial(gain_of_candidates, found, sequences), run)
-        decision = None
-        if steps.follow and taken:
-            places = _places(taken, run, partial(followed, mode=steps.follow), top)
-            empty = torch.tensor([not len(found.candidates(query)) for query in run])
-            decision = _followed(places, empty, steps.follow, taken)
-        if decision is None:
+        def judged() -> list[tuple[Matches, Lead]]:
             against = decoys(standardised) if decoys else None
-            judged = [_best_candidates(found, against, query, top) for query in run]
-            decision = _alone(judged, steps.follow)
+            return [_best_candidates(found, against, query, top) for query in run]
+
+        decision = _decided(
+            run,
+            partial(gain_of_candidates, found, sequences),
+            followed,
+            lambda query: len(found.candidates(query)) == 0,
+            judged,
+            steps.follow,
+        )
         return replace(decision, standardise=standardised)
 
     return _by_sequence(decide, query_sequences, len(reference_sequences), steps, top)
@@ -284,18 +288,7 @@ def _by_sequence(
     return Recognised(Matches(scores, indices), sure, used)
 
 
-def _prepared(
-    queries: Tensor, references: Rows, sweep: bool, standardised: bool
-) -> tuple[Tensor, int]:
-    """The queries of one sequence as they are compared, and the width of their sweep."""
-    if queries.ndim == 3 and sweep:
-        return narrowed(queries, references, COLUMNS, standardised)
-    if queries.ndim == 3:
-        queries = queries[:, queries.shape[1] // 2]
-    return (standardise(queries) if standardised else queries), 0
-
-
-def _decided(
+def _by_scores(
     scores: Tensor | Scores,
     sequences: Sequence[str],
     steps: Steps,
@@ -303,62 +296,59 @@ def _decided(
     decoys: Scores | None = None,
     prior: Prior = ALONE,
 ) -> _Decision:
-    """Follows one sequence of queries by the scores of all rows, or judges each alone."""
-    mode = steps.follow
+    """Decides about one sequence of queries by the scores of all rows."""
+
+    def followed(part: range, mode: Mode, motion: Motion, way: int) -> Places:
+        some = Computed(lambda query: scores[part[query]], len(part))
+        return follow(some, sequences, None, mode, steps.delay, top, motion, way)
+
+    def judged() -> list[tuple[Matches, Lead]]:
+        found = []
+        for query in queries:
+            own, against = scores[query], None if decoys is None else decoys[query]
+            found.append((best_of(own, top), lead_over_decoys(own, against)))
+        return found
+
     queries = range(len(scores))
-    taken = course(partial(gain, scores, sequences), queries) if mode else None
-    if mode and taken:
-
-        def followed(taken: Course, part: range) -> Places:
-            motion = Motion().at(taken.rate)
-            some = SomeScores(scores, part)
-            return follow(some, sequences, None, mode, steps.delay, top, motion, taken.way)
-
-        empty = torch.tensor([not scores[query].isfinite().any() for query in queries])
-        places = _places(taken, queries, followed, top)
-        if decision := _followed(places, empty, mode, taken):
-            return decision
-    judged = [
-        (
-            best_of(scores[query], top),
-            lead_over_decoys(scores[query], None if decoys is None else decoys[query]),
-        )
-        for query in queries
-    ]
-    return _alone(judged, mode, prior)
-
-
-def _places(
-    taken: Course, queries: range, follow: Callable[[Course, range], Places], top: int
-) -> Places:
-    """The places of queries, each stream of the course followed by itself."""
-    parts = taken.parts(queries)
-    found = stacked(
-        [Places(*each) for part in parts for each in zip(*follow(taken, part), strict=True)], top
+    return _decided(
+        queries,
+        partial(gain, scores, sequences),
+        followed,
+        lambda query: not scores[query].isfinite().any(),
+        judged,
+        steps.follow,
+        prior,
     )
-    order = torch.tensor([query for part in parts for query in part]).argsort()
-    return Places(*(values[order] for values in found))
 
 
-def _followed(places: Places, empty: Tensor, mode: Mode, taken: Course) -> _Decision | None:
-    """The decision about queries that were followed; an empty query has no candidate. For the
-    scores, see `Recognised`. ``None`` where the decoy beats every answer: the sequences of the map
-    are too short to be run."""
-    scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
-    scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
-    matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
-    near = places.near.masked_fill(empty, torch.nan)
-    sure = Confidence.of_places(near, places.backward, mode)
-    if not answered(sure).any():
-        return None
-    how = ", ".join(part for part in (mode, str(taken)) if part)
-    return _Decision(matches, sure, follow=how)
-
-
-def _alone(
-    judged: Sequence[tuple[Matches, Lead]], mode: Mode | None, prior: Prior = ALONE
+def _decided(
+    queries: range,
+    gain: Gain,
+    follow: Callable[[range, Mode, Motion, int], Places],
+    is_empty: Callable[[int], bool],
+    judge: Callable[[], Sequence[tuple[Matches, Lead]]],
+    mode: Mode | None,
+    prior: Prior = ALONE,
 ) -> _Decision:
-    """The decision about queries that were judged one by one."""
+    """Follows one sequence of queries, each stream of its course by itself, or judges each alone:
+    without a mode or a course, or where the decoy beats every answer, as the sequences of the map
+    are too short to be run. An empty query has no candidate. For scores, see `Recognised`."""
+    taken = course(gain, queries) if mode else None
+    if mode and taken:
+        parts, motion = taken.parts(queries), Motion().at(taken.rate)
+        streams = [follow(part, mode, motion, taken.way) for part in parts]
+        order = torch.tensor([query for part in parts for query in part]).argsort()
+        places = Places(*(torch.cat(values)[order] for values in zip(*streams, strict=True)))
+        empty = torch.tensor([is_empty(query) for query in queries])
+        scores = torch.cat((places.near[:, None], places.scores[:, 1:]), 1)
+        scores = scores.masked_fill(empty[:, None] | (places.indices < 0), -torch.inf)
+        matches = Matches(scores, places.indices.masked_fill(empty[:, None], -1))
+        near = places.near.masked_fill(empty, torch.nan)
+        sure = Confidence.of_places(near, places.backward, mode)
+        if answered(sure).any():
+            how = ", ".join(part for part in (mode, str(taken)) if part)
+            return _Decision(matches, sure, follow=how)
+    judged = judge()
     matches = Matches(*map(torch.stack, zip(*(each for each, _ in judged), strict=True)))
     leads = torch.tensor([lead.value for _, lead in judged])
     rows = torch.tensor([lead.decoy for _, lead in judged])

@@ -35,8 +35,7 @@ def mirrored(signs: Tensor) -> Tensor:
 
 
 def moved(grids: Tensor, columns: int) -> Tensor:
-    """``(N, columns, ...)`` moved to the right by some columns, or to the left; zero comes in from
-    outside."""
+    """``(N, columns, ...)`` moved to the right by some columns; zero comes in from outside."""
     after, kept = torch.zeros_like(grids), max(0, grids.shape[1] - abs(columns))
     to, source = max(0, columns), max(0, -columns)
     after[:, to : to + kept] = grids[:, source : source + kept]
@@ -50,12 +49,9 @@ def numbers(signs: Tensor) -> Tensor:
 
 
 def products(queries: Tensor, masks: Tensor, references: Tensor) -> Tensor:
-    """``(Q, R)`` int32 products of the numbers 1 and -1, over the bits that are set in the masks.
-
-    Args:
-        queries, masks: ``(Q, B)`` uint8.
-        references: ``(R, B)`` uint8; B is a multiple of 8 for the native core to compute them.
-    """
+    """``(Q, R)`` int32 products of the numbers 1 and -1 of queries ``(Q, B)`` and references
+    ``(R, B)`` uint8, over the bits that are set in the masks; B is a multiple of 8 for the
+    native core."""
     counted = numbers(masks).add_(1).div_(2)
     library = core().library
     if library is None or queries.shape[1] % 8:
@@ -91,19 +87,12 @@ def weighed(signs: Tensor, weights: Tensor) -> Tensor:
 
 
 class SignRows:
-    """References for many queries.
+    """References ``(R, columns, rows, bytes)`` uint8 for many queries.
 
-    Args:
-        signs: ``(R, columns, rows, bytes)`` uint8.
-        sequences: the traverse of each, the frames of one together, to subtract the mean of each
-            traverse, see `standardise.sharing`; without, nothing is subtracted.
-
-    Attributes:
-        signs: as given.
-        means: ``(T, columns, D)`` float32, what is subtracted from the numbers 1 and -1 of each
-            traverse.
-        traverse: ``(R,)`` int64, the number of each row's traverse.
-        squares: ``(R, columns)`` float32, squared lengths of the columns without their means.
+    With the traverse of each, the frames of one together, their means are subtracted, see
+    `standardise.sharing`: ``means`` ``(T, columns, D)`` float32 from the numbers 1 and -1 of the
+    ``traverse`` ``(R,)`` of each row. ``squares`` ``(R, columns)`` float32 are squared lengths of
+    the columns without them.
     """
 
     def __init__(self, signs: Tensor, sequences: Sequence[str] | None = None) -> None:

@@ -62,14 +62,12 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
 
 
 def sharing(frames: Sequence[int]) -> dict[tuple[int, ...], tuple[int, ...]]:
-    """Which traverses have a mean in common, and which ones it is the mean of, by their numbers.
+    """Which traverses have a mean in common, and which ones it is the mean of, by their numbers,
+    from the number of frames of each, in the order of the map.
 
     A traverse of `MIN_FRAMES` frames has its own. Shorter ones that follow one another, such as the
     folders of a drive that was cut up, have one together, or that of all traverses if they are too
     few. Without `MIN_FRAMES` frames in all there is no mean.
-
-    Args:
-        frames: number of frames of each traverse, in the order of the map.
     """
     every = tuple(range(len(frames)))
     if sum(frames) < MIN_FRAMES:

@@ -45,8 +45,8 @@ def score(queries: Vectors, references: Vectors | Rows) -> Tensor:
 
 @torch.no_grad()
 def narrowed(
-    queries: Vectors,
-    references: Vectors | Rows,
+    queries: Tensor,
+    references: Rows,
     columns: tuple[int, ...] = COLUMNS,
     standardised: bool = True,
 ) -> tuple[Tensor, int]:
@@ -58,7 +58,7 @@ def narrowed(
 
     Args:
         queries: ``(Q, S, D)`` raw descriptors of one traverse.
-        references: ``(R, D)``, standardised as the queries will be, or `Rows` of them.
+        references: R of them, standardised as the queries will be.
         columns: the S anchors, rising and symmetric about 0.
         standardised: whether to subtract the mean of the queries.
 
@@ -68,18 +68,16 @@ def narrowed(
     Raises:
         ValueError: the number of columns is not that of anchors, or no column is 0.
     """
-    swept = torch.as_tensor(queries)
-    if swept.ndim != 3 or swept.shape[1] != len(columns) or 0 not in columns:
+    if queries.ndim != 3 or queries.shape[1] != len(columns) or 0 not in columns:
         raise ValueError(
             f"expected (Q, {len(columns)}, D) for columns {columns}, one of which is 0, "
-            f"got {tuple(swept.shape)}"
+            f"got {tuple(queries.shape)}"
         )
-    rows = references if isinstance(references, Rows) else Rows.of(references)
-    chosen, width, highest = swept, 0, -torch.inf
+    chosen, width, highest = queries, 0, -torch.inf
     for reach in sorted({abs(column) for column in columns}):
-        part = swept[:, [abs(column) <= reach for column in columns]]
+        part = queries[:, [abs(column) <= reach for column in columns]]
         part = standardise(part) if standardised else part
-        mean_lead = _mean_lead(part[:: max(1, len(part) // _SAMPLE)], rows)
+        mean_lead = _mean_lead(part[:: max(1, len(part) // _SAMPLE)], references)
         if mean_lead > highest:
             chosen, width, highest = part, reach, mean_lead
     return chosen, width

@@ -63,18 +63,10 @@ def temporal_sum(
 def frames_within(
     poses: npt.NDArray[np.float64], sequences: Sequence[str], metres: float
 ) -> dict[str, int]:
-    """The t of Eq. 3 in frames for a reach in metres, for each sequence.
-
-    It is the reach over the median distance of neighbouring frames, without those that stand still.
-
-    Args:
-        poses: ``(R, 3)``, x and y in metres, NaN where unknown.
-        sequences: the sequence of each frame; the frames of one stand together and in order.
-        metres: the reach, at least 0.
-
-    Raises:
-        ValueError: a sequence has no two neighbouring frames whose poses differ.
-    """
+    """The t of Eq. 3 in frames for a reach in metres, for each sequence: the reach over the median
+    distance of neighbouring frames, without those that stand still. ``poses`` are ``(R, 3)``, x and
+    y in metres, NaN where unknown; the frames of a sequence stand together and in order. A sequence
+    whose frames have no two poses is a ValueError."""
     names = np.array(sequences)
     steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     steps[(names[1:] != names[:-1]) | ~(steps > _STANDING)] = np.nan

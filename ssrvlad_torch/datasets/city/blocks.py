@@ -81,10 +81,8 @@ def fixed_bodies(seed: int, sides: list[Side], season: str) -> Iterator[Body]:
 
 
 def block_sides(seed: int, column: int, row: int, estates: Collection[int] = ()) -> list[Side]:
-    """South, east, north and west side, counter-clockwise.
-
-    On an east-west street in `estates`, the sides of all blocks are equal.
-    """
+    """South, east, north and west side, counter-clockwise. On an east-west street in `estates`, the
+    sides of all blocks are equal."""
     west, east = (street(seed, 0, k) for k in (column, column + 1))
     south, north = (street(seed, 1, k) for k in (row, row + 1))
     x0, x1 = west.position + west.width / 2, east.position - east.width / 2

@@ -81,11 +81,9 @@ def _project(points: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
 
 
 def _cut_near(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Corners of the part of a convex body that is at least `NEAR` metres ahead.
-
-    They are the corners ahead of the near plane, and the points where the lines between corners
-    behind and ahead cross it: all these lines are inside the body, so no edges are needed.
-    """
+    """Corners of the part of a convex body that is at least `NEAR` metres ahead: those ahead of the
+    near plane, and the points where the lines between corners behind and ahead cross it. All these
+    lines are inside the body, so no edges are needed."""
     ahead = corners[corners[:, 0] >= NEAR]
     behind = corners[corners[:, 0] < NEAR]
     start, step = behind[:, None], ahead[None] - behind[:, None]

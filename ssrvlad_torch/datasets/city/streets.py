@@ -18,8 +18,7 @@ _DIRECTIONS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 class Street(NamedTuple):
-    """Position of a street's centre line, x (axis 0, runs north) or y (axis 1, runs east), and
-    width."""
+    """Width of a street, and x (axis 0, runs north) or y (axis 1, runs east) of its middle."""
 
     position: float
     width: float
@@ -38,8 +37,7 @@ def nearby_blocks(pose: Pose) -> Iterator[tuple[int, int]]:
 
 
 class _Piece(NamedTuple):
-    """A piece of the route: start pose, length in metres, curvature in 1/m (positive to the
-    left)."""
+    """A piece of the route: start pose, length in metres, curvature to the left in 1/m."""
 
     x: float
     y: float
