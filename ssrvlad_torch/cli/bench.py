@@ -78,19 +78,11 @@ def heads(config: SSRVLADConfig) -> dict[str, SSRVLAD]:
 
 
 def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
-    """The exported head in ONNX Runtime, on one thread.
-
-    Raises:
-        ImportError: the extra ``onnx`` is not installed.
-    """
+    """The exported head in ONNX Runtime, on one thread; it needs the extra ``onnx``."""
     from ..deployment.export import head_model
+    from ..segmentation.onnx_files import open_session
 
-    model = head_model(config).SerializeToString()
-    from onnxruntime import InferenceSession, SessionOptions
-
-    options = SessionOptions()
-    options.intra_op_num_threads = 1
-    session = InferenceSession(model, options, providers=["CPUExecutionProvider"])
+    session = open_session(head_model(config).SerializeToString(), "the head", threads=1)
 
     def describe(labels: Tensor) -> Tensor:
         (descriptor,) = session.run(["descriptor"], {"labels": labels.numpy()})
@@ -100,15 +92,10 @@ def onnx_head(config: SSRVLADConfig) -> Callable[[Tensor], Tensor]:
 
 
 def bench_this_machine(repetitions: int = 5) -> list[dict[str, Any]]:
-    """The table of ``ssrvlad bench``: both presets on frames of the synthetic city, on one thread.
-
-    Returns:
-        a row for each preset, batch and implementation, with the milliseconds for each image, and
-        for a batch of one the speed-up over the reference. ONNX Runtime needs the extra ``onnx``.
-
-    Raises:
-        ImportError: the extra ``eval``, which the reference needs, is not installed.
-    """
+    """The table of ``ssrvlad bench``, both presets on frames of the synthetic city, on one thread:
+    a row for each preset, batch and implementation, with the milliseconds for each image, and for a
+    batch of one the speed-up over the reference, which needs the extra ``eval``. ONNX Runtime needs
+    the extra ``onnx``."""
     from .. import reference
 
     frames = SyntheticCity(seed=0).traverse(BATCH, size=SIZE, labels_as=LABELS_AS)

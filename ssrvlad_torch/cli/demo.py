@@ -32,17 +32,10 @@ _BELOW = "Best match of each in the first drive"
 def run_demo(
     out: Path, frames: int, seed: int, progress: Callable[[int], None]
 ) -> tuple[dict[str, Any], Path]:
-    """Renders a city, encodes the first drive, recognises the second one, draws the result.
-
-    Args:
-        out: folder to write, new or empty: ``city/``, ``city.ssrdb`` and ``demo.png``.
-        frames: frames of each drive.
-        seed: of the city.
-        progress: called with the number of further steps that are done, `STEPS` for each frame.
-
-    Returns:
-        The metrics of `evaluate` with ``references`` and ``fingerprint``, and the picture.
-    """
+    """Renders a city, encodes the first drive, recognises the second one, draws the result:
+    ``city/``, ``city.ssrdb`` and ``demo.png`` in a new or empty folder. ``progress`` is called with
+    the number of further steps that are done, `STEPS` for each frame. Returns the metrics of
+    `evaluate` with ``references`` and ``fingerprint``, and the picture."""
     city = empty_folder(out) / "city"
     write_city(city, frames=frames, seed=seed, progress=progress)
     head = SSRVLAD(SSRVLADConfig.from_preset("default", labels_as=LABELS_AS))

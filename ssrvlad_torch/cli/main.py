@@ -22,7 +22,9 @@ _ENDS = {INTERRUPTED: "interrupted", TERMINATED: "terminated"}
 
 def main() -> None:
     """Runs the command that ``sys.argv`` names, and exits."""
-    _open_streams()
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:  # closed; another file would get its number and its lines
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
     if sys.getfilesystemencoding() == "ascii":  # the names of files would be escapes
         os.execv(
             sys.executable, [sys.executable, "-X", "utf8", "-m", "ssrvlad_torch", *sys.argv[1:]]
@@ -46,14 +48,6 @@ def main() -> None:
     if code in _ENDS:
         print(f"ssrvlad: {_ENDS[code]}", file=sys.stderr)
     sys.exit(code)
-
-
-def _open_streams() -> None:
-    """Opens the null device in place of standard streams that are closed, so that no other file
-    gets their number and receives their lines."""
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode))
 
 
 def _run(arguments: list[str], debug: bool) -> int:

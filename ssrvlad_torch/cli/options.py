@@ -82,10 +82,8 @@ Weights = Annotated[
 
 
 def option(help: str, *flags: str, default: object = None, **settings: Any) -> Any:
-    """An option: a field of an options class, or the default of a command's parameter.
-
-    Without flags, its name is that of the field. An option with the default ``...`` is required.
-    """
+    """An option: a field of an options class, or the default of a command's parameter. Without
+    flags, its name is that of the field. An option with the default ``...`` is required."""
     return field(default=default, metadata={"typer": typer.Option(*flags, help=help, **settings)})
 
 
@@ -191,19 +189,14 @@ PAPER_REACH, MOST_REACH = 3, 1_000_000
 
 
 class Reach(NamedTuple):
-    """How far the temporal sum of Eq. 3 reaches on each side: in metres if given, else in
-    frames."""
+    """The reach of the temporal sum of Eq. 3 on each side: in metres if given, else in frames."""
 
     frames: int = 0
     metres: float | None = None
 
     @classmethod
     def of(cls, text: str) -> Reach:
-        """The reach that a text such as ``3`` (frames) or ``10m`` (metres) names.
-
-        Raises:
-            ValueError: another text.
-        """
+        """The reach of a text: ``3`` (frames) or ``10m`` (metres); others are a ValueError."""
         try:
             reach = cls(0, float(text[:-1])) if text.endswith("m") else cls(int(text))
         except ValueError:
@@ -284,14 +277,8 @@ class RecognitionOptions(StepOptions):
     )
 
     def check(self, typed: Collection[str]) -> None:
-        """Refuses options that contradict each other.
-
-        Args:
-            typed: names of the options on the command line.
-
-        Raises:
-            ValueError: names the contradicting options.
-        """
+        """Refuses options that contradict each other by a ValueError that names them; ``typed`` are
+        the names of the options on the command line."""
         if "max_wrong" in typed and "min_confidence" in typed:
             raise ValueError("--max-wrong chooses the least confidence; leave out --min-confidence")
         paper = {"standardise": False, "sweep": False, "follow": "no", "delay": 0, "extra": False}
@@ -386,8 +373,7 @@ def expand(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def _parameter(name: str, kind: Any, default: Any) -> inspect.Parameter:
-    """A parameter of the command line. Its default may be a field: an `option`, an `argument` or a
-    plain field of an options class."""
+    """A parameter of the command line, whose default may be a field of an options class."""
     if isinstance(default, Field):
         if "typer" in default.metadata:
             kind = Annotated[kind, default.metadata["typer"]]

@@ -33,8 +33,7 @@ _LINE_SECONDS = 15.0
 
 
 class Progress(NamedTuple):
-    """Updates of a progress bar: the number of further steps that are done, and a skipped
-    frame."""
+    """Updates of a progress bar: the number of steps that were done, and a skipped frame."""
 
     advance: Callable[[int], None]
     skip: Callable[[object], None]
@@ -57,14 +56,9 @@ def printable(text: str) -> str:
 
 @contextmanager
 def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterator[Progress]:
-    """Shows a progress bar on stderr, with the rate and the number of skipped frames. Where stderr
-    is no terminal, a line appears every `_LINE_SECONDS`.
-
-    Args:
-        what: what is done.
-        total: number of steps.
-        played: the seconds of video up to each step, which are then shown too.
-    """
+    """Shows a progress bar on stderr, with the rate, the number of skipped frames and the seconds
+    of video ``played`` up to each step. Where stderr is no terminal, a line appears every
+    `_LINE_SECONDS`."""
     from rich import progress
     from rich.console import Console
 
@@ -136,13 +130,8 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
 
 
 def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
-    """Ends a command. If inputs were skipped, names them and exits with code 3.
-
-    Args:
-        skipped: frames or other inputs.
-        described: number of frames that were described. If it is 0, and the label space is the
-            reason, a note asks for ``--labels-as``.
-    """
+    """Ends a command. If inputs were skipped, names them and exits with code 3. If none was
+    described, and the label space is the reason, a note asks for ``--labels-as``."""
     if skipped and described == 0 and all("label space" in frame.reason for frame in skipped):
         note("no frame could be described: is --labels-as the label space of these label maps?")
     for frame in skipped[:_NAMED]:

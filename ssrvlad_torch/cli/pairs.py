@@ -18,13 +18,7 @@ _QUERY, _RIGHT, _WRONG = (90, 98, 110), (26, 127, 55), (207, 34, 46)
 
 
 class Pair(NamedTuple):
-    """A query and its best match, ``(H, W)`` label ids each.
-
-    Attributes:
-        query, match: the label maps.
-        query_name, match_name: their titles.
-        right: whether the match shows the place.
-    """
+    """A query and its best match, ``(H, W)`` label ids, their titles, and whether it is right."""
 
     query: LabelMap
     match: LabelMap

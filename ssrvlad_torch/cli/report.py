@@ -29,16 +29,8 @@ def write_page(
     title: str,
     settings: Mapping[str, object],
 ) -> None:
-    """Writes the page of the queries whose true matches are known.
-
-    Args:
-        path: the file.
-        recognition: the candidates of the queries.
-        truth: true matches of each query.
-        metrics: from `measure`.
-        title: of the page.
-        settings: names and values to show, besides the details of the recognition.
-    """
+    """Writes the page of the queries whose true matches are known; ``settings`` are names and
+    values to show, besides the details of the recognition."""
     known, true_rows = known_matches(truth)
     scores, rows = (part.numpy()[known] for part in recognition.matches)
     outcomes = judge(scores, rows, true_rows)

@@ -20,9 +20,7 @@ from ..datasets.label_files import find_label_files, read_label_map
 from ..datasets.layouts import open_dataset
 from ..datasets.names import KnownFolders
 from ..encoding.extra_descriptors import extra_descriptors
-from ..encoding.search import only_label_space
-from ..encoding.source import Source
-from ..localiser import origin_of, require_network
+from ..encoding.source import Source, origin_of, require_network
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.networks import AUTO, channels, open_network
 from ..segmentation.segmenter import Segmenter
@@ -43,18 +41,11 @@ def resolve(
     """The source, before its first frame is read. Notes what a data set lacks, and the network that
     labels pictures if the user names none.
 
-    Args:
-        options: of the user.
-        database: with which frames are compared, or to which they are added.
-        compared: whether they are compared; the source may then be a database itself.
-        images: whether the source can only be images.
-        listed: whether to list the files.
-        posed: whether to leave out frames of a data set without a pose; ``None`` for those of a
-            data set whose ground truth is by poses.
-
-    Raises:
-        ValueError: the options do not go together, there are no frames, their label space is not
-            known, or the network of the database cannot be opened or has changed.
+    Frames are ``compared`` with a database, where the source may be a database itself, or added to
+    it; the source can only be ``images``; its files are ``listed``; frames of a data set without a
+    pose are left out if ``posed``, or with ``None`` if its ground truth is by poses. Options that
+    do not go together, no frames, no label space, and a network of the database that cannot be
+    opened or has changed are a ValueError.
     """
     whole = _open_dataset(options)
     dataset = whole and whole.select(options.split or (), options.role)
@@ -125,7 +116,7 @@ def _space(
     labels_as: str | LabelSpace | None, database: Database | None, compared: bool, images: bool
 ) -> str | LabelSpace:
     """The label space of the source, or else of a database; empty for images alone."""
-    space = labels_as or (only_label_space(database) if database else None)
+    space = labels_as or (database.label_space() if database else None)
     if space is None and compared and database:
         return label_space(database.config.labels_as)
     if space is None and not images:
@@ -166,8 +157,7 @@ def _find(
 
 
 def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None]) -> bool:
-    """Whether the first frame that can be read is a picture: not all its pixels are ids, or
-    colours, of a label space."""
+    """Whether not all pixels of the first file that can be read are of a label space."""
     for file in files:
         for space in filter(None, spaces):
             with suppress(ValueError):
@@ -201,8 +191,7 @@ _network = cache(open_network)
 
 
 def _declared_space(name: str, classes: str | None, required: bool) -> LabelSpace | None:
-    """The label space that a network declares. If it declares none, a ValueError if it is required,
-    else ``None``."""
+    """The label space that a network declares; without one ``None``, or a ValueError."""
     network = _network(name)
     if not network.class_names and network.labels_as is None and not required:
         return None

@@ -47,7 +47,7 @@ def proof(suggested: Mapping[str, Any] | None) -> str:
         return f"suggested: no threshold, no query was recognised; {missing}"
     low = suggested["precision_low"]
     proven = f"suggested: {suggested['score']:.4f}, a precision of at least {low:.3f} is proven by "
-    proven += f"{suggested['accepted']} accepted queries"
+    proven += f"{suggested['accepted']} accepted queries, if they are independent"
     return proven if low >= SURE_PRECISION else f"{proven}; {missing}"
 
 
@@ -93,8 +93,7 @@ def estimate_in_words(found: Estimate) -> str:
 
 
 def steps_in_words(used: Mapping[str, Any], temporal: int | Mapping[str, int] | None = None) -> str:
-    """The steps between descriptors and a decision, in a line; those of Eq. 3 only if ``temporal``
-    is given."""
+    """The steps between descriptors and a decision; those of Eq. 3 only if given."""
     widths, standard = used["sweep"].values(), used["standardise"]
     if not widths:
         return "no query could be described"

@@ -46,12 +46,12 @@ def export_head(
     The file is `SSRVLAD`, traced to standard operators. For ``default`` these are additions,
     multiplications, comparisons and table look-ups of float32, no loop, no shape that depends on
     the labels. For ``paper`` it also has loops and bitwise operators. Counts equal those of
-    `SSRVLAD`, descriptors differ by less than 1e-6; settings that enlarge rounding errors of
-    numbers near zero make that 2e-5 (``power`` 0.5), 1e-5 (``spectral_weight`` 4) or 3e-4 (both).
-    Where the graph cannot count exactly the descriptor is NaN: on a grid of more than 960 columns
-    (harmonics), or for 2 ** 31 pairs of points in a layer (residuals). A graph cannot raise an
-    error: pixels with an id outside the label space belong to no layer, and the output ``unknown``
-    counts them. NaN scores are not noticed.
+    `SSRVLAD`, descriptors differ by less than 1e-6 (1.4e-6 on maps of 2 to 6 pixels); settings that
+    enlarge rounding errors of numbers near zero make that 2e-5 (``power`` 0.5), 1e-5
+    (``spectral_weight`` 4) or 3e-4 (both). Where the graph cannot count exactly the descriptor is
+    NaN: on a grid of more than 960 columns (harmonics), or for 2 ** 31 pairs of points in a layer
+    (residuals). A graph cannot raise an error: pixels with an id outside the label space belong to
+    no layer, and the output ``unknown`` counts them. NaN scores are not noticed.
 
     Shape:
         - input: ``labels (B, H, W)`` or ``logits (B, C, H, W)`` float32 (the first of the largest

@@ -68,7 +68,7 @@ def outputs_of(head: SSRVLAD, array: Array) -> dict[str, Array]:
         space = replace(space, classes=(*space.classes, LabelClass(free, "unknown", VOID)))
         config = replace(head.config, labels_as=space)
         head = SweepHead(config, head.columns) if isinstance(head, SweepHead) else SSRVLAD(config)
-    labels = torch.from_numpy(array)
+    labels = torch.tensor(array)
     outputs = {
         "descriptor": head(labels).numpy(),
         "unknown": unknown.reshape(len(array), -1).sum(1).astype(np.int64),

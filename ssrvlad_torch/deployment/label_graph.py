@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
+from ..files import one_line
 from ..segmentation.features import NAME, NetworkFeatures
 from ..segmentation.label_network import LabelNetwork
 from ..segmentation.network_outputs import classes_of, enlarged
@@ -111,8 +112,15 @@ class _Whole(nn.Module):
 
 def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> onnx.ModelProto:
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
-    with torch.inference_mode():
-        narrow = labels.outputs(example).is_floating_point()
+    try:
+        with torch.inference_mode():
+            narrow = labels.outputs(example).is_floating_point()
+    except RuntimeError as error:
+        size = "x".join(map(str, _EXAMPLE))
+        raise ValueError(
+            f"fails at {size}, and a file takes any size: {one_line(error)}; if sides must be "
+            "multiples of a number, expected multiple: NUMBER in a YAML file"
+        ) from error
     module = _Whole(labels, torch.uint8 if narrow else torch.int64, features)
     forms: dict[str, Axes] = {"labels": ["B", "H", "W"], NAME: ["B", *SHAPE]}
     outputs = forms if features else {"labels": forms["labels"]}

@@ -52,8 +52,8 @@ def traced(
         ImportError: the extra ``onnx`` is not installed.
     """
     try:
-        import onnxscript  # noqa: F401 - the exporter imports it
-        from onnx_ir.passes.common import ClearMetadataAndDocStringPass
+        from onnx_ir.passes import common
+        from onnxscript import optimizer
     except ImportError as error:
         raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
     log = logging.getLogger("torch.onnx")
@@ -79,13 +79,25 @@ def traced(
                 dynamo=True,
                 custom_translation_table={torch.ops.aten.floor_divide.default: _divided},
                 verbose=False,
+                optimize=False,  # its rules of rewriting take long and make no runtime faster
             )
+            assert program is not None
+            optimizer.fold_constants(program.model, onnx_shape_inference=True)
+            for tidy in (
+                common.RemoveUnusedNodesPass(),
+                common.LiftConstantsToInitializersPass(lift_all_constants=True, size_limit=0),
+                common.LiftSubgraphInitializersToMainGraphPass(),
+                common.DeduplicateInitializersPass(),
+                common.CommonSubexpressionEliminationPass(),
+                common.OutputFixPass(),
+                common.NameFixPass(),
+                common.ClearMetadataAndDocStringPass(),
+            ):
+                tidy(program.model)
     except Exception as error:  # the exporter can raise anything
         raise ValueError(f"cannot be traced: {one_line(error)}") from error
     finally:
         log.setLevel(level)
-    assert program is not None
-    ClearMetadataAndDocStringPass()(program.model)
     model: onnx.ModelProto = program.model_proto
     for value in model.graph.output:
         _name_axes(value, outputs[value.name])

@@ -48,13 +48,8 @@ def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
 
 
 class Describer:
-    """Items -> descriptors. It can be pickled.
-
-    Args:
-        head: the method.
-        origin: of the records, see `Database.add_origin`.
-        extra: extra descriptors of the frames, whose files are then images.
-    """
+    """Items -> descriptors, with an origin for their records, see `Database.add_origin`, and extra
+    descriptors, if their files are images. It can be pickled."""
 
     def __init__(
         self, head: SSRVLAD, origin: str = "", extra: Sequence[ExtraDescriptor] = ()

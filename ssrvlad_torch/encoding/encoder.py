@@ -15,10 +15,12 @@ from ..database.database import Database
 from ..database.frames import FrameSet
 from ..database.metadata import ExtraDescriptor
 from ..datasets.frame_files import FrameFile
+from ..datasets.label_files import read_label_map
 from ..datasets.workers import in_order
 from ..descriptor import SSRVLAD
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
+from ..taxonomy import VOID, LabelSpace
 from .describer import BATCH, Describer, Item, read
 from .extra_descriptors import require_same
 from .plan import Plan
@@ -97,11 +99,7 @@ def encode_to_memory(
     segmenter: Segmenter | None = None,
     extra: Sequence[ExtraDescriptor] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
-    """Encodes frames in order; arguments as for `encode`.
-
-    Returns:
-        The encoded frames, and the skipped ones.
-    """
+    """The encoded and the skipped of frames, in order; arguments as for `encode`."""
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
     for frame in encode(head, files, workers, segmenter, extra):
@@ -132,23 +130,13 @@ def encode(
     segmenter: Segmenter | None = None,
     extra: Sequence[ExtraDescriptor] = (),
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes frames in order.
+    """Encodes frames, label maps, or images with a segmenter, in order, with extra descriptors of
+    the pictures. A segmenter of another label space or with other descriptors is a ValueError.
 
-    Each worker is a thread that reads and describes one batch at a time. If the head is not on the
-    CPU, workers only read, and the head runs in the caller's thread. A segmenter runs in the
-    caller's thread too, while workers describe its earlier label maps.
-
-    Args:
-        head: the method.
-        files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        workers: number of workers, by default the number of cores; with 0 or 1 everything runs in
-            the caller's thread.
-        segmenter: makes the label maps; without it, files are label maps.
-        extra: extra descriptors, made from the pictures that the segmenter reads.
-
-    Raises:
-        ValueError: the segmenter has another label space, or extra descriptors lack a segmenter or
-            are of another one.
+    Each worker, by default one for each core, is a thread that reads and describes one batch at a
+    time; with 0 or 1 everything runs in the caller's thread. If the head is not on the CPU, workers
+    only read, and the head runs in the caller's thread. A segmenter runs there too, while workers
+    describe its earlier label maps.
     """
     check_segmenter(head, segmenter, extra)
     return _encode(Describer(head, extra=extra), files, workers, segmenter)
@@ -157,11 +145,7 @@ def encode(
 def check_segmenter(
     head: SSRVLAD, segmenter: Segmenter | None, extra: Sequence[ExtraDescriptor]
 ) -> None:
-    """Requires that a segmenter gives what a head and extra descriptors need.
-
-    Raises:
-        ValueError: it has another label space, or other features; or there is none.
-    """
+    """Requires that a segmenter has the label space of a head, and extra features."""
     require_same(extra, segmenter)
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(
@@ -211,3 +195,10 @@ def segmented_items(
             yield Item(file, signature, said)
         else:
             yield Item(file, signature, *said)
+
+
+def void_share(file: FrameFile, space: LabelSpace) -> float:
+    """The fraction of the pixels of a label map that are void, 0 to 1; errors as those of
+    `read_label_map`."""
+    void = [label.id for label in space.classes if label.category == VOID]
+    return float(np.isin(read_label_map(file, space), void).mean())

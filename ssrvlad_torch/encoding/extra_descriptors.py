@@ -17,17 +17,10 @@ NONE = "none"
 def extra_descriptors(
     names: Sequence[str] | None, segmenter: Segmenter | None
 ) -> list[ExtraDescriptor]:
-    """The extra descriptors with these names.
-
-    Args:
-        names: ``features``, of the network that labels the pictures; ``hog``; or ``none`` alone.
-            ``None`` is both, without features if the network has none.
-        segmenter: labels the pictures; without it there are no pictures.
-
-    Raises:
-        ValueError: a name is unknown, there are no pictures, or the network has no features or not
-            those that its settings name.
-    """
+    """The extra descriptors with these names: ``features``, of the network that labels the
+    pictures; ``hog``; or ``none`` alone. Without names both, or HOG alone if the network has no
+    features. An unknown name, no pictures for want of a segmenter, and features that the network
+    does not have are a ValueError."""
     if isinstance(names, str):
         raise ValueError(f"expected a list of methods of pictures, got the text {names!r}")
     if names is None:
@@ -42,20 +35,18 @@ def extra_descriptors(
 
 
 def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None) -> None:
-    """Requires that stored descriptors are those that are computed now.
-
-    Raises:
-        ValueError: a method is unknown, or computes other descriptors in this version or by this
-            network, or there are no pictures.
-    """
+    """Raises a ValueError unless stored descriptors are those that are computed now."""
     for each in stored:
         if segmenter is None:
-            raise ValueError(f"{each.name} describes pictures: expected images and a segmenter")
+            raise ValueError(
+                f"the database stores {each.name}, which describes pictures: expected images and a "
+                "segmenter"
+            )
         current = _of(each.name, segmenter)
         if current != each:
             raise ValueError(
-                f"{each.name} gives other descriptors here ({current.fingerprint}) than there "
-                f"({each.fingerprint}): encode them again"
+                f"{each.name} of the database are of {each.fingerprint}, got "
+                f"{current.fingerprint}: expected the same network and settings"
             )
 
 

@@ -46,11 +46,8 @@ class Plan:
 
     @classmethod
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
-        """The plan for files whose label maps have an origin.
-
-        Raises:
-            ValueError: as for `check_folders`, or a file is a frame of another sequence.
-        """
+        """The plan for files whose label maps have an origin; errors as for `check_folders`, or a
+        file is a frame of another sequence."""
         known, origins = database.known(), database.origins
         current = {key for key, stored in origins.items() if _why_origin(origin, stored) is None}
         check_folders(files, known)
@@ -105,13 +102,8 @@ def _why_origin(origin: Origin, stored: Origin | None) -> str | None:
 
 
 def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
-    """Requires that files do not merge with or overwrite frames of other folders.
-
-    A sequence that the user named may have frames of several folders.
-
-    Raises:
-        ValueError: a file has the sequence, or the frame id, of another folder.
-    """
+    """Raises a ValueError for a file with the sequence, or the frame id, of another folder, whose
+    frames it would overwrite or join. A sequence that the user named may have several folders."""
     folders = {(file.folder, file.sequence) for file in files if not file.named}
     check_sequences(folders, known.folders())
     for file in files:
@@ -120,11 +112,7 @@ def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
 
 
 def check_folder(file: FrameFile, record: FrameRecord) -> None:
-    """Requires that a file is in the folder of the stored frame with its id.
-
-    Raises:
-        ValueError: it is in another one, and the folder of the frame still exists.
-    """
+    """Refuses a file in another folder than its stored frame, if that still exists."""
     folder = record.folder
     if folder and not is_same_folder(folder, file.folder) and Path(folder).exists():
         raise ValueError(

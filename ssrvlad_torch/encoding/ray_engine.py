@@ -17,7 +17,7 @@ from ..database.database import Database, StagedRows
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import absolute, is_uri
 from ..descriptor import SSRVLAD
-from ..files import one_line
+from ..files import one_line, requiring
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 from .describer import Describer, Item
@@ -36,13 +36,8 @@ _Batch = dict[str, Any]
 
 
 class Part(NamedTuple):
-    """The results of one part of the frames.
-
-    Attributes:
-        results: the results that are not in ``staged``.
-        staged: new frames, written to files of the database but not committed.
-        empty: number of staged frames that are empty.
-    """
+    """The results of one part of the frames: new frames are staged, written to files of the
+    database but not committed, ``empty`` of them empty; the others are in ``results``."""
 
     results: list[Encoded | Skipped]
     staged: StagedRows | None = None
@@ -56,28 +51,18 @@ def encode_with_ray(
     options: EncodeOptions | None = None,
     segmenter: Segmenter | None = None,
 ) -> Summary:
-    """Encodes frames as `encode_to_database` does, with Ray.
+    """Encodes frames as `encode_to_database` does, with Ray; arguments and errors as there.
 
     Every node of the cluster must be able to open the files, the database, and the network by its
-    name. Each actor loads the network once, and with it segments, describes and takes features. It
+    name. Each of the ``workers``, actors with one core and ``gpus``, loads the network once, and
+    with it segments, describes and takes features; it uses the cache if it can open its folder. It
     writes new frames to files of the database. The caller's process commits these every few
     seconds, at the end, and when the run is interrupted. If an actor is lost, another repeats its
-    work. Frames that replace others are sent to the caller's process and written there.
-
-    Args:
-        head: its settings must have the database's fingerprint.
-        files: from `find_label_files`; with a segmenter, from `find_image_files`.
-        database: receives the raw descriptors, and the extra ones that it stores.
-        options: as for `encode_to_database`; ``workers`` is the number of actors with one core
-            each, and ``gpus`` of them that many.
-        segmenter: as for `encode_to_database`. Its cache is used if all nodes can open its folder.
-
-    Raises:
-        ValueError: as for `encode_to_database`; or the cluster has too few GPUs.
-        ImportError: the extra ``ray`` is not installed.
-        OSError: the database cannot be written, or Ray failed.
+    work. Frames that replace others are sent to the caller's process and written there. Too few
+    GPUs are a ValueError, an error of Ray is an OSError, and its extra missing an ImportError.
     """
-    _require_ray()
+    with requiring("ray", "--engine ray needs"):
+        import ray.data  # noqa: F401
     options = options or EncodeOptions()
     plan, describer = prepared(head, files, database, options, segmenter)
     path = database.path if is_uri(database.path) else absolute(Path(database.path))
@@ -94,13 +79,7 @@ def encode_with_ray(
 
 
 class Network(NamedTuple):
-    """A segmenter that an actor loads.
-
-    Attributes:
-        load: loads it.
-        key: its key, which that of the loaded one must equal.
-        gpus: number of GPUs.
-    """
+    """What loads a segmenter in an actor, the key that it must then have, and a number of GPUs."""
 
     load: Callable[[], Segmenter]
     key: str
@@ -212,13 +191,6 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
     except ray.exceptions.RayError as error:
         cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
         raise OSError(f"Ray failed: {one_line(cause)}") from error
-
-
-def _require_ray() -> None:
-    try:
-        import ray.data  # noqa: F401
-    except ImportError as error:
-        raise ImportError("--engine ray needs: pip install ssrvlad-torch[ray]") from error
 
 
 def _quiet_ray() -> None:

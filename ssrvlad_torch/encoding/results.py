@@ -90,11 +90,6 @@ class Summary:
     gone: list[str] = field(default_factory=list)
     skipped: list[Skipped] = field(default_factory=list)
 
-    @property
-    def described(self) -> int:
-        """Number of frames in the database that are up to date."""
-        return self.encoded + self.anew.total() + self.already_there
-
     def __str__(self) -> str:
         parts = [f"{self.encoded} frames encoded ({self.empty} of them empty)"]
         parts += [f"{count} encoded anew: {reason}" for reason, count in self.anew.items()]

@@ -29,7 +29,6 @@ from ..recognition.recognise import (
 from ..recognition.standardise import MIN_FRAMES
 from ..recognition.sweep import COLUMNS
 from ..recognition.temporal import frames_within, temporal_sum
-from ..taxonomy import LabelSpace
 from .encoder import encode_to_memory
 from .extra_descriptors import extra_methods
 from .results import Progress, Skipped, do_nothing
@@ -37,15 +36,9 @@ from .source import Source
 
 
 class Found(NamedTuple):
-    """The frames of a source, and their candidates in a database.
-
-    Attributes:
-        queries, references: the frames of the source and of the database.
-        recognised: the candidates of every query.
-        temporal: t of Eq. 3; one for each sequence if they differ.
-        skipped: frames that could not be encoded.
-        folders: of the sequences of the queries.
-    """
+    """The frames of a source and of the database, the candidates of every query, t of Eq. 3, one
+    for each sequence if they differ, the frames that could not be encoded, and the folders of the
+    sequences of the queries."""
 
     queries: FrameSet
     references: FrameSet
@@ -65,21 +58,11 @@ def search(
     excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
     progress: Progress = do_nothing,
 ) -> Found:
-    """The candidates of every frame of a source in a database.
+    """The candidates of every frame of a source in a database; a ValueError if they do not fit.
 
-    Args:
-        database: of the references.
-        source: of the queries.
-        steps: from descriptors to a decision.
-        top: number of candidates of each query.
-        reach: of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
-        extra: whether to use the extra descriptors; ``None`` if the database has them.
-        excluded: gives for queries and references ``(Q, R)`` bool, references that are no
-            candidates.
-        progress: called with the number of queries encoded since the last call.
-
-    Raises:
-        ValueError: the queries do not fit the database.
+    ``reach`` is that of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
+    ``extra`` says whether to use the extra descriptors, ``None`` if there are any. ``excluded``
+    gives for queries and references ``(Q, R)`` bool, references that are no candidates.
     """
     if extra and not database.extra:
         raise ValueError(
@@ -109,16 +92,8 @@ def recognise_in(
     top: int,
     excluded: Tensor | None = None,
 ) -> Recognised:
-    """Candidates of queries among the frames of a database, with all its methods; see `recognise`.
-
-    Args:
-        database: gives the settings and the extra descriptors.
-        references: its frames.
-        queries: ``(Q, D)`` or ``(Q, S, D)``.
-        extra: extra descriptors of each query, by name.
-        sequences: of the queries.
-        steps, top, excluded: see `recognise`.
-    """
+    """Candidates of queries ``(Q, D)`` or ``(Q, S, D)``, with extra descriptors by name, among the
+    frames of a database, by all methods; see `recognise`."""
     methods = extra_methods([each for each in database.extra if each.name in extra])
     return recognise(
         queries,
@@ -145,13 +120,9 @@ def search_by_index(
     exclude: int | None,
     progress: Progress = do_nothing,
 ) -> Found:
-    """The candidates of every frame of a source in the index of a database, without a sweep.
-
-    Args:
-        database, source, steps, top, progress: as for `search`.
-        sequences: the sequences that candidates may be of; ``None`` for all.
-        exclude: the query's own sequence has no candidates within this number of frames.
-    """
+    """The candidates of every frame of a source in the index of a database, without a sweep, see
+    `search`: of some sequences, by default all, and not within ``exclude`` frames in the query's
+    own."""
     queries, skipped, folders = _queries(database, source, progress=progress)
     ids, names = queries.frames, queries.sequences
 
@@ -174,14 +145,9 @@ def search_by_index(
 def accepted(
     recognised: Recognised, min_confidence: float, max_wrong: float | None
 ) -> tuple[Matches, Estimate]:
-    """The candidates of the queries that are sure enough, and how many of them are wrong. Scores
-    that are rounded above 1 are 1.
-
-    Args:
-        recognised: candidates of all queries.
-        min_confidence: smallest confidence.
-        max_wrong: instead of it, the largest estimated fraction of wrong answers.
-    """
+    """The candidates of the queries with a confidence of at least ``min_confidence``, or, if given,
+    of as many as ``max_wrong``, a fraction of wrong answers, permits; and how many of them are
+    wrong. Scores that are rounded above 1 are 1."""
     if max_wrong is None:
         found, least = estimate(recognised.sure, min_confidence), min_confidence
     else:
@@ -196,24 +162,10 @@ def accepted(
     return Matches(scores, indices.masked_fill(unsure, -1)), found
 
 
-def only_label_space(database: Database) -> LabelSpace | None:
-    """The one label space of the frames of a database; ``None`` for an empty database.
-
-    Raises:
-        ValueError: the frames have several label spaces.
-    """
-    spaces = database.label_spaces()
-    if len(spaces) > 1:
-        names = " and ".join(space.name for space in spaces)
-        raise ValueError(f"{database.path} holds frames of {names}; choose one with --labels-as")
-    return spaces[0] if spaces else None
-
-
 def _references(
     database: Database, reach: int, metres: float | None
 ) -> tuple[FrameSet, int | dict[str, int]]:
-    """The frames of a database after the temporal sum, and t of Eq. 3. A reach in metres gives each
-    sequence its own t."""
+    """The frames of a database after the temporal sum, and t of Eq. 3 (of each sequence)."""
     frames = database.load()
     if not frames.frames:
         raise ValueError(f"{database.path} holds no frames yet")
@@ -239,16 +191,8 @@ def _queries(
     progress: Progress = do_nothing,
 ) -> tuple[FrameSet, list[Skipped], KnownFolders]:
     """The frames of a source, the skipped frames, and the folders of the sequences. Frames are
-    encoded with the settings of the database; a source that is a database is loaded.
-
-    Args:
-        database: of the references.
-        source: of the queries.
-        columns: anchors of a sweep, for descriptors ``(Q, S, 480)``; without it ``(Q, 480)``, which
-            is also what a database and ``paper`` give.
-        extra: descriptors of the images, besides those of the label maps.
-        progress: as for `search`.
-    """
+    encoded with the settings of the database, as ``(Q, S, 480)`` from anchors, if any, and with
+    extra descriptors; a source that is a database is loaded."""
     no_pictures = ValueError(
         f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
         "--no-extra"

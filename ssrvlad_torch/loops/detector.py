@@ -23,7 +23,7 @@ from ..encoding.extra_descriptors import extra_methods
 from ..segmentation.features import NAME as FEATURES
 from ..stages.front_end import as_tensor
 from .config import LoopConfig
-from .memory import Floats, Memory, Vectors, checked_vectors
+from .memory import Floats, FloatVectors, Memory, checked_vectors
 from .result import LoopResult
 from .sign_memory import SignVectors
 from .tracker import Tracker
@@ -67,7 +67,7 @@ class LoopDetector:
         self.extra, self._methods = tuple(extra), extra_methods(extra)
         self._memory = Memory(self.head.config.length)
         self._others = {
-            each.name: SignVectors(each.cells) if each.cells else Vectors(each.width)
+            each.name: SignVectors(each.cells) if each.cells else FloatVectors(each.width)
             for each in extra
         }
         self._tracker = Tracker(self.config, self._memory, self._others)
@@ -291,6 +291,7 @@ class LoopDetector:
                     detector._stamps[sequence] = float(frames.stamps[row])
             for name, others in detector._others.items():
                 others.extend(frames.extra[name][rows])
+        detector._tracker.extend(len(detector) - 1)  # as before the last frame came
         return detector
 
     def _start_sequence(self, sequence: str) -> None:

@@ -48,15 +48,10 @@ class GrowingArray:
         self._rows += 1
 
 
-class Vectors:
-    """Descriptors of the frames of a stream by one method, in order.
-
-    Each sequence has its own mean, see `recognition.standardise`. The present one's is that of its
-    frames so far; `BEFORE` frames of the mean of all earlier sequences count in it.
-
-    Args:
-        length: D, the number of values in a descriptor.
-    """
+class FloatVectors:
+    """Descriptors, of ``length`` values, of the frames of a stream by one method, in order. Each
+    sequence has its own mean, see `recognition.standardise`. The present one's is that of its
+    frames so far; `BEFORE` frames of the mean of all earlier sequences count in it."""
 
     def __init__(self, length: int) -> None:
         self._blocks = [np.empty((BLOCK_ROWS, length), np.float32)]
@@ -155,7 +150,7 @@ class Vectors:
         return scores
 
 
-class Memory(Vectors):
+class Memory(FloatVectors):
     """Ids, poses and descriptors of the frames of a stream."""
 
     def __init__(self, length: int) -> None:

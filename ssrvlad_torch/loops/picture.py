@@ -27,24 +27,14 @@ def draw_loops(
     sequences: Sequence[str] | None = None,
     candidates: Rows | None = None,
 ) -> Figure:
-    """Draws a stream.
+    """Draws a stream by the rows ``(N,)`` int64 of its frames' candidates, -1 for none: ``loops``
+    that are closed, and ``candidates``, of which those that are no loop are drawn faintly. Right
+    loops, of at most some metres, are green, wrong ones red; without a distance all are blue.
 
-    If there are poses, each sequence is drawn from above, with a dot at each frame that closes a
-    loop and a line to its candidate. A second chart shows the numbers of such frames against those
-    of their candidates: a stretch that is driven again is a rising line.
-
-    Args:
-        loops: ``(N,)`` int64, the row of each frame's candidate, -1 where it closes no loop.
-        poses: ``(N, 3)`` x and y in metres and heading, NaN where unknown.
-        title: of the picture.
-        metres: largest distance of a right loop; right loops are green, wrong ones red. Without,
-            all are blue.
-        sequences: the sequence of each frame; without, all are of one.
-        candidates: ``(N,)`` int64, the row of each frame's candidate, -1 for none; those that are
-            no loop are drawn faintly.
-
-    Raises:
-        ImportError: matplotlib is not installed.
+    If there are poses ``(N, 3)``, x and y in metres and heading, NaN where unknown, each sequence
+    is drawn from above, with a dot at each frame that closes a loop and a line to its candidate. A
+    second chart shows the numbers of such frames against those of their candidates: a stretch that
+    is driven again is a rising line.
     """
     here = np.flatnonzero(loops >= 0)
     there = loops[here]

@@ -27,11 +27,7 @@ frame nearer or farther: single frames of a street with noisy labels are alike b
 
 class Repeats:
     """For each frame of a sequence, the highest nearness of the frames around it to others of the
-    same street.
-
-    Args:
-        exclude: number of the last frames that are no candidates.
-    """
+    same street, by the last ``exclude`` frames, which are no candidates."""
 
     def __init__(self, exclude: int) -> None:
         self._distances = np.arange(max(1, exclude // APART), exclude + 1)

@@ -20,14 +20,12 @@ _FRAMES_AT_ONCE = 256
 
 
 class SignVectors:
-    """Signs of the frames of a stream by one method, in order.
+    """Signs of the frames of a stream by one method, in order; ``shape`` is columns, rows and
+    bytes.
 
     Scores are those of `recognition.signs`, each frame without the mean of its sequence as in
-    `memory.Vectors`. The products of each frame with the mean of the present sequence are sums of
-    products of frames, which are whole numbers: a new frame adds its own.
-
-    Args:
-        shape: columns, rows and bytes of the signs of a frame.
+    `memory.FloatVectors`. The products of each frame with the mean of the present sequence are sums
+    of products of frames, which are whole numbers: a new frame adds its own.
     """
 
     def __init__(self, shape: tuple[int, ...]) -> None:
@@ -94,8 +92,7 @@ class SignVectors:
         return self._signs.values[first:last].copy()
 
     def scores(self, swept: Signs) -> Floats:
-        """``(N,)`` float32 cosines of a new frame ``(1, *shape)`` to all others, each for its best
-        move."""
+        """``(N,)`` float32 best cosines of a new frame ``(1, *shape)`` to all others."""
         self._recount()
         signs, first = torch.from_numpy(swept[0]), len(self._lengths.values)
         frames, others = self._products(signs)

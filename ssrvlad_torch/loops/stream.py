@@ -41,18 +41,10 @@ def open_detector(
     labels_as: str | LabelSpace,
     extra: Sequence[ExtraDescriptor] = (),
 ) -> tuple[LoopDetector, Database | None]:
-    """A detector, and the database that it was loaded from and is saved to.
-
-    Args:
-        config: the settings of the detector.
-        memory: folder of the database, created if it does not exist; without, nothing is saved.
-        preset: of the descriptors; without, the database's, or ``default``.
-        labels_as: label space of the frames.
-        extra: extra methods; without, those of the database.
-
-    Raises:
-        ValueError: the database is damaged, or of another preset or other extra methods.
-    """
+    """A detector, and the database that it was loaded from and is saved to: the folder ``memory``,
+    created if it does not exist; without it, nothing is saved. Without a preset or extra methods,
+    those of the database, or ``default`` and none; others, and a damaged database, are a
+    ValueError."""
     if memory is not None and preset is None and Database.exists(memory):
         method = replace(Database.open(memory).config, labels_as=labels_as)
     else:
@@ -82,16 +74,10 @@ def encode_as_they_come(
     segmenter: Segmenter | None = None,
     database: Database | None = None,
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes files one by one, each as soon as its name arrives. Frames that the detector knew at
-    the start are omitted. A ``poses.csv`` in or beside a file's folder is read once.
-
-    Args:
-        detector: its head describes the frames.
-        names: lines with one file name each; empty lines are ignored.
-        sequence: the name of the sequence; without, that of the folder.
-        segmenter: labels images; without, the files are label maps.
-        database: from which the detector was loaded; its folders keep their sequence names.
-    """
+    """Encodes files one by one, each as soon as the line with its name arrives; empty lines are
+    ignored. Frames that the detector knew at the start are omitted. A ``poses.csv`` in or beside a
+    file's folder is read once. The sequence is named by the folder, as in the database from which
+    the detector was loaded. A segmenter labels images; without one, the files are label maps."""
     at_start, encoder = frozenset(detector.frames), detector.encoder()
     records, folders = (database.known(), database.folders()) if database else ({}, set())
     find = functools.cache(PoseTable.of_folder)
@@ -146,14 +132,12 @@ def detect_loops(
 
 
 def loops_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
-    """``(N,)`` int64: for each frame of a detector the row of the frame to which it closes a loop,
-    -1 for none."""
+    """``(N,)`` int64: the row of the frame to which each frame closes a loop, -1 for none."""
     return candidates_of(detector, [result for result in results if result.accepted])
 
 
 def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows:
-    """``(N,)`` int64: for each frame of a detector the row of its candidate in the results, -1 for
-    none."""
+    """``(N,)`` int64: the row of each frame's candidate in the results, -1 for none."""
     row = {frame: number for number, frame in enumerate(detector.frames)}
     candidates = np.full(len(row), -1, np.int64)
     for result in results:
@@ -165,21 +149,11 @@ def candidates_of(detector: LoopDetector, results: Sequence[LoopResult]) -> Rows
 def report(
     detector: LoopDetector, results: Sequence[LoopResult], metres: float | None = None
 ) -> dict[str, Any]:
-    """A summary of the results of a detector's last frames.
-
-    Args:
-        detector: after these frames.
-        results: one for each frame.
-        metres: largest distance of a right loop; without, loops are not judged.
-
-    Returns:
-        ``frames``, ``reasons`` (the number of each), ``steps`` (as taken), and with a distance the
-        counts of `LoopScore`, ``precision``, ``recall``, and ``suggested``: the threshold of
-        `evaluation.loops.surest_point` as a mapping, ``None`` if no candidate is right.
-
-    Raises:
-        ValueError: there is a distance and no frame has a pose.
-    """
+    """A summary of the results of a detector's last frames: ``frames``, ``reasons`` (the number of
+    each), ``steps`` (as taken), and with the largest distance of a right loop in metres the counts
+    of `LoopScore`, ``precision``, ``recall``, and ``suggested``: the threshold of
+    `evaluation.loops.surest_point` as a mapping, ``None`` if no candidate is right. A distance, but
+    no frame with a pose, is a ValueError."""
     counts = Counter(result.reason.value for result in results)
     steps = {
         "standardised": "mean so far",

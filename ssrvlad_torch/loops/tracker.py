@@ -17,7 +17,7 @@ from ..recognition.fusion import fused, weights_of, z_lead
 from ..recognition.motion import MIN_SPREAD, Motion, likelihoods, moments, nearness
 from ..recognition.recognise import SSR_VLAD
 from .config import LoopConfig
-from .memory import Floats, GrowingArray, Memory, Vectors
+from .memory import Floats, FloatVectors, GrowingArray, Memory
 from .repeats import MARGIN, Repeats
 from .result import LoopResult, Reason
 from .sign_memory import SignVectors
@@ -45,16 +45,11 @@ RECENT = 10
 
 
 class Tracker:
-    """The filter of `LoopDetector` over the frames of a memory.
-
-    Args:
-        config: the settings.
-        memory: ids, poses and descriptors of all earlier frames; the detector appends to it.
-        others: their descriptors by extra methods.
-    """
+    """The filter of `LoopDetector` over the frames of a memory, to which the detector appends, with
+    their descriptors by extra methods."""
 
     def __init__(
-        self, config: LoopConfig, memory: Memory, others: Mapping[str, Vectors | SignVectors]
+        self, config: LoopConfig, memory: Memory, others: Mapping[str, FloatVectors | SignVectors]
     ) -> None:
         self._config, self._memory, self._others = config, memory, others
         self._leads = dict.fromkeys([SSR_VLAD, *others], 0.0)
@@ -72,17 +67,18 @@ class Tracker:
         self._start, self._neighbours = len(self._memory), GrowingArray(np.float64)
         self._repeats = Repeats(self._config.exclude)
 
-    def step(self, frame: str, swept: Floats, others: Mapping[str, npt.NDArray[Any]]) -> LoopResult:
-        """The result of the next frame.
+    def extend(self, frames: int) -> None:
+        """Makes states of the first frames of the memory, but not of the most recent of them."""
+        last = max(0, frames - min(RECENT, self._config.exclude))
+        fresh = self._memory.frames[len(self._filter) : last]
+        self._filter.extend([each.rpartition("/")[0] for each in fresh])
 
-        Args:
-            frame: its id.
-            swept: ``(S, D)`` descriptors from S anchors, the usual one in the middle.
-            others: its descriptors by the extra methods.
-        """
+    def step(self, frame: str, swept: Floats, others: Mapping[str, npt.NDArray[Any]]) -> LoopResult:
+        """The result of the next frame, by its ``(S, D)`` descriptors from S anchors, the usual one
+        in the middle, and those by the extra methods."""
         frames, exclude = len(self._memory), self._config.exclude
         old = max(0, frames - exclude)
-        self._extend(frames - min(RECENT, exclude))
+        self.extend(frames)
         described, empty = ~self._memory.empty, not swept[len(swept) // 2].any()
         if np.count_nonzero(described[:old]) < 2:
             if empty:
@@ -106,11 +102,6 @@ class Tracker:
         ahead = self._ahead(candidate, near, rows) if reason is Reason.ACCEPTED else None
         name, score = self._memory.frames[candidate], float(scores[candidate])
         return LoopResult(frame, reason, name, score, probability, ahead)
-
-    def _extend(self, rows: int) -> None:
-        """Adds frames to the filter, up to a number of rows."""
-        fresh = self._memory.frames[len(self._filter) : max(0, rows)]
-        self._filter.extend([frame.rpartition("/")[0] for frame in fresh])
 
     def _scores(self, swept: Floats, others: Mapping[str, npt.NDArray[Any]], old: int) -> Tensor:
         """``(N,)`` scores of a frame by all methods, scaled by those of the old frames, if any."""

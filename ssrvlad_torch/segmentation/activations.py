@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import threading
 import weakref
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
@@ -40,19 +41,17 @@ _RAISED = 2
 _COLOURS = 3
 """A map of so many channels is a smaller picture."""
 
+_UNEVEN = 1.5
+"""The axes of a tensor whose strides differ by as much are not the height and width of a map."""
+
 _EXTRA_TOKENS = 8
 _NAMES_SHOWN = 3
 
 
 class Activation(NamedTuple):
-    """An activation for one picture.
-
-    Attributes:
-        name: of the module, the hidden state or the tensor.
-        shape: of it.
-        stride: of the picture's side to its own; infinite if it is not ``(B, C, h, w)``.
-        raised: whether it depends on an operator that raised the resolution.
-    """
+    """An activation for one picture: the name of the module, the hidden state or the tensor, its
+    shape, the stride from the picture's side to its own, infinite if it is not ``(B, C, h, w)``,
+    and whether it depends on an operator that raised the resolution."""
 
     name: str
     shape: tuple[int, ...]
@@ -66,17 +65,10 @@ class Activation(NamedTuple):
 def find_activations(
     network: nn.Module, numbers: Tensor, names: Sequence[str] | None = None
 ) -> list[Activation]:
-    """The activations of a network that are features.
-
-    Args:
-        network: any module, or an `OnnxNetwork`.
-        numbers: ``(1, 3, H, W)``, or of the layout of the graph: its input for one picture.
-        names: of activations to take in place of those of the rule.
-
-    Raises:
-        ValueError: no activation of the encoder has a stride that is near enough, or a name is
-            unknown or belongs to something else than ``(B, C, h, w)`` floats.
-    """
+    """The activations of a network that are features, by the rule or by their names, in a run on
+    ``numbers``, its input for one picture, ``(1, 3, H, W)`` or of the layout of the graph. A name
+    that is unknown or of something else than ``(B, C, h, w)`` floats, and an encoder without an
+    activation at a stride that is near enough, are a ValueError."""
     found = _seen(network, numbers)
     if names is None:
         states = [each for each in found if each.name.startswith(HIDDEN)]
@@ -120,12 +112,13 @@ def _chosen(found: Sequence[Activation]) -> Activation | None:
 
 @contextmanager
 def taken(network: nn.Module, names: Sequence[str]) -> Iterator[dict[str, Tensor]]:
-    """Takes activations of a module while it runs: the mapping holds them by name afterwards."""
-    modules = dict(network.named_modules())
+    """Takes activations of a module while it runs in this thread, whatever others run: the mapping
+    holds them by name afterwards."""
+    modules, own = dict(network.named_modules()), threading.get_ident()
     values: dict[str, Tensor] = {}
 
     def take(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
-        if isinstance(output, Tensor):
+        if isinstance(output, Tensor) and threading.get_ident() == own:
             values[name] = output.clone()  # a later module may change it in place
 
     with ExitStack() as stack:
@@ -141,8 +134,10 @@ def taken(network: nn.Module, names: Sequence[str]) -> Iterator[dict[str, Tensor
 @contextmanager
 def _hidden_states(network: nn.Module, values: dict[str, Tensor]) -> Iterator[None]:
     """Takes the hidden states of the encoder of a published transformer, as ``(B, C, h, w)``."""
-    transformer = _transformer(network)
-    if transformer is None:
+    own = threading.get_ident()
+    modules = network.modules()  # of which the outermost published transformer is taken
+    of_type = (m for m in modules if hasattr(getattr(m, "config", None), "model_type"))
+    if (transformer := next(of_type, None)) is None:
         yield
         return
 
@@ -150,7 +145,10 @@ def _hidden_states(network: nn.Module, values: dict[str, Tensor]) -> Iterator[No
         return inputs, {**named, "output_hidden_states": True}
 
     def take(_module: nn.Module, inputs: Any, named: Mapping[str, Any], result: Any) -> None:
-        [picture] = (each for each in (*inputs, *named.values()) if _is_picture(each))
+        if threading.get_ident() != own:
+            return
+        given = (each for each in (*inputs, *named.values()) if isinstance(each, Tensor))
+        [picture] = (each for each in given if each.ndim == 4)
         states = getattr(result, HIDDEN, None) or getattr(result, f"encoder_{HIDDEN}", None) or ()
         for number, state in enumerate(states):
             values[f"{HIDDEN}.{number}"] = _map_of(state, *picture.shape[2:])
@@ -161,16 +159,6 @@ def _hidden_states(network: nn.Module, values: dict[str, Tensor]) -> Iterator[No
         stack.callback(before.remove)
         stack.callback(after.remove)
         yield
-
-
-def _transformer(network: nn.Module) -> nn.Module | None:
-    """The outermost module of a published transformer."""
-    modules = network.modules()
-    return next((m for m in modules if hasattr(getattr(m, "config", None), "model_type")), None)
-
-
-def _is_picture(value: object) -> bool:
-    return isinstance(value, Tensor) and value.ndim == 4
 
 
 def _map_of(state: Tensor, height: int, width: int) -> Tensor:
@@ -195,15 +183,15 @@ def _seen(network: nn.Module, numbers: Tensor) -> list[Activation]:
         result = network(numbers)
     outputs = [each for each in tree_leaves(result) if isinstance(each, Tensor)]
     found = [each for each, value in recorder.seen if not any(value() is o for o in outputs)]
-    pixels = numbers.shape[2] * numbers.shape[3]
-    return [*found, *(_activation(name, state, pixels) for name, state in states.items())]
+    size = numbers.shape[2:]
+    return [*found, *(_activation(name, state, size) for name, state in states.items())]
 
 
 def _seen_in_graph(network: OnnxNetwork, numbers: Tensor) -> list[Activation]:
     nodes, outputs = network.nodes(), network.outputs
     names = [name for node in nodes for name in node.output if name and name not in outputs]
     values = network.run_all(numbers, names)
-    height, width = numbers.shape[1:3] if network.form.channels_last else numbers.shape[2:]
+    size = numbers.shape[1:3] if network.form.channels_last else numbers.shape[2:]
     raised, found = set[str](), list[Activation]()
     for node in nodes:
         ends = [
@@ -213,31 +201,30 @@ def _seen_in_graph(network: OnnxNetwork, numbers: Tensor) -> list[Activation]:
         if raises or not raised.isdisjoint(node.input):
             raised.update(node.output)
         found += [
-            _activation(name, values[name], height * width, name in raised)
+            _activation(name, values[name], size, name in raised)
             for name in node.output
             if name in values
         ]
     return found
 
 
-def _activation(name: str, value: Tensor, pixels: int, raised: bool = False) -> Activation:
-    shape = tuple(value.shape)
-    is_map = len(shape) == 4 and value.is_floating_point() and shape[2] * shape[3]
-    stride = math.sqrt(pixels / (shape[2] * shape[3])) if is_map else math.inf
+def _activation(name: str, value: Tensor, size: Sequence[int], raised: bool = False) -> Activation:
+    shape, stride = tuple(value.shape), math.inf
+    if len(shape) == 4 and value.is_floating_point() and shape[2] * shape[3]:
+        strides = [side / own for side, own in zip(size, shape[2:], strict=True)]
+        if max(strides) < _UNEVEN * min(strides):
+            stride = math.sqrt(math.prod(strides))
     return Activation(name, shape, stride, raised)
 
 
 class _Recorder(TorchDispatchMode):
-    """Notes the outputs of the modules of a network, and what depends on a raised resolution.
-
-    Attributes:
-        seen: activations, each with a weak reference to its tensor.
-    """
+    """Notes the outputs of the modules of a network in ``seen``, activations, each with a weak
+    reference to its tensor, and what depends on a raised resolution."""
 
     def __init__(self, network: nn.Module, numbers: Tensor) -> None:
         super().__init__()
         self.seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
-        self._pixels = numbers.shape[2] * numbers.shape[3]
+        self._size = numbers.shape[2:]
         self._raised = WeakTensorKeyDictionary()
         self._handles = [
             module.register_forward_hook(partial(self._note, name))
@@ -266,7 +253,7 @@ class _Recorder(TorchDispatchMode):
 
     def _note(self, name: str, _module: nn.Module, _inputs: object, output: object) -> None:
         if isinstance(output, Tensor):
-            each = _activation(name, output, self._pixels, output in self._raised)
+            each = _activation(name, output, self._size, output in self._raised)
             self.seen.append((each, weakref.ref(output)))
 
 

@@ -32,12 +32,9 @@ class SegmentedCache:
     """A folder with a PNG for each picture that a network has segmented: its label map, and its
     features in a chunk of their own.
 
-    Args:
-        folder: of the whole cache, for all networks.
-        key: of the network and its preparation; the name of a folder inside ``folder``.
-        space: label space of the label maps.
-        largest: most bytes of the whole cache; above it the least recently used are removed.
-        features: key of the features; empty for label maps alone.
+    In the folder of the whole cache, ``key`` names that of the network and its preparation. Above
+    `LARGEST` bytes the least recently used entries are removed. The key of the features is empty
+    for label maps alone.
     """
 
     def __init__(
@@ -45,19 +42,16 @@ class SegmentedCache:
         folder: Path,
         key: str,
         space: LabelSpace,
-        largest: int = LARGEST,
         features: str = "",
     ) -> None:
         self.folder = folder
         self.key = key
         self.space = space
-        self.largest = largest
         self.features = features.encode()
         self._size: int | None = None
 
     def get(self, picture: str) -> tuple[LabelMap, Signs | None] | None:
-        """The label map and the features of the picture whose file has this digest; ``None`` if
-        one of them is missing or damaged."""
+        """What is stored of the picture of this digest; ``None`` if missing or damaged."""
         entry = self._entry(picture)
         try:
             labels = read_label_map(FrameFile("cache", entry.stem, entry), self.space)
@@ -68,11 +62,7 @@ class SegmentedCache:
         return labels, features
 
     def put(self, picture: str, labels: LabelMap, features: Signs | None = None) -> None:
-        """Stores a label map and features, unless its ids do not fit into a PNG.
-
-        Raises:
-            OSError: the folder cannot be written.
-        """
+        """Stores a label map and features, unless its ids do not fit into a PNG."""
         if labels.dtype.itemsize > _WIDEST:
             return
         entry = self._entry(picture)
@@ -86,7 +76,7 @@ class SegmentedCache:
             self._size = sum(size for _, size, _ in self._entries())
         else:
             self._size += entry.stat().st_size
-        if self._size > self.largest:
+        if self._size > LARGEST:
             self._remove_oldest()
 
     def _features(self, entry: Path) -> Signs:
@@ -115,7 +105,7 @@ class SegmentedCache:
         entries = sorted(self._entries())
         size = sum(size for _, size, _ in entries)
         for _, part, path in entries:
-            if size <= self.largest * _FILLED_TO:
+            if size <= LARGEST * _FILLED_TO:
                 break
             path.unlink(missing_ok=True)
             size -= part

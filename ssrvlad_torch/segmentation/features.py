@@ -30,20 +30,12 @@ _OF_LABELS = ("output", "classes", NAME)
 
 
 class NetworkFeatures(nn.Module):
-    """What a network sees in pictures, as signs; see `stages.features`.
+    """What a network, which ``labels`` runs, sees in pictures, as signs; see `stages.features`.
 
-    Args:
-        labels: runs the network. An ONNX graph gives the activations as outputs afterwards.
-        digest: of the network, see `identity.digest_of`.
-
-    Attributes:
-        activations: of the network, by the rule of `find_activations` or by the setting
-            ``features``.
-        key: of the network, its settings, the activations and the form of the signs, in hex.
-        descriptor: its name, length and fingerprint.
-
-    Raises:
-        ValueError: the network has no such activations.
+    The activations are those of the rule of `find_activations` or of the setting ``features``; none
+    is a ValueError. An ONNX graph gives them as outputs afterwards. The key, in hex, is of the
+    digest of the network, see `identity.digest_of`, its settings, the activations and the form of
+    the signs.
     """
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:

@@ -32,12 +32,13 @@ def digest_of(network: nn.Module, probe: bytes) -> str:
 
 
 def _parts(network: nn.Module) -> Iterator[bytes]:
+    sources = {kind: _source(kind) for kind in set(map(type, network.modules()))}
     for name, module in network.named_modules():
         if isinstance(module, torch.jit.ScriptModule):
             yield _program(module)
             continue
         plain = {k: v for k, v in vars(module).items() if _is_plain(v) and k != "training"}
-        yield f"{name} {_source(type(module))} {module.extra_repr()} {plain}".encode()
+        yield f"{name} {sources[type(module)]} {module.extra_repr()} {plain}".encode()
     for name, tensor in chain(network.named_parameters(), network.named_buffers()):
         yield f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode()
         flat = tensor.detach().cpu().contiguous().reshape(-1)

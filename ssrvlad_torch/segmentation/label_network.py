@@ -70,19 +70,11 @@ class LabelNetwork(nn.Module):
         return enlarged(classes_of(self.outputs(images)), *images.shape[1:3])
 
     def outputs(self, images: Tensor) -> Tensor:
-        """The output of the network: ``(B, C, h, w)`` class scores or ``(B, h, w)`` ids.
-
-        Raises:
-            ValueError: the output is not recognised.
-        """
+        """``(B, C, h, w)`` class scores or ``(B, h, w)`` ids, or a ValueError."""
         return self.run(images)[0]
 
     def run(self, images: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
-        """The output as `outputs` gives it, and the activations with some names.
-
-        Raises:
-            ValueError: the output is not recognised, or an activation was not computed.
-        """
+        """The output, see `outputs`, and the named activations, or a ValueError."""
         numbers = self.numbers(images)
         output, activations = self._output(numbers, names)
         return self.scores_of(output, numbers), activations
@@ -95,13 +87,9 @@ class LabelNetwork(nn.Module):
 
     def scores_of(self, output: Tensor, numbers: Tensor) -> Tensor:
         """An output of the network for prepared pictures, with the classes in the second axis.
-
         Which axis holds them is fixed once, for all pictures: as the graph declares it, or by the
-        first output, or by the output for a picture twice as large.
-
-        Raises:
-            ValueError: either axis could hold the classes.
-        """
+        first output, or by the output for a picture twice as large; if either could, it is a
+        ValueError."""
         if output.ndim == 3:
             return output
         if self.axis is None:

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from ..stages.layers import best_class
-from ..taxonomy import LabelSpace
+from ..taxonomy import LabelSpace, label_space, label_space_names
 
 Classes = tuple[int, int] | None
 """The first channel of the scores to use and the one after the last; ``None`` for all."""
@@ -25,13 +25,9 @@ class UnrecognisedError(ValueError):
 
 
 class OutputForm(NamedTuple):
-    """Shape and dtype of an output, declared or actual.
-
-    Attributes:
-        shape: lengths of its axes, ``None`` for a free axis; ``None`` if their number is free.
-        dtype: the library's name of it.
-        kind: ``"scores"`` for floating numbers, ``"ids"`` for integers, or ``""``.
-    """
+    """Shape and dtype of an output, declared or actual: ``None`` for free axes, or a free number of
+    them, the library's name, and ``"scores"`` for floating numbers, ``"ids"`` for integers, or
+    ``""``."""
 
     shape: tuple[int | None, ...] | None
     dtype: str
@@ -49,20 +45,13 @@ def choose_output(
     name: str | None = None,
     classes: Classes = None,
 ) -> str:
-    """The name of the output that holds labels: class scores, or integer ids.
+    """The name of the output that holds labels, class scores or integer ids, or an
+    UnrecognisedError that lists those that could; only the one that is named, if any.
 
-    Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels as the
-    label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or ``(B, h, w, 1)``.
-    Free axes fit any number. If several outputs fit, one named ``out`` or ``logits`` is chosen.
-
-    Args:
-        forms: the outputs by name.
-        space: label space of the classes.
-        name: of the output to choose.
-        classes: the channels to use; their number must be that of the label space's classes.
-
-    Raises:
-        UnrecognisedError: no output fits, or several do; the message lists them.
+    Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels, or as many
+    to use, as the label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or
+    ``(B, h, w, 1)``. Free axes fit any number. If several outputs fit, one named ``out`` or
+    ``logits`` is chosen.
     """
     if name is not None and name not in forms:
         raise UnrecognisedError(f"there is no output {name!r}; the outputs are {_list(forms)}")
@@ -85,16 +74,9 @@ def choose_output(
 def take_output(
     result: object, space: LabelSpace, name: str | None = None, classes: Classes = None
 ) -> Tensor:
-    """The output that holds labels, from the result of a network.
-
-    Args:
-        result: a tensor, a mapping of names to tensors, an object with ``logits``, or a tuple,
-            whose tensors are named ``0``, ``1`` and so on.
-        space, name, classes: as for `choose_output`.
-
-    Raises:
-        UnrecognisedError: see `choose_output`.
-    """
+    """The output that holds labels, see `choose_output`, from the result of a network: a tensor, a
+    mapping of names to tensors, an object with ``logits``, or a tuple, whose tensors are named
+    ``0``, ``1`` and so on."""
     tensors = dict(_named_tensors(result))
     forms = {key: form_of(tensor) for key, tensor in tensors.items()}
     return tensors[choose_output(forms, space, name, classes)]
@@ -134,18 +116,10 @@ def constant_axis(size: tuple[int, int], shapes: Sequence[Sequence[int]]) -> int
 
 
 def classes_of(output: Tensor) -> Tensor:
-    """The class of every pixel: the largest score wins, the first of equal ones. `Segmenter`,
-    `SSRVLAD` on class scores and the files of `fuse` all use this rule.
-
-    Args:
-        output: ``(B, C, h, w)`` floating class scores, or ``(B, h, w)`` ids, which stay.
-
-    Returns:
-        ``(B, h, w)`` integers.
-
-    Raises:
-        ValueError: a score is NaN. A graph cannot raise: there NaN is not detected.
-    """
+    """The class of every pixel, ``(B, h, w)`` integers: the largest score of ``(B, C, h, w)``
+    floats wins, the first of equal ones; ``(B, h, w)`` ids stay. `Segmenter`, `SSRVLAD` on class
+    scores and the files of `fuse` all use this rule. A NaN is a ValueError; a graph cannot raise,
+    and does not detect it."""
     if not output.is_floating_point():
         return output
     return output.argmax(1) if torch.compiler.is_exporting() else best_class(output)
@@ -203,16 +177,17 @@ def _counts(space: LabelSpace, classes: Classes) -> str:
 
 
 def _hint(forms: Mapping[str, OutputForm], space: LabelSpace, classes: Classes) -> str:
-    """The option to use if the network has more channels than the label space has classes."""
+    """What to use if the network has more channels than the label space has classes: the label
+    spaces with so many, or the option that takes the first."""
     most = max(space.channel_counts, default=0)
-    more = any(
-        form.kind == "scores"
-        and form.shape
-        and len(form.shape) == 4
-        and (form.shape[1] or 0) > most
-        for form in forms.values()
-    )
-    return f"; --classes 0:{most} takes the first {most}" if more and most and not classes else ""
+    shapes = [form.shape for form in forms.values() if form.kind == "scores" and form.shape]
+    more = {shape[1] or 0 for shape in shapes if len(shape) == 4 and (shape[1] or 0) > most}
+    if not more or not most or classes:
+        return ""
+    fits = [n for n in label_space_names() if more.intersection(label_space(n).channel_counts)]
+    if fits:
+        return f"; {' and '.join(fits)} have so many classes"
+    return f"; --classes 0:{most} takes the first {most}"
 
 
 def _list(forms: Mapping[str, OutputForm]) -> str:

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from ..files import one_line, read_yaml
+from ..files import one_line, read_yaml, requiring
 from .onnx_network import OnnxNetwork
 from .preparation import SegmenterConfig
 
@@ -30,16 +30,9 @@ _WHERE = "FILE.onnx, FILE.yaml, hf:ORG/NAME[@REVISION], a folder, torchhub:REPO/
 
 @dataclass(frozen=True)
 class NamedNetwork:
-    """A network and its settings.
-
-    Attributes:
-        name: the name that `open_network` was given.
-        network: the module.
-        config: the preparation of its pictures.
-        class_names: the names of its channels, if it declares them.
-        labels_as: the label space, if the YAML file declares one.
-        assumed: whether nothing says how pictures are prepared: the defaults are assumed.
-    """
+    """A network and its settings: the name that `open_network` was given, the preparation of
+    pictures, the names of its channels, if it declares them, the label space, if the YAML file
+    declares one, and whether the preparation is assumed, because nothing says it."""
 
     name: str
     network: nn.Module
@@ -83,8 +76,7 @@ def open_network(name: str | Path) -> NamedNetwork:
 
 
 def runs_code(name: str) -> bool:
-    """Whether opening a network by this name runs code. A YAML file that names no network is a
-    ValueError."""
+    """Whether opening a network runs code; a YAML file that names none is a ValueError."""
     path = Path(name)
     if path.suffix.lower() in (".yaml", ".yml") and path.is_file():
         return runs_code(_named(path)[0])
@@ -207,10 +199,8 @@ class MaskScores(nn.Module):
 
 def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
     """A published model, or a folder in that format, with the settings of its image processor."""
-    try:
+    with requiring("hf", f"{name} needs"):
         import transformers as hub
-    except ImportError as error:
-        raise ImportError(f"{name} needs: pip install ssrvlad-torch[hf]") from error
     source, _, revision = name.removeprefix("hf:").partition("@")
     pinned = {"revision": revision} if revision else {}
     with _quiet(name):
@@ -235,8 +225,7 @@ def _of_hub(name: str, settings: dict[str, Any]) -> NamedNetwork:
 
 
 def _settings_of(processor: Any, overrides: dict[str, Any]) -> dict[str, Any]:
-    """The settings of an image processor, with overrides; a step that `SegmenterConfig` does not
-    have is a ValueError."""
+    """The settings of an image processor, or a ValueError for a step that is no setting."""
     settings: dict[str, Any] = {"mean": (0.0, 0.0, 0.0), "std": (1.0, 1.0, 1.0)}
     if processor.do_normalize:
         settings |= {"mean": tuple(processor.image_mean), "std": tuple(processor.image_std)}

@@ -8,7 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from ..files import InputError, check_output, check_regular, flush, one_line, replacing
+from ..files import InputError, check_output, check_regular, flush, one_line, replacing, requiring
 
 if TYPE_CHECKING:
     import onnx
@@ -19,22 +19,14 @@ MAX_FILE_BYTES = (1 << 31) - (1 << 20)
 CPU = "CPUExecutionProvider"
 
 _EXTERNAL_BYTES = 1024
-_NEEDED = "ONNX files need: pip install ssrvlad-torch[onnx]"
 _ONLY_FATAL = 4
 
 
 def load_model(path: Path) -> onnx.ModelProto:
-    """The model in an ONNX file, with its external weights.
-
-    Raises:
-        ValueError: the file is missing or is not an ONNX graph, or external weights are missing or
-            outside its folder.
-        ImportError: the extra ``onnx`` is not installed.
-    """
-    try:
+    """The model in an ONNX file, with its external weights. A missing file, one that is not an ONNX
+    graph, and external weights that are missing or outside its folder are a ValueError."""
+    with requiring("onnx", "ONNX files need"):
         import onnx
-    except ImportError as error:
-        raise ImportError(_NEEDED) from error
     try:
         check_regular(path)
         model = onnx.load(path)
@@ -59,24 +51,16 @@ def open_session(
     settings: Mapping[str, str] | None = None,
     threads: int = 0,
 ) -> Any:
-    """A session of ONNX Runtime.
+    """A session of ONNX Runtime for a file or its content; ``name`` is that of the file in
+    messages.
 
-    Args:
-        source: an ONNX file, or its content.
-        name: name of the file in error messages.
-        provider: execution provider; operators that it lacks run on the CPU.
-        fallback: provider to use if this ONNX Runtime lacks `provider`.
-        settings: configuration entries of the session.
-        threads: number of threads for an operator; 0 for one per core.
-
-    Raises:
-        ValueError: ONNX Runtime lacks the provider, or cannot run the graph.
-        ImportError: the extra ``onnx`` is not installed.
+    Operators that the provider lacks run on the CPU; ``fallback`` is used if this ONNX Runtime
+    lacks the provider. ``settings`` are configuration entries of the session, ``threads`` those for
+    an operator, 0 for one per core. No such provider, and a graph that cannot run, are a
+    ValueError; without the extra ``onnx``, an ImportError.
     """
-    try:
+    with requiring("onnx", "ONNX files need"):
         import onnxruntime
-    except ImportError as error:
-        raise ImportError(_NEEDED) from error
     available = onnxruntime.get_available_providers()
     provider = provider if provider in available else fallback or provider
     if provider not in available:
@@ -96,10 +80,8 @@ def open_session(
 
 def external_files(path: Path) -> list[Path]:
     """The files that hold the external weights of an ONNX file, sorted; often none."""
-    try:
+    with requiring("onnx", "ONNX files need"):
         import onnx
-    except ImportError as error:
-        raise ImportError(_NEEDED) from error
     model = onnx.load(path, load_external_data=False)
     tensors = onnx.external_data_helper._get_all_tensors(model)
     names = {
@@ -124,19 +106,12 @@ def graph_digest(model: onnx.ModelProto) -> str:
 def save_model(
     model: onnx.ModelProto, path: Path, describe: Callable[[Path], Mapping[str, str]]
 ) -> None:
-    """Writes an ONNX file, whole or not at all.
+    """Writes an ONNX file, whole or not at all; an existing one is replaced. ``describe`` takes the
+    temporary file and returns the metadata properties, or raises an error to reject the model.
 
-    A model of more than `MAX_FILE_BYTES` keeps its weights in a second file beside it. The name of
-    the second file holds a digest, so that it never replaces the weights of an earlier model.
-
-    Args:
-        model: the model. If its weights went to a second file, it refers to that file afterwards.
-        path: the file; an existing one is replaced.
-        describe: takes the temporary file and returns the metadata properties of the model. It can
-            raise an error to reject the model.
-
-    Raises:
-        OSError: the file cannot be written.
+    A model of more than `MAX_FILE_BYTES` keeps its weights in a second file beside it, to which it
+    refers afterwards. The name of the second file holds a digest, so that it never replaces the
+    weights of an earlier model.
     """
     import onnx
 
@@ -159,10 +134,8 @@ def save_model(
 
 
 def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
-    """Renames every node and value of a graph and of its subgraphs.
-
-    `onnx.compose.add_prefix` does not rename the outer values that a loop body uses.
-    """
+    """Renames every node and value of a graph and of its subgraphs. `onnx.compose.add_prefix` does
+    not rename the outer values that a loop body uses."""
     for node in graph.node:
         node.name = new(node.name)
         node.input[:] = [name and new(name) for name in node.input]

@@ -60,6 +60,8 @@ class OnnxNetwork(nn.Module):
         self._session = open_session(
             self.path, path, "CUDAExecutionProvider", CPU, threads=torch.get_num_threads()
         )
+        self._files = (self.path, *external_files(self.path))
+        self._state = self._state_of_files()
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
             names = ", ".join(each.name for each in inputs)
@@ -102,11 +104,7 @@ class OnnxNetwork(nn.Module):
         return nodes
 
     def take(self, names: Sequence[str]) -> None:
-        """Makes inner tensors outputs that `forward` can be asked for.
-
-        Raises:
-            ValueError: the graph cannot run with them.
-        """
+        """Makes inner tensors outputs; a ValueError if the graph cannot run with them."""
         self._session = self._session_with(names)
 
     def run_all(self, images: Tensor, names: Sequence[str]) -> dict[str, Tensor]:
@@ -121,9 +119,19 @@ class OnnxNetwork(nn.Module):
             if isinstance(value, np.ndarray) and value.dtype.kind in "fiub"
         }
 
+    def _state_of_files(self) -> list[tuple[int, ...]]:
+        found = [path.stat() for path in self._files]
+        return [(each.st_ino, each.st_size, each.st_mtime_ns) for each in found]
+
+    def _require_unchanged(self) -> None:
+        """Refuses files that are no longer those of the session."""
+        if self._state_of_files() != self._state:
+            raise ValueError(f"{self.path} has changed since it was opened: open it again")
+
     def _model(self) -> onnx.ModelProto:
         import onnx
 
+        self._require_unchanged()
         return onnx.load(self.path, load_external_data=False)
 
     def _session_with(self, names: Sequence[str], whole: bool = True) -> Any:
@@ -146,9 +154,14 @@ class OnnxNetwork(nn.Module):
         return {}
 
     def digest(self) -> str:
-        """BLAKE2b-128 of the file and of its external weights, in hex."""
+        """BLAKE2b-128 of the file and of its external weights, in hex.
+
+        Raises:
+            ValueError: they have changed since they were opened.
+        """
+        self._require_unchanged()
         content = hashlib.blake2b(digest_size=16)
-        for path in (self.path, *external_files(self.path)):
+        for path in self._files:
             with path.open("rb") as file:
                 content.update(hashlib.file_digest(file, "blake2b").digest())
         return content.hexdigest()
@@ -162,8 +175,7 @@ class OnnxNetwork(nn.Module):
 
 
 def _names(text: str) -> dict[int, str]:
-    """Class names of a metadata property: JSON, or a Python literal as Ultralytics writes it; a
-    mapping, or a list."""
+    """Class names of a metadata property: JSON, or a Python literal, as of Ultralytics."""
     for parse in (json.loads, ast.literal_eval):
         with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
             names = parse(text)
@@ -180,8 +192,7 @@ def _names(text: str) -> dict[int, str]:
 
 
 def _shape(value: Any) -> tuple[int | None, ...] | None:
-    """Lengths of the axes, ``None`` for free ones, which ONNX Runtime gives as names; ``None`` if
-    the rank is free."""
+    """Lengths of the axes, ``None`` for free ones; ``None`` if the rank is free."""
     if not value.shape:
         return None
     return tuple(n if isinstance(n, int) and n > 0 else None for n in value.shape)

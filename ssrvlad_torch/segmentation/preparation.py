@@ -52,7 +52,8 @@ class SegmenterConfig:
 
     def __post_init__(self) -> None:
         number, ends = (int, float), self.classes
-        sides = self.size if isinstance(self.size, tuple) else (self.size or 1,)
+        side = 1 if self.size is None else self.size
+        sides = side if isinstance(side, tuple) else (side,)
         size = len(sides) in (1, 2) and _are_numbers(sides, len(sides), int, above=0)
         longest = self.longest is None or _are_numbers((self.longest,), 1, int, above=0)
         classes = ends is None or (_are_numbers(ends, 2, int, above=-1) and ends[0] < ends[1])

@@ -23,7 +23,7 @@ from ..datasets.label_files import LabelMap
 from ..datasets.names import absolute
 from ..files import check_pixels, one_line
 from ..taxonomy import LabelSpace, label_space
-from .cache import LARGEST, SegmentedCache
+from .cache import SegmentedCache
 from .class_names import label_space_of_names
 from .features import NetworkFeatures
 from .identity import digest_of
@@ -43,12 +43,8 @@ _AHEAD = 16
 
 
 class Segmented(NamedTuple):
-    """What a network says of a picture.
-
-    Attributes:
-        labels: ``(H, W)`` label map: uint8, or uint16 or int64 for ids that need it.
-        features: uint8 signs of `stages.features.SHAPE`, if they were asked for.
-    """
+    """What a network says of a picture: an ``(H, W)`` label map, uint8, or uint16 or int64 for ids
+    that need it, and, if asked for, features, uint8 signs of `stages.features.SHAPE`."""
 
     labels: LabelMap
     features: npt.NDArray[np.uint8] | None = None
@@ -77,7 +73,6 @@ class Segmenter:
         config: the preparation of its pictures.
         cache: folder in which `segmented` stores its results, by the content of the image file, the
             settings and the digest of the network (`digest_of`).
-        cache_bytes: most bytes of the whole cache.
         name: of the network for `load`, if it has one.
 
     Raises:
@@ -97,12 +92,11 @@ class Segmenter:
         labels_as: str | os.PathLike[str] | LabelSpace,
         config: SegmenterConfig | None = None,
         cache: Path | None = None,
-        cache_bytes: int = LARGEST,
         name: str = "",
     ) -> None:
         self.label_space = space = label_space(labels_as)
         self.labels = LabelNetwork(network, space, config or SegmenterConfig())
-        self.cache, self.cache_bytes, self.name = cache, cache_bytes, name
+        self.cache, self.name = cache, name
 
     def __getstate__(self) -> dict[str, object]:
         """Pickles no features: they are taken anew of the network in another process."""
@@ -150,7 +144,9 @@ class Segmenter:
             if isinstance(labels_as, LabelSpace)
             else _space(named, str(labels_as), config)
         )
-        return cls(named.network, space, config, cache, name=_absolute(named.name))
+        path = Path(named.name.removeprefix("hf:"))  # absolute, to be valid in any folder
+        name = absolute(path) if path.exists() else named.name
+        return cls(named.network, space, config, cache, name=name)
 
     @cached_property
     def features(self) -> NetworkFeatures:
@@ -210,10 +206,10 @@ class Segmenter:
         return results
 
     def label_maps(
-        self, files: Sequence[FrameFile], workers: int = 2
+        self, files: Sequence[FrameFile]
     ) -> Iterator[tuple[FrameFile, LabelMap | ValueError]]:
         """The label maps of images on disk; see `segmented`."""
-        for file, result in self.segmented(files, workers):
+        for file, result in self.segmented(files):
             yield file, result if isinstance(result, ValueError) else result.labels
 
     def segmented(
@@ -234,17 +230,14 @@ class Segmenter:
         cache = None
         if self.cache is not None:
             features_key = found.key if found else ""
-            cache = SegmentedCache(
-                self.cache, self.key(), self.label_space, self.cache_bytes, features_key
-            )
+            cache = SegmentedCache(self.cache, self.key(), self.label_space, features_key)
         read = read_ahead(partial(_read, cache), files, workers, _AHEAD)
         while chunk := list(islice(read, _AHEAD)):
             results = self._complete([content for _, content in chunk], cache, found)
             yield from zip((file for file, _ in chunk), results, strict=True)
 
     def key(self) -> str:
-        """The key of the network with these settings in the cache, in hex; other networks and
-        settings have other keys."""
+        """The key in the cache, in hex; other networks and settings have other keys."""
         settings = dataclasses.astuple(dataclasses.replace(self.config, features=None))[:-1]
         key = [REVISION, self._digest(), settings]
         key.append(list(channel_counts(self.label_space, self.config.classes))[:2])
@@ -344,9 +337,3 @@ def _space(network: NamedNetwork, labels_as: str, config: SegmenterConfig) -> La
     first, last = config.classes or (0, max(network.class_names) + 1)
     names = {c - first: name for c, name in network.class_names.items() if first <= c < last}
     return label_space_of_names(names, network.name)
-
-
-def _absolute(name: str) -> str:
-    """The name of a network with an absolute path, valid in any folder."""
-    path = Path(name.removeprefix("hf:"))
-    return absolute(path) if path.exists() else name

@@ -10,14 +10,17 @@ from ..options import Extra, Json, MaybePreset, SourceOptions, option
 from ..output import finish, note, print_json, progress_bar, say
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
+    from ...database.database import Database
     from ...database.metadata import ExtraDescriptor
     from ...descriptor import SSRVLAD
-    from ...encoding.results import Skipped
+    from ...encoding.results import EncodeOptions, Skipped, Summary
     from ...encoding.source import Source
 
 Engine = Literal["local", "ray"]
+
+_MUCH_VOID = 0.5
 
 
 def encode(
@@ -66,51 +69,86 @@ def encode(
     no_gpus = ValueError("--gpus needs --engine ray and --segmenter")
     if gpus and engine != "ray":
         raise no_gpus
-    database = Database.open(output) if Database.exists(output) else None
+    new = not Database.exists(output)
+    database = None if new else Database.open(output)
     frames = resolve(source, database)
     if gpus and not frames.segmenter:
         raise no_gpus
-    stored = extra_of(frames, extra, database is None)
+    stored = extra_of(frames, extra, new)
     if preset is None and database:
         config = dataclasses.replace(database.config, labels_as=frames.labels_as)
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=frames.labels_as)
     head, skipped = SSRVLAD(config), []
     if database:
-        database.require(config, stored)
+        _note_what_differs(database, frames, head, stored)
     else:
         skipped = _skipped_before_the_first(head, frames, stored)
-        if len(skipped) < len(frames.files):
-            database = Database.open_or_create(output, config, stored)
     summary = Summary(skipped=skipped)
-    if database:
+    if len(skipped) < len(frames.files):
         run = encode_with_ray if engine == "ray" else encode_to_database
         with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
             options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
-            summary = run(head, frames.files, database, options, frames.segmenter)
+            summary = _run(run, head, frames, output, stored, options, new)
     if as_json:
         named = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": named}
-        info = Database.open(output).info() if database else {}
+        info = Database.open(output).info() if Database.exists(output) else {}
         print_json({"database": output, **report, **info})
     else:
         say(f"{output}: {summary}")
     for frame in summary.gone:
         note(f"{frame} is in {output}, but its file is gone; --prune removes it")
-    finish(summary.skipped, summary.described)
+    described = summary.encoded + summary.anew.total() + summary.already_there
+    finish(summary.skipped, described)
+
+
+def _run(
+    run: Callable[..., Summary],
+    head: SSRVLAD,
+    source: Source,
+    output: str,
+    extra: Sequence[ExtraDescriptor],
+    options: EncodeOptions,
+    new: bool,
+) -> Summary:
+    """Encodes into a database; if that fails, a new one without frames is deleted."""
+    from ...database.database import Database
+    from ...database.engine import discard_empty
+
+    database = Database.open_or_create(output, head.config, extra)
+    try:
+        return run(head, source.files, database, options, source.segmenter)
+    except BaseException as error:
+        del database
+        if new:
+            discard_empty(output, error)
+        raise
+
+
+def _note_what_differs(
+    database: Database, source: Source, head: SSRVLAD, named: Sequence[ExtraDescriptor]
+) -> None:
+    spaces = {each.label_space.name for each in database.origins.values() if each.label_space}
+    if others := spaces - {head.label_space.name}:
+        note(f"{database.path} also holds frames of {' and '.join(sorted(others))}")
+    if source.segmenter and not (database.extra or named):
+        note(f"{database.path} is of label maps alone: features and HOG are not stored")
 
 
 def _skipped_before_the_first(
     head: SSRVLAD, source: Source, extra: Sequence[ExtraDescriptor]
 ) -> list[Skipped]:
     """The frames before the first that can be encoded: a run that fails makes no database."""
-    from ...encoding.encoder import encode
+    from ...encoding.encoder import encode, void_share
     from ...encoding.results import Skipped
 
-    skipped = []
+    skipped, space = [], head.label_space
     for file in source.files:
         (result,) = encode(head, [file], 1, source.segmenter, extra)
         if not isinstance(result, Skipped):
+            if not source.segmenter and (void := void_share(file, space)) > _MUCH_VOID:
+                note(f"{file.location}: {void:.0%} is void in {space.name}; is --labels-as right?")
             break
         skipped.append(result)
     return skipped

@@ -68,8 +68,7 @@ def _features(segmenter: Segmenter | None) -> tuple[NetworkFeatures | None, str]
 
 
 def _is_network(name: str) -> bool:
-    """Whether a name belongs to a network and not to a label space, which is a plain word or a YAML
-    file without the key ``network``."""
+    """Whether a name belongs to a network: no plain word, and no YAML without ``network``."""
     from pathlib import Path
 
     path = Path(name)
