@@ -163,6 +163,8 @@ def run(options: argparse.Namespace) -> int:
     """Runs the program; the exit code."""
     model = open_model(options)
     database = Database(options.database, model.fingerprint, model.features)
+    if not database.frames:
+        raise ValueError(f"{options.database} holds no frames")
     described: dict[str, Seen] = {}
     skipped = 0
     for frame, path in find_frames(options.source):

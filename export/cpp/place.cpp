@@ -22,7 +22,7 @@ npy::Array load_netpbm(const std::string& path, bool colour) {
   std::string magic;
   std::int64_t width = 0, height = 0, highest = 0;
   if (!(file >> magic >> width >> height >> highest) || magic != (colour ? "P6" : "P5") ||
-      highest > 255 || width < 1 || height < 1 || width > 1 << 20 || height > 1 << 20)
+      highest > 255 || (colour && highest < 255) || width < 1 || height < 1 || width > 1 << 20 || height > 1 << 20)
     throw std::runtime_error(path + ": expected a binary " + (colour ? "PPM" : "PGM") +
                              " of 8 bits without comments");
   file.get();

@@ -19,19 +19,26 @@ _NPY = b"\x93NUMPY"
 
 
 def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """Ids ``<folder>/<name>`` and files of frames, in natural order.
+    """Ids ``<folder>/<name>`` and files of frames, those of a folder in natural order.
 
     Raises:
-        ValueError: a source does not exist or holds no frame.
+        ValueError: a source does not exist or holds no frame, or two folders have one name.
     """
+    folders, found = dict[str, Path](), dict[str, list[Path]]()
     for source in sources:
         files = [path for path in source.glob("[!.]*") if path.suffix.lower() in SUFFIXES]
         if source.is_file():
             files = [source]
         if not files:
             raise ValueError(f"{source} holds no frames; expected {', '.join(SUFFIXES)} files")
-        for path in sorted(files, key=lambda path: _natural(path.stem)):
-            yield f"{path.absolute().parent.name}/{path.stem}", path
+        for path in files:
+            folder = path.absolute().parent
+            if folders.setdefault(folder.name, folder.resolve()) != folder.resolve():
+                raise ValueError(f"{folders[folder.name]} and {folder} have one name")
+            found.setdefault(folder.name, []).append(path)
+    for name, paths in found.items():
+        for path in sorted(paths, key=lambda path: _natural(path.stem)):
+            yield f"{name}/{path.stem}", path
 
 
 def read_labels(path: Path, classes: list[dict[str, Any]], dtype: Any) -> Array:
