@@ -18,6 +18,7 @@ import pytest
 import torch
 import typer
 from drives import write_maps, write_photos, write_truth
+from filelock import FileLock  # torch needs it
 from hypothesis import settings
 from maps import Maps
 from segmenting import write_drives
@@ -31,12 +32,13 @@ from ssrvlad_torch.taxonomy import label_space_names
 torch.set_num_threads(1)
 
 LONG = (
-    "test_export test_fuse test_readme test_guides test_cli test_export_describe test_export_loops "
-    "test_bench test_export_cpp test_wheel test_verify test_native test_synthetic_city "
-    "test_loop_closure test_notebook test_loop_stream test_run_onnx test_live_loops "
-    "test_place_model test_commands_report test_export_web test_crashes test_export_adapters"
+    "test_export test_descriptor test_cli test_export_describe test_wheel test_commands_features "
+    "test_synthetic_city test_notebook test_loop_closure test_fuse test_readme test_export_loops "
+    "test_verify test_export_cpp test_place_model test_guides test_report test_writer test_engine "
+    "test_live_loops test_activations test_native test_loop_stream test_index test_imports "
+    "test_commands_report test_run_onnx test_export_web test_crashes test_export_adapters"
 )
-"""The files that take longest, in this order."""
+"""The files that take longest, in this order: graphs are traced by the first."""
 
 
 def pytest_collection_modifyitems(items):
@@ -87,11 +89,12 @@ def stored(build):
     def content(*arguments: object) -> bytes:
         key = hashlib.sha256(digest_of_sources() + repr((build.__name__, arguments)).encode())
         file = ROOT / ".cache" / "traced" / f"{key.hexdigest()}.onnx"
-        if not file.exists():
-            built = build(*arguments).SerializeToString()
-            file.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(file) as temporary:
-                temporary.write_bytes(built)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with FileLock(f"{file}.lock"):
+            if not file.exists():
+                built = build(*arguments).SerializeToString()
+                with replacing(file) as temporary:
+                    temporary.write_bytes(built)
         return file.read_bytes()
 
     def load(*arguments: object):

@@ -15,16 +15,29 @@ from graphs import session
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig
 from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 from ssrvlad_torch.deployment import export
+from ssrvlad_torch.taxonomy import label_space
 
 Maps = npt.NDArray[Any]
 PRESETS = ("paper", "default")
 presets = pytest.mark.parametrize("preset", PRESETS)
+by_preset_and_input = pytest.mark.parametrize(
+    ("preset", "given", "dtype"),
+    [
+        ("paper", "labels", "uint8"),
+        ("default", "labels", "int64"),
+        ("default", "logits", None),
+        pytest.param("paper", "labels", "int64", marks=pytest.mark.slow),
+        pytest.param("paper", "logits", None, marks=pytest.mark.slow),
+    ],
+)
+"""What is done to an input is the same for both presets, and ``paper`` takes long to trace."""
 COLUMNS = (-8, 5)
 """Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
 
 CUSTOM: dict[str, dict[str, Any]] = {
-    "one ring, odd sectors, keypoints as context, nothing cleaned": {
+    "guo-hall, one ring, odd sectors, keypoints as context, nothing cleaned": {
         "preset": "paper",
+        "thinning": "guo-hall",
         "rings": 1,
         "sectors": 5,
         "radius": 1.0,
@@ -33,12 +46,9 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "hole_area": 0.0,
         "region_area": 0.0,
     },
-    "guo-hall, few bins and much cleaned on a grid": {
+    "much cleaned on a grid": {
         "preset": "paper",
-        "thinning": "guo-hall",
         "working_size": 50,
-        "rings": 3,
-        "sectors": 8,
         "opening": 0.02,
         "closing": 0.03,
         "hole_area": 0.2,
@@ -58,8 +68,8 @@ CUSTOM: dict[str, dict[str, Any]] = {
         "spectral_weight": 0.0,
     },
 }
-RARE = ("one row of cells",)
-"""Runs no code of a graph that the others do not."""
+RARE = ("much cleaned on a grid", "one row of cells")
+"""Run no code of a graph that the others do not."""
 
 
 def of_preset(preset: str, **settings: Any) -> SSRVLADConfig:
@@ -119,6 +129,15 @@ def city(frames: int, seed: int, size: tuple[int, int]) -> Iterator[Maps]:
         frames, size=size, labels_as="cityscapes-trainids"
     ):
         yield frame.labels.astype(np.uint8)
+
+
+def in_space(labels: Maps) -> Maps:
+    """A frame of `city` with, for each class, the first of its category in ``SPACE``."""
+    first = {each.category: each.id for each in reversed(label_space(SPACE).classes)}
+    ids = np.zeros(256, np.uint8)
+    for each in label_space("cityscapes-trainids").classes:
+        ids[each.id] = first[each.category]
+    return ids[labels]
 
 
 def hundreds_of_label_maps() -> dict[str, list[Maps]]:

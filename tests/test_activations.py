@@ -1,6 +1,7 @@
 """Which activations of a network are features, and taking them."""
 
 import dataclasses
+from threading import Thread
 
 import numpy as np
 import pytest
@@ -33,6 +34,17 @@ def test_the_end_of_the_encoder_at_stride_8_is_found(street_graph):
     """Neither the narrow skip after stride 16, nor the wider decoder, nor a smaller picture."""
     assert found(Street()) == [("act.2", (1, 32, 28, 56))]
     assert found(OnnxNetwork(street_graph)) == [("relu_2", (1, 32, 28, 56))]
+
+
+def test_another_thread_does_not_change_what_is_taken():
+    network, (one, other) = Street(), torch.rand(2, 1, 3, 64, 96)
+    with taken(network, ["act.2"]) as values:
+        network(one)
+        own = values["act.2"]
+        thread = Thread(target=network, args=(other,))
+        thread.start()
+        thread.join()
+    assert values["act.2"] is own
 
 
 def test_a_module_and_its_graph_give_the_same_activations(street_graph):
@@ -127,6 +139,13 @@ def test_a_graph_with_external_weights(tmp_path):
     graph.take(["classes"])
     values = graph(NUMBERS, ["classes", "found"])
     np.testing.assert_array_equal(values["classes"], values["found"])
+
+
+def test_height_and_width_are_not_channels(tmp_path):
+    shape = ("b", "h", "w", 3)
+    graph = OnnxNetwork(write_graph(tmp_path / "net.onnx", channels_last=True, shape=shape))
+    with pytest.raises(ValueError, match="no activation at a stride from 4 to 32"):
+        find_activations(graph, torch.zeros(1, 224, 448, 3))
 
 
 def test_a_larger_map():

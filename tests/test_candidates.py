@@ -103,3 +103,5 @@ def test_an_empty_query_is_placed_by_its_neighbours():
         torch.zeros(0, dtype=torch.int64) if query == 15 else scores[query].topk(20).indices
     )
     assert follow_candidates(search, ["m"] * 300).indices[15, 0] == 115
+    search.candidates = lambda query: torch.arange(query > 15, dtype=torch.int64)
+    assert len(follow_candidates(search, ["m"] * 300).indices) == 30

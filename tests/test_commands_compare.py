@@ -62,6 +62,10 @@ def test_nothing_that_can_run(ssrvlad, compare, two_drives):
         ("--method hog", "expected the folder of a data set, or folders as --references and"),
         ("--method hog --references town/query", "or folders as --references and --queries"),
         ("--method hog --references town/query --queries a --layout auto", "--layout and --odd"),
+        (
+            "--method hog --references town/query/images --queries town/reference/images",
+            "town/query/images and town/reference/images both have a sequence 'images'; expected",
+        ),
         ("--method hog --odd-even", "--layout and --odd-even need the folder of a data set"),
         ("town --method hog --odd-even --queries query", "--odd-even takes the queries from"),
         ("town --method hog,orb", "unknown method 'orb'; expected one of ssr-vlad"),

@@ -17,6 +17,7 @@ from PIL import Image
 from segmenting import write_image, write_settings
 
 from ssrvlad_torch.cli import output
+from ssrvlad_torch.database import engine
 from ssrvlad_torch.database.database import Database
 
 
@@ -61,7 +62,21 @@ def test_a_wrong_label_space_is_told_once(ssrvlad, maps, tmp_path):
     assert err[-1] == "ssrvlad: skipped 5 more"
 
 
-def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path):
+def test_a_label_space_that_does_not_seem_to_be_the_one_is_told(ssrvlad, maps, tmp_path):
+    for n in range(2):
+        Image.fromarray(np.full((24, 32), n, np.uint8)).save(maps / f"{n:03d}.png")
+    command = ("encode", maps, "-o", tmp_path / "db", "--labels-as")
+    _, _, err = ssrvlad(*command, "cityscapes-ids")  # trainIds 0 and 1 are road and sidewalk
+    assert f"{maps / '000.png'}: 100% is void in cityscapes-ids; is --labels-as right?" in err[0]
+    _, _, err = ssrvlad(*command, "cityscapes-trainids")
+    assert f"{tmp_path / 'db'} also holds frames of cityscapes-ids" in err[0]
+
+
+def refused_by_the_disk(*_):
+    raise OSError("full")
+
+
+def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path, monkeypatch):
     town, command = tmp_path / "town", ("encode", maps, "-o", tmp_path / "town", "--json")
     Image.fromarray(np.full((24, 32), 77, np.uint8)).save(maps / "000.png")
     _, *others = sorted(maps.iterdir())
@@ -71,8 +86,21 @@ def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path):
     assert (code, json.loads(out)["encoded"], town.exists()) == (3, 0, False)
     for path in others:
         path.with_suffix(".later").rename(path)
+    with monkeypatch.context() as full:
+        full.setattr(engine, "write_fragments", refused_by_the_disk)
+        code, _, err = ssrvlad(*command, "--labels-as", "camvid-11")
+        assert (code, err, town.exists()) == (
+            2,
+            [f"ssrvlad: {town} cannot be written: full"],
+            False,
+        )
     code, out, _ = ssrvlad(*command, "--labels-as", "camvid-11")
     assert (code, json.loads(out)["frames"]) == (3, 5)
+    with monkeypatch.context() as full:
+        full.setattr(engine, "write_fragments", refused_by_the_disk)
+        others[0].touch()
+        assert ssrvlad(*command, "--labels-as", "camvid-11")[0] == 2
+    assert len(Database.open(town)) == 5
 
 
 def test_progress_is_told_where_there_is_no_terminal(ssrvlad, maps, tmp_path, monkeypatch):

@@ -283,10 +283,10 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         ("evaluate", town, photos / "today", "--tolerance-frames", 1, *network),
     ):
         line = refused(ssrvlad, *command)
-        assert "features gives other descriptors here (" in line
+        assert "features of the database are of 16 x 16 cells" in line
         assert "signs of relu_1" in line and "signs of relu_2" in line
     assert len(Database.open(town)) == 32
-    with pytest.raises(ValueError, match="features gives other descriptors"):
+    with pytest.raises(ValueError, match="features of the database are of "):
         Localiser(Segmenter.load(other), Database.open(town))
 
 

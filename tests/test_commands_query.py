@@ -63,7 +63,7 @@ def test_as_paper_contradicts_other_options(ssrvlad, database, maps):
     ("options", "message"),
     [
         (("--temporal", "1e308m"), f"{REACH}, got '1e308m'"),
-        (("--as-of", 10**20), f"TOWN has no version {10**20}; the first is 1"),
+        (("--as-of", 10**20), f"TOWN has no version {10**20}; it has 1 to 3"),
         (
             ("--threshold", "nan"),
             "Invalid value for '--threshold': Input should be less than or equal to 1",

@@ -200,13 +200,6 @@ def foreign_table():
     return pa.table({"a": [1]})
 
 
-def test_a_database_of_an_earlier_format_gets_one_line(tmp_path):
-    (tmp_path / "manifest.json").write_text("{}")
-    with pytest.raises(ValueError, match="earlier format of database: encode it again"):
-        Database.open(tmp_path)
-    assert Database.exists(tmp_path)
-
-
 def test_a_database_is_not_created_over_one(path):
     with pytest.raises(ValueError, match="is a database already"):
         Database.create(path, CONFIG)

@@ -2,9 +2,10 @@
 
 import pytest
 import torch
-from helpers import descriptors
+from helpers import descriptors, refused
 
 from ssrvlad_torch import Database
+from ssrvlad_torch.database import engine
 
 
 def test_a_database_lives_in_a_bucket(bucket):
@@ -24,3 +25,28 @@ def test_a_database_lives_in_a_bucket(bucket):
     assert [entry.frames for entry in opened.history()] == [0, 3, 3, 2]
     opened.compact(keep_days=0)
     assert len(Database.open(uri)) == 2
+
+
+def test_what_is_not_in_the_store_is_one_line_after_one_attempt(bucket, monkeypatch):
+    uri, open_dataset, attempts = f"{bucket}/morning.ssrdb", engine.lance().dataset, []
+    database = Database.create(uri, width=8)
+    with refused(rf"^{uri} has no version 99; it has {database.version}$"):
+        Database.open(uri, version=99)
+
+    def counted(uri, **options):
+        attempts.append(uri)
+        return open_dataset(uri, **options)
+
+    monkeypatch.setattr(engine.lance(), "dataset", counted)
+    missing = [f"{bucket}/evening.ssrdb", "s3://village/morning.ssrdb"]
+    for one in missing:
+        assert not Database.exists(one)
+    assert attempts == missing
+    for one in missing:
+        with refused(f"^{one} does not exist$"):
+            Database.open(one)
+    assert attempts == 2 * missing
+    with refused(f"^{missing[0]} does not exist$"):
+        Database.open(missing[0], version=1)
+    with refused("^s3://village/new cannot be written: [^<]*404 Not Found$", by=OSError):
+        Database.create("s3://village/new", width=8)

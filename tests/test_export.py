@@ -16,8 +16,10 @@ from exported import (
     RARE,
     assert_equal,
     assert_parity,
+    by_preset_and_input,
     city,
     hundreds_of_label_maps,
+    in_space,
     model_of,
     noise,
     of_preset,
@@ -51,9 +53,8 @@ def test_blobs_and_noise(preset):
 
 @presets
 def test_the_synthetic_city(preset):
-    config = of_preset(preset, labels_as="cityscapes-trainids")
     for labels in (*city(2, 3, (90, 121)), *city(1, 4, (240, 320))):
-        assert_parity(labels[None], config)
+        assert_parity(in_space(labels)[None], of_preset(preset))
 
 
 @needs_camvid
@@ -124,9 +125,9 @@ def test_a_sweep_is_that_of_the_module(tmp_path):
 
 def test_a_grid_too_wide_to_count_gives_no_number():
     """The widest grid gives the module's numbers; a wider one gives NaN, which programs refuse."""
-    config = of_preset("default", labels_as="cityscapes-trainids")
-    (street,) = city(1, 0, (120, 160))
-    assert_parity(np.tile(street, (1, 1, MAX_WIDTH // 160)).reshape(1, 120, MAX_WIDTH), config)
+    config = of_preset("default")
+    street = in_space(*city(1, 0, (120, 160)))
+    assert_parity(np.tile(street, MAX_WIDTH // 160)[None], config)
     wider = np.zeros((1, config.working_size, MAX_WIDTH + 1), np.uint8)
     descriptor, *_ = run_of(config)(wider)
     assert np.isnan(descriptor).all()
@@ -140,14 +141,15 @@ def test_wide_ids_and_ids_below_zero():
     assert_parity(labels[None], config)
 
 
-@pytest.mark.parametrize("given", ["uint8", "int64"])
-@presets
-def test_ids_outside_the_label_space_are_counted_and_belong_to_no_layer(preset, given):
-    labels = np.stack([blobs(seed, 150, 131, 20) for seed in range(3)]).astype(given)
-    void, far = labels.copy(), 200 if given == "uint8" else -(2**40)
+@pytest.mark.parametrize(
+    ("preset", "dtype"), [("paper", "uint8"), ("default", "uint8"), ("default", "int64")]
+)
+def test_ids_outside_the_label_space_are_counted_and_belong_to_no_layer(preset, dtype):
+    labels = np.stack([blobs(seed, 150, 131, 20) for seed in range(3)]).astype(dtype)
+    void, far = labels.copy(), 200 if dtype == "uint8" else -(2**40)
     void[0, :40, 9:50], void[2, ::7, ::3] = VOID, VOID
     labels[0, :40, 9:50], labels[2, ::7, ::3] = 12, far
-    run = run_of(of_preset(preset), "labels", given)
+    run = run_of(of_preset(preset), "labels", dtype)
     (descriptor, unknown, *keypoints), (expected, none, *counts) = run(labels), run(void)
     assert unknown.tolist() == [40 * 41, 0, 22 * 44]
     assert not none.any()
@@ -155,10 +157,10 @@ def test_ids_outside_the_label_space_are_counted_and_belong_to_no_layer(preset, 
     np.testing.assert_array_equal(descriptor, expected)
 
 
-FIXED = [(3, 19, 1), (2, 241, 317)]
+FIXED = (2, 241, 317)
 
 
-@pytest.mark.parametrize("shape", FIXED)
+@pytest.mark.parametrize("shape", [FIXED, pytest.param((3, 19, 1), marks=pytest.mark.slow)])
 def test_a_fixed_size(shape):
     run = run_of(of_preset("default"), "labels", None, shape)
     batch = np.stack([blobs(seed, *shape[1:], 9 + seed) for seed in range(shape[0])])
@@ -182,7 +184,7 @@ def test_sizes_that_cannot_be_counted_are_refused(preset, shape, problem):
         model_of(of_preset(preset), shape=shape)
 
 
-@presets
+@pytest.mark.parametrize("preset", [pytest.param("paper", marks=pytest.mark.slow), "default"])
 def test_class_scores(preset):
     rng = np.random.default_rng(0)
     scores = rng.normal(size=(2, 12, 61, 83)).astype(np.float32)
@@ -207,10 +209,9 @@ def test_the_answer_is_that_of_the_unoptimised_graph(preset):
         np.testing.assert_allclose(plain, got, rtol=0, atol=1e-7)
 
 
-@presets
-@pytest.mark.parametrize("given", ["labels", "logits"])
-def test_the_interface(preset, given):
-    model = model_of(of_preset(preset), given)
+@by_preset_and_input
+def test_the_interface(preset, given, dtype):
+    model = model_of(of_preset(preset), given, dtype)
     onnx.checker.check_model(model, full_check=True)
     assert [(each.domain, each.version) for each in model.opset_import] == [("", OPSET)]
     assert not model.functions
@@ -222,7 +223,7 @@ def test_the_interface(preset, given):
         for value in (*model.graph.input, *model.graph.output)
     }
     assert forms == {
-        **({"labels": ("uint8", ["B", "H", "W"])} if given == "labels" else {}),
+        **({"labels": (dtype, ["B", "H", "W"])} if given == "labels" else {}),
         **({"logits": ("float32", ["B", "C", "H", "W"])} if given == "logits" else {}),
         "descriptor": ("float32", ["B", 480]),
         "unknown": ("int64", ["B"]),
@@ -265,7 +266,7 @@ def test_arithmetic_is_on_dtypes_that_old_versions_of_the_runtime_have(preset):
 
 def test_default_has_no_bits_no_loops_and_no_shape_that_depends_on_labels():
     """What converters to other formats and accelerators take; with a size, all shapes are known."""
-    for shape in (None, FIXED[1]):
+    for shape in (None, FIXED):
         model = model_of(of_preset("default"), shape=shape)
         used = {node.op_type for node, _ in all_nodes(model.graph)}
         assert not used & {"NonZero", "Loop", "If", "Compress", "Unique", "BitShift", "TopK"}
@@ -286,8 +287,7 @@ def test_every_input_of_a_loop_has_its_rank(preset):
     assert all(value.type.tensor_type.HasField("shape") for value in inputs)
 
 
-@presets
-@pytest.mark.parametrize(("given", "dtype"), [("labels", "int64"), ("logits", None)])
+@by_preset_and_input
 def test_the_metadata_and_the_golden_pair(preset, given, dtype):
     config = of_preset(preset)
     head = session(model_of(config, given, dtype).SerializeToString())
@@ -340,12 +340,13 @@ def test_a_missing_extra_is_named(tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path):
-    export_head(of_preset("paper"), tmp_path / "head.onnx", "logits")
-    options = ["--labels-as", SPACE, "--input", "logits", "--preset", "paper"]
+@pytest.mark.parametrize(("preset", "given"), [("paper", "labels"), ("default", "logits")])
+def test_the_command_writes_the_bytes_that_the_function_writes(ssrvlad, tmp_path, preset, given):
+    export_head(of_preset(preset), tmp_path / "head.onnx", given)
+    options = ["--labels-as", SPACE, "--input", given, "--preset", preset]
     code, out, _ = ssrvlad("export", "-o", tmp_path / "command.onnx", *options)
     assert code == 0
-    assert of_preset("paper").fingerprint in out
+    assert of_preset(preset).fingerprint in out
     written = [tmp_path / name for name in ("command.onnx", "head.onnx")]
     assert written[0].read_bytes() == written[1].read_bytes()
 

@@ -28,15 +28,15 @@ SPACE = "camvid-11"
 
 ZIG = f"{sys.executable} -m ziglang c++ -s -fPIC -fvisibility=hidden"
 OTHERS = {
-    "aarch64": ("aarch64-linux-gnu-g++ -static", "qemu-aarch64", ""),
-    "32-bit ARM": ("arm-linux-gnueabihf-g++ -static -Wno-psabi", "qemu-arm", ""),
+    "aarch64": ("aarch64-linux-gnu-g++ -static -O1", "qemu-aarch64", ""),
+    "32-bit ARM": ("arm-linux-gnueabihf-g++ -static -Wno-psabi -O3", "qemu-arm", ""),
     "aarch64 as in the wheel": (
-        f"{ZIG} -target aarch64-linux-gnu.2.17",
+        f"{ZIG} -O3 -target aarch64-linux-gnu.2.17",
         "qemu-aarch64 -L /usr/aarch64-linux-gnu",
         "",
     ),
     "Windows as in the wheel": (
-        f"{ZIG} -target x86_64-windows-gnu",
+        f"{ZIG} -O3 -target x86_64-windows-gnu",
         f"env WINEPREFIX={ROOT}/.cache/wine /usr/lib/wine/wine64",
         ".exe",
     ),
@@ -77,7 +77,7 @@ def other(request, tmp_path_factory):
         stay_up(request, runner.split())
     program = tmp_path_factory.mktemp("build") / f"describe{suffix}"
     sources = [SOURCE / "describe.cpp", CORE / "ssrvlad.cpp"]
-    flags = ["-std=c++17", "-O3", "-ffp-contract=off", "-pthread", f"-I{CORE}"]
+    flags = ["-std=c++17", "-ffp-contract=off", "-pthread", f"-I{CORE}"]
     subprocess.run([*compiler.split(), *flags, *sources, "-o", program], check=True)
     return partial(run, [*runner.split(), program])
 

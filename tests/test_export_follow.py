@@ -32,7 +32,7 @@ def town(ssrvlad, tmp_path):
         database, exported = tmp_path / "town", tmp_path / "town.npy"
         assert ssrvlad("encode", maps, "-o", database, "--labels-as", SPACE)[0] == 0
         assert ssrvlad("db", "export", database, "--format", "npy", "-o", exported)[0] == 0
-        export_head(SSRVLADConfig(labels_as=SPACE), tmp_path / "head.onnx")
+        export_head(SSRVLADConfig(labels_as=SPACE), tmp_path / "head.onnx", dtype="int64")
         return database, tmp_path / "head.onnx", exported
 
     return store
@@ -115,6 +115,10 @@ def test_wrong_use_is_one_line(main_of, town, tmp_path):
     follow = partial(main_of, program.main, "follow_onnx.py", head)
     code, _, err = follow(tmp_path / "none", "--database", exported)
     assert (code, len(err)) == (2, 1) and "holds no frames" in err[0]
+    np.save(tmp_path / "none.npy", np.zeros((0, 480), np.float32))
+    (tmp_path / "none.npy.frames.txt").touch()
+    code, _, err = follow(city.query, "--database", tmp_path / "none.npy")
+    assert code == 2 and err[-1] == f"follow_onnx: {tmp_path / 'none.npy'} holds no frames"
     (city.query / "torn.png").write_bytes(b"torn")
     code, out, err = follow(city.query, "--database", exported)
     assert (code, out.count("\n"), err[-1]) == (3, 2, "skipped 1 of 3 frames")

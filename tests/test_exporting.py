@@ -9,6 +9,7 @@ from helpers import descriptors, record
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.database.exporting import export_database
+from ssrvlad_torch.database.metadata import ExtraDescriptor
 
 CONFIG = SSRVLADConfig.from_preset("paper", labels_as="camvid-11")
 FRAMES = ("a/2", "a/1", "b/straße 🚗", "a/10")
@@ -57,6 +58,21 @@ def test_global_descriptors_as_hloc_reads_them(database, tmp_path):
             np.testing.assert_array_equal(
                 stored[frame]["global_descriptor"].__array__(), descriptor
             )
+
+
+def test_nothing_stays_of_an_earlier_export(database, tmp_path):
+    """Features of another map, or a fingerprint, would be taken for those of the array."""
+    extra = [ExtraDescriptor("signs", 8, "of a network", (2, 4))]
+    seen = Database.create(tmp_path / "seen", CONFIG, extra=extra)
+    seen.append(FRAMES, descriptors(0, 4), {"signs": np.zeros((4, 2, 4), np.uint8)})
+    file, other = tmp_path / "out.npy", tmp_path / "out.npy2.npy"
+    whole = [{*export_database(seen, "npy", each)} for each in (other, file)]
+    assert [len(files) for files in whole] == [6, 6]
+    left = {*export_database(database, "npy", file)}
+    assert {*tmp_path.glob("out*")} == whole[0] | left
+    bare = Database.create(tmp_path / "bare", width=480)
+    left = {*export_database(bare, "npy", file)}
+    assert {*tmp_path.glob("out*")} == whole[0] | left and len(left) == 3
 
 
 @pytest.mark.parametrize("form", ["npy", "hloc"])

@@ -128,10 +128,16 @@ def test_a_module_and_the_paper(tmp_path):
     assert verify(tmp_path / "place.onnx").passed
 
 
-@pytest.mark.parametrize("preset", ["default", pytest.param("paper", marks=pytest.mark.slow)])
-def test_a_users_own_export_of_network_and_head_is_the_fused_file(preset, tmp_path):
+def test_a_users_own_export_of_paper_is_refused(tmp_path):
+    head = SSRVLAD.from_preset("paper", labels_as=SPACE)
+    whole = nn.Sequential(nn.Conv2d(3, CLASSES, 3, padding=1), head).eval()
+    with pytest.raises(RuntimeError, match="expected export_head or ssrvlad fuse"):
+        torch.onnx.export(whole, (torch.rand(2, 3, 66, 98),), tmp_path / "own.onnx", dynamo=True)
+
+
+def test_a_users_own_export_of_network_and_head_is_the_fused_file(tmp_path):
     """At other sizes than the traced one."""
-    config = SSRVLADConfig.from_preset(preset, labels_as=SPACE)
+    config = SSRVLADConfig.from_preset("default", labels_as=SPACE)
     torch.manual_seed(0)
     network = nn.Conv2d(3, CLASSES, 3, padding=1).eval()
     segmenter = Segmenter(network, SPACE, PLAIN)
@@ -218,6 +224,8 @@ def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
     export_head(CONFIG, tmp_path / "head.onnx", "logits")
     with pytest.raises(ValueError, match=r"head\.onnx"):
         fuse(tmp_path / "head.onnx", CONFIG, target)
+    with pytest.raises(ValueError, match=r"Street: fails at 66x98, .* expected multiple: NUMBER"):
+        fuse(Segmenter(Street(), SPACE, PLAIN), CONFIG, target, features=False)
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         fuse(network, CONFIG, tmp_path / "none" / "place.onnx")
     assert target.read_text() == "before"

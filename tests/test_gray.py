@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 
 from ssrvlad_torch.baselines import Frame
-from ssrvlad_torch.baselines.gray import gray, grays, resize
+from ssrvlad_torch.baselines.gray import grays, resize
 
 
 def noise(seed, *shape):
@@ -17,7 +17,7 @@ def noise(seed, *shape):
 def test_gray_is_that_of_pillow():
     image = noise(0, 300, 400, 3)
     expected = np.asarray(Image.fromarray(image).convert("L"))
-    np.testing.assert_array_equal(gray(torch.from_numpy(image)[None])[0].numpy(), expected)
+    np.testing.assert_array_equal(grays([Frame("a/0", image=image)], "hog")[0].numpy(), expected)
 
 
 def test_frames_of_one_size_become_one_tensor():

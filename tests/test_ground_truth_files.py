@@ -127,6 +127,7 @@ def test_the_known_queries_can_be_chosen():
         ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
         ("a.csv", "", "expected a first line query,reference or a matrix of 0 and 1"),
         ("a.csv", "query,place\na,day/1\n", "expected a first line query,reference"),
+        ("a.csv", "query,reference\na,day/1,day/2\n", "a line of a has more cells than columns"),
         ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
         ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
         ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),

@@ -55,6 +55,23 @@ def test_a_removed_frame_is_no_place(settings, folder, tmp_path):
     assert localiser.locate(folder / "7.png").frame != "monday/7"
 
 
+def test_frames_that_are_added_while_others_are_loaded_are_found(
+    settings, folder, tmp_path, monkeypatch
+):
+    localiser = Localiser.from_pretrained(settings, tmp_path / "town")
+    localiser.add(folder / "1.png")
+
+    def load(database):
+        monkeypatch.undo()
+        frames = database.load()
+        localiser.add(folder / "7.png")
+        return frames
+
+    monkeypatch.setattr(Database, "load", load)
+    found = [localiser.locate(folder / "7.png").frame for _ in range(2)]
+    assert found == ["monday/1", "monday/7"]
+
+
 def test_what_cannot_be_known_has_no_place(settings, folder, tmp_path):
     localiser = Localiser.from_pretrained(settings, tmp_path / "town", preset="paper")
     localiser.add(folder / "1.png", folder / "2.png")

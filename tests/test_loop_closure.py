@@ -286,6 +286,12 @@ def test_a_loaded_detector_knows_all_frames_and_looks_for_its_place_anew(tmp_pat
     assert anew[0].reason is Reason.BELOW_THRESHOLD
     assert [r[:3] for r in anew[10:]] == [r[:3] for r in went_on[10:]]
     assert set(reasons(anew[10:])) == {"accepted"}
+    again, other = LoopDetector.load(Database.open(database.path), loops.config, HEAD), detector()
+    drive(other, vectors[:120])
+    both = [
+        [each.update(v, f"next/{n}") for n, v in enumerate(vectors[:40])] for each in (again, other)
+    ]
+    assert both[0] == both[1], "another sequence is the same to both from its first frame on"
 
 
 def test_frames_come_back_in_the_order_in_which_they_came_whatever_their_names(tmp_path):

@@ -40,7 +40,7 @@ def test_a_stack_or_a_bag_is_named_without_its_suffix_and_is_not_the_folder_besi
         "/d/day.npy": "day",
         "/d/run.v2.bag": "run.v2",
     }
-    for suffix in (".npy", ".bag"):
+    for suffix in (".npy", ".bag", ".mp4"):
         with pytest.raises(ValueError, match="needs a name that no sequence has"):
             sequence_names(["/d/day", f"/d/day{suffix}"])
         with pytest.raises(ValueError, match=rf"'day' of the database is /d/day, not .*{suffix}"):

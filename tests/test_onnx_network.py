@@ -6,7 +6,7 @@ import onnx
 import pytest
 from drawings import SPACE
 from helpers import street
-from networks import PLAIN, photo, write_graph
+from networks import PLAIN, photo, write_graph, write_street
 from segmenting import BYTES, assert_right
 
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
@@ -42,6 +42,16 @@ def test_a_graph_that_takes_bytes(tmp_path):
     assert_right(Segmenter(OnnxNetwork(path), SPACE, BYTES))
     with pytest.raises(ValueError, match=r"net\.onnx: takes bytes: expected white 255, got 1"):
         Segmenter(OnnxNetwork(path), SPACE)
+
+
+def test_a_file_that_has_changed_since_is_not_taken_for_the_graph(tmp_path):
+    """Its label maps would be stored and cached as those of the new file."""
+    path = write_graph(tmp_path / "net.onnx")
+    segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
+    write_street(path)
+    for use in (segmenter.key, lambda: segmenter.features):
+        with pytest.raises(ValueError, match=r"net\.onnx has changed since it was opened"):
+            use()
 
 
 @pytest.mark.parametrize("options", [{"channels_last": True}, {"scores_last": True}, {}])

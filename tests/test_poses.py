@@ -46,6 +46,7 @@ def test_a_table_without_rows_has_no_poses(tmp_path):
         ("frame,x,y\n1,2,3\n2,east,4\n", "line 3: .*'east'"),
         ("frame,x,y\n0,inf,1\n", "line 2: x is inf; expected a finite number"),
         ("frame,x,y\n0,1,1\n0,2,1\n", "line 3: frame '0' has two positions"),
+        ("frame,x,y,heading\n0,1,5,2,5,0\n", "line 2: more cells than columns: 5,0"),
         ("frame,x,y,x\n0,1,1,2\n", "line 1: two columns 'x'"),
         ("frame,x,y\n1,2\n", "line 2: could not convert string to float: ''"),
         ("frame,x,y,heading\n1,2,3,north\n", "line 2: .*'north'"),

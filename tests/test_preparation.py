@@ -113,6 +113,7 @@ def test_what_is_no_image_is_an_error(image):
     [
         ({"size": (0, 5)}, r"size must be height and width .* got \(0, 5\)"),
         ({"size": (5, 5.0)}, "size must be"),
+        ({"size": 0}, "size must be .* got 0"),
         ({"longest": 0}, "longest must be"),
         ({"multiple": 1.5}, "multiple must be"),
         ({"white": 0}, "white must be a number above 0, got 0"),

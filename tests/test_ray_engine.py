@@ -19,8 +19,6 @@ from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
 from ssrvlad_torch.segmentation.segmenter import Segmenter
 
-ray = pytest.importorskip("ray", reason="needs the extra ray")
-pytest.importorskip("ray.data", reason="needs the extra ray")
 pytestmark = pytest.mark.slow
 
 HEAD = SSRVLAD.from_preset("paper", labels_as="camvid-11")
@@ -29,6 +27,8 @@ TWO = EncodeOptions(workers=2)
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster():
+    ray = pytest.importorskip("ray", reason="needs the extra ray")
+    pytest.importorskip("ray.data", reason="needs the extra ray")
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, configure_logging=False)
     yield
     ray.shutdown()

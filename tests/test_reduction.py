@@ -63,8 +63,10 @@ def test_unknown_ids_are_counted_and_vote_for_no_layer(grid, kinds):
 def test_every_pixel_is_in_one_group_of_its_cell(pixels, share, most):
     cells = 1 + int(share * (pixels - 1))
     side = reduction.grouped(pixels, cells, most, torch.device("cpu"))
-    assert side.pixels.shape[1] <= most
-    owner = torch.arange(cells * side.groups)[:, None].expand_as(side.pixels) // side.groups
-    inside = side.inside.bool()
-    assert torch.equal(side.pixels[inside], torch.arange(pixels))
+    assert side.pixels.shape[2] <= most
+    index = side.pixels.transpose(0, 1).flatten(1)
+    owner = torch.arange(cells)[:, None].expand_as(index)
+    inside = index < pixels
+    assert torch.equal(index[inside], torch.arange(pixels))
     assert torch.equal(owner[inside], torch.arange(pixels) * cells // pixels)
+    assert torch.equal(side.sizes, inside.sum(1))

@@ -30,8 +30,8 @@ def test_a_rival_finds_what_the_package_finds(tmp_path):
     for name, method in methods.items():
         wanted = run(method, *(added[drive]().seen() for drive in drives), top=5)
         found = outcomes["a: labels -> labels", name]
-        np.testing.assert_array_equal(found.rows, wanted.indices)
-        np.testing.assert_allclose(found.scores, wanted.scores, atol=1e-6)
+        np.testing.assert_array_equal(found.rows, wanted.matches.indices)
+        np.testing.assert_allclose(found.scores, wanted.matches.scores, atol=1e-6)
 
 
 def test_a_rival_without_weights_says_so(tmp_path):

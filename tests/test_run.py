@@ -32,34 +32,29 @@ def numbered(sequence, *numbers):
     return (Frame(f"{sequence}/{number}") for number in numbers)
 
 
-@pytest.mark.parametrize("block", [1, 2, 3, 100])
-def test_candidates_are_ranked_whatever_the_block(block):
+def test_candidates_are_ranked():
     queries, references = numbered("q", 2, 7, -1, 30), numbered("r", 0, 4, -1, 8, 6)
-    found = run(Numbers(), queries, references, top=3, block=block)
-    assert found.queries == ("q/2", "q/7", "q/-1", "q/30")
-    assert found.references == ("r/0", "r/4", "r/-1", "r/8", "r/6")
-    assert found.indices.tolist() == [[0, 1, 4], [3, 4, 1], [-1, -1, -1], [3, 4, 1]]
+    found = run(Numbers(), queries, references, top=3)
+    scores, indices = found.matches
+    assert indices.tolist() == [[0, 1, 4], [3, 4, 1], [-1, -1, -1], [3, 4, 1]]
     inf = torch.inf
-    assert found.scores.tolist() == [[-2, -2, -4], [-1, -1, -3], [-inf] * 3, [-22, -24, -26]]
-    assert (found.scores.dtype, found.indices.dtype) == (torch.float32, torch.int64)
+    assert scores.tolist() == [[-2, -2, -4], [-1, -1, -3], [-inf] * 3, [-22, -24, -26]]
+    assert (scores.dtype, indices.dtype) == (torch.float32, torch.int64)
     assert found.bytes_a_reference == 4
 
 
-def test_the_first_block_is_done_twice_and_references_once():
+def test_the_first_query_is_done_twice_and_references_once():
     method = Numbers()
-    found = run(method, numbered("q", 1, 2, 3), numbered("r", 5, 6, 7, 8), block=2)
-    assert method.blocks == [4, 2, 2, 1]
-    for cost in (found.encode, found.match):
-        assert 0 < cost.min <= cost.average <= cost.max
+    run(method, numbered("q", 1, 2, 3), numbered("r", 5, 6, 7, 8))
+    assert method.blocks == [4, 1, 1, 1, 1]
 
 
-def test_costs_are_milliseconds_a_frame(monkeypatch):
-    ticks = iter([0.0, 0.004, 1.0, 1.002, 2.0, 2.005, 3.0, 3.001])
+def test_costs_are_milliseconds_a_query(monkeypatch):
+    ticks = iter([0.0, 0.004, 0.006, 1.0, 1.002, 1.003])
     monkeypatch.setattr("ssrvlad_torch.baselines.run.time.perf_counter", lambda: next(ticks))
-    found = run(Numbers(), numbered("q", 1, 2, 3), numbered("r", 5), block=2)
-    figures = [getattr(found.encode, name) for name in ("min", "average", "max")]
-    assert figures == pytest.approx([2, 3, 5])
-    assert [found.match.min, found.match.average, found.match.max] == pytest.approx([1, 1, 1])
+    found = run(Numbers(), numbered("q", 1, 2), numbered("r", 5))
+    assert found.encode == pytest.approx({"average": 3, "min": 2, "max": 4})
+    assert found.match == pytest.approx({"average": 1.5, "min": 1, "max": 2})
 
 
 def test_progress_counts_every_frame():
@@ -73,8 +68,7 @@ def test_progress_counts_every_frame():
     [
         ((1,), (), {}, "method numbers got no references"),
         ((), (1,), {}, "method numbers got no queries"),
-        ((1,), (1,), {"top": 0}, "a top and a block of 1 or more, got 0 and 1"),
-        ((1,), (1,), {"block": 0}, "a top and a block of 1 or more, got 10 and 0"),
+        ((1,), (1,), {"top": 0}, "a top of 1 or more, got 0"),
     ],
 )
 def test_what_cannot_be_run_is_refused(queries, references, settings, message):

@@ -24,6 +24,7 @@ from onnx import TensorProto, helper
 from PIL import Image
 from ssrvlad_place import database as place_database
 from ssrvlad_place.database import Database, save
+from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
@@ -48,6 +49,19 @@ def town(head, maps, tmp_path, run):
     """A database that the script wrote."""
     assert run(head, maps, "--save-descriptors", tmp_path / "town.npy")[0] == 0
     return tmp_path / "town.npy"
+
+
+def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path):
+    """A shell gives 10 before 9. Two folders of one name would be one drive."""
+    files = [tmp_path / day / "maps" / f"{n}.png" for day in ("a", "b") for n in (10, 8, 9)]
+    for file in files:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    for sources in (files[:3], [files[0].parent], [files[0], files[0].parent / ".." / "maps"]):
+        frames = [frame for frame, _ in find_frames(sources)]
+        assert list(dict.fromkeys(frames)) == ["maps/8", "maps/9", "maps/10"]
+    with pytest.raises(ValueError, match=r"a.maps and .*b.maps have one name"):
+        list(find_frames(files))
 
 
 SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")

@@ -107,7 +107,7 @@ def test_a_damaged_entry_is_made_anew(photos, cache, damage):
     assert entry.read_bytes() == whole
 
 
-def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_path):
+def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_path, monkeypatch):
     segmenter = Segmenter(colour_network(), SPACE, PLAIN, cache)
     run(segmenter, photos)
     size = max(entry.stat().st_size for entry in entries(cache))
@@ -116,7 +116,7 @@ def test_the_cache_is_bounded_and_keeps_what_was_used_last(photos, cache, tmp_pa
     run(segmenter, str(kept))
     (used,) = {e.name for e in entries(cache) if e.stat().st_mtime_ns == max(
         each.stat().st_mtime_ns for each in entries(cache))}  # fmt: skip
-    segmenter.cache_bytes = 4 * size
+    monkeypatch.setattr("ssrvlad_torch.segmentation.cache.LARGEST", 4 * size)
     run(segmenter, str(write_photos(tmp_path / "more", [20])))
     left = {entry.name for entry in entries(cache)}
     assert sum(entry.stat().st_size for entry in entries(cache)) <= 4 * size

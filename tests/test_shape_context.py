@@ -9,9 +9,14 @@ from test_bitplanes import random_planes
 from ssrvlad_torch import SSRVLADConfig, reference
 from ssrvlad_torch.stages import shape_context
 from ssrvlad_torch.stages.bitplanes import points, unpack
-from ssrvlad_torch.stages.shape_context import log_polar_bins, shape_contexts
+from ssrvlad_torch.stages.shape_context import log_polar_bins
 
 CPU = torch.device("cpu")
+
+
+def shape_contexts(references, *others):
+    (sums,) = shape_context.shape_contexts([references], *others)
+    return sums
 
 
 def plain_sum(references: np.ndarray, context: np.ndarray, limits, sectors) -> np.ndarray:

@@ -59,9 +59,9 @@ def counted_work(layer: np.ndarray) -> list[int]:
     """Words that each sub-iteration of `thin` looks at."""
     work = []
 
-    def counting(pixels, ring, first):
+    def counting(pixels, ring):
         work.append(pixels.numel())
-        return zhang_suen(pixels, ring, first)
+        return zhang_suen(pixels, ring)
 
     skeleton.thin(planes(layer), counting)
     return work

@@ -313,7 +313,6 @@ def test_query_without_a_match_has_an_empty_list(tmp_path):
         (lambda: Conditions(lateral_offset=math.nan), "lateral_offset: got nan"),
         (lambda: Conditions(seed=-1), "seed: got -1"),
         (lambda: write_city("unused", frames=0), "frames: got 0"),
-        (lambda: write_city("unused", frames=1, radius=-1), "radius: got -1"),
     ],
 )
 def test_errors_name_what_was_wrong(call, message, tmp_path, monkeypatch):

@@ -112,9 +112,8 @@ def test_points_equal_a_search(queries, fraction):
 
 
 def test_all_points_as_a_mapping(curve):
-    points = operating_points(curve, [0.5, 0.9])
+    points = operating_points(curve)
     assert points["at_precision"].keys() == {"0.99", "1"}
     assert points["at_precision"]["1"]["score"] == 0.8
     assert points["at_recall"]["0.5"]["precision"] == 0.75
-    assert points["at_recall"]["0.9"] is None
     assert points["suggested"]["accepted"] == 5 and points["suggested"]["precision_low"] < 0.95

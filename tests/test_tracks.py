@@ -69,6 +69,9 @@ def test_gpx(tmp_path):
         ("a.nmea", "", "holds no positions; expected RMC sentences"),
         ("a.nmea", sentence(RMC.format(time="123519", course="1")).replace("48", "49"),
          "line 1: .*checksum"),
+        ("a.nmea", sentence(RMC.format(time="123519", course="1").replace("N", "")),
+         "line 1: expected a position, got 4807.038,,01131.000,E"),
+        ("a.gpx", gpx(POINT.format(time="12:35:19Z").replace("48", "88")), "latitude out of range"),
         ("a.nmea", sentence("GPRMC,x,A,y,N,z,E,022.4,1,230394,,"), "line 1: "),
     ],
 )  # fmt: skip
@@ -76,7 +79,7 @@ def test_damaged_files_are_refused(tmp_path, name, content, message):
     path = tmp_path / name
     path.write_text(content)
     with refused(f"(?i)^{path}.*{message}"):
-        read_track(path)
+        read_trajectory(path)
 
 
 def test_poses_between_two():

@@ -68,6 +68,10 @@ def test_tum_goes_by_the_time_that_is_a_name(tmp_path):
         table = "near.txt" if len(names) > 1 else "groundtruth.txt"
         with pytest.raises(ValueError, match=rf"{table}: {message}.* '{names[0]}'; expected names"):
             find_image_files([far], poses=str(tmp_path / table))
+    (tmp_path / "drive.txt").write_text("".join(f"{n} {n} 0 0 0 0 0 1\n" for n in range(4)))
+    drive = pictures(tmp_path / "us", [f"{n}{'0' * 6}" for n in range(4)])
+    files = find_image_files([drive], poses=str(tmp_path / "drive.txt"), largest_gap=1)
+    assert [file.pose.x for file in files] == [0, 1, 2, 3], "in ns all are near the first pose"
     pictures(tmp_path / "rgb", ["a"])
     with pytest.raises(ValueError, match=r"named by their time in seconds.* 'a'"):
         find_image_files([folder], poses=str(tmp_path / "groundtruth.txt"))

@@ -264,7 +264,7 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
         for n, kind in enumerate(("ground", "sky", "building"))
     )
     space.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
-    export_head(SSRVLADConfig.from_preset("paper", labels_as=str(space)), tmp_path / "x.onnx")
+    export_head(SSRVLADConfig(labels_as=str(space)), tmp_path / "x.onnx", shape=(1, 9, 9))
     space.unlink()
     found = verify(tmp_path / "x.onnx")
     assert found.passed

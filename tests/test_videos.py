@@ -72,6 +72,7 @@ def test_frames_at_uneven_times_in_any_order(tmp_path, name, codec):
 def test_an_avi_has_frames_at_its_rate(tmp_path):
     files = video_files(write_video(tmp_path / "a.avi", range(12), rate=25))
     assert [file.name for file in files] == [f"{40_000 * n:010d}" for n in range(12)]
+    assert files[0].folder == str(tmp_path / "a.avi"), "not the folder of its extracted pictures"
     assert [number_in(read_image(files[n])) for n in (11, 3, 7)] == [1, 3, 7]
 
 

@@ -151,6 +151,6 @@ def test_training_needs_images_that_can_be_read(folder, tmp_path):
     with pytest.raises(ValueError, match="256 words need as many distinct regions"):
         train_vocabulary(folder, tmp_path / "words.npy", features)
     (folder / "broken.png").write_text("no image")
-    with pytest.raises(ValueError, match=r"broken\.png is not an image"):
+    with pytest.raises(ValueError, match=r"broken\.png: is no image file"):
         train_vocabulary(folder, tmp_path / "words.npy", features)
     assert not (tmp_path / "words.npy").exists()

@@ -15,19 +15,19 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 from _wheels import FOLDER, PURE, WHEELS, problems_of, wheels  # noqa: E402 - of no package
 
-THIS = "linux_x86_64"
 pytest.importorskip("ziglang", reason="the package ziglang is not installed")
 
 
 @pytest.fixture(scope="module")
-def dist(tmp_path_factory):
-    """The source archive and the wheel for Linux, as `scripts/wheels` builds them."""
-    return dict(zip(("source", THIS), wheels([THIS], tmp_path_factory.mktemp("dist")), strict=True))
-
-
-@pytest.fixture(scope="module")
-def wheel(dist):
-    return dist[THIS][0]
+def wheel(tmp_path_factory):
+    """The wheel that pip makes of the source archive on this machine. To compile those that are
+    published takes longer."""
+    out = tmp_path_factory.mktemp("dist")
+    command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT]
+    subprocess.run(command, check=True, capture_output=True)
+    assert len(list(out.glob("*.tar.gz"))) == 1
+    [wheel] = out.glob("*.whl")
+    return wheel
 
 
 def test_it_holds_all_that_the_package_needs(wheel):
@@ -43,12 +43,15 @@ def test_it_holds_all_that_the_package_needs(wheel):
 
 
 DESCRIBE = """
-import shutil, torch
+import shutil, sys, torch
 from ssrvlad_torch import SSRVLAD, native
+from ssrvlad_torch.cli.main import main
 head = SSRVLAD.from_preset("paper", labels_as="camvid-11")
 labels = torch.arange(12, dtype=torch.uint8).repeat_interleave(400).view(1, 60, 80)
 same = torch.allclose(head(labels), head.explain(labels).descriptor, rtol=0, atol=1e-6)
 print(native.FOLDER.parents[1], native.core().status, same, [*map(shutil.which, ("c++", "cc"))])
+sys.argv[1:] = ["demo", "--frames", "8"]
+main()
 """
 
 
@@ -61,18 +64,16 @@ def test_it_runs_in_an_empty_environment_without_a_compiler(wheel, tmp_path):
     [site] = (tmp_path / "venv").glob("lib/*/site-packages")
     (site / "dependencies.pth").write_text("\n".join(p for p in sys.path if "site-packages" in p))
     empty = {"PATH": str(tmp_path / "venv" / "bin"), "HOME": str(tmp_path)}
-    for arguments in (["-c", DESCRIBE], ["-m", "ssrvlad_torch", "demo", "--frames", "8"]):
-        done = subprocess.run(
-            [python, *arguments],
-            cwd=tmp_path,
-            env=empty,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, done.stderr
-        if "demo" not in arguments:
-            assert done.stdout == f"{site} the native core True [None, None]\n"
+    done = subprocess.run(
+        [python, "-c", DESCRIBE],
+        cwd=tmp_path,
+        env=empty,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"{site} the native core True [None, None]\n")
     assert "RecallRate@1" in done.stdout
     assert (tmp_path / "ssrvlad-demo" / "demo.png").exists()
 
