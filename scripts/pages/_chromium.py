@@ -38,7 +38,7 @@ _REPETITIONS = 5
 
 def run_in_chromium(file: Path, maps: dict[str, npt.NDArray[np.uint8]]) -> dict[str, npt.NDArray]:
     """Outputs of the file for each label map, in the form of `_one_runtime.py`."""
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as name:
         folder = Path(name) / "site"
         folder.mkdir()
         (folder / "node_modules").symlink_to(runtime())

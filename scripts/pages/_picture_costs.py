@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -37,9 +36,9 @@ def pictures_section(
     pictures = pictures[:: len(pictures) // PICTURES][:PICTURES]
     yield paragraph(
         f"Milliseconds per picture from a JPEG of CamVid to `default`, features and HOG, for "
-        f"{PICTURES} pictures one by one. The networks run in ONNX Runtime on {os.cpu_count()} "
-        "cores, everything else on one. The parts are timed within the whole; in brackets is their "
-        "fraction of it. The fused file is network and head in one ONNX graph."
+        f"{PICTURES} pictures one by one, on one thread. The networks run in ONNX Runtime. "
+        "The parts are timed within the whole; in brackets is their fraction of it. The fused file "
+        "is network, head and features in one ONNX graph."
     )
     yield from head_row("network", "size", "whole", *PARTS, "fused file, without decoding")
     for settings in sorted(networks.glob("*.yaml")):
@@ -48,7 +47,7 @@ def pictures_section(
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "place.onnx"
             fuse(segmenter, head.config, file)
-            session = open_session(file, file)
+            session = open_session(file, file, threads=1)
             decoded = [decode_image(picture.read_bytes())[None] for picture in pictures]
             run = partial(_run_all, session, decoded)
             fused = time_in_turn({"fused": run}, repetitions)["fused"]

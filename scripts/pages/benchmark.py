@@ -119,7 +119,7 @@ def draw(timings: dict[str, dict[str, dict[str, float]]], path: Path) -> None:
             bars, [f" {median:,.{0 if median >= 100 else 1}f}" for median in medians], padding=4
         )
         axes.set_xscale("log")
-        axes.set_xlim(right=max(medians) * 8)
+        axes.set_xlim(right=max(medians) * 30)
         axes.invert_yaxis()
         axes.set_xlabel("ms")
         axes.set_title(f"{preset}, {by(LARGE)}")
@@ -346,8 +346,8 @@ def main() -> None:
         page.paragraph("Written by", paragraph(WRITTEN.format(about)))
 
 
-WRITTEN = """Written by `scripts/pages/benchmark.py` in one run. Cells are median [min, max]. The
-rows of a table are timed in turn, and ratios are taken within one repetition. {}
+WRITTEN = """Written by `scripts/pages/benchmark.py`. Cells are median [min, max]. The rows of a
+table are timed in turn, and ratios are taken within one repetition. {}
 [Methods](methods.md) has the costs of other methods, [scale](scale.md) those of large databases."""
 
 

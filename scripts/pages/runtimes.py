@@ -60,24 +60,28 @@ def table(runtimes: list[str], heads: list[str]) -> Iterator[str]:
             {number: outputs_of(module, labels[None]) for number, labels in maps.items()}
             for module, maps in zip(map(SSRVLAD, configs), by_space.values(), strict=True)
         ]
-        for runtime in runtimes:
-            cells = row(*measured(runtime, head, configs, list(by_space.values()), expected))
-            print(cells, file=sys.stderr, flush=True)
-            yield cells
+        with tempfile.TemporaryDirectory() as folder:
+            files = [Path(folder, f"{space}.onnx") for space in by_space]
+            for config, file in zip(configs, files, strict=True):
+                export_head(config, file)
+            for runtime in runtimes:
+                cells = row(*measured(runtime, head, files, list(by_space.values()), expected))
+                print(cells, file=sys.stderr, flush=True)
+                yield cells
 
 
 def measured(
     runtime: str,
     head: str,
-    configs: list[SSRVLADConfig],
+    files: list[Path],
     maps: list[Maps],
     expected: list[dict[str, Arrays]],
 ) -> list[str]:
     """The row of a head on a runtime, with one file per label space."""
     checks = []
-    for config, given, wanted in zip(configs, maps, expected, strict=True):
+    for file, given, wanted in zip(files, maps, expected, strict=True):
         try:
-            found = run(runtime, config, given)
+            found = run(runtime, file, given)
         except (RuntimeError, AssertionError) as error:
             return [
                 runtime.rpartition(":")[2],
@@ -100,20 +104,19 @@ def measured(
     ]
 
 
-def run(runtime: str, config: SSRVLADConfig, maps: Maps) -> Arrays:
+def run(runtime: str, file: Path, maps: Maps) -> Arrays:
     """Outputs of a runtime for each label map, by number and name of the output.
 
     Raises:
         RuntimeError: it cannot run the file.
     """
     python, _, name = runtime.rpartition(":")
-    with tempfile.TemporaryDirectory() as folder:
-        file, given, out = (Path(folder) / name for name in ("head.onnx", "maps.npz", "out.npz"))
-        export_head(config, file)
-        if name == "chromium":
-            from _chromium import run_in_chromium
+    if name == "chromium":
+        from _chromium import run_in_chromium
 
-            return run_in_chromium(file, maps)
+        return run_in_chromium(file, maps)
+    with tempfile.TemporaryDirectory() as folder:
+        given, out = Path(folder, "maps.npz"), Path(folder, "out.npz")
         np.savez(given, **maps)
         command = [python or sys.executable, str(WORKER), name, str(file), str(given), str(out)]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
