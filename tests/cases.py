@@ -73,6 +73,8 @@ def assert_equals_reference(labels: npt.NDArray[np.integer], config: SSRVLADConf
     )
     for name, histogram in expected.histograms.items():
         got = getattr(view.histograms, name)[0].numpy()
-        near = {"rtol": 1e-12, "atol": 1e-15} if name == "bins" else {"rtol": 0, "atol": 0}
-        np.testing.assert_allclose(got, histogram, **near, err_msg=name)
+        if name == "bins":  # roots: of a share near 0, a root shows the rounding of its table
+            np.testing.assert_allclose(got**2, histogram**2, rtol=1e-12, atol=1e-15, err_msg=name)
+        else:
+            np.testing.assert_array_equal(got, histogram, name)
     np.testing.assert_allclose(view.descriptor[0].numpy(), expected.descriptor, rtol=0, atol=1e-6)
