@@ -66,7 +66,7 @@ def test_every_pixel_is_in_one_group_of_its_cell(pixels, share, most):
     assert side.pixels.shape[2] <= most
     index = side.pixels.transpose(0, 1).flatten(1)
     owner = torch.arange(cells)[:, None].expand_as(index)
-    inside = index < pixels
+    inside = side.inside.bool().transpose(0, 1).flatten(1)
     assert torch.equal(index[inside], torch.arange(pixels))
     assert torch.equal(owner[inside], torch.arange(pixels) * cells // pixels)
     assert torch.equal(side.sizes, inside.sum(1))

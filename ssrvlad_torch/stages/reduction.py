@@ -11,7 +11,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ..taxonomy import NO_LAYER
@@ -30,13 +29,14 @@ class Grouped(NamedTuple):
     """A side of the image in cells, and the pixels of each cell in groups of one length.
 
     Attributes:
-        pixels: ``(groups, cells, length)`` int64, the pixels of each group of a cell; the number
-            of pixels of the side for an entry too many.
+        pixels: ``(groups, cells, length)`` int64, the pixels of each group of a cell.
+        inside: ``(groups, cells, length)`` float32, 0 for an entry too many, else 1.
         sizes: ``(cells,)`` int64, the number of pixels of each cell.
         groups: the number of groups in a cell.
     """
 
     pixels: Tensor
+    inside: Tensor
     sizes: Tensor
     groups: int
 
@@ -84,8 +84,7 @@ def reduce_by_majority(
     columns = grouped(width, grid[1], COLUMNS, entries.device)
     entry = entries.flatten()
     cast = (looked_up(word, entry).view(entries.shape) for word in votes.float())
-    in_rows = torch.cat([_summed(votes_of_pixels, rows) for votes_of_pixels in cast])
-    numbers = _summed(in_rows.transpose(1, 2), columns)
+    numbers = torch.cat([_summed(_summed(each, rows).transpose(1, 2), columns) for each in cast])
     places = RADIX ** -torch.arange(DIGITS, device=entries.device).float().view(-1, 1, 1, 1)
     higher = torch.floor(numbers * (places / RADIX))
     digits = (torch.floor(numbers * places) - higher * RADIX).to(real(height * width))
@@ -112,12 +111,12 @@ def grouped(pixels: int, cells: int, most: int, device: torch.device) -> Grouped
     begin = estimate + (rest >= cells).long() - (rest < 0).long()
     within = torch.arange(groups * length, device=device).view(-1, 1, length)
     index = within + begin[:-1, None]
-    index = torch.where(index < begin[1:, None], index, pixels)
-    return Grouped(index, begin[1:] - begin[:-1], groups)
+    inside = (index < begin[1:, None]).float()
+    return Grouped(index.clamp(max=pixels - 1), inside, begin[1:] - begin[:-1], groups)
 
 
 def _summed(numbers: Tensor, side: Grouped) -> Tensor:
     """``(N, pixels, n)`` -> ``(N, groups * cells, n)``, the sums over each group."""
-    parts = F.pad(numbers, (0, 0, 0, 1)).index_select(1, side.pixels.flatten())
-    grouped: Tensor = parts.unflatten(1, (-1, side.pixels.shape[2]))
-    return grouped.sum(2)
+    parts: Tensor = numbers.index_select(1, side.pixels.flatten())
+    parts = parts.unflatten(1, (-1, side.pixels.shape[2]))
+    return parts.mul_(side.inside.flatten(0, 1)[..., None]).sum(2)
