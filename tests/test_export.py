@@ -96,6 +96,16 @@ def test_settings_that_enlarge_rounding_errors(power, weight, largest):
     assert largest == 1e-6 or worst > 1e-6, "the page should say less"
 
 
+def test_maps_of_few_pixels():
+    """Of them, too, export/README.md has a figure."""
+    config, rng = of_preset("default"), np.random.default_rng(0)
+    head, run, errors = SSRVLAD(config), run_of(config), []
+    for _ in range(600):
+        labels = rng.integers(0, 12, (1, *rng.integers(1, 4, 2))).astype(np.uint8)
+        errors.append(np.abs(run(labels)[0] - head(labels).numpy()).max())
+    assert max(errors) < 1.5e-6
+
+
 @presets
 def test_a_batch_equals_its_images_one_by_one(preset):
     run = run_of(of_preset(preset))

@@ -1,4 +1,4 @@
-"""Runs an exported file on label maps; needs numpy and onnxruntime or openvino, nothing else.
+"""Runs an exported file on label maps, on one thread; needs numpy and onnxruntime or openvino, nothing else.
 
 python _one_runtime.py RUNTIME FILE MAPS.npz OUT.npz
 
@@ -38,7 +38,7 @@ def _in_openvino(file: str) -> Opened:
     import openvino
 
     core = openvino.Core()
-    settings = {"INFERENCE_PRECISION_HINT": "f32"}
+    settings = {"INFERENCE_PRECISION_HINT": "f32", "INFERENCE_NUM_THREADS": 1}
     compiled = core.compile_model(core.read_model(file), "CPU", settings)
     names = [output.get_any_name() for output in compiled.outputs]
     version = openvino.get_version().partition("-")[0]
@@ -53,7 +53,7 @@ def _in_onnxruntime(provider: str, file: str) -> Opened:
     import onnxruntime
 
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = _ONLY_FATAL
+    options.log_severity_level, options.intra_op_num_threads = _ONLY_FATAL, 1
     session = onnxruntime.InferenceSession(file, options, providers=[provider])
     if session.get_providers()[0] != provider:
         raise ValueError(f"there is no {provider}")

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import os
 import platform
-import resource
 import subprocess
 import sys
 import tempfile
@@ -222,10 +221,15 @@ def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
     head(maps.batch((64, 96), 2))
     labels = maps.batch((height, width), count)
     with threads(1):
-        Path("/proc/self/clear_refs").write_text("5")
-        before = status_bytes("VmRSS")
-        head(labels)
-        print(f"{(status_bytes('VmHWM') - before) / labels.numel():.0f}")
+        print(f"{peak_bytes(partial(head, labels)) / labels.numel():.0f}")
+
+
+def peak_bytes(call: Callable[[], object]) -> int:
+    """The peak of resident memory during a call minus what was resident before it."""
+    Path("/proc/self/clear_refs").write_text("5")
+    before = status_bytes("VmRSS")
+    call()
+    return status_bytes("VmHWM") - before
 
 
 def status_bytes(field: str) -> int:
@@ -272,16 +276,18 @@ def matching_section(references: int) -> Iterator[str]:
     queries = queries + 0.02 * rng.standard_normal(queries.shape, dtype=np.float32)
     index = faiss.IndexFlatIP(480)
     index.add(database)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    found = match(queries, database, top=10).indices.numpy()
-    extra = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
-    same = float((found == index.search(queries, 10)[1]).mean())
     ways = {
         "faiss.IndexFlatIP": partial(index.search, queries, 10),
         "match": partial(match, queries, database, 10),
     }
+    extra = peak_bytes(ways["match"]) / 2**20
+    found = match(queries, database, top=10).indices.numpy()
+    same = float((found == index.search(queries, 10)[1]).mean())
     timings = time_in_turn(ways, 3, warm_up=False)
-    yield f"1000 queries against {references} x 480 float32, exact top 10, one thread:\n"
+    yield paragraph(
+        f"1000 queries against {references} x 480 float32, exact top 10, one thread, "
+        f"faiss {faiss.__version__}:"
+    )
     yield from head_row("way", "s", "relative to faiss")
     for name, timing in timings.items():
         seconds = {k: v / 1e3 for k, v in timing.milliseconds.items()}

@@ -5,8 +5,8 @@ python scripts/pages/runtimes.py CPUExecutionProvider openvino chromium \\
     /opt/old/bin/python:CPUExecutionProvider
 
 Each runtime runs the exported heads of both presets on the label maps of the slow tests, and on one
-of 512 x 1024 for its time. A runtime is an execution provider of ONNX
-Runtime, `openvino`, or `chromium` (onnxruntime-web). `PYTHON:RUNTIME` takes another Python.
+of 512 x 1024 for its time. A runtime is an execution provider of ONNX Runtime, `openvino`, or
+`chromium` (onnxruntime-web). `PYTHON:RUNTIME` takes another Python.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def table(runtimes: list[str], heads: list[str]) -> Iterator[str]:
     """A row for each head and runtime."""
     yield from head_row(
         "runtime", "head", "verdict", "label maps", "largest difference", "load, s",
-        "512 x 1024, ms",
+        "512 x 1024, one thread, ms",
     )  # fmt: skip
     by_space = {
         space: {str(number): labels for number, labels in enumerate(maps)}

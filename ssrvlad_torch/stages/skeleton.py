@@ -93,7 +93,8 @@ def thin(planes: Tensor, rule: Rule) -> Tensor:
         index, deleted = frontier + one_row.shape[0] + 1, here[1] - thinned
         line, more = line.scatter(0, index, thinned), deleted.sum() > 0
         flags = _flags(index, deleted, line)
-        return some | more, line, last & torch.ones_like(flags), flags, more, 8 - order
+        was = last & torch.ones_like(flags)  # an exported loop may not return what it was given
+        return some | more, line, was, flags, more, 8 - order
 
     start = F.pad(border, (margin, margin))
     going = torch.ones((), dtype=torch.bool)

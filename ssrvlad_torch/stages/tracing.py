@@ -46,8 +46,8 @@ def number_in(tensor: Tensor) -> int:
 
 
 def looked_up(table: Tensor, index: Tensor) -> Tensor:
-    """``table[index]`` of ``(T,)`` and ``(n,)``, by the operator that is faster: ONNX Runtime takes
-    1 ms for a million entries of the one and 12 ms of the other, torch on a CPU 4 and 1."""
+    """``table[index]`` of ``(T,)`` and ``(n,)``, by the faster operator: for a million entries ONNX
+    Runtime takes 1 ms with gather and 12 with select, torch on a CPU 4 and 1."""
     return torch.gather(table, 0, index) if is_exporting() else table.index_select(0, index)
 
 
