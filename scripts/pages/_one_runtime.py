@@ -1,4 +1,4 @@
-"""Runs an exported file on label maps, on one thread; needs numpy and onnxruntime or openvino, nothing else.
+"""Runs an exported file on label maps, on one thread; needs numpy and onnxruntime or openvino.
 
 python _one_runtime.py RUNTIME FILE MAPS.npz OUT.npz
 
