@@ -24,8 +24,9 @@ by_preset_and_input = pytest.mark.parametrize(
     ("preset", "given", "dtype"),
     [
         ("paper", "labels", "uint8"),
-        ("default", "labels", "int64"),
+        ("default", "labels", "uint8"),
         ("default", "logits", None),
+        pytest.param("default", "labels", "int64", marks=pytest.mark.slow),
         pytest.param("paper", "labels", "int64", marks=pytest.mark.slow),
         pytest.param("paper", "logits", None, marks=pytest.mark.slow),
     ],
@@ -35,8 +36,10 @@ COLUMNS = (-8, 5)
 """Anchors of exported sweeps: one graph for all tests, as tracing takes long."""
 
 CUSTOM: dict[str, dict[str, Any]] = {
-    "guo-hall, one ring, odd sectors, keypoints as context, nothing cleaned": {
+    "guo-hall, one ring, odd sectors, keypoints as context, only opened, on a grid": {
         "preset": "paper",
+        "working_size": 50,
+        "opening": 0.02,
         "thinning": "guo-hall",
         "rings": 1,
         "sectors": 5,

@@ -1,7 +1,7 @@
 """Which activations of a network are features, and taking them."""
 
 import dataclasses
-from threading import Thread
+from threading import Event, Thread, current_thread
 
 import numpy as np
 import pytest
@@ -45,6 +45,34 @@ def test_another_thread_does_not_change_what_is_taken():
         thread.start()
         thread.join()
     assert values["act.2"] is own
+
+
+def test_what_another_thread_runs_is_not_recorded():
+    """Its decoder, for example, whose map was made larger before the recording began."""
+    network, at_the_decoder, recording = Street(), Event(), Event()
+
+    def wait(_module, _inputs):
+        if current_thread() is other:
+            at_the_decoder.set()
+            recording.wait()
+
+    def go_on(_module, _inputs):
+        if current_thread() is not other:
+            recording.set()
+            other.join()
+
+    other = Thread(target=network, args=(NUMBERS,))
+    network.decoder.register_forward_pre_hook(wait)
+    network.register_forward_pre_hook(go_on)
+    other.start()
+    at_the_decoder.wait()
+    assert found(network) == [("act.2", (1, 32, 28, 56))]
+
+
+def test_a_network_that_makes_every_picture_a_square():
+    network = nn.Sequential(nn.Upsample(size=(256, 256)), Street())
+    assert found(network) == [("1.act.2", (1, 32, 32, 32))]
+    assert found(network, ["1.act.1"]) == [("1.act.1", (1, 16, 64, 64))]
 
 
 def test_a_module_and_its_graph_give_the_same_activations(street_graph):

@@ -1,11 +1,11 @@
-from types import SimpleNamespace
-
 import pytest
 import torch
-from drawings import SPACE, blobs
+from drawings import SPACE
+from exported import in_space
 
 from ssrvlad_torch.cli import bench
 from ssrvlad_torch.cli.bench import Timing, bench_this_machine, threads, time_in_turn
+from ssrvlad_torch.datasets.synthetic_city import SyntheticCity
 
 
 def test_ways_are_timed_in_turn():
@@ -33,14 +33,12 @@ def test_threads_are_put_back():
     assert torch.get_num_threads() == before
 
 
-class City:
-    """Label maps in a label space whose heads other tests trace too, which takes long."""
+class City(SyntheticCity):
+    """In a label space whose heads other tests trace too, which takes long."""
 
-    def __init__(self, seed):
-        self.seed = seed
-
-    def traverse(self, frames, size, labels_as):
-        return [SimpleNamespace(labels=blobs(self.seed + n, *size, 6)) for n in range(frames)]
+    def traverse(self, *args, **kwargs):
+        for frame in super().traverse(*args, **{**kwargs, "labels_as": "cityscapes-trainids"}):
+            yield frame._replace(labels=in_space(frame.labels))
 
 
 def test_the_table_has_a_row_for_every_way(core, monkeypatch):

@@ -238,7 +238,7 @@ def test_a_process_forked_after_a_database_was_used_is_refused_another_one_is_no
     """Without a warning; what was loaded before can be read, and the parent goes on. The workers of
     a DataLoader are forked."""
     command = [sys.executable, "-c", FORKED, path, used]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     *refusals, count = done.stdout.splitlines()
     assert int(count) == len(FRAMES)

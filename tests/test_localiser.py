@@ -61,8 +61,10 @@ def test_frames_that_are_added_while_others_are_loaded_are_found(
     localiser = Localiser.from_pretrained(settings, tmp_path / "town")
     localiser.add(folder / "1.png")
 
+    original = Database.load
+
     def load(database):
-        monkeypatch.undo()
+        monkeypatch.setattr(Database, "load", original)
         frames = database.load()
         localiser.add(folder / "7.png")
         return frames

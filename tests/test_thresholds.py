@@ -117,3 +117,4 @@ def test_all_points_as_a_mapping(curve):
     assert points["at_precision"]["1"]["score"] == 0.8
     assert points["at_recall"]["0.5"]["precision"] == 0.75
     assert points["suggested"]["accepted"] == 5 and points["suggested"]["precision_low"] < 0.95
+    assert operating_points(curve_of([0.9], [0], 1))["suggested"] is None

@@ -9,6 +9,7 @@ import numpy as np
 import onnx
 import pytest
 from drawings import SPACE
+from graphs import session
 from helpers import write_street
 from networks import PLAIN, write_graph
 from networks import write_street as write_network
@@ -265,6 +266,8 @@ def test_a_label_space_of_its_own_travels_with_the_file(tmp_path):
     )
     space.write_text(f"name: own\nsource: here\nclasses:\n{rows}\n")
     export_head(SSRVLADConfig(labels_as=str(space)), tmp_path / "x.onnx", shape=(1, 9, 9))
+    [labels] = session((tmp_path / "x.onnx").read_bytes()).get_inputs()
+    assert labels.type == "tensor(uint8)", "where no type is asked for"
     space.unlink()
     found = verify(tmp_path / "x.onnx")
     assert found.passed

@@ -15,16 +15,20 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 from _wheels import FOLDER, PURE, WHEELS, problems_of, wheels  # noqa: E402 - of no package
 
-pytest.importorskip("ziglang", reason="the package ziglang is not installed")
-
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
     """The wheel that pip makes of the source archive on this machine. To compile those that are
     published takes longer."""
+    if not shutil.which("g++"):
+        pytest.skip("no C++ compiler")
     out = tmp_path_factory.mktemp("dist")
     command = [sys.executable, "-m", "build", "--no-isolation", "--outdir", out, ROOT]
-    subprocess.run(command, check=True, capture_output=True)
+    own = {
+        name: value for name, value in os.environ.items() if name not in ("CXX", "SSRVLAD_WHEEL")
+    }
+    done = subprocess.run(command, env=own, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
     assert len(list(out.glob("*.tar.gz"))) == 1
     [wheel] = out.glob("*.whl")
     return wheel
@@ -90,6 +94,7 @@ def test_a_library_that_would_not_run_everywhere_is_refused(core):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*WHEELS, PURE])
 def test_every_wheel(name, tmp_path):
+    pytest.importorskip("ziglang")
     (_, source), (built, content) = wheels([name], tmp_path)
     held = [
         Path(n).name for n in zipfile.ZipFile(built).namelist() if n.startswith(f"{FOLDER}/lib")

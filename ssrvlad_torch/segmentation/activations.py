@@ -42,7 +42,9 @@ _COLOURS = 3
 """A map of so many channels is a smaller picture."""
 
 _UNEVEN = 1.5
-"""The axes of a tensor whose strides differ by as much are not the height and width of a map."""
+"""The last axes of a tensor whose strides differ by this factor are not the height and width of a
+map, but of one with the channels last; unless they are equal, as where a network first makes every
+picture a square."""
 
 _EXTRA_TOKENS = 8
 _NAMES_SHOWN = 3
@@ -50,12 +52,14 @@ _NAMES_SHOWN = 3
 
 class Activation(NamedTuple):
     """An activation for one picture: the name of the module, the hidden state or the tensor, its
-    shape, the stride from the picture's side to its own, infinite if it is not ``(B, C, h, w)``,
-    and whether it depends on an operator that raised the resolution."""
+    shape, the stride from the picture's side to its own, infinite if it has not four axes of
+    floats, whether the last two axes look like height and width, and whether it depends on an
+    operator that raised the resolution."""
 
     name: str
     shape: tuple[int, ...]
     stride: float
+    is_map: bool
     raised: bool = False
 
     def __str__(self) -> str:
@@ -96,7 +100,10 @@ def _chosen(found: Sequence[Activation]) -> Activation | None:
     encoder = [
         (round(math.log2(each.stride / STRIDE)), each)
         for each in found
-        if not each.raised and least <= each.stride <= most and each.shape[1] > _COLOURS
+        if not each.raised
+        and each.is_map
+        and least <= each.stride <= most
+        and each.shape[1] > _COLOURS
     ]
     if not encoder:
         return None
@@ -209,22 +216,22 @@ def _seen_in_graph(network: OnnxNetwork, numbers: Tensor) -> list[Activation]:
 
 
 def _activation(name: str, value: Tensor, size: Sequence[int], raised: bool = False) -> Activation:
-    shape, stride = tuple(value.shape), math.inf
-    if len(shape) == 4 and value.is_floating_point() and shape[2] * shape[3]:
-        strides = [side / own for side, own in zip(size, shape[2:], strict=True)]
-        if max(strides) < _UNEVEN * min(strides):
-            stride = math.sqrt(math.prod(strides))
-    return Activation(name, shape, stride, raised)
+    shape = tuple(value.shape)
+    if len(shape) != 4 or not value.is_floating_point() or not shape[2] * shape[3]:
+        return Activation(name, shape, math.inf, False, raised)
+    strides = [side / own for side, own in zip(size, shape[2:], strict=True)]
+    is_map = shape[2] == shape[3] or max(strides) < _UNEVEN * min(strides)
+    return Activation(name, shape, math.sqrt(math.prod(strides)), is_map, raised)
 
 
 class _Recorder(TorchDispatchMode):
-    """Notes the outputs of the modules of a network in ``seen``, activations, each with a weak
-    reference to its tensor, and what depends on a raised resolution."""
+    """Notes the outputs of the modules of a network in this thread in ``seen``, activations, each
+    with a weak reference to its tensor, and what depends on a raised resolution."""
 
     def __init__(self, network: nn.Module, numbers: Tensor) -> None:
         super().__init__()
         self.seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
-        self._size = numbers.shape[2:]
+        self._size, self._thread = numbers.shape[2:], threading.get_ident()
         self._raised = WeakTensorKeyDictionary()
         self._handles = [
             module.register_forward_hook(partial(self._note, name))
@@ -252,7 +259,7 @@ class _Recorder(TorchDispatchMode):
         return result
 
     def _note(self, name: str, _module: nn.Module, _inputs: object, output: object) -> None:
-        if isinstance(output, Tensor):
+        if isinstance(output, Tensor) and threading.get_ident() == self._thread:
             each = _activation(name, output, self._size, output in self._raised)
             self.seen.append((each, weakref.ref(output)))
 
