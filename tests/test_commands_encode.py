@@ -68,8 +68,18 @@ def test_a_label_space_that_does_not_seem_to_be_the_one_is_told(ssrvlad, maps, t
     command = ("encode", maps, "-o", tmp_path / "db", "--labels-as")
     _, _, err = ssrvlad(*command, "cityscapes-ids")  # trainIds 0 and 1 are road and sidewalk
     assert f"{maps / '000.png'}: 100% is void in cityscapes-ids; is --labels-as right?" in err[0]
-    _, _, err = ssrvlad(*command, "cityscapes-trainids")
-    assert f"{tmp_path / 'db'} also holds frames of cityscapes-ids" in err[0]
+    assert not ssrvlad(*command, "cityscapes-trainids")[2], "all frames were encoded anew"
+
+
+def test_frames_of_other_label_spaces_are_told(ssrvlad, maps, tmp_path):
+    other = tmp_path / "other"
+    write_maps(other, range(2))
+    base = ("encode", "-o", tmp_path / "db", "--labels-as")
+    ssrvlad(*base, "camvid-11", maps)
+    for _ in range(2):
+        (line,) = ssrvlad(*base, "cityscapes-trainids", other)[2]
+        assert line.endswith("db also holds frames of camvid-11")
+    assert ssrvlad(*base, "camvid-11", other)[2] == []
 
 
 def refused_by_the_disk(*_):
@@ -88,12 +98,13 @@ def test_a_first_run_that_fails_leaves_no_database(ssrvlad, maps, tmp_path, monk
         path.with_suffix(".later").rename(path)
     with monkeypatch.context() as full:
         full.setattr(engine, "write_fragments", refused_by_the_disk)
-        code, _, err = ssrvlad(*command, "--labels-as", "camvid-11")
-        assert (code, err, town.exists()) == (
-            2,
-            [f"ssrvlad: {town} cannot be written: full"],
-            False,
-        )
+        for linked in (False, True):
+            if linked:
+                (tmp_path / "disk").mkdir()
+                town.symlink_to(tmp_path / "disk")
+            code, _, err = ssrvlad(*command, "--labels-as", "camvid-11")
+            assert (code, err) == (2, [f"ssrvlad: {town} cannot be written: full"])
+            assert [*town.iterdir()] == [] if linked else not town.exists()
     code, out, _ = ssrvlad(*command, "--labels-as", "camvid-11")
     assert (code, json.loads(out)["frames"]) == (3, 5)
     with monkeypatch.context() as full:

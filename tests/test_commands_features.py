@@ -213,6 +213,11 @@ def test_wrong_use_of_extra_descriptors(town, photos, maps, ssrvlad):
     assert "describes pictures: expected images" in refused(ssrvlad, "encode", maps, "-o", town)
     alone = ("encode", photos / "today", "-o", plain, *network, "--with", "none")
     assert ssrvlad(*alone)[0] == 0
+    assert "label maps alone" not in "".join(ssrvlad(*alone[:4], *network)[2])
+    maps_first = ("encode", "-o", photos / "maps.ssrdb")
+    assert ssrvlad(*maps_first, maps, *labels)[0] == 0
+    notes = ["".join(ssrvlad(*maps_first, photos / "today", *network)[2]) for _ in range(2)]
+    assert ["is of label maps alone" in each for each in notes] == [True, False]
     message = refused(ssrvlad, "encode", photos / "today", "-o", plain, *network, "--with", "hog")
     assert "has no descriptors by hog" in message
     message = refused(ssrvlad, "query", plain, photos / "today", *network, "--extra")
@@ -283,10 +288,10 @@ def test_features_of_another_network_are_refused(town, photos, ssrvlad):
         ("evaluate", town, photos / "today", "--tolerance-frames", 1, *network),
     ):
         line = refused(ssrvlad, *command)
-        assert "features of the database are of 16 x 16 cells" in line
+        assert "stored descriptors by features are of 16 x 16 cells" in line
         assert "signs of relu_1" in line and "signs of relu_2" in line
     assert len(Database.open(town)) == 32
-    with pytest.raises(ValueError, match="features of the database are of "):
+    with pytest.raises(ValueError, match="stored descriptors by features are of "):
         Localiser(Segmenter.load(other), Database.open(town))
 
 

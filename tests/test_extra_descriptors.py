@@ -131,7 +131,7 @@ def test_descriptors_of_another_version_are_refused(tmp_path):
     changed = HOG_STORED._replace(fingerprint="7 x 7 cells")
     database = Database.create(tmp_path / "town", CONFIG, extra=[changed])
     settings = write_settings(tmp_path, f"labels_as: {SPACE}\n")
-    with pytest.raises(ValueError, match="hog of the database are of 7 x 7 cells, got 6 x"):
+    with pytest.raises(ValueError, match="stored descriptors by hog are of 7 x 7 cells, got 6 x"):
         Localiser.from_pretrained(settings, database.path)
 
 

@@ -224,7 +224,7 @@ def test_what_cannot_be_fused_is_one_line_and_leaves_what_was_there(tmp_path):
     export_head(CONFIG, tmp_path / "head.onnx", "logits")
     with pytest.raises(ValueError, match=r"head\.onnx"):
         fuse(tmp_path / "head.onnx", CONFIG, target)
-    with pytest.raises(ValueError, match=r"Street: fails at 66x98, .* expected multiple: NUMBER"):
+    with pytest.raises(ValueError, match=r"Street: fails with 2 pictures of 66x98, .* multiple: "):
         fuse(Segmenter(Street(), SPACE, PLAIN), CONFIG, target, features=False)
     with pytest.raises(FileNotFoundError, match="there is no folder"):
         fuse(network, CONFIG, tmp_path / "none" / "place.onnx")

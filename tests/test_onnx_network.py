@@ -9,6 +9,7 @@ from helpers import street
 from networks import PLAIN, photo, write_graph, write_street
 from segmenting import BYTES, assert_right
 
+from ssrvlad_torch.segmentation import onnx_files, onnx_network
 from ssrvlad_torch.segmentation.onnx_network import OnnxNetwork
 from ssrvlad_torch.segmentation.preparation import SegmenterConfig
 from ssrvlad_torch.segmentation.segmenter import Segmenter
@@ -47,11 +48,27 @@ def test_a_graph_that_takes_bytes(tmp_path):
 def test_a_file_that_has_changed_since_is_not_taken_for_the_graph(tmp_path):
     """Its label maps would be stored and cached as those of the new file."""
     path = write_graph(tmp_path / "net.onnx")
-    segmenter = Segmenter(OnnxNetwork(path), SPACE, PLAIN)
+    segmenter, message = Segmenter(OnnxNetwork(path), SPACE, PLAIN), r"net\.onnx has changed or is"
     write_street(path)
     for use in (segmenter.key, lambda: segmenter.features):
-        with pytest.raises(ValueError, match=r"net\.onnx has changed since it was opened"):
+        with pytest.raises(ValueError, match=message):
             use()
+    path.unlink()
+    with pytest.raises(ValueError, match=message):
+        segmenter.key()
+    assert "is gone" in Segmenter(segmenter.network, SPACE, PLAIN).problem_of_features
+
+
+def test_a_file_that_is_replaced_while_it_is_opened_is_refused(tmp_path, monkeypatch):
+    def opened(*args, **kwargs):
+        session = onnx_files.open_session(*args, **kwargs)
+        write_street(path)
+        return session
+
+    path = write_graph(tmp_path / "net.onnx")
+    monkeypatch.setattr(onnx_network, "open_session", opened)
+    with pytest.raises(ValueError, match=r"net\.onnx has changed"):
+        OnnxNetwork(path)
 
 
 @pytest.mark.parametrize("options", [{"channels_last": True}, {"scores_last": True}, {}])

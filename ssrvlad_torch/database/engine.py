@@ -192,7 +192,10 @@ def discard_empty(uri: str, error: BaseException | None) -> None:
     with contextlib.suppress(OSError, ValueError):
         newest = lance().dataset(uri)
         if newest.version in versions and not newest.count_rows():
-            shutil.rmtree(uri, ignore_errors=True)
+            folder = Path(uri).resolve()
+            shutil.rmtree(folder, ignore_errors=True)
+            if Path(uri).is_symlink():
+                folder.mkdir(exist_ok=True)
 
 
 def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:

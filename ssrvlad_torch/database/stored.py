@@ -81,13 +81,17 @@ class StoredFrames:
         Raises:
             ValueError: there are several.
         """
-        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
-        found = (self.origins.get(key, Origin()).label_space for key in keys)
-        spaces = list({space.digest: space for space in found if space}.values())
+        spaces = self.label_spaces()
         if len(spaces) > 1:
             names = " and ".join(space.name for space in spaces)
             raise ValueError(f"{self.path} holds frames of {names}; choose one with --labels-as")
         return spaces[0] if spaces else None
+
+    def label_spaces(self) -> list[LabelSpace]:
+        """The label spaces of the frames, or of the origins of an empty database, each once."""
+        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
+        found = (self.origins.get(key, Origin()).label_space for key in keys)
+        return list({space.digest: space for space in found if space}.values())
 
     def require(self, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()) -> None:
         """Requires descriptors made with these settings.

@@ -116,10 +116,12 @@ def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> o
         with torch.inference_mode():
             narrow = labels.outputs(example).is_floating_point()
     except RuntimeError as error:
-        size = "x".join(map(str, _EXAMPLE))
+        size = "x".join(map(str, labels.config.network_size(*_EXAMPLE)))
+        hint = "; a network for one size, or for sides that are multiples of a number, needs size: "
+        hint += "or multiple: in a YAML file"
         raise ValueError(
-            f"fails at {size}, and a file takes any size: {one_line(error)}; if sides must be "
-            "multiples of a number, expected multiple: NUMBER in a YAML file"
+            f"fails with 2 pictures of {size}, and a file takes any number of any size: "
+            f"{one_line(error)}{'' if labels.config.resizes else hint}"
         ) from error
     module = _Whole(labels, torch.uint8 if narrow else torch.int64, features)
     forms: dict[str, Axes] = {"labels": ["B", "H", "W"], NAME: ["B", *SHAPE]}

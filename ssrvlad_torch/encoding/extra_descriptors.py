@@ -35,18 +35,19 @@ def extra_descriptors(
 
 
 def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None) -> None:
-    """Raises a ValueError unless stored descriptors are those that are computed now."""
+    """Raises a ValueError unless extra descriptors, of a database or asked for, are those that are
+    computed now."""
     for each in stored:
         if segmenter is None:
             raise ValueError(
-                f"the database stores {each.name}, which describes pictures: expected images and a "
+                f"{each.name} beside the descriptors describes pictures: expected images and a "
                 "segmenter"
             )
         current = _of(each.name, segmenter)
         if current != each:
             raise ValueError(
-                f"{each.name} of the database are of {each.fingerprint}, got "
-                f"{current.fingerprint}: expected the same network and settings"
+                f"stored descriptors by {each.name} are of {each.fingerprint}, got "
+                f"{current.fingerprint}: encode the pictures again, or use what made them"
             )
 
 

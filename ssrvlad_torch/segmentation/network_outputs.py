@@ -177,17 +177,16 @@ def _counts(space: LabelSpace, classes: Classes) -> str:
 
 
 def _hint(forms: Mapping[str, OutputForm], space: LabelSpace, classes: Classes) -> str:
-    """What to use if the network has more channels than the label space has classes: the label
-    spaces with so many, or the option that takes the first."""
+    """What to use if the network has more channels than the label space has classes: a label space
+    with so many, or the option that takes the first."""
     most = max(space.channel_counts, default=0)
     shapes = [form.shape for form in forms.values() if form.kind == "scores" and form.shape]
     more = {shape[1] or 0 for shape in shapes if len(shape) == 4 and (shape[1] or 0) > most}
     if not more or not most or classes:
         return ""
     fits = [n for n in label_space_names() if more.intersection(label_space(n).channel_counts)]
-    if fits:
-        return f"; {' and '.join(fits)} have so many classes"
-    return f"; --classes 0:{most} takes the first {most}"
+    others = f"; so many has {' or '.join(fits)}" if fits else ""
+    return f"{others}; --classes 0:{most} takes the first {most}"
 
 
 def _list(forms: Mapping[str, OutputForm]) -> str:

@@ -57,11 +57,14 @@ class OnnxNetwork(nn.Module):
         self.path = Path(path)
         if not self.path.is_file():
             raise ValueError(f"{path} does not exist or is not a file; expected an ONNX graph")
+        self._files = [self.path]
+        before = self._state_of_files()
         self._session = open_session(
             self.path, path, "CUDAExecutionProvider", CPU, threads=torch.get_num_threads()
         )
-        self._files = (self.path, *external_files(self.path))
-        self._state = self._state_of_files()
+        self._files += external_files(self.path)
+        self._state = before + self._state_of_files()[1:]
+        self._require_unchanged()
         inputs = self._session.get_inputs()
         if len(inputs) != 1:
             names = ", ".join(each.name for each in inputs)
@@ -120,13 +123,13 @@ class OnnxNetwork(nn.Module):
         }
 
     def _state_of_files(self) -> list[tuple[int, ...]]:
-        found = [path.stat() for path in self._files]
-        return [(each.st_ino, each.st_size, each.st_mtime_ns) for each in found]
+        found = [path.stat() if path.exists() else None for path in self._files]
+        return [(each.st_ino, each.st_size, each.st_mtime_ns) if each else () for each in found]
 
     def _require_unchanged(self) -> None:
         """Refuses files that are no longer those of the session."""
         if self._state_of_files() != self._state:
-            raise ValueError(f"{self.path} has changed since it was opened: open it again")
+            raise ValueError(f"{self.path} has changed or is gone: open it again")
 
     def _model(self) -> onnx.ModelProto:
         import onnx

@@ -92,6 +92,7 @@ class Segmenter:
         labels_as: str | os.PathLike[str] | LabelSpace,
         config: SegmenterConfig | None = None,
         cache: Path | None = None,
+        *,
         name: str = "",
     ) -> None:
         self.label_space = space = label_space(labels_as)

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from ...descriptor import SSRVLAD
     from ...encoding.results import EncodeOptions, Skipped, Summary
     from ...encoding.source import Source
+    from ...taxonomy import LabelSpace
 
 Engine = Literal["local", "ray"]
 
@@ -80,16 +81,17 @@ def encode(
     else:
         config = SSRVLADConfig.from_preset(preset or "default", labels_as=frames.labels_as)
     head, skipped = SSRVLAD(config), []
-    if database:
-        _note_what_differs(database, frames, head, stored)
-    else:
+    if not database:
         skipped = _skipped_before_the_first(head, frames, stored)
+    elif frames.segmenter and extra is None and _is_of_label_maps(database):
+        note(f"{output} is of label maps alone: features and HOG are not stored")
     summary = Summary(skipped=skipped)
     if len(skipped) < len(frames.files):
         run = encode_with_ray if engine == "ray" else encode_to_database
         with progress_bar("encoding", len(frames.files), played(frames.files)) as bar:
             options = EncodeOptions(source.workers, complete, prune, bar.advance, bar.skip, gpus)
             summary = _run(run, head, frames, output, stored, options, new)
+        _note_other_spaces(Database.open(output), head.label_space)
     if as_json:
         named = [frame._asdict() for frame in summary.skipped]
         report = {**dataclasses.asdict(summary), "anew": dict(summary.anew), "skipped": named}
@@ -126,14 +128,17 @@ def _run(
         raise
 
 
-def _note_what_differs(
-    database: Database, source: Source, head: SSRVLAD, named: Sequence[ExtraDescriptor]
-) -> None:
-    spaces = {each.label_space.name for each in database.origins.values() if each.label_space}
-    if others := spaces - {head.label_space.name}:
-        note(f"{database.path} also holds frames of {' and '.join(sorted(others))}")
-    if source.segmenter and not (database.extra or named):
-        note(f"{database.path} is of label maps alone: features and HOG are not stored")
+def _is_of_label_maps(database: Database) -> bool:
+    by_a_network = any(origin.segmenter for origin in database.origins.values())
+    return not database.extra and not by_a_network
+
+
+def _note_other_spaces(database: Database, own: LabelSpace) -> None:
+    if len(database.origins) > 1:
+        others = [space.name for space in database.label_spaces() if space.digest != own.digest]
+        if others:
+            names = " and ".join(f"another {own.name}" if n == own.name else n for n in others)
+            note(f"{database.path} also holds frames of {names}")
 
 
 def _skipped_before_the_first(
