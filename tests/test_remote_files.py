@@ -38,6 +38,20 @@ def test_frames_are_found_in_order_and_named_by_their_folder(folder):
     assert [file.frame for file in chosen] == ["x/2", "x/11"]
 
 
+def test_an_at_sign_in_a_path_is_no_password(tmp_path):
+    places = [tmp_path / "day1" / "12:30@cam0", tmp_path / "day2" / "12:45@cam0"]
+    for place in places:
+        write_street(place / "0.png", 0)
+    files = find_label_files([f"file://{place}" for place in places])
+    assert [file.folder for file in files] == [f"file://{place}" for place in places]
+    assert [file.frame for file in files] == ["12:30@cam0/0", "12:45@cam0/0"]
+
+
+def test_what_a_uri_says_beside_the_folder_is_not_shown(folder):
+    [file, *_] = find_label_files([f"{folder.as_uri()}?key=secret"])
+    assert "secret" not in repr(file)
+
+
 def test_rows_are_those_of_the_same_files_here(folder):
     here, _ = encode_to_memory(HEAD, find_label_files([str(folder)]))
     there, skipped = encode_to_memory(HEAD, find_label_files([folder.as_uri()]))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, NamedTuple
@@ -107,7 +107,7 @@ class RemoteFile(FrameFile):
     settings, size and modification time when that was listed, and the URI to connect by."""
 
     listed: str = ""
-    uri: str = ""
+    uri: str = field(default="", repr=False)
 
     readers: ClassVar[int] = 16
 

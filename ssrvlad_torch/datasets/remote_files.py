@@ -16,8 +16,10 @@ def remote_files(uri: str, kind: str, suffixes: Sequence[str]) -> list[FrameFile
 
     system, root = FileSystem.from_uri(uri.rstrip("/"))
     scheme, _, address = uri.partition("?")[0].rstrip("/").partition("://")
-    user, _, rest = address.rpartition("@")
-    folder = f"{scheme}://{rest if ':' in user else address}"  # is stored, so it holds no password
+    authority, slash, rest = address.partition("/")
+    user, _, host = authority.rpartition("@")
+    plain = host if ":" in user else authority  # is stored, so it holds no password
+    folder = f"{scheme}://{plain}{slash}{rest}"
     found = list[FrameFile]()
     for entry in system.get_file_info(FileSelector(root)):
         path = PurePosixPath(entry.path)
