@@ -1,10 +1,11 @@
 """Exported databases, read back with NumPy and h5py."""
 
+import errno
 import json
 
 import numpy as np
 import pytest
-from helpers import descriptors, record
+from helpers import descriptors, record, refused
 
 from ssrvlad_torch import SSRVLADConfig
 from ssrvlad_torch.database.database import Database
@@ -68,11 +69,42 @@ def test_nothing_stays_of_an_earlier_export(database, tmp_path):
     file, other = tmp_path / "out.npy", tmp_path / "out.npy2.npy"
     whole = [{*export_database(seen, "npy", each)} for each in (other, file)]
     assert [len(files) for files in whole] == [6, 6]
+    mine = {tmp_path / f"out.npy.mine{end}" for end in ("", ".fingerprint.txt")}
+    for each in mine:
+        each.touch()
+    stays = whole[0] | mine
     left = {*export_database(database, "npy", file)}
-    assert {*tmp_path.glob("out*")} == whole[0] | left
+    assert {*tmp_path.glob("out*")} == stays | left
     bare = Database.create(tmp_path / "bare", width=480)
     left = {*export_database(bare, "npy", file)}
-    assert {*tmp_path.glob("out*")} == whole[0] | left and len(left) == 3
+    assert {*tmp_path.glob("out*")} == stays | left and len(left) == 3
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"extra": {"mine": ""}}', None])
+def test_only_what_an_export_lists_is_deleted(database, tmp_path, content):
+    """Without a JSON file, or with a damaged or another one, nothing is known of the others."""
+    file = tmp_path / "out.npy"
+    mine = {tmp_path / f"out.npy.mine.npy{end}" for end in ("", ".fingerprint.txt")}
+    for each in mine:
+        each.touch()
+    if content:
+        (tmp_path / "out.npy.json").write_text(content)
+    left = {*export_database(database, "npy", file)}
+    assert {*tmp_path.glob("out*")} == mine | left
+
+
+def test_the_file_that_cannot_be_written_is_named(database, tmp_path, monkeypatch):
+    def flush(path):
+        if "json" in path.name:
+            raise OSError(errno.EIO, "damaged")
+
+    (tmp_path / "out.npy.json").mkdir()
+    with refused(r"^cannot write [^ ]*out\.npy\.json: it is a folder$", by=OSError):
+        export_database(database, "npy", tmp_path / "out.npy")
+    (tmp_path / "out.npy.json").rmdir()
+    monkeypatch.setattr("ssrvlad_torch.files.flush", flush)
+    with refused(r"^[^ ]*out\.npy\.json cannot be written: Input/output error$", by=OSError):
+        export_database(database, "npy", tmp_path / "out.npy")
 
 
 @pytest.mark.parametrize("form", ["npy", "hloc"])

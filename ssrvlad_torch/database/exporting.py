@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import errno
-import glob
 import json
 import os
 import shutil
@@ -14,7 +13,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..files import replacing, requiring
+from ..files import read_json, replacing, requiring
 from .database import Database
 from .frames import FrameSet
 
@@ -65,32 +64,45 @@ def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     for each in database.extra:
         texts[f".{each.name}.npy.fingerprint.txt"] = f"{each.fingerprint}\n"
     text_files = {file.with_name(file.name + suffix): text for suffix, text in texts.items()}
+    written, earlier = [file, *arrays, *text_files], _extra_files(file)
     with ExitStack() as stack:  # all files are whole before the first replaces an earlier one
         for path, values in {file: frames.descriptors, **arrays}.items():
             with stack.enter_context(_replacing(path)).open("wb") as stream:
                 np.save(stream, values.numpy())
         for path, text in text_files.items():
             stack.enter_context(_replacing(path)).write_text(text, encoding="utf-8")
-    written = [file, *arrays, *text_files]
-    for beside in [*file.parent.glob(f"{glob.escape(file.name)}.*fingerprint.txt")]:
-        array = beside.with_name(beside.name.removesuffix(".fingerprint.txt"))
-        for path in {beside, array} - {*written}:  # of an earlier export with other descriptors
-            path.unlink(missing_ok=True)
+    for path in {file.with_name(f"{file.name}.fingerprint.txt"), *earlier} - {*written}:
+        if path.is_file():
+            path.unlink()
     return written
+
+
+def _extra_files(file: Path) -> set[Path]:
+    """The files of extra descriptors that the JSON of an earlier export lists; none if that file is
+    missing, damaged or of something else."""
+    try:
+        match read_json(file.with_name(f"{file.name}.json")):
+            case {"fingerprint": _, "config": _, "extra": dict(extra), "label_spaces": _}:
+                arrays = {file.with_name(f"{file.name}.{name}.npy") for name in extra}
+                return arrays | {path.with_name(f"{path.name}.fingerprint.txt") for path in arrays}
+    except (OSError, ValueError):
+        pass
+    return set()
 
 
 @contextmanager
 def _replacing(file: Path) -> Iterator[Path]:
-    """As `replacing`, but errors of HDF5 and of the system are one line."""
-    with replacing(file) as temporary:
-        try:
+    """As `replacing`, but errors of HDF5 and of the system are one line that names the file."""
+    try:
+        with replacing(file) as temporary:
             yield temporary
-        except (OSError, RuntimeError) as error:
-            if " cannot be written: " in str(error):  # another file, inside
-                raise
-            number = getattr(error, "errno", None)
-            reason = os.strerror(number) if number else " ".join(str(error).split())
-            raise OSError(f"{file} cannot be written: {reason}") from error
+    except (OSError, RuntimeError) as error:
+        text = " ".join(str(error).split())
+        if text.startswith("cannot write ") or " cannot be written: " in text:  # names a file
+            raise
+        number = getattr(error, "errno", None)
+        reason = os.strerror(number) if number else text
+        raise OSError(f"{file} cannot be written: {reason}") from error
 
 
 def _write_hloc(frames: FrameSet, about: dict[str, object], file: Path) -> None:
