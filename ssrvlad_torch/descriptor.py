@@ -50,11 +50,12 @@ class SSRVLAD(nn.Module):
     On a CPU the native core computes the descriptors as one operator, which ``torch.compile`` keeps
     and does not make faster. On CUDA, without a built core, with ``head.native = False``, or where
     class scores require a gradient, the stages in torch give the same numbers; ``torch.compile``
-    runs them without compiling. ``torch.export`` and ``torch.onnx.export`` record the stages of
-    ``default``; of ``paper`` the one keeps the operator, the other is refused: `export_head` writes
-    the head as an ONNX file. Class scores that require a gradient give a warning, once: they need
-    `SurrogateSSRVLAD`. ``torch.jit.trace`` is refused. ``copy.deepcopy`` and ``pickle`` keep the
-    settings.
+    runs them without compiling. ``torch.export`` and ``torch.onnx.export(dynamo=True)`` record the
+    stages of ``default``. Of ``paper``, ``torch.export`` keeps the operator and
+    ``torch.onnx.export`` is refused: `export_head` writes the head as an ONNX file.
+    ``torch.jit.trace`` and ``torch.onnx.export(dynamo=False)`` are refused. Class scores that
+    require a gradient give a warning, once: they need `SurrogateSSRVLAD`. ``copy.deepcopy`` and
+    ``pickle`` keep the settings.
 
     Args:
         config: the settings; the default is the preset ``default``.
@@ -70,7 +71,8 @@ class SSRVLAD(nn.Module):
         ValueError: input on another device than the module, wrong rank or dtype, an empty batch or
             image, an id outside the label space, NaN scores, or a class count that does not fit
             the label space. The message names the offender, what was got and what was expected.
-        RuntimeError: under ``torch.jit.trace``, which would record the numbers of one input.
+        RuntimeError: under ``torch.jit.trace`` or ``torch.onnx.export(dynamo=False)``, which would
+            record the numbers of one input.
 
     Examples:
         >>> head = SSRVLAD.from_preset("default", labels_as="cityscapes-trainids")
@@ -103,7 +105,7 @@ class SSRVLAD(nn.Module):
         if is_exporting() and isinstance(self._aggregation, Harmonics):
             found, unknown, *_ = self.counted(labels)
             return torch.where((unknown > 0).view(-1, *[1] * (found.ndim - 1)), torch.nan, found)
-        if torch.onnx.is_in_onnx_export():
+        if is_exporting() and torch.onnx.is_in_onnx_export():
             raise ValueError(
                 "torch.onnx.export cannot record the loops of residuals: expected export_head or "
                 "ssrvlad fuse"

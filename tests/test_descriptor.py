@@ -270,10 +270,12 @@ def test_a_network_with_the_head_is_compiled_and_exported(core):
             compiled(other * torch.nan)
 
 
-@pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SweepHead(DEFAULT, [0])])
-def test_a_trace_is_refused(head):
-    with pytest.raises(RuntimeError, match=r"torch\.jit\.trace cannot record SSRVLAD"):
+@pytest.mark.parametrize("head", [SSRVLAD(DEFAULT), SSRVLAD(PAPER), SweepHead(DEFAULT, [0])])
+def test_a_trace_is_refused(head, tmp_path):
+    with refused(r"torch\.jit\.trace cannot record SSRVLAD", by=RuntimeError):
         torch.jit.trace(head, batch_of_blobs(1))
+    with refused(r"nor can torch\.onnx\.export\(dynamo=False\)", by=RuntimeError):
+        torch.onnx.export(head, (batch_of_blobs(1),), tmp_path / "head.onnx", dynamo=False)
 
 
 class LargestTensor(TorchDispatchMode):

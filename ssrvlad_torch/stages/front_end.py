@@ -95,8 +95,8 @@ def label_map(labels: Tensor, space: LabelSpace) -> Tensor:
     """
     if torch.jit.is_tracing():  # type: ignore[attr-defined]
         raise RuntimeError(
-            "torch.jit.trace cannot record SSRVLAD; torch.export.export keeps it as an operator, "
-            "and export_head or `ssrvlad fuse` writes it as an ONNX file"
+            "torch.jit.trace cannot record SSRVLAD, nor can torch.onnx.export(dynamo=False); "
+            "torch.export.export can, and export_head or `ssrvlad fuse` writes it as an ONNX file"
         )
     got = f"got {tuple(labels.shape)} {str(labels.dtype).removeprefix('torch.')}"
     if labels.ndim == 3 and (labels.is_floating_point() or labels.dtype == torch.bool):
