@@ -148,8 +148,8 @@ class Database(StoredFrames):
 
         Raises:
             ValueError: the database does not exist, is damaged, or was made by another version of
-                the method. If only the newest versions are damaged, the
-                message names the last readable one and the files of the others.
+                the method. If only the newest versions are damaged, the message names the last
+                readable one and the files of the others.
         """
         text = str(path)
         if is_local(text) and not cls.exists(text):
@@ -169,12 +169,12 @@ class Database(StoredFrames):
                     raise ValueError(f"{text} is damaged in version {version}: {reason}") from error
                 span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))
                 raise ValueError(f"{text} has no version {version}; it has {span}") from error
-            if not is_local(text) and "not found" in reason.lower():
-                raise ValueError(f"{text} does not exist") from error
+            missing = not is_local(text) and "not found" in reason.lower()
+            problem = "does not exist, or is damaged" if missing else "is damaged"
             readable, later = engine.newest_readable(text)
             hint = f"; --as-of {readable} reads the version before" if readable else ""
             hint += f", without {', '.join(later)} it is the newest" if readable else ""
-            raise ValueError(f"{text} is damaged or not a database: {reason}{hint}") from error
+            raise ValueError(f"{text} {problem} or not a database: {reason}{hint}") from error
         return cls(text, table, read_only=version is not None)
 
     @classmethod

@@ -180,7 +180,7 @@ def discard_empty(uri: str, error: BaseException | None) -> None:
 
     Args:
         uri: the table.
-        error: the frames of its traceback are cleared, which may use versions.
+        error: its traceback is cleared of local variables, which may hold versions.
     """
     while error:
         traceback.clear_frames(error.__traceback__)
