@@ -78,7 +78,7 @@ def test_pairs_as_a_list(read):
     [
         ("some.json", {"a": ["day/2"]}),
         ("some.json", [["a", "day/2"]]),
-        ("some.csv", "query,reference\na,day/2\n"),
+        ("some.csv", "query,reference\na,day/2,\n"),
     ],
 )
 def test_of_a_query_that_no_entry_names_nothing_is_known(read, name, content):
@@ -127,7 +127,7 @@ def test_the_known_queries_can_be_chosen():
         ("a.json", {"a": ["day/3"]}, "names reference 'day/3', which is not in the database"),
         ("a.csv", "", "expected a first line query,reference or a matrix of 0 and 1"),
         ("a.csv", "query,place\na,day/1\n", "expected a first line query,reference"),
-        ("a.csv", "query,reference\na,day/1,day/2\n", "a line of a has more cells than columns"),
+        ("a.csv", "query,reference\na,day/1,day/2\n", "line 2: more cells than columns: day/2"),
         ("a.csv", "query,reference\n", "has an entry for none of the 2 queries"),
         ("a.csv", "query,reference\na,day/3\n", "names reference 'day/3'"),
         ("a.csv", "1,0,1\n0,0\n", "cannot read the ground truth"),

@@ -28,8 +28,8 @@ def test_the_heading_may_be_left_out(tmp_path, text):
 
 
 def test_what_spreadsheets_write_is_read(tmp_path):
-    """A byte order mark, a space after the comma, CRLF, a quoted id."""
-    path = write(tmp_path, '\ufeffframe, x, y\r\n"a,b", 2, 3\r\n')
+    """A byte order mark, a space after the comma, CRLF, a quoted id, empty cells at the end."""
+    path = write(tmp_path, '\ufeffframe, x, y,,\r\n"a,b", 2, 3,,, ,\r\n')
     assert read_poses(path)["a,b"][:2] == (2, 3)
 
 

@@ -39,13 +39,13 @@ def parse_number(text: str) -> float:
 def read_poses(path: Path) -> dict[str, Pose]:
     """Poses by frame, an id ``<sequence>/<name>`` or only a name, of the columns ``frame``, ``x``,
     ``y`` and optionally ``heading``; or ``frame``, ``latitude`` and ``longitude`` in degrees and
-    optionally ``course``, in degrees clockwise from north. A missing column, a value that is no
-    number, and one NaN of two coordinates are a ValueError that names file and line."""
+    optionally ``course``, in degrees clockwise from north. A missing column, more cells than
+    columns, a value that is no number, and one NaN of two coordinates are a ValueError that names
+    file and line."""
     rows = csv.DictReader(io.StringIO(read_text(path)), restval="", skipinitialspace=True)
     try:
         columns = rows.fieldnames or ()
-        repeated = next((column for column in columns if columns.count(column) > 1), None)
-        if repeated is not None:
+        if repeated := next((column for column in columns if columns.count(column) > 1), ""):
             raise ValueError(f"two columns {repeated!r}")
         if {"frame", "latitude", "longitude"} <= set(columns):
             fixes = _by_frame(rows, Fix, "latitude", "longitude", "course")
@@ -78,8 +78,8 @@ def _by_frame(
     """The position of each frame. A frame may have several rows if they are equal."""
     positions: dict[str, Position] = {}
     for row in rows:
-        if None in row:  # as by decimal commas
-            raise ValueError(f"more cells than columns: {','.join(row[None])}")
+        if any(more := row.get(None, ())):  # as by decimal commas, not by one at the end
+            raise ValueError(f"more cells than columns: {','.join(more)}")
         position = kind(*(_number(row, column) for column in columns))
         if math.isnan(position[0]) != math.isnan(position[1]):
             x, y = (f"{column} is {row[column]}" for column in columns[:2])

@@ -98,10 +98,13 @@ def _read_csv(path: Path) -> Pairs | Matrix:
         lines = csv.DictReader(file, restval="", skipinitialspace=True)
         first = lines.fieldnames or ()
         if {"query", "reference"} <= set(first):
-            rows = list(lines)
-            if more := next((row for row in rows if None in row), None):
-                raise ValueError(f"a line of {more['query']} has more cells than columns")
-            return _grouped((row["query"], row["reference"]) for row in rows)
+            rows = list[tuple[str, str]]()
+            for row in lines:
+                if any(more := row.get(None, ())):
+                    cells = ",".join(more)
+                    raise ValueError(f"line {lines.line_num}: more cells than columns: {cells}")
+                rows.append((row["query"], row["reference"]))
+            return _grouped(rows)
     try:
         [float(text) for text in first or ("",)]
     except ValueError:
