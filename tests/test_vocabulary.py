@@ -144,7 +144,7 @@ def test_training_clusters_the_regions_of_all_images(folder, tmp_path):
     assert torch.equal(read_vocabulary(path, 6), words)
 
 
-def test_training_needs_images_that_can_be_read(folder, tmp_path):
+def test_training_needs_images_that_can_be_read(folder, tmp_path, monkeypatch):
     features = RegionFeatures(random_weights=True, regions=8)
     with pytest.raises(ValueError, match="no images under"):
         train_vocabulary(tmp_path / "empty", tmp_path / "words.npy", features)
@@ -152,5 +152,8 @@ def test_training_needs_images_that_can_be_read(folder, tmp_path):
         train_vocabulary(folder, tmp_path / "words.npy", features)
     (folder / "broken.png").write_text("no image")
     with pytest.raises(ValueError, match=r"broken\.png: is no image file"):
+        train_vocabulary(folder, tmp_path / "words.npy", features)
+    monkeypatch.setenv("SSRVLAD_FILE_LIMIT", "5")
+    with pytest.raises(ValueError, match=r"^[^:]*a\.jpg has \d+ bytes; expected at most 5"):
         train_vocabulary(folder, tmp_path / "words.npy", features)
     assert not (tmp_path / "words.npy").exists()

@@ -54,8 +54,8 @@ def train_vocabulary(
 
     The authors used 2,600 images of many places. Every region needs 1.5 kB of memory, an image 0.6
     MB. The network of ``features`` must be the one that will be used; the seed is of the choice of
-    the first centres. No image, one that cannot be read, and too few regions are a ValueError;
-    without scikit-learn it is an ImportError.
+    the first centres. No image, one that `decode_image` refuses, as what looks like a label map,
+    and too few regions are a ValueError; without scikit-learn it is an ImportError.
     """
     regions = list(features(_images(Path(folder))))
     if not regions:
@@ -83,10 +83,12 @@ def _cluster(points: Tensor, count: int, seed: int) -> Tensor:
 def _images(folder: Path) -> Iterator[Pixels]:
     for path in sorted(folder.rglob("*")):
         if path.suffix.lower() in _SUFFIXES:
+            content = read_bytes(path)
             try:
-                yield decode_image(read_bytes(path))
+                image = decode_image(content)
             except ValueError as error:
                 raise ValueError(f"{path}: {error}") from error
+            yield image
 
 
 def _centres(path: Path, words: int, regions: int) -> Any:
