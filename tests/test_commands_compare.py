@@ -66,6 +66,11 @@ def test_nothing_that_can_run(ssrvlad, compare, two_drives):
             "--method hog --references town/query/images --queries town/reference/images",
             "town/query/images and town/reference/images both have a sequence 'images'; expected",
         ),
+        (
+            "--method hog --references town/reference --references town/query "
+            "--queries town/../town/query",
+            "town/query is given twice; expected different folders",
+        ),
         ("--method hog --odd-even", "--layout and --odd-even need the folder of a data set"),
         ("town --method hog --odd-even --queries query", "--odd-even takes the queries from"),
         ("town --method hog,orb", "unknown method 'orb'; expected one of ssr-vlad"),

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from .dataset import Dataset, DatasetFrame
 from .layouts import open_dataset
+from .names import absolute
 
 KINDS: dict[str, Callable[[DatasetFrame], Path | None]] = {
     "images": lambda frame: frame.image,
@@ -57,11 +58,8 @@ class Drives:
                 "expected the folder of a data set, or folders as --references and --queries"
             )
         else:
-            parts = [
-                _joined([open_dataset(path, "folders", *asked) for path in paths])
-                for paths in names
-            ]
-            drives = cls(_joined(parts), *parts)
+            parts = [[open_dataset(path, "folders", *asked) for path in paths] for paths in names]
+            drives = cls(_joined([*chain(*parts)]), *map(_joined, parts))
         used = {t.name for part in (drives.references, drives.queries) for t in part.traverses}
         traverses = tuple(t for t in drives.whole.traverses if t.name in used)
         for warning in replace(drives.whole, traverses=traverses).warnings:
@@ -147,6 +145,8 @@ def _joined(parts: Sequence[Dataset]) -> Dataset:
     for part in parts:
         for traverse in part.traverses:
             if (other := roots.setdefault(traverse.name, part.root)) is not part.root:
+                if absolute(other) == absolute(part.root):
+                    raise ValueError(f"{other} is given twice; expected different folders")
                 raise ValueError(
                     f"{other} and {part.root} both have a sequence {traverse.name!r}; expected "
                     "another name of one of the folders"
