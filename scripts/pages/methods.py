@@ -56,9 +56,9 @@ TOP = 10
 TRAVERSES = ("UofA", "Gardens Point")
 
 COSTS = f"""Costs on {{processor}}, at {{size}}: the median of {ROUNDS} frames
-({ROUNDS_OF_NETWORKS} for networks with random weights); the methods take turns.
-[methods.csv](methods.csv) has minimum and maximum. There are {{references}} references, for
-LoST-X and tiny image {ENCODED}."""
+({ROUNDS_OF_NETWORKS} for networks with random weights); the methods take turns, and one that runs
+again and again, with warm caches, takes less. [methods.csv](methods.csv) has minimum and maximum.
+There are {{references}} references, for LoST-X and tiny image {ENCODED}."""
 
 
 def main() -> None:

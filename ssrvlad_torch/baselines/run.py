@@ -51,9 +51,9 @@ def run(
     with 1 for every frame.
 
     With steps of `recognition` there is a second result. They standardise and follow encodings that
-    are vectors; for other methods they follow the scores. The sweep needs a method with
-    ``encode_sweep``, as `SSRVLADMethod` has. The costs do not include them. No references or
-    queries, a ``top`` below 1, and a frame that the method refuses are a ValueError.
+    are vectors; for other methods they follow the scores. The sweep needs signs, or a
+    method with ``encode_sweep``, as `SSRVLADMethod` has. The costs do not include them. No
+    references or queries, a ``top`` below 1, and a frame that the method refuses are a ValueError.
     """
     if top < 1:
         raise ValueError(f"expected a top of 1 or more, got {top}")

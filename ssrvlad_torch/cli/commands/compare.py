@@ -41,10 +41,11 @@ def compare(
 ) -> None:
     """Compare methods on one data set: metrics with 95 % bootstrap intervals, and costs. Each
     method is measured twice: by the scores of single frames, and with the steps below.
-    --standardise needs descriptors that are vectors, and --sweep needs ssr-vlad. Methods without
-    their images, label maps or weights are left out. The others are compared on the frames that
-    all of them can use. --fuse adds the scores of methods; features count more than HOG, HOG more
-    than label maps, and each the more, the farther its first candidates are ahead.
+    --standardise needs descriptors that are vectors or signs, --sweep needs ssr-vlad or features.
+    Methods without their images, label maps or weights are left out. The others are compared on
+    the frames that all of them can use. --fuse adds the scores of methods; features count more
+    than HOG, HOG more than label maps. The farther ahead its first candidates are, the more a
+    method counts.
 
     Example: ssrvlad compare town --method ssr-vlad,cohog --labels-as camvid-11
 
