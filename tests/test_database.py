@@ -190,6 +190,10 @@ def test_a_path_that_is_not_a_database_is_refused_and_not_changed(tmp_path):
         Database.open(tmp_path / "missing")
     with pytest.raises(ValueError, match="is a table of Lance, but not a database"):
         Database.open(tmp_path / "table")
+    old = foreign_table().replace_schema_metadata({"ssrvlad": '{"format": "ssrvlad-database-0"}'})
+    lance.write_dataset(old, tmp_path / "old")
+    with refused(r"old was made by an earlier format of database: encode it again$"):
+        Database.open(tmp_path / "old")
     for name in ("folder", "folder/letter.txt"):
         with pytest.raises(ValueError, match="exists and is not a database"):
             Database.create(tmp_path / name, CONFIG)
