@@ -116,12 +116,19 @@ def _space(
     labels_as: str | LabelSpace | None, database: Database | None, compared: bool, images: bool
 ) -> str | LabelSpace:
     """The label space of the source, or else of a database; empty for images alone."""
-    space = labels_as or (database.label_space() if database else None)
-    if space is None and compared and database:
+    if database and not labels_as:
+        spaces = database.label_spaces()
+        if len(spaces) > 1:
+            names = " and ".join(space.name for space in spaces)
+            raise ValueError(
+                f"{database.path} holds frames of {names}; choose one with --labels-as"
+            )
+        labels_as = spaces[0] if spaces else None
+    if labels_as is None and compared and database:
         return label_space(database.config.labels_as)
-    if space is None and not images:
+    if labels_as is None and not images:
         raise ValueError("Missing option '--labels-as': label space of the label maps")
-    return space or ""
+    return labels_as or ""
 
 
 def _segmenter(

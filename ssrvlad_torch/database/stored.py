@@ -75,18 +75,6 @@ class StoredFrames:
             raise ValueError(f"{self.path} holds custom descriptors, without settings")
         return self._config
 
-    def label_space(self) -> LabelSpace | None:
-        """The label space of the frames, or of the origins of an empty database, if there is one.
-
-        Raises:
-            ValueError: there are several.
-        """
-        spaces = self.label_spaces()
-        if len(spaces) > 1:
-            names = " and ".join(space.name for space in spaces)
-            raise ValueError(f"{self.path} holds frames of {names}; choose one with --labels-as")
-        return spaces[0] if spaces else None
-
     def label_spaces(self) -> list[LabelSpace]:
         """The label spaces of the frames, or of the origins of an empty database, each once."""
         keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
