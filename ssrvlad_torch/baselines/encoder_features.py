@@ -22,7 +22,8 @@ _BATCH = 4
 class EncoderFeatures:
     """Signs of what the encoder of a segmentation network sees in each cell of a grid. The network
     is given, or its name, see `open_network`, with the label space of its classes, if neither they
-    nor its YAML file say it. None is a FileNotFoundError, one without features a ValueError."""
+    nor its YAML file say it. No network is a FileNotFoundError, one without features is a
+    ValueError."""
 
     name = "features"
     needs = frozenset({"images", "weights"})

@@ -48,7 +48,8 @@ class HOG(GridMethod):
         return F.normalize(F.normalize(cells, dim=-1).flatten(1), dim=1)
 
     def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `Grid`. Not exact: a gradient between two bins counts in the first of them."""
+        """See `GridMethod`. Not exact: a direction between two bins, as of a vertical edge, counts
+        in the bin above it, also in a mirrored picture, and here in the one below."""
         cells: Tensor = vectors.unflatten(-1, (-1, self.columns, ORIENTATIONS))
         return cells.flip(-2, -1).flatten(-3)
 

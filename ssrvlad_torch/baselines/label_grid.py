@@ -38,6 +38,6 @@ class LabelGrid(GridMethod):
         return F.normalize(fractions.sqrt().flatten(1), dim=1)
 
     def mirrored(self, vectors: Tensor) -> Tensor:
-        """See `Grid`; exact."""
+        """See `GridMethod`; exact."""
         rows: Tensor = vectors.unflatten(-1, (-1, self.columns))
         return rows.flip(-1).flatten(-2)

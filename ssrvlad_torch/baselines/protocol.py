@@ -127,7 +127,8 @@ def make(name: str, **settings: Any) -> Method:
 
 
 def image_of(frame: Frame, method: str) -> Image:
-    """The image of a frame for a method; none, or not ``(H, W, 3)`` uint8, is a ValueError."""
+    """The image of a frame, for a method. A missing one, or an image that is not ``(H, W, 3)``
+    uint8, is a ValueError."""
     if frame.image is None:
         raise ValueError(f"method {method} needs images, but frame {frame.frame} has none")
     got = frame.image

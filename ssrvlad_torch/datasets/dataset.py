@@ -45,8 +45,8 @@ class DatasetFrame:
 
 
 class GroundTruth(NamedTuple):
-    """The definition of a true match, as in ``evaluate``: a file, or the largest distance in metres
-    on the ground or in frames along the drive."""
+    """The definition of a true match, as in ``evaluate``: a file, or the largest distance, either
+    in metres on the ground or in frames along the drive."""
 
     file: Path | None = None
     metres: float | None = None

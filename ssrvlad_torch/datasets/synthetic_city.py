@@ -202,8 +202,9 @@ def write_tour(
     progress: Callable[[int], None] | None = None,
 ) -> Path:
     """Write one drive along `TOUR`, which closes loops, into a new or empty folder: ``poses.csv``,
-    and label PNGs in the folder ``tour``, which it returns. The whole tour has about 1100 frames.
-    Other arguments as for `write_city`."""
+    and label PNGs in the folder ``tour``, which it returns. At most ``frames`` are written, without
+    it the whole tour of about 1100. ``seed``, ``size``, ``progress`` and errors as for
+    `write_city`."""
     folder = empty_folder(Path(out)) / "tour"
     city = SyntheticCity(seed, TOUR_ESTATES)
     length = sys.maxsize if frames is None else frames

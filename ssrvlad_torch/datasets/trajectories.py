@@ -40,8 +40,9 @@ class Trajectory(NamedTuple):
     def of_frames(self, names: Sequence[str], stamps: Sequence[float] = ()) -> list[Pose]:
         """The pose of each frame: the n-th pose, or, if poses have stamps, the pose at its time,
         which is one of ``stamps`` in seconds or its name, in seconds or a whole number of milli-,
-        micro- or nanoseconds. Other numbers of frames than poses, a name that is no time, and no
-        unit, or several, that give poses are a ValueError."""
+        micro- or nanoseconds, whichever unit reaches most of the trajectory. Other numbers of
+        frames than poses, a name that is no time, no unit that gives poses, and two that reach as
+        much of it and give different poses are a ValueError."""
         if self.stamps:
             return self._at_times(names, stamps)
         if len(names) != len(self.poses):

@@ -27,9 +27,10 @@ def draw_loops(
     sequences: Sequence[str] | None = None,
     candidates: Rows | None = None,
 ) -> Figure:
-    """Draws a stream by the rows ``(N,)`` int64 of its frames' candidates, -1 for none: ``loops``
-    that are closed, and ``candidates``, of which those that are no loop are drawn faintly. Right
-    loops, of at most some metres, are green, wrong ones red; without a distance all are blue.
+    """Draws a stream of N frames. ``loops`` ``(N,)`` int64 has for each frame the row with which it
+    closes a loop, -1 for none; ``candidates``, of the same form, the row of its candidate, drawn
+    faintly where no loop is closed. Right loops, of at most some metres, are green, wrong ones red;
+    without a distance all are blue.
 
     If there are poses ``(N, 3)``, x and y in metres and heading, NaN where unknown, each sequence
     is drawn from above, with a dot at each frame that closes a loop and a line to its candidate. A

@@ -89,7 +89,8 @@ def match(
 
 
 class Rows(NamedTuple):
-    """References ``(R, D)`` float for many calls, with their lengths ``(R,)`` float32."""
+    """References ``(R, D)`` float with their lengths ``(R,)`` float32, computed once for many calls
+    of `score`."""
 
     vectors: Tensor
     lengths: Tensor

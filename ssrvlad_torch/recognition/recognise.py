@@ -330,9 +330,9 @@ def _decided(
     mode: Mode | None,
     prior: Prior = ALONE,
 ) -> _Decision:
-    """Follows one sequence of queries, each stream of its course by itself, or judges each alone:
-    without a mode or a course, or where the decoy beats every answer, as the sequences of the map
-    are too short to be run. An empty query has no candidate. For scores, see `Recognised`."""
+    """Follows one sequence of queries, each stream of its course by itself. Judges each query alone
+    without a mode, without a course, and if the decoy beats every answer, as in a map of sequences
+    too short to be run. An empty query has no candidate. For scores, see `Recognised`."""
     taken = course(gain, queries) if mode else None
     if mode and taken:
         parts, motion = taken.parts(queries), Motion().at(taken.rate)
