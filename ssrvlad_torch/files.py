@@ -48,7 +48,7 @@ class InputError(ValueError):
 
 def check_regular(path: str | os.PathLike[str]) -> None:
     """Raises an InputError unless a path, or the target of a link, is a regular file: reading a
-    pipe can block for ever, and a device has no end."""
+    pipe can block for ever, and a device has no end. A missing file is an OSError."""
     mode = Path(path).stat().st_mode
     if not stat.S_ISREG(mode):
         kind = next(name for is_kind, name in _KINDS if is_kind(mode))
@@ -57,7 +57,7 @@ def check_regular(path: str | os.PathLike[str]) -> None:
 
 def read_bytes(path: str | os.PathLike[str], limit: int | None = None) -> bytes:
     """The content of a regular file of at most ``limit`` bytes, by default the environment variable
-    ``SSRVLAD_FILE_LIMIT``, or 256 MiB; another file is an InputError."""
+    ``SSRVLAD_FILE_LIMIT``, or 256 MiB. Another file is an InputError, a missing one an OSError."""
     check_regular(path)
     with Path(path).open("rb") as file:
         size = os.fstat(file.fileno()).st_size
@@ -139,8 +139,8 @@ def npy_header(file: Any) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
 
 
 def read_npz(path: Path) -> dict[str, npt.NDArray[Any]]:
-    """The arrays in a ``.npz`` archive by name; their total size has the limit of `read_bytes`.
-    Damage and Python objects are an InputError."""
+    """The arrays in a ``.npz`` archive by name. Damage, Python objects, and a total size above the
+    limit of `read_bytes` are an InputError."""
     with input_errors(path, "not a .npz archive"):
         archive = zipfile.ZipFile(io.BytesIO(read_bytes(path)))
         entries = archive.infolist()
@@ -190,7 +190,7 @@ def input_errors(name: object, problem: str) -> Iterator[None]:
 
 def check_output(path: Path) -> Path:
     """The file to write for an output path: ``path``, or the target of a link. A folder, a device
-    or a pipe, and a path in no folder, are an OSError with ``path`` as it was given."""
+    or a pipe, and a path whose folder does not exist, are an OSError with ``path`` as given."""
     if path.is_dir():
         raise IsADirectoryError(f"cannot write {path}: it is a folder")
     if path.exists() and not path.is_file():

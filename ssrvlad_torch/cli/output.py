@@ -56,9 +56,9 @@ def printable(text: str) -> str:
 
 @contextmanager
 def progress_bar(what: str, total: int, played: Sequence[float] = ()) -> Iterator[Progress]:
-    """Shows a progress bar on stderr, with the rate, the number of skipped frames and the seconds
-    of video ``played`` up to each step. Where stderr is no terminal, a line appears every
-    `_LINE_SECONDS`."""
+    """Shows a progress bar on stderr, with the rate and, if any are skipped, their number. With
+    ``played``, the seconds of video up to each step, it also shows the time in the video. Where
+    stderr is no terminal, a line appears every `_LINE_SECONDS`."""
     from rich import progress
     from rich.console import Console
 
@@ -130,8 +130,9 @@ def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
 
 
 def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
-    """Ends a command. If inputs were skipped, names them and exits with code 3. If none was
-    described, and the label space is the reason, a note asks for ``--labels-as``."""
+    """Ends a command. If inputs were skipped, names them and exits with code 3. ``described`` is
+    the number of frames that the command described, ``None`` if it describes none; if it is 0 and
+    the label space is the reason, a note asks for ``--labels-as``."""
     if skipped and described == 0 and all("label space" in frame.reason for frame in skipped):
         note("no frame could be described: is --labels-as the label space of these label maps?")
     for frame in skipped[:_NAMED]:

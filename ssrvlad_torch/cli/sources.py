@@ -164,7 +164,7 @@ def _find(
 
 
 def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None]) -> bool:
-    """Whether not all pixels of the first file that can be read are of a label space."""
+    """Whether the first file that can be read is no label map of any of the label spaces."""
     for file in files:
         for space in filter(None, spaces):
             with suppress(ValueError):

@@ -99,7 +99,8 @@ def encode_to_memory(
     segmenter: Segmenter | None = None,
     extra: Sequence[ExtraDescriptor] = (),
 ) -> tuple[FrameSet, list[Skipped]]:
-    """The encoded and the skipped of frames, in order; arguments as for `encode`."""
+    """The frames that could be encoded and those that were skipped, in order. ``progress`` is
+    called with 1 for each frame; other arguments and errors as for `encode`."""
     frames: list[Encoded] = []
     skipped: list[Skipped] = []
     for frame in encode(head, files, workers, segmenter, extra):
@@ -131,7 +132,8 @@ def encode(
     extra: Sequence[ExtraDescriptor] = (),
 ) -> Iterator[Encoded | Skipped]:
     """Encodes frames, label maps, or images with a segmenter, in order, with extra descriptors of
-    the pictures. A segmenter of another label space or with other descriptors is a ValueError.
+    the pictures. Extra descriptors without a segmenter, and a segmenter of another label space or
+    with other descriptors, are a ValueError.
 
     Each worker, by default one for each core, is a thread that reads and describes one batch at a
     time; with 0 or 1 everything runs in the caller's thread. If the head is not on the CPU, workers
@@ -145,7 +147,7 @@ def encode(
 def check_segmenter(
     head: SSRVLAD, segmenter: Segmenter | None, extra: Sequence[ExtraDescriptor]
 ) -> None:
-    """Requires that a segmenter has the label space of a head, and extra features."""
+    """Requires that a segmenter has the label space of a head, and the extra descriptors."""
     require_same(extra, segmenter)
     if segmenter and segmenter.label_space != head.label_space:
         raise ValueError(

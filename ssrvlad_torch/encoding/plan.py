@@ -112,7 +112,7 @@ def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
 
 
 def check_folder(file: FrameFile, record: FrameRecord) -> None:
-    """Refuses a file in another folder than its stored frame, if that still exists."""
+    """Refuses a file in another folder than its stored frame, if that folder still exists."""
     folder = record.folder
     if folder and not is_same_folder(folder, file.folder) and Path(folder).exists():
         raise ValueError(

@@ -51,11 +51,11 @@ def encode_with_ray(
     options: EncodeOptions | None = None,
     segmenter: Segmenter | None = None,
 ) -> Summary:
-    """Encodes frames as `encode_to_database` does, with Ray; arguments and errors as there.
+    """Encodes frames with Ray; arguments, result and errors are those of `encode_to_database`.
 
     Every node of the cluster must be able to open the files, the database, and the network by its
-    name. Each of the ``workers``, actors with one core and ``gpus``, loads the network once, and
-    with it segments, describes and takes features; it uses the cache if it can open its folder. It
+    name. A worker is an actor with one core and ``gpus``. It loads the network once, segments and
+    describes frames and takes their features; it uses the cache if it can open its folder. It
     writes new frames to files of the database. The caller's process commits these every few
     seconds, at the end, and when the run is interrupted. If an actor is lost, another repeats its
     work. Frames that replace others are sent to the caller's process and written there. Too few

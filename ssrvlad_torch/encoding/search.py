@@ -58,7 +58,8 @@ def search(
     excluded: Callable[[FrameSet, FrameSet], Tensor | None] = lambda *_: None,
     progress: Progress = do_nothing,
 ) -> Found:
-    """The candidates of every frame of a source in a database; a ValueError if they do not fit.
+    """The ``top`` candidates of every frame of a source in a database, by the ``steps`` of
+    `recognise`; a ValueError if they do not fit. ``progress`` is called with 1 for every frame.
 
     ``reach`` is that of the temporal sum of Eq. 3 on each side, in frames, or in metres if given.
     ``extra`` says whether to use the extra descriptors, ``None`` if there are any. ``excluded``
@@ -121,8 +122,8 @@ def search_by_index(
     progress: Progress = do_nothing,
 ) -> Found:
     """The candidates of every frame of a source in the index of a database, without a sweep, see
-    `search`: of some sequences, by default all, and not within ``exclude`` frames in the query's
-    own."""
+    `search`: of the frames of some sequences, by default all, but not those within ``exclude``
+    frames of the query in its own sequence."""
     queries, skipped, folders = _queries(database, source, progress=progress)
     ids, names = queries.frames, queries.sequences
 
@@ -145,9 +146,9 @@ def search_by_index(
 def accepted(
     recognised: Recognised, min_confidence: float, max_wrong: float | None
 ) -> tuple[Matches, Estimate]:
-    """The candidates of the queries with a confidence of at least ``min_confidence``, or, if given,
-    of as many as ``max_wrong``, a fraction of wrong answers, permits; and how many of them are
-    wrong. Scores that are rounded above 1 are 1."""
+    """The candidates of the accepted queries, and an estimate of how many of them are wrong. All
+    with a confidence of at least ``min_confidence`` are accepted, or, if ``max_wrong`` is given, as
+    many as this fraction of wrong answers permits. Scores that are rounded above 1 are 1."""
     if max_wrong is None:
         found, least = estimate(recognised.sure, min_confidence), min_confidence
     else:

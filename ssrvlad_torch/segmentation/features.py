@@ -32,10 +32,14 @@ _OF_LABELS = ("output", "classes", NAME)
 class NetworkFeatures(nn.Module):
     """What a network, which ``labels`` runs, sees in pictures, as signs; see `stages.features`.
 
-    The activations are those of the rule of `find_activations` or of the setting ``features``; none
-    is a ValueError. An ONNX graph gives them as outputs afterwards. The key, in hex, is of the
-    digest of the network, see `identity.digest_of`, its settings, the activations and the form of
-    the signs.
+    The activations are those of the rule of `find_activations` or of the setting ``features``; a
+    network without them is a ValueError. An ONNX graph gives them as outputs afterwards.
+
+    Attributes:
+        names: of the activations, in the order that `forward` takes.
+        key: in hex, of the digest of the network, see `identity.digest_of`, its settings, the
+            activations and the form of the signs.
+        descriptor: name, length and fingerprint under which a database stores the signs.
     """
 
     def __init__(self, labels: LabelNetwork, digest: str) -> None:

@@ -25,9 +25,9 @@ class UnrecognisedError(ValueError):
 
 
 class OutputForm(NamedTuple):
-    """Shape and dtype of an output, declared or actual: ``None`` for free axes, or a free number of
-    them, the library's name, and ``"scores"`` for floating numbers, ``"ids"`` for integers, or
-    ``""``."""
+    """What is known of an output, declared or actual: its shape, ``None`` for a free axis or for a
+    free number of axes; its dtype, by the library's name; and its kind, ``"scores"`` for floating
+    numbers, ``"ids"`` for integers, or ``""``."""
 
     shape: tuple[int | None, ...] | None
     dtype: str
@@ -45,8 +45,8 @@ def choose_output(
     name: str | None = None,
     classes: Classes = None,
 ) -> str:
-    """The name of the output that holds labels, class scores or integer ids, or an
-    UnrecognisedError that lists those that could; only the one that is named, if any.
+    """The name of the output that holds labels, class scores or integer ids; if a ``name`` is
+    given, only that output can. If none does, or several could, an UnrecognisedError lists them.
 
     Class scores are floats, ``(B, C, h, w)`` or ``(B, h, w, C)``, with as many channels, or as many
     to use, as the label space has classes; ids are integers, ``(B, h, w)``, ``(B, 1, h, w)`` or

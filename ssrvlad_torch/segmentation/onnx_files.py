@@ -24,7 +24,8 @@ _ONLY_FATAL = 4
 
 def load_model(path: Path) -> onnx.ModelProto:
     """The model in an ONNX file, with its external weights. A missing file, one that is not an ONNX
-    graph, and external weights that are missing or outside its folder are a ValueError."""
+    graph, and external weights that are missing or outside its folder are a ValueError; without
+    the extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnx
     try:
@@ -79,7 +80,8 @@ def open_session(
 
 
 def external_files(path: Path) -> list[Path]:
-    """The files that hold the external weights of an ONNX file, sorted; often none."""
+    """The files that hold the external weights of an ONNX file, sorted; often none. Without the
+    extra ``onnx``, an ImportError."""
     with requiring("onnx", "ONNX files need"):
         import onnx
     model = onnx.load(path, load_external_data=False)

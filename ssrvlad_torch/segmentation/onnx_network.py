@@ -178,7 +178,8 @@ class OnnxNetwork(nn.Module):
 
 
 def _names(text: str) -> dict[int, str]:
-    """Class names of a metadata property: JSON, or a Python literal, as of Ultralytics."""
+    """Class names of a metadata property: a mapping or a list, in JSON or as a Python literal,
+    as of Ultralytics; empty if it is neither."""
     for parse in (json.loads, ast.literal_eval):
         with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
             names = parse(text)

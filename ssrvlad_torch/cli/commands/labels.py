@@ -68,7 +68,8 @@ def _features(segmenter: Segmenter | None) -> tuple[NetworkFeatures | None, str]
 
 
 def _is_network(name: str) -> bool:
-    """Whether a name belongs to a network: no plain word, and no YAML without ``network``."""
+    """Whether a name belongs to a network: a YAML file with the key ``network``, or another name
+    that has a colon or a suffix, or is a path that exists."""
     from pathlib import Path
 
     path = Path(name)

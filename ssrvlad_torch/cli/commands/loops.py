@@ -133,7 +133,7 @@ def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
 def _print_report(
     summary: Mapping[str, Any], results: Sequence[LoopResult], config: LoopConfig, as_json: bool
 ) -> None:
-    """Prints the summary; as JSON, where other lines are frames, only with precision."""
+    """Prints the summary; as JSON, where each other line is a frame, only if it has a precision."""
     if as_json:
         if "precision" in summary:
             print_json(summary)
