@@ -7,9 +7,10 @@
 //
 // A map is an (H, W) .npy array of uint8, int32 or int64, or a binary 8-bit PGM; a photograph is an
 // (H, W, 3) .npy array of uint8 in RGB, or a binary 8-bit PPM. The database is written by
-// `ssrvlad db export --format npy`; features are used where the file and the database have some. The frame is judged alone, without the steps of `ssrvlad query`;
-// ../README.md has what that costs. --unchecked does not run the golden pair first. Exit code 0 for
-// success, 2 for wrong use or bad input, with one line on stderr.
+// `ssrvlad db export --format npy`; features are used where the file and the database have some.
+// The frame is judged alone, without the steps of `ssrvlad query`; ../README.md has what that
+// costs. --unchecked does not run the golden pair first. Exit code 0 for success, 2 for wrong use
+// or bad input, with one line on stderr.
 
 #include "place.hpp"
 
@@ -22,9 +23,11 @@ npy::Array load_netpbm(const std::string& path, bool colour) {
   std::string magic;
   std::int64_t width = 0, height = 0, highest = 0;
   if (!(file >> magic >> width >> height >> highest) || magic != (colour ? "P6" : "P5") ||
-      highest > 255 || (colour && highest < 255) || width < 1 || height < 1 || width > 1 << 20 || height > 1 << 20)
-    throw std::runtime_error(path + ": expected a binary " + (colour ? "PPM" : "PGM") +
-                             " of 8 bits without comments");
+      highest > 255 || (colour && highest < 255) || width < 1 || height < 1 || width > 1 << 20 ||
+      height > 1 << 20)
+    throw std::runtime_error(
+        path + ": expected a binary " +
+        (colour ? "PPM whose largest value is 255" : "PGM of 8 bits") + ", without comments");
   file.get();
   npy::Array map{"|u1", {height, width}, std::vector<char>(width * height * (colour ? 3 : 1))};
   if (colour) map.shape.push_back(3);
