@@ -11,6 +11,7 @@ import shutil
 import subprocess
 import sys
 from functools import cache, partial
+from importlib.metadata import version
 from pathlib import Path
 from urllib.request import Request, urlopen
 
@@ -18,7 +19,7 @@ import pytest
 import torch
 import typer
 from drives import write_maps, write_photos, write_truth
-from filelock import FileLock  # torch needs it
+from filelock import FileLock
 from hypothesis import settings
 from maps import Maps
 from segmenting import write_drives
@@ -74,11 +75,12 @@ ABOVE = {"baselines", "cli", "encoding", "evaluation", "loops"}
 
 @cache
 def digest_of_sources() -> bytes:
-    """Of everything that a traced graph depends on."""
+    """Of everything that a traced graph depends on, and the versions of what traces it."""
     package = ROOT / "ssrvlad_torch"
     files = [*package.rglob("*.py"), *package.rglob("*.yaml"), ROOT / "constraints.txt"]
     below = sorted(file for file in files if not ABOVE & {*file.parts[len(package.parts) :]})
-    return hashlib.sha256(b"".join(map(Path.read_bytes, below))).digest()
+    versions = ",".join(map(version, ("torch", "onnx", "onnxscript")))
+    return hashlib.sha256(b"".join(map(Path.read_bytes, below)) + versions.encode()).digest()
 
 
 def stored(build):

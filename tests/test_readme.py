@@ -32,7 +32,7 @@ PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 @pytest.fixture(scope="module")
 def maps(tmp_path_factory):
     """``maps/monday``, ``maps/tuesday`` and ``maps/today`` with poses, as in the examples."""
-    sources._network.cache_clear()  # networks of a folder with the same names
+    sources._network.cache_clear()  # networks of another folder with the same names
     folder = tmp_path_factory.mktemp("user")
     write_city(folder / "city", frames=43, size=(48, 64), labels_as="cityscapes-ids")
     (folder / "maps").mkdir()
@@ -43,7 +43,8 @@ def maps(tmp_path_factory):
     for sequence, day in (("reference/", "monday/"), ("query/", "today/")):
         poses = poses.replace(sequence, day)
     (folder / "maps" / "poses.csv").write_text(poses + again.replace("query/", "tuesday/"))
-    return folder
+    yield folder
+    sources._network.cache_clear()
 
 
 @pytest.fixture(scope="module")
