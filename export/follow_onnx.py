@@ -10,7 +10,7 @@ each folder as a sequence, with its later frames too. It does not ask whether th
 sequence along the map, which `ssrvlad query` does, and it takes every drive to run at 0 to 4 rows a
 frame: give it drives only, and single pictures to `run_onnx.py`. Prints for each frame the best
 rows with their probabilities; the first is that of the place, a few rows wide. Needs numpy,
-onnxruntime, and the folder `ssrvlad_place` beside it. Memory: 28 bytes for each pair of a
+onnxruntime, and the folder `ssrvlad_place` beside it. Memory: 56 bytes for each pair of a
 frame and a row, and 128 kB for each frame and row with features. Exit code 0 for success, 2 for
 wrong use, 3 for finished with some frames skipped.
 """
@@ -30,15 +30,17 @@ from ssrvlad_place import motion
 from ssrvlad_place.database import Database
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
-from ssrvlad_place.motion import CHANGE, GAP, LEVEL, MAX_LOG, NEAR, PRIOR, STAY, WEIGHT
+from ssrvlad_place.motion import GAP, LEVEL, MAX_LOG, PRIOR, STAY, WAYS
 from ssrvlad_place.output import SOME_SKIPPED, note, one_line, report
 from ssrvlad_place.scores import REACH, WEIGHTS, fused, lead, nearness, weights_of
 
 Floats = npt.NDArray[np.float32]
 
-UNMAPPED = 0.1
-"""Probability of a jump to a place that the map lacks."""
-WAYS = (1,)
+UNMAPPED, CHANGE, WEIGHT = 0.1, 0.05, 0.3
+"""Probabilities of a jump to a place that the map lacks and of a changed speed, and the weight of a
+z-score."""
+NEAR = 3
+"""Rows on each side of a row that show its place."""
 MIN_FRAMES = 30
 """Least number of frames of a drive whose own mean is subtracted."""
 
@@ -95,33 +97,36 @@ class Track:
 
     def __init__(self, sequences: Sequence[str]) -> None:
         groups = [len(list(rows)) for _, rows in groupby(sequences)]
+        self.first = np.repeat(np.cumsum([0, *groups[:-1]]), groups)
+        self.last = np.repeat(np.cumsum(groups), groups)
         starts = np.cumsum([GAP, *(rows + GAP for rows in groups)])
         self.cells = np.concatenate(
             [np.arange(n) + s for n, s in zip(groups, starts, strict=False)]
         )
         self.inside = np.zeros(int(starts[-1]), np.float32)
         self.inside[self.cells] = 1
-        self._left = 1 - self._back(np.ones((len(PRIOR), len(self.inside)), np.float32))
+        ones = np.ones((len(WAYS), len(PRIOR), len(self.inside)), np.float32)
+        self._left = 1 - self._back(ones)
 
     def rows(self, scores: Floats) -> Floats:
         """``(Q, R)`` probabilities of the rows, by ``(Q, R)`` scores; -inf where there is none."""
         likelihoods = [self._likelihood(row) for row in scores]
-        mapped, unmapped = motion.start(self.inside, UNMAPPED, len(WAYS)), UNMAPPED
+        mapped, unmapped = motion.start(self.inside, UNMAPPED), UNMAPPED
         beliefs = []
         for number, likelihood in enumerate(likelihoods):
             if number:
-                mapped, unmapped = motion.after(mapped, unmapped, self.inside, UNMAPPED, WAYS)
+                mapped, unmapped = motion.after(mapped, unmapped, self.inside, UNMAPPED, CHANGE)
             mapped = mapped * likelihood
             total = float(mapped.sum()) + unmapped
             mapped, unmapped = mapped / np.float32(total), unmapped / total
-            beliefs.append(mapped[0])
-        later, later_unmapped = np.ones_like(mapped[0]), 1.0
+            beliefs.append(mapped)
+        later, later_unmapped = np.ones_like(mapped), 1.0
         found = np.zeros_like(scores)
         for number in reversed(range(len(likelihoods))):
             each = beliefs[number] * later
             belief_unmapped = 1 - float(beliefs[number].sum())
             total = float(each.sum()) + belief_unmapped * later_unmapped
-            found[number] = each.sum(axis=0)[self.cells] / max(total, 1e-30)
+            found[number] = each[0].sum(axis=0)[self.cells] / max(total, 1e-30)
             later, later_unmapped = self._before(later * likelihoods[number], later_unmapped)
         return found
 
@@ -138,24 +143,30 @@ class Track:
 
     def _back(self, mapped: Floats) -> Floats:
         """By the transposed steps of each speed."""
-        return motion.moved(mapped * self.inside, self.inside, -1)
+        return motion.moved(mapped * self.inside, self.inside, [-way for way in WAYS])
 
     def _before(self, mapped: Floats, unmapped: float) -> tuple[Floats, float]:
         """How likely the later frames are from each state one frame earlier; not normalised."""
-        anywhere = float((PRIOR * mapped * self.inside).sum()) / len(self.cells)
+        anywhere = float((PRIOR * mapped * self.inside).sum()) / (len(WAYS) * len(self.cells))
         elsewhere = UNMAPPED * unmapped + (1 - UNMAPPED) * anywhere
         before = self._back(mapped) + self._left * np.float32(elsewhere)
-        before = before * (1 - CHANGE) + CHANGE * (PRIOR * before).sum(axis=0)
+        before = before * (1 - CHANGE) + CHANGE * (PRIOR * before).sum(axis=1, keepdims=True)
         before_unmapped = STAY * unmapped + (1 - STAY) * anywhere
         largest = max(float(before.max()), before_unmapped, 1e-30)
         return (before / np.float32(largest)).astype(np.float32), before_unmapped / largest
 
 
-def candidates(rows: Floats, frames: Sequence[str], top: int) -> list[tuple[str, float]]:
-    """The likeliest rows of a frame; the probability of the first is that of its place."""
-    best = np.argsort(-rows, kind="stable")[:top]
+def candidates(
+    rows: Floats, scores: Floats, track: Track, frames: Sequence[str], top: int
+) -> list[tuple[str, float]]:
+    """The likeliest rows of a frame, none without a score; the probability of the first is that of
+    its place, in its sequence."""
+    best = [row for row in np.argsort(-rows, kind="stable") if np.isfinite(scores[row])][:top]
     ranked = [(frames[row], float(rows[row])) for row in best]
-    near = rows[max(0, best[0] - NEAR) : best[0] + NEAR + 1].sum()
+    if not best:
+        return ranked
+    first, last = track.first[best[0]], track.last[best[0]]
+    near = rows[max(first, best[0] - NEAR) : min(last, best[0] + NEAR + 1)].sum()
     return [(ranked[0][0], min(1.0, float(near))), *ranked[1:]]
 
 
@@ -197,9 +208,8 @@ def run(options: argparse.Namespace) -> int:
             pairs = zip(*methods, strict=True)
             scores = np.stack([fused(pair, weights) for pair in pairs]).astype(np.float32)
         for frame, found, row in zip(drive, track.rows(scores), scores, strict=True):
-            empty = not np.isfinite(row).any()
-            ranked = [] if empty else candidates(found, database.frames, options.top)
-            report(frame, empty, ranked, options.json)
+            ranked = candidates(found, row, track, database.frames, options.top)
+            report(frame, not described[frame].descriptor.any(), ranked, options.json)
     if skipped:
         note(f"skipped {skipped} of {skipped + len(described)} frames")
     return SOME_SKIPPED if skipped else 0

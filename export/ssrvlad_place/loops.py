@@ -10,16 +10,16 @@ import numpy.typing as npt
 
 from . import motion
 from .model import Seen
-from .motion import GAP, LEVEL, MAX_LOG, NEAR, WEIGHT
+from .motion import GAP, LEVEL, MAX_LOG
 from .scores import fused, lead, nearness, weights_of
 from .stream import Map, SignMap
 
 Floats = npt.NDArray[np.float32]
 
-WAYS = (1, -1)
-"""The rows are run forwards and, as a decoy, backwards: what that holds is chance."""
-UNMAPPED = 0.3
-"""Probability of a jump to a new place."""
+UNMAPPED, CHANGE, WEIGHT = 0.3, 0.01, 0.25
+"""Probabilities of a jump to a new place and of a changed speed, and the weight of a z-score."""
+NEAR = 5
+"""Rows on each side of a row that show its place."""
 EVIDENCE, LEVEL_FRACTION, NEIGHBOURS = 3.0, 0.9, 1000
 """For rows of the same sequence: what twice the level counts; and the level, as a fraction of the
 z-score that three quarters of the last frames have with their previous frame."""
@@ -80,7 +80,7 @@ class Filter:
     def restart(self) -> None:
         """Forgets the place: the next frame starts another sequence."""
         self.unmapped = UNMAPPED if len(self.cells) else 1.0
-        self.mapped = motion.start(self.inside, self.unmapped, len(WAYS))
+        self.mapped = motion.start(self.inside, self.unmapped)
         self._starting = True
 
     def step(self, log_likelihood: Floats) -> Floats:
@@ -91,7 +91,7 @@ class Filter:
         """
         if not self._starting and len(self.cells):
             before = self.mapped, self.unmapped
-            self.mapped, self.unmapped = motion.after(*before, self.inside, UNMAPPED, WAYS)
+            self.mapped, self.unmapped = motion.after(*before, self.inside, UNMAPPED, CHANGE)
         self._starting = False
         likelihood = np.zeros_like(self.inside)
         likelihood[self.cells] = np.exp(np.minimum(log_likelihood, MAX_LOG))
