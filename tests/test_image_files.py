@@ -218,11 +218,12 @@ def test_images_are_found_as_label_maps_are(tmp_path):
     assert files[0].pose[:2] == (3, 4)
 
 
+@pytest.mark.filterwarnings("error")
 def test_a_label_map_is_no_photograph():
     ids = np.array([0, 1, 18, 255], np.uint8).repeat(5)[None].repeat(20, 0)
     with pytest.raises(ValueError, match="a photograph, got a label map: 3 values, 0 to 18"):
         decode_image(encoded(ids, "PNG"))
-    black, gray = ids * 0, (ids // 3 * 5)
+    black, gray, column = ids * 0, (ids // 3 * 5), ids[:, :1]
     night = np.random.default_rng(0).integers(0, 39, (20, 20), np.uint8)
-    for picture in (black, gray, night, np.stack([ids] * 3, 2)):
-        assert decode_image(encoded(picture, "PNG")).shape == (20, 20, 3)
+    for picture in (black, gray, night, column, np.stack([ids] * 3, 2)):
+        assert decode_image(encoded(picture, "PNG")).shape == (20, picture.shape[1], 3)
