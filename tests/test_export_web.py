@@ -186,6 +186,11 @@ def test_a_photograph_goes_into_a_fused_file(page, site):
     assert best[0] == "photos/1"
     assert float(best[1]) == pytest.approx(1, abs=1e-4)
     assert page.run("document.getElementById('golden').value").startswith("golden pair: largest")
+    shown = Image.open(site / "photo.png")
+    shown.putalpha(254)
+    shown.save(site / "alpha.png")
+    open_page(page, "?model=place.onnx&labels=alpha.png", f"{SHOWN} || {FAILED}")
+    assert page.run(f"{FAILED}.textContent").startswith("the picture has transparent pixels")
 
 
 def test_features_are_fused_with_the_descriptor_as_in_python(page, site, drives):

@@ -62,6 +62,8 @@ async function readPhoto(bytes) {
   const context = new OffscreenCanvas(width, height).getContext("2d");
   context.drawImage(bitmap, 0, 0);
   const { data } = context.getImageData(0, 0, width, height);
+  if (data.some((value, at) => at % 4 === 3 && value < 255))
+    throw new Error("the picture has transparent pixels; expected a photograph without");
   return { pixels: data.filter((_, at) => at % 4 < 3), height, width };
 }
 
