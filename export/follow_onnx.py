@@ -31,7 +31,7 @@ from ssrvlad_place.database import Database
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
 from ssrvlad_place.motion import GAP, LEVEL, MAX_LOG, PRIOR, STAY, WAYS
-from ssrvlad_place.output import SOME_SKIPPED, note, one_line, report
+from ssrvlad_place.output import SOME_SKIPPED, note, one_line, report, run_program
 from ssrvlad_place.scores import REACH, WEIGHTS, fused, lead, nearness, weights_of
 
 Floats = npt.NDArray[np.float32]
@@ -228,11 +228,7 @@ def main() -> int:
     options = parser.parse_args()
     if options.top < 1:
         parser.error("expected --top of at least 1")
-    try:
-        return run(options)
-    except (ValueError, OSError, ImportError) as error:
-        note(f"follow_onnx: {one_line(error)}")
-        return 2
+    return run_program("follow_onnx", run, options)
 
 
 if __name__ == "__main__":

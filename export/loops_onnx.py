@@ -19,26 +19,26 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.loops import Detector, Settings
 from ssrvlad_place.model import add_model, open_model
-from ssrvlad_place.output import SOME_SKIPPED, note, one_line
+from ssrvlad_place.output import SOME_SKIPPED, note, one_line, run_program
 
 STDIN = Path("-")
 
 
-def frames_of(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
-    """Ids and files of the frames of folders, or of the names on stdin.
+def frames_of(sources: list[Path], suffixes: tuple[str, ...]) -> Iterator[tuple[str, Path]]:
+    """Ids and files of the frames of folders, see `find_frames`, or of the names on stdin.
 
     Raises:
         ValueError: a source does not exist or holds no frame.
     """
-    if list(sources) != [STDIN]:
-        yield from find_frames(sources)
+    if sources != [STDIN]:
+        yield from find_frames(sources, suffixes)
         return
     for line in map(os.fsdecode, sys.stdin.buffer):
         if line.strip():
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> int:
     detector = Detector(Settings(options.exclude, options.threshold))
     done: set[str] = set()
     skipped = 0
-    for frame, path in frames_of(options.source):
+    for frame, path in frames_of(options.source, model.suffixes):
         try:
             if frame in done:
                 raise ValueError(f"frame {frame} was there before")
@@ -89,11 +89,7 @@ def main() -> int:
     alone = STDIN not in options.source or len(options.source) == 1
     if options.exclude < 0 or not 0 <= options.threshold <= 1 or not alone:
         parser.error("expected --exclude from 0, --threshold from 0 to 1, and - alone")
-    try:
-        return run(options)
-    except (ValueError, OSError, ImportError) as error:
-        note(f"loops_onnx: {one_line(error)}")
-        return 2
+    return run_program("loops_onnx", run, options)
 
 
 if __name__ == "__main__":

@@ -5,8 +5,9 @@ python export/run_onnx.py head.onnx maps/today --database town.npy --top 3
 python export/run_onnx.py head.onnx photos --network net.onnx --provider CUDAExecutionProvider
 
 Needs numpy, onnxruntime and the folder `ssrvlad_place` beside it, and Pillow for pictures; `.npy`
-arrays do not need it. A file of `ssrvlad export` takes label maps (H, W), or with `--input logits`
-class scores (C, H, W) as `.npy`; a file of `ssrvlad fuse` takes images (H, W, 3). With the two
+arrays do not need it. A file of `ssrvlad export` takes label maps: gray or palette images as PNG,
+TIFF or BMP, or `.npy` (H, W); with `--input logits` class scores as `.npy` (C, H, W). A file of
+`ssrvlad fuse` takes photographs: JPEG, PNG, WebP, BMP, TIFF, PPM or `.npy` (H, W, 3). With the two
 files of `ssrvlad fuse --split` the network runs on --provider and the head on the CPU. Every file
 is run on its golden pair when it is loaded, and refused if this runtime gives other outputs. A
 database is written by `ssrvlad db export --format npy` or by --save-descriptors. Where the file and
@@ -25,7 +26,7 @@ from pathlib import Path
 from ssrvlad_place.database import Database, require_one_line, save
 from ssrvlad_place.frames import find_frames
 from ssrvlad_place.model import Seen, add_model, open_model
-from ssrvlad_place.output import SOME_SKIPPED, note, one_line, report
+from ssrvlad_place.output import SOME_SKIPPED, note, report, run_program
 
 
 def run(options: argparse.Namespace) -> int:
@@ -39,13 +40,19 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError("--save-descriptors: expected a file without --sweep")
     given = options.database
     database = given and Database(given, model.fingerprint, model.features)
+    out = options.save_descriptors
+    if out and not out.parent.is_dir():
+        raise ValueError(f"--save-descriptors: {out.parent} is no folder")
+    files: dict[str, Path] = {}
+    for frame, path in find_frames(options.source, model.suffixes):
+        if frame in files:
+            raise ValueError(f"{path} is a second frame {frame}")
+        if out:
+            require_one_line(frame)
+        files[frame] = path
     seen: dict[str, Seen] = {}
     skipped = 0
-    for frame, path in find_frames(options.source):
-        if frame in seen:
-            raise ValueError(f"{path} is a second frame {frame}")
-        if options.save_descriptors:
-            require_one_line(frame)
+    for frame, path in files.items():
         try:
             seen[frame] = model.see(path)
         except ValueError as error:
@@ -53,11 +60,11 @@ def run(options: argparse.Namespace) -> int:
             skipped += 1
             continue
         descriptor, features = seen[frame]
-        candidates = database.search(descriptor, options.top, features) if database else []
+        candidates = database.search(descriptor, options.top, features) if database else None
         report(frame, not descriptor.any(), candidates, options.json)
-    if options.save_descriptors and seen:
+    if out and seen:
         rows, frames = list(seen.values()), list(seen)
-        save(options.save_descriptors, rows, frames, model.fingerprint, model.features)
+        save(out, rows, frames, model.fingerprint, model.features)
     if skipped:
         note(f"skipped {skipped} of {skipped + len(seen)} frames")
     return SOME_SKIPPED if skipped else 0
@@ -78,11 +85,7 @@ def main() -> int:
     options = parser.parse_args()
     if bool(options.source) == options.check or options.top < 1:
         parser.error("expected frames or --check, and --top of at least 1")
-    try:
-        return run(options)
-    except (ValueError, OSError, ImportError) as error:
-        note(f"run_onnx: {one_line(error)}")
-        return 2
+    return run_program("run_onnx", run, options)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,15 @@
 """The script without torch against the command line."""
 
 import json
+import os
 import shutil
 import subprocess
+import sys
 from functools import partial
 from pathlib import Path
 
+import follow_onnx
+import loops_onnx
 import numpy as np
 import onnx
 import pytest
@@ -23,11 +27,17 @@ from helpers import (
 from onnx import TensorProto, helper
 from PIL import Image
 from ssrvlad_place import database as place_database
+from ssrvlad_place import model as place_model
 from ssrvlad_place.database import Database, save
-from ssrvlad_place.frames import find_frames
+from ssrvlad_place.frames import find_frames, read_labels, read_photograph
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
+from ssrvlad_torch.datasets.frame_files import FrameFile
+from ssrvlad_torch.datasets.image_files import SUFFIXES, decode_image, find_image_files
+from ssrvlad_torch.datasets.label_files import SUFFIXES as SUFFIXES_OF_MAPS
+from ssrvlad_torch.datasets.label_files import read_label_map
+from ssrvlad_torch.taxonomy import label_space
 
 SCRIPT = Path(run_onnx.__file__)
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
@@ -62,6 +72,82 @@ def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path
         assert list(dict.fromkeys(frames)) == ["maps/8", "maps/9", "maps/10"]
     with pytest.raises(ValueError, match=r"a.maps and .*b.maps have one name"):
         list(find_frames(files))
+    drive = tmp_path / "drive"
+    drive.mkdir()
+    for name in (
+        "b2",
+        "b\u00b2",
+        "b10",
+        "b1\u00b2",
+        "12.5",
+        "12.25",
+        "9",
+        "c\u0663",
+        "c2",
+        "\u00bd",
+        "_",
+    ):
+        (drive / f"{name}.png").touch()
+    expected = [file.frame for file in find_image_files([str(drive)])]
+    assert [frame for frame, _ in find_frames([drive])] == expected
+
+
+def test_frames_have_the_suffixes_that_encode_takes(head, drives, tmp_path):
+    assert place_model.Model(head).suffixes == SUFFIXES_OF_MAPS
+    assert place_model.Model(drives / "place.onnx").suffixes == SUFFIXES
+    for suffix in SUFFIXES:
+        (tmp_path / f"a{suffix}").touch()
+    found = [path.suffix for _, path in find_frames([tmp_path], SUFFIXES_OF_MAPS)]
+    assert sorted(found) == sorted(SUFFIXES_OF_MAPS)
+
+
+GRAYS = np.random.default_rng(0).integers(0, 256, (6, 9), np.uint8)
+WIDE = GRAYS.astype(np.uint16) << 8 | 77
+TURNED = Image.Exif()
+TURNED[0x0112] = 6
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize(
+    ("pixels", "form", "options"),
+    [
+        (WIDE, "PNG", {}),
+        (WIDE, "TIFF", {"exif": TURNED}),
+        (GRAYS, "TIFF", {"exif": TURNED}),
+        (GRAYS, "PNG", {"exif": TURNED}),
+        (GRAYS, "PPM", {}),
+        (np.dstack([GRAYS] * 3), "WEBP", {"lossless": True}),
+        (np.dstack([GRAYS] * 4), "PNG", {}),
+        (GRAYS[:, :1], "PNG", {}),
+        (GRAYS.astype(np.int32), "TIFF", {}),
+        (GRAYS.astype(np.float32), "TIFF", {}),
+        (GRAYS, "GIF", {}),
+        (np.zeros((0, 5, 3), np.uint8), "npy", {}),
+    ],
+)
+def test_photographs_are_read_as_by_encode(tmp_path, pixels, form, options):
+    path = tmp_path / ("a.npy" if form == "npy" else "a.png")
+    if form == "npy":
+        np.save(path, pixels)
+    else:
+        Image.fromarray(pixels).save(path, form, **options)
+    try:
+        expected = decode_image(path.read_bytes())
+    except ValueError:
+        with pytest.raises(ValueError, match=r"^(expected|cannot identify the image; expected) "):
+            read_photograph(path)
+    else:
+        np.testing.assert_array_equal(read_photograph(path), expected)
+
+
+@pytest.mark.parametrize("form", ["PNG", "TIFF", "BMP"])
+def test_label_maps_are_read_as_by_encode(tmp_path, form):
+    """Pillow turns a TIFF by its orientation tag, if it does not map it into memory."""
+    space, path = label_space("camvid-11"), tmp_path / "a.png"
+    for pixels in (GRAYS, WIDE) if form != "BMP" else (GRAYS,):
+        Image.fromarray(pixels).save(path, form, **({} if form == "BMP" else {"exif": TURNED}))
+        expected = read_label_map(FrameFile("", "a", path), space)
+        np.testing.assert_array_equal(read_labels(path, [], np.uint16), expected)
 
 
 SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")
@@ -194,10 +280,15 @@ def test_pictures_that_are_no_label_map(head, tmp_path, run):
     write_png(tmp_path / "b.png", np.zeros((5, 6), int), GRAY, 4)
     write_png(tmp_path / "c.png", np.zeros((5, 6), int), GRAY, 16)
     (tmp_path / "d.png").write_bytes((tmp_path / "c.png").read_bytes()[:40])
-    code, out, errors = run(head, tmp_path / "a.png", *(tmp_path / f"{n}.png" for n in "bcd"))
-    assert (code, len(out.splitlines()), errors[-1]) == (3, 1, "skipped 3 of 4 frames")
+    Image.fromarray(np.zeros((5, 6), np.uint8)).save(tmp_path / "e.png", "JPEG")
+    (tmp_path / "f.png").write_bytes((tmp_path / "c.png").read_bytes())
+    flip_byte(tmp_path / "f.png", (tmp_path / "f.png").read_bytes().index(b"IEND") - 6)
+    code, out, errors = run(head, *(tmp_path / f"{n}.png" for n in "abcdef"))
+    assert (code, len(out.splitlines()), errors[-1]) == (3, 1, "skipped 5 of 6 frames")
     assert "got RGB" in errors[0]
     assert "got L L;4" in errors[1]
+    assert errors[3].endswith("e.png: cannot identify the image; expected PNG, TIFF, BMP")
+    assert "f.png: " in errors[4]
 
 
 @pytest.mark.parametrize(("pixels", "colours", "ids"), PALETTES.values(), ids=PALETTES)
@@ -238,6 +329,11 @@ def test_an_empty_frame_matches_nothing_and_is_no_candidate(head, maps, tmp_path
         for line in run(head, maps, "--database", out, "--top", 9, "--json")[1].splitlines()
     ]
     assert {line["query"]: line["empty"] for line in lines}["monday/void"]
+    np.save(out, np.zeros_like(np.load(out)))
+    said = run(head, maps, "--database", out)[1].splitlines()
+    assert said[0] == "monday/000: no candidate"
+    assert said[-1] == "monday/void: empty"
+    assert run(head, maps)[1].startswith("monday/000: described\n")
     assert all(len(line["candidates"]) == (0 if line["empty"] else 6) for line in lines)
 
 
@@ -301,12 +397,25 @@ def test_wrong_use_is_one_line(head, maps, town, tmp_path, run):
         ((head, tmp_path / "nowhere"), "holds no frames"),
         ((head, maps, "--database", damaged), "expected an array in a .npy file"),
         ((head, maps, "--database", head), f"{head}: expected an array in a .npy file"),
-        ((head, maps, maps), "is a second frame monday/"),
+        ((head, *sorted(maps.iterdir()), maps), "is a second frame monday/"),
+        ((head, maps, "--save-descriptors", tmp_path / "none" / "o.npy"), "none is no folder"),
     ]:
-        code, _, errors = run(*arguments)
-        assert code == 2, arguments
+        code, out, errors = run(*arguments)
+        assert (code, out) == (2, ""), arguments
         assert len(errors) == 1, errors
         assert message in errors[0]
     Path(f"{town}.frames.txt").write_text("a/1\n")
     assert run(head, maps, "--database", town)[2][0].endswith("for 1 frames")
     assert run(head)[0] == run(head, maps, "--check")[0] == run(head, maps, "--top", 0)[0] == 2
+
+
+@pytest.mark.parametrize("program", [run_onnx, loops_onnx, follow_onnx])
+def test_a_reader_that_has_enough_is_no_error(head, maps, town, program):
+    """What `... | head -1` does, with a pipe that nobody reads."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    given = () if program is loops_onnx else ("--database", town)
+    command = [sys.executable, program.__file__, head, maps, *given]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (0, b"")

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import io
+import math
 import re
+import unicodedata
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -12,25 +15,35 @@ import numpy.typing as npt
 
 Array = npt.NDArray[Any]
 
-SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".bmp", ".jpg", ".jpeg")
+SUFFIXES_OF_MAPS = (".png", ".npy", ".tif", ".tiff", ".bmp")
+SUFFIXES = (".jpg", ".jpeg", ".png", ".webp", ".bmp", ".tif", ".tiff", ".ppm", ".npy")
+"""Of photographs, and of all frames."""
 
+_MAP_FORMATS = ("PNG", "TIFF", "BMP")
+_FORMATS = ("JPEG", "PNG", "WEBP", "BMP", "TIFF", "PPM")
+_SIXTEEN_BIT = ("I;16", "I;16B", "I;16L")
+_EIGHT_BIT = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
 _MAX_ID, _MIN_EVEN = 40, 0.8
 _NPY = b"\x93NUMPY"
 
 
-def find_frames(sources: Sequence[Path]) -> Iterator[tuple[str, Path]]:
+def find_frames(
+    sources: Sequence[Path], suffixes: Sequence[str] = SUFFIXES
+) -> Iterator[tuple[str, Path]]:
     """Ids ``<folder>/<name>`` and files of frames, those of a folder in natural order.
+
+    The suffixes are those of the files of a folder that are frames.
 
     Raises:
         ValueError: a source does not exist or holds no frame, or two folders have one name.
     """
     folders, found = dict[str, Path](), dict[str, list[Path]]()
     for source in sources:
-        files = [path for path in source.glob("[!.]*") if path.suffix.lower() in SUFFIXES]
+        files = [path for path in source.glob("[!.]*") if path.suffix.lower() in suffixes]
         if source.is_file():
             files = [source]
         if not files:
-            raise ValueError(f"{source} holds no frames; expected {', '.join(SUFFIXES)} files")
+            raise ValueError(f"{source} holds no frames; expected {', '.join(suffixes)} files")
         for path in files:
             folder = path.absolute().parent
             if folders.setdefault(folder.name, folder.resolve()) != folder.resolve():
@@ -68,9 +81,10 @@ def read_scores(path: Path, dtype: Any) -> Array:
 
 
 def read_photograph(path: Path) -> Array:
-    """The picture in a file, ``(H, W, 3)`` uint8 in RGB; another file is a ValueError."""
+    """The picture in a file, ``(H, W, 3)`` uint8 in RGB, as `ssrvlad encode` reads it; another
+    file, pixels of 32 bits or floats, and what looks like a label map are a ValueError."""
     pixels = read_npy(path) if _is_npy(path) else _picture(path)
-    if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.dtype != np.uint8:
+    if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.size == 0 or pixels.dtype != np.uint8:
         raise ValueError(f"expected (H, W, 3) uint8, got {pixels.shape} {pixels.dtype}")
     return pixels
 
@@ -93,10 +107,10 @@ def _is_npy(path: Path) -> bool:
 
 def _label_picture(path: Path, classes: list[dict[str, Any]]) -> Array:
     """``(H, W)`` ids; of a palette image see `_ids_of_palette`."""
-    with _open_image(path) as image:
+    with _open_image(path, _MAP_FORMATS) as image:
         stored = str(image.tile[0][3]) if image.tile else ""
         scaled = image.mode == "L" and ";" in stored
-        if scaled or image.mode not in ("L", "P", "I", "I;16", "I;16B"):
+        if scaled or image.mode not in ("L", "P", "I", *_SIXTEEN_BIT):
             raise ValueError(
                 f"expected gray (8 or 16 bits) or a palette, got {image.mode} {stored}"
             )
@@ -129,16 +143,27 @@ def _ids_of_palette(indices: Array, colours: list[int], classes: list[dict[str, 
 
 def _picture(path: Path) -> Array:
     """``(H, W, 3)`` uint8 RGB, turned upright by its EXIF orientation."""
-    with _open_image(path) as image:
-        from PIL import ImageOps
+    with _open_image(path, _FORMATS) as stored:
+        from PIL import Image, ImageOps
 
-        if image.mode in ("L", "P"):
-            _require_photograph(np.asarray(image))
-        return np.asarray(ImageOps.exif_transpose(image).convert("RGB"))
+        image = ImageOps.exif_transpose(stored)
+    if image.mode in ("L", "P"):
+        _require_photograph(np.asarray(image))
+    if image.mode in _SIXTEEN_BIT:
+        image = Image.fromarray((np.asarray(image) >> 8).astype(np.uint8))
+    elif image.mode not in _EIGHT_BIT:
+        raise ValueError(
+            f"expected an image of 8 or 16 bits in gray or colour, got mode {image.mode}"
+        )
+    if "transparency" in image.info:
+        image = image.convert("RGBA")
+    return np.asarray(image.convert("RGB"))
 
 
 def _require_photograph(values: Array) -> None:
     """Refuses a label map: small ids, or 255, in even areas. A dark photograph has noise."""
+    if values.shape[1] < 2:
+        return
     ids = np.setdiff1d(values, [255])
     is_even = np.mean(values[:, 1:] == values[:, :-1]) > _MIN_EVEN
     if len(ids) > 1 and ids[-1] <= _MAX_ID and is_even:
@@ -147,13 +172,28 @@ def _require_photograph(values: Array) -> None:
         )
 
 
-def _open_image(path: Path) -> Any:
+def _open_image(path: Path, formats: Sequence[str]) -> Any:
+    """An image in memory: Pillow turns TIFF files by their orientation tag, but not those that it
+    maps into memory."""
     try:
-        from PIL import Image
+        from PIL import Image, UnidentifiedImageError
     except ImportError as error:
         raise ImportError("pictures need: pip install pillow; or give .npy arrays") from error
-    return Image.open(path)
+    content = path.read_bytes()
+    try:
+        with Image.open(io.BytesIO(content), formats=formats) as image:
+            image.verify()  # decoding a PNG does not check its checksums
+        return Image.open(io.BytesIO(content), formats=formats)
+    except UnidentifiedImageError as error:
+        raise ValueError(f"cannot identify the image; expected {', '.join(formats)}") from error
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+def _natural(name: str) -> tuple[list[tuple[float, str]], str]:
+    """Sort key of the order of `ssrvlad encode`: numbers by value, also decimal numbers that are a
+    whole name, and before text."""
+    decimal = re.fullmatch(r"(\d+)\.(\d+)", name)
+    text = f"{decimal[1]}.{decimal[2]:0<20}" if decimal else unicodedata.normalize("NFD", name)
+    parts = re.findall(r"\d+|\D", text)
+    numbers = [int(p) if p.isdecimal() else unicodedata.digit(p, math.inf) for p in parts]
+    known = [(n, "" if n < math.inf else p) for n, p in zip(numbers, parts, strict=True)]
+    return known, name

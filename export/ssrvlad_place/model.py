@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 import onnxruntime
 
-from .frames import read_labels, read_photograph, read_scores
+from .frames import SUFFIXES, SUFFIXES_OF_MAPS, read_labels, read_photograph, read_scores
 from .golden import TOLERANCE, Golden, require_golden, run_golden
 from .output import one_line
 
@@ -69,6 +69,13 @@ class Model:
     def anchors(self) -> list[int]:
         """Columns of the anchors of a sweep; empty for single descriptors."""
         return list(json.loads(self.properties.get("ssrvlad.interface", "{}")).get("sweep", []))
+
+    @property
+    def suffixes(self) -> tuple[str, ...]:
+        """Suffixes of the files that it takes."""
+        if len(self.input.shape) == 3:
+            return SUFFIXES_OF_MAPS
+        return (".npy",) if self.input.name == "logits" else SUFFIXES
 
     def see(self, path: Path) -> Seen:
         """The descriptor and the features of the frame in a file.

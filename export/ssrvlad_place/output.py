@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
 import sys
+from collections.abc import Callable
 
 SOME_SKIPPED = 3
 """The exit code if some frames were skipped."""
@@ -19,11 +22,30 @@ def one_line(error: Exception) -> str:
     return " ".join(str(error).split()) or type(error).__name__
 
 
-def report(frame: str, empty: bool, candidates: list[tuple[str, float]], as_json: bool) -> None:
-    """Prints one line about a frame."""
+def run_program(
+    name: str, run: Callable[[argparse.Namespace], int], options: argparse.Namespace
+) -> int:
+    """Runs a program; the exit code. An error is one line, and a reader that has enough is none."""
+    try:
+        code = run(options)
+        print(end="", flush=True)
+        return code
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (ValueError, OSError, ImportError) as error:
+        note(f"{name}: {one_line(error)}")
+        return 2
+
+
+def report(
+    frame: str, empty: bool, candidates: list[tuple[str, float]] | None, as_json: bool
+) -> None:
+    """Prints one line about a frame; without a database its candidates are ``None``."""
     if as_json:
-        ranked = [{"frame": name, "score": score} for name, score in candidates]
+        ranked = [{"frame": name, "score": score} for name, score in candidates or []]
         print(json.dumps({"query": frame, "candidates": ranked, "empty": empty}))
     else:
-        names = ", ".join(f"{name} {score:.4f}" for name, score in candidates)
-        print(f"{frame}: " + ("empty" if empty else names or "described"))
+        names = ", ".join(f"{name} {score:.4f}" for name, score in candidates or [])
+        found = "described" if candidates is None else names or "no candidate"
+        print(f"{frame}: " + ("empty" if empty else found))
