@@ -178,7 +178,7 @@ def run(options: argparse.Namespace) -> int:
         raise ValueError(f"{options.database} holds no frames")
     described: dict[str, Seen] = {}
     skipped = 0
-    for frame, path in find_frames(options.source):
+    for frame, path in find_frames(options.source, model.suffixes):
         try:
             if frame in described:
                 raise ValueError(f"a second frame {frame}")

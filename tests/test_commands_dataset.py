@@ -55,6 +55,7 @@ def test_a_query_of_a_data_set(ssrvlad, city, reference):
         (("--layout", "auto", "--split", "nope"), "city has no sequence 'nope'; it has query, ref"),
         (("--split", "query"), "--split, --role and --labels need --layout, such as --layout auto"),
         (("--role", "query"), "need --layout"),
+        (("--layout", "auto", "--sequence", "foo"), "--sequence, --poses, --topic and --fps do no"),
         (("--labels", "maps"), "need --layout"),
         (("--layout", "synthia"), "city is not in the layout synthia: expected"),
         (("--layout", "kitti"), "unknown layout 'kitti'; expected one of extended-cmu"),

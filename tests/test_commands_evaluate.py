@@ -6,9 +6,11 @@ from drives import write_maps, write_truth
 
 
 def test_queries_that_are_in_the_database_are_mentioned(ssrvlad, database, maps):
-    code, _, err = ssrvlad("evaluate", database, maps, "--tolerance-frames", 1)
-    assert code == 0
-    assert err == ["ssrvlad: 6 of 6 queries have ids of the database"]
+    """The database may be a URI."""
+    for town in (database, f"file://{database}"):
+        code, _, err = ssrvlad("evaluate", town, maps, "--tolerance-frames", 1)
+        assert code == 0
+        assert err == ["ssrvlad: 6 of 6 queries have ids of the database"]
 
 
 def test_a_folder_of_the_same_name_is_another_drive(ssrvlad, database, tmp_path):

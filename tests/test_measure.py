@@ -73,4 +73,8 @@ def test_the_estimate_stands_beside_the_truth(ssrvlad, tmp_path):
     _, out, _ = ssrvlad(*ask)
     assert "without ground truth: no decoy beats 40 answers; 2.5% estimated to be wrong" in out
     assert "suggested without ground truth: accepted 40 answers of confidence" in out
-    assert out.count("in truth 10.0%") == 2
+    assert out.count("in truth 10.0%\n") == 2
+    truth = {f"today/{number:03}": [f"town/{number:03}"] for number in range(6)}
+    (tmp_path / "truth.json").write_text(json.dumps(truth))
+    _, out, _ = ssrvlad(*ask[:3], "--follow", "no", "--ground-truth", tmp_path / "truth.json")
+    assert out.count("in truth 66.7% of 6 whose truth is known") == 2

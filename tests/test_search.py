@@ -39,6 +39,8 @@ def test_enough_references_tell_how_sure(ssrvlad, database, maps):
     ssrvlad("encode", maps, "-o", database)
     _, out, err = ssrvlad("query", database, maps, "--json")
     assert 0 < json.loads(out.splitlines()[0])["confidence"] < 1
+    *_, note = ssrvlad("query", database, maps, "--threshold", 0.99)[2]
+    assert note.endswith("), before --threshold")
     assert not any("too few" in line for line in err)
 
 
@@ -72,6 +74,10 @@ def test_the_frames_of_another_database_are_named_apart(ssrvlad, database, tmp_p
     assert code == 2 and len(err) == 1 and "give --sequence monday if" in err[0]
     found = _first(ssrvlad("query", database, others, "--sequence", "b", "--top", 1)[1])
     assert found == {f"b/{n:03d}": f"monday/{n:03d}" for n in range(6)}
+    for options in (("--every", 2), ("--poses", "exif"), ("--topic", "t", "--fps", 2)):
+        code, _, (line,) = ssrvlad("query", database, others, "--sequence", "b", *options)
+        unused = ", ".join(options[::2])
+        assert (code, line) == (2, f"ssrvlad: {others} is a database: expected no {unused}")
 
 
 def test_as_many_as_an_estimate_permits(ssrvlad, tmp_path):

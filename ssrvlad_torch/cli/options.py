@@ -151,7 +151,12 @@ class SourceOptions:
     @property
     def takes_all(self) -> bool:
         """Whether all frames of a sequence are used."""
-        return (self.fps, self.every, self.start) == (None, 1, 0)
+        return not self.given(("fps", "every", "start"))
+
+    def given(self, names: Collection[str]) -> list[str]:
+        """Those of these options that are not at their defaults."""
+        defaults = {each.name: each.default for each in fields(self)}
+        return [name for name in names if getattr(self, name) != defaults[name]]
 
 
 @dataclass(frozen=True)

@@ -64,13 +64,13 @@ def write_page(
 
 
 def title_and_settings(
-    references: Path, queries: Sequence[str], truth: TrueMatches
+    references: str, queries: Sequence[str], truth: TrueMatches
 ) -> tuple[str, dict[str, str]]:
     """The title of a page, and its settings: the references, the queries and the ground truth."""
     names = shortened(["/".join(Path(place).parts[-2:]) or place for place in queries])
-    title = f"{names} against {references.name or references}"
+    title = f"{names} against {Path(references).name or references}"
     return title, {
-        "references": str(references),
+        "references": references,
         "queries": shortened(queries),
         "true matches": truth.words,
     }

@@ -28,6 +28,8 @@ from ..taxonomy import LabelSpace, label_space
 from .options import SourceOptions
 from .output import note
 
+_OF_FILES = ("poses", "largest_gap", "topic", "fps", "every", "start", "segmenter", "classes")
+
 
 def resolve(
     options: SourceOptions,
@@ -67,6 +69,8 @@ def resolve(
     )
     network, paths = options.segmenter, options.paths
     if compared and len(paths) == 1 and Database.exists(paths[0]):
+        if unused := [f"--{name.replace('_', '-')}" for name in options.given(_OF_FILES)]:
+            raise ValueError(f"{paths[0]} is a database: expected no {', '.join(unused)}")
         space = _space(labels_as, database, compared, images)
         return replace(found, labels_as=space, database=Database.open(paths[0]))
     find = partial(_find, options, dataset, found.known)
@@ -178,8 +182,8 @@ def _are_pictures(files: Sequence[FrameFile], spaces: Sequence[LabelSpace | None
 
 
 def _open_dataset(options: SourceOptions) -> Dataset | None:
-    if options.layout and (options.poses or options.topic or options.fps):
-        raise ValueError("--poses, --topic and --fps do not go with --layout")
+    if options.layout and options.given(("sequence", "poses", "topic", "fps")):
+        raise ValueError("--sequence, --poses, --topic and --fps do not go with --layout")
     if options.largest_gap is not None and not options.poses:
         raise ValueError("--largest-gap needs --poses")
     if options.layout is None:

@@ -64,8 +64,9 @@ def score_name(used: Mapping[str, Any], sequence: str | None = None) -> str:
 def without_truth(metrics: Mapping[str, Any]) -> Iterator[str]:
     """What decoys say about the accepted answers, beside the truth; nothing for other methods."""
     for name, found in metrics.get("estimates", {}).items():
-        truth = found["truly_wrong"]
-        true = "" if truth is None else f"; in truth {truth:.1%}"
+        truth, judged = found["truly_wrong"], found["of_known_truth"]
+        of = f" of {judged} whose truth is known" if judged != found["accepted"] else ""
+        true = "" if truth is None else f"; in truth {truth:.1%}{of}"
         guess = Estimate(*(found[field] for field in Estimate._fields))
         suggested = "suggested " if name != "accepted" else ""
         yield f"{suggested}without ground truth: {estimate_in_words(guess)}{true}"

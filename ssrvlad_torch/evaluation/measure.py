@@ -81,9 +81,11 @@ def measure(
         sure = recognition.recognised.confidence.masked_fill(beaten, 0).numpy()[known]
         answers = recognition.recognised.matches.indices[:, 0].numpy()[known]
         right = np.array([row in true for row, true in zip(answers, true_rows, strict=True)], bool)
+        metrics["mean_confidence"] = float(recognition.recognised.confidence.numpy()[known].mean())
         metrics["estimates"] = {
             name: {
                 **estimate_in_json(each),
+                "of_known_truth": int(accepted.sum()),
                 "truly_wrong": float(1 - right[accepted].mean()) if accepted.any() else None,
             }
             for name, each in recognition.estimates.items()

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 from ..options import (
     AsOf,
+    DatabaseFolder,
     Json,
     RecognitionOptions,
     SourceOptions,
     TruthOptions,
-    argument,
     option,
 )
 from ..output import finish, note, print_json, progress_bar, say
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 def evaluate(
     *,
-    database: Path = argument("Folder of the database."),
+    database: DatabaseFolder,
     source: SourceOptions,
     recognition: RecognitionOptions,
     truth: TruthOptions,
@@ -125,6 +125,5 @@ def _recognised(
             "temporal": t,
             "steps": recognised.used,
             "score_is": score_name(recognised.used),
-            "mean_confidence": float(recognised.confidence.mean()),
         },
     )

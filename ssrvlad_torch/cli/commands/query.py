@@ -24,7 +24,7 @@ def query(
         "Leave out candidates whose score is not above this: a cosine for queries that are judged "
         "alone (a fused score of the same range if several methods judge them), a probability for "
         "followed ones: of the first candidate that of the place (a few frames around it), of "
-        "others that of one frame.",
+        "others that of one frame. The estimate of wrong answers is of all answers, before that.",
         max=1,
     ),
     from_sequence: list[str] | None = option(
@@ -109,4 +109,5 @@ def _print(
             listed = ", ".join(f"{name} {score:.4f}" for name, score in ranked)
             say(f"{frame}: {listed or 'no candidate'} ({kind}, confidence {confidence:.2f})")
     if not as_json:
-        note(way + decided_in_words(used, t, estimate))
+        before = ", before --threshold" if least > -math.inf and estimate.accepted else ""
+        note(way + decided_in_words(used, t, estimate) + before)

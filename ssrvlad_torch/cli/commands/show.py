@@ -34,6 +34,8 @@ def show(
     require_picture(output)
     source = resolve(SourceOptions([str(frame)], labels_as, segmenter=segmenter, classes=classes))
     head = SSRVLAD.from_preset(preset, labels_as=source.labels_as)
+    if len(source.files) != 1:
+        raise ValueError(f"{frame}: expected one frame, got {len(source.files)}")
     file, network = source.files[0], source.segmenter
     try:
         if network is None:
