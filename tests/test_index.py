@@ -148,5 +148,8 @@ def test_scores_of_any_row_are_exact(town):
     expected[1] = -torch.inf
     torch.testing.assert_close(search.scores(2, rows), expected)
     assert all(frames.sequences[row] == "a's" for row in search.candidates(2).tolist())
+    excluded = ["a's/300"] * len(queries), 140  # all but 18 of the 299 frames
+    search = IndexSearch(database, queries, ["q"] * len(queries), True, ["a's"], excluded)
+    assert [len(search.candidates(query)) for query in (2, 5)] == [18, 18]
     with pytest.raises(ValueError, match="no sequence 'c'"):
         IndexSearch(database, queries, ["q"] * len(queries), allowed=["c"])

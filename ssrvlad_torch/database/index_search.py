@@ -138,7 +138,9 @@ class IndexSearch:
         vector = self._queries[query]
         if not bool(vector.any()):
             return None
-        return nearest(self._table, vector, CANDIDATES, self._condition, self._cache.columns)
+        first, last = (0, 0) if self._excluded is None else self._excluded[query].tolist()
+        count = CANDIDATES + last - first  # so many are left without the excluded ones
+        return nearest(self._table, vector, count, self._condition, self._cache.columns)
 
     def _rows_of(self, query: int, found: pa.Table | None) -> Tensor:
         if found is None:
