@@ -1,5 +1,6 @@
 """The command line as a user meets it: help, exit codes, one-line errors, Ctrl-C."""
 
+import math
 import os
 import shlex
 import signal
@@ -19,6 +20,7 @@ from segmenting import write_settings
 
 from ssrvlad_torch import __version__
 from ssrvlad_torch.cli.app import app
+from ssrvlad_torch.cli.output import print_json
 from ssrvlad_torch.database.database import Database
 
 
@@ -37,6 +39,11 @@ def test_bare_it_prints_help(ssrvlad):
     code, out, err = ssrvlad()
     assert (code, err) == (0, [])
     assert out.startswith("Usage: ")
+
+
+def test_a_number_that_is_not_finite_is_null_in_json(capsys):
+    print_json({"a": [math.nan, -math.inf, {"b": math.inf}], "c": 1.5})
+    assert capsys.readouterr().out == '{"a": [null, null, {"b": null}], "c": 1.5}\n'
 
 
 def test_version(ssrvlad):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import os
 import subprocess
 from functools import partial
@@ -14,7 +15,7 @@ import pytest
 import torch
 from helpers import street, without
 from hypothesis import given
-from loop_streams import SEEDS, configs, noisy_stream, streams, write_drive
+from loop_streams import PLACES, SEEDS, configs, noisy_stream, streams, write_drive
 from onnx import TensorProto, helper
 from PIL import Image
 from segmenting import write_drives
@@ -112,6 +113,13 @@ def test_a_long_stream_passes_the_end_of_a_block(monkeypatch, anchors, exclude, 
     sure = [row for row, line in enumerate(expected) if line["reason"].value == "accepted"]
     assert len(sure) > 25
     assert_same_answers([got[row] for row in sure], [expected[row] for row in sure])
+
+
+def test_an_empty_frame_is_no_candidate():
+    empty_at_first = np.float32(PLACES[:100, None])
+    empty_at_first[:36] = 0
+    got, _ = both((empty_at_first, ["drive"] * 100), LoopConfig())
+    assert all(math.isfinite(each["score"] or 0) for each in got)
 
 
 def test_with_features_it_says_what_the_command_line_says(ssrvlad, tmp_path, run):

@@ -141,6 +141,9 @@ def test_an_empty_frame_matches_nothing_and_the_stream_goes_on():
     assert 30 not in accepted(results).values()
     assert reasons(drive(detector(), np.zeros((3, 480), np.float32))) == ["empty_frame"] * 3
     assert reasons(drive(detector(), [vectors[30], vectors[0]]))[1] == "no_candidate"
+    vectors = views(range(100))
+    vectors[:36] = 0
+    assert all(math.isfinite(each.score or 0) for each in drive(detector(), vectors))
 
 
 def test_two_places_alike_are_ambiguous():

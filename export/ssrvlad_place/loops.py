@@ -194,7 +194,7 @@ class Detector:
             z, repeats = (near - mean) / spread, (repeats - mean) / spread
             likelihood = self._log_likelihood(z, repeats)
         rows = self.filter.step(likelihood[: len(self.filter.cells)])
-        candidate = int(rows[:old].argmax())
+        candidate = int(np.where(np.isfinite(scores[:old]), rows[:old], -1).argmax())
         around = rows[:old][max(0, candidate - NEAR) : candidate + NEAR + 1]
         probability = min(1.0, float(around.sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))

@@ -117,8 +117,9 @@ def print_table(table: Table) -> None:
 
 
 def print_json(value: Mapping[str, Any]) -> None:
-    """Prints one object on one line. NaN, a metric without a value, becomes null."""
-    print(json.dumps(_without_nan(value)), flush=True)
+    """Prints one object on one line. A number that is not finite, such as a metric without a value,
+    becomes null."""
+    print(json.dumps(_only_finite(value)), flush=True)
 
 
 def weights_in_words(weights: Sequence[Mapping[str, float]]) -> list[str]:
@@ -143,9 +144,9 @@ def finish(skipped: Sequence[Skipped], described: int | None = None) -> None:
         raise typer.Exit(SOME_SKIPPED)
 
 
-def _without_nan(value: Any) -> Any:
+def _only_finite(value: Any) -> Any:
     if isinstance(value, Mapping):
-        return {key: _without_nan(entry) for key, entry in value.items()}
+        return {key: _only_finite(entry) for key, entry in value.items()}
     if isinstance(value, list):
-        return [_without_nan(entry) for entry in value]
-    return None if isinstance(value, float) and math.isnan(value) else value
+        return [_only_finite(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

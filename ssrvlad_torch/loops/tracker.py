@@ -95,7 +95,7 @@ class Tracker:
         likelihood = self._likelihood(scores, moments(scores[:old]))
         self._filter.update(self._filter.in_cells(likelihood[: len(self._filter)]))
         rows = self._filter.rows()
-        candidate = int(rows[:old].argmax())
+        candidate = int(rows[:old].masked_fill(scores[:old] == -torch.inf, -1).argmax())
         near = slice(max(0, candidate - NEAR), min(candidate + NEAR + 1, old))
         probability = min(1.0, float(rows[near].sum()))
         reason = self._reason(probability, float(rows[:old].sum()), float(rows[old:].sum()))
