@@ -245,6 +245,8 @@ def test_a_memory_is_gone_on_from(loops, drive, tmp_path):
     assert set(accepted(second[:-1]).items()) <= set(LOOPS.items())
     assert accepted(second[:-1])["drive/53"] == "drive/23"
     assert loops(drive, "--json", "--memory", memory)[:2] == (0, "")
+    known = "all 54 frames are in the memory already\n"
+    assert loops(drive, "--memory", memory)[:2] == (0, known)
     stored = Database.open(memory).load()
     assert stored.frames == tuple(f"drive/{n:02d}" for n in range(54))
     assert stored.poses[:, 0].tolist() == [10 * seed for seed in SEEDS]
@@ -360,6 +362,10 @@ def test_a_picture_is_drawn(loops, drive, tmp_path, poses):
     [
         (["-", "other"], "takes no other SOURCE"),
         (["-", "--every", 2], "takes no other SOURCE"),
+        (["-", "--poses", "p.csv"], "takes no other SOURCE, no --layout, --poses, --largest-gap"),
+        (["-", "--largest-gap", 2], "takes no other SOURCE"),
+        (["-", "--topic", "camera"], "takes no other SOURCE"),
+        (["-", "--layout", "auto"], "takes no other SOURCE"),
         (["nowhere"], "nowhere does not exist"),
         (["-", "--segmenter-cache", "x"], "--segmenter-cache needs --segmenter"),
         (["-", "--preset", "best"], "preset must be one of"),
@@ -376,3 +382,4 @@ def test_wrong_use_is_one_line(loops, arguments, message):
 def test_nothing_on_stdin_is_no_error(loops):
     code, out, err = loops("-")
     assert (code, out.splitlines()[0], err) == (0, "0 frames: nothing", [])
+    assert "no loop" not in out

@@ -257,7 +257,8 @@ class LoopDetector:
         Frames that a detector saved are in the order in which they came. Frames that were encoded
         from files come before them, in whichever order workers stored them: sequences in the order
         in which they were added, the frames of each in the order of their names. The next frame
-        starts a sequence for the filter.
+        starts a sequence for the filter, and the weights of fused methods are found anew: they
+        come from the scores of frames from all anchors, which a database does not store.
 
         Args:
             database: of raw descriptors.

@@ -37,7 +37,10 @@ def loops(
         "Smallest probability of a reported loop.", default=LoopConfig.threshold, min=0, max=1
     ),
     sweep: bool = option("Describe each frame from three anchors.", default=LoopConfig.sweep),
-    memory: Path | None = option("Database to store the frames in; one that exists is continued."),
+    memory: Path | None = option(
+        "Database to store the frames in; one that exists is continued. The place, and the weights "
+        "of fused methods, are then found anew."
+    ),
     picture: Path | None = option("Picture to write: the loops on the trajectory."),
     tolerance_metres: float | None = option(
         "Measure precision and recall: largest distance of a right loop in metres."
@@ -59,6 +62,7 @@ def loops(
     from ...loops.stream import candidates_of, detect_loops, loops_of, open_detector, report
     from ..sources import extra_of, resolve
 
+    _check_live(source)
     config = LoopConfig(exclude, threshold, sweep)
     stored = Database.open(memory) if memory and Database.exists(memory) else None
     if picture:
@@ -76,7 +80,12 @@ def loops(
             else:
                 results.append(result)
                 _print_result(result, as_json)
-    _print_report(report(detector, results, tolerance_metres), results, config, as_json)
+    summary = report(detector, results, tolerance_metres)
+    if results or skipped or as_json or not len(detector):
+        _print_report(summary, results, config, as_json)
+    else:
+        count = f"{len(opened.files)} " if opened.files else ""  # names on stdin are not counted
+        say(f"all {count}frames are in the memory already")
     if picture:
         pairs, candidates = loops_of(detector, results), candidates_of(detector, results)
         drives = [frame.rpartition("/")[0] for frame in detector.frames]
@@ -84,6 +93,17 @@ def loops(
         figure = draw_loops(pairs, detector.poses, title, tolerance_metres, drives, candidates)
         write_picture(figure, picture)
     finish(skipped, len(results))
+
+
+def _check_live(options: SourceOptions) -> None:
+    """Raises a ValueError for options that names on stdin would leave out."""
+    given = (options.layout, options.poses, options.topic)
+    alone = len(options.paths) == 1 and options.takes_all
+    if STDIN in options.paths and not (alone and options.largest_gap is None and not any(given)):
+        raise ValueError(
+            f"SOURCE {STDIN} takes no other SOURCE, no --layout, --poses, --largest-gap, --topic, "
+            "--fps, --every and --start"
+        )
 
 
 def _frames(
@@ -97,10 +117,6 @@ def _frames(
         if database:
             check_folders(source.files, database.known())
         return encode_files(detector, source.files, options.workers, source.segmenter)
-    if len(options.paths) > 1 or not options.takes_all:
-        raise ValueError(
-            f"SOURCE {STDIN} takes no other SOURCE, no --fps, no --every and no --start"
-        )
     names = map(os.fsdecode, sys.stdin.buffer)
     return encode_as_they_come(detector, names, options.sequence, source.segmenter, database)
 
@@ -115,8 +131,8 @@ def _print_result(result: LoopResult, as_json: bool) -> None:
 
 def _print_likeliest(results: Sequence[LoopResult], config: LoopConfig) -> None:
     """Where no frame closes a loop: the likeliest pair, and what could be changed."""
-    best = max(results, key=lambda result: result.probability or 0.0, default=None)
-    if best is None or best.probability is None:
+    best = max(results, key=lambda result: result.probability or 0.0)
+    if best.probability is None:
         say(f"no loop: no frame comes more than --exclude {config.exclude} frames after another")
         return
     unlikely = "" if best.probability >= EVEN else ", more likely wrong than right"
@@ -143,7 +159,7 @@ def _print_report(
     columns = ", ".join(map(str, summary["steps"]["sweep"])) or "0"
     steps = ["standardised", f"anchors {columns}", "no temporal sum", "followed online"]
     say(f"steps: {', '.join([*steps, *weights_in_words([summary['steps']['weights']])])}")
-    if not any(result.accepted for result in results):
+    if results and not any(result.accepted for result in results):
         _print_likeliest(results, config)
     if "precision" not in summary:
         return
