@@ -152,6 +152,9 @@ def test_descriptors_of_another_shape_are_refused(path, shape):
 def test_descriptors_without_a_length_are_refused(path, value, message):
     with pytest.raises(ValueError, match=message):
         Database.open(path).append(["a/1"], torch.full((1, 480), value))
+    for numbers in (np.full((1, 480), 1j), np.full((1, 480), "1")):
+        with pytest.raises(ValueError, match="descriptor: expected real numbers, got "):
+            Database.open(path).append(["a/1"], numbers)
 
 
 @pytest.mark.parametrize("frame", ["", " ", "a/", "/1", " a/1", "a/1\n"])
@@ -160,8 +163,17 @@ def test_an_invalid_id_is_refused(path, frame):
         Database.open(path).append([frame], torch.ones(1, 480))
     with pytest.raises(ValueError, match="has no name"):
         Database.open(path).append([record("a/1")._replace(name="")], torch.ones(1, 480))
+    for wrong in ({"sequence": "a "}, {"name": "1 "}, {"name": "b/1"}):
+        with pytest.raises(ValueError, match=r"expected a frame id|frame without '/', got 'b/1'"):
+            Database.open(path).append([record("a/1")._replace(**wrong)], torch.ones(1, 480))
     with pytest.raises(ValueError, match=r"UTF-8 in the id of a frame, got 'a/\\udcff'"):
         Database.open(path).append(["a/\udcff"], torch.ones(1, 480))
+
+
+@pytest.mark.parametrize("pose", [{"x": 1.0}, {"x": math.inf, "y": 2}, {"heading": math.inf}])
+def test_a_pose_that_is_not_finite_is_refused(path, pose):
+    with pytest.raises(ValueError, match="frame 'a/1': expected a pose of finite x, y, heading"):
+        Database.open(path).append([record("a/1")._replace(**pose)], torch.ones(1, 480))
 
 
 def test_a_single_text_is_not_a_list_of_ids(path):

@@ -213,6 +213,7 @@ BAD_FRAMES = {
     "id <sequence>/<name>, got '000007'": (PLACES[0], "000007"),
     "id <sequence>/<name>, got 'drive/'": (PLACES[0], "drive/"),
     r"id <sequence>/<name>, got 'drive/.udcff'": (PLACES[0], "drive/\udcff"),
+    "frame id, <sequence>/<name> or <name>, got 'drive/ 7'": (PLACES[0], "drive/ 7"),
     "id <sequence>/<name>, got 7": (PLACES[0], 7),
     r"expected a descriptor \(480,\).* got \(9,\)": (PLACES[0, :9], "drive/a"),
     "length 1 or zero, got nan": (math.nan * PLACES[0], "drive/a"),

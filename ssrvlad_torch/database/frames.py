@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+import math
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
@@ -120,6 +121,28 @@ def is_text(frame: object) -> bool:
         return isinstance(frame, str) and bool(frame.encode())
     except UnicodeEncodeError:
         return False
+
+
+def checked_pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
+    """Metres and radians of a frame, NaN where unknown; half a position, infinite numbers and what
+    are no numbers are a ValueError."""
+    if pose is None:
+        return math.nan, math.nan, math.nan
+    numbers = numbers_of(pose)
+    half = len({math.isnan(each) for each in numbers[:2]}) > 1
+    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)) or half:
+        raise ValueError(f"frame {frame!r}: expected a pose of finite x, y, heading, got {pose!r}")
+    x, y, heading = (*numbers, math.nan)[:3]
+    return x, y, heading
+
+
+def numbers_of(values: Iterable[object]) -> list[float]:
+    """The numbers; none if a value is another thing, also the text of a number."""
+    try:
+        found: list[Any] = [*values]
+        return [] if any(isinstance(each, str | bytes) for each in found) else [*map(float, found)]
+    except (TypeError, ValueError, OverflowError):
+        return []
 
 
 def folder_of(signature: str) -> str:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from .checksums import checksums
-from .frames import FrameRecord, is_text
+from .frames import FrameRecord, checked_pose, is_text
 
 if TYPE_CHECKING:
     from ..recognition.matching import Vectors
@@ -68,10 +68,15 @@ def to_table(
 
 
 def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> None:
-    """Raises a ValueError for a record without a name, for an id that is no UTF-8 or given twice,
-    and for an origin that a database with these does not have."""
+    """Raises a ValueError for a record without a name, for an id that is no UTF-8, no id or given
+    twice, for half a position or an infinite one, and for an origin that a database with these does
+    not have."""
     if not all(record.name for record in records):
         raise ValueError("a frame has no name")
+    for record in records:
+        if is_text(record.frame) and FrameRecord.of_id(record.frame)[:2] != record[:2]:
+            raise ValueError(f"expected the name of a frame without '/', got {record.name!r}")
+        checked_pose(record[2:5], record.frame)
     counts = Counter(record.frame for record in records)
     for frame, count in counts.items():
         if not is_text(frame):
@@ -130,6 +135,8 @@ def _checked(name: str, descriptors: Vectors, shape: Shape) -> npt.NDArray[Any]:
     detach = getattr(descriptors, "detach", None)
     values = np.asarray(detach().cpu() if detach else descriptors)
     kind = dtype_of(shape[1:])
+    if values.dtype.kind not in "biuf":
+        raise ValueError(f"{name}: expected real numbers, got {values.dtype}")
     if values.shape != shape:
         raise ValueError(f"{name}: expected {shape} for {shape[0]} frames, got {values.shape}")
     if (kind == np.uint8) != (values.dtype == np.uint8):

@@ -46,8 +46,8 @@ class Plan:
 
     @classmethod
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
-        """The plan for files whose label maps have an origin; errors as for `check_folders`, or a
-        file is a frame of another sequence."""
+        """The plan for files whose label maps have an origin; errors as for `check_folders` and
+        `FrameRecord.of_id`, or a file is a frame of another sequence."""
         known, origins = database.known(), database.origins
         current = {key for key, stored in origins.items() if _why_origin(origin, stored) is None}
         check_folders(files, known)
@@ -56,6 +56,8 @@ class Plan:
         for file in files:
             record = known.get(file.frame)
             reason: str | None = NEW
+            if record is None:
+                FrameRecord.of_id(file.frame)
             if record is not None:
                 reason = _why_file(file, record)
                 if record.origin not in current:

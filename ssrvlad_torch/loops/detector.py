@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -15,8 +15,9 @@ from torch import Tensor
 
 from ..baselines.protocol import Frame
 from ..database.database import Database
-from ..database.frames import FrameRecord, is_text
+from ..database.frames import FrameRecord, checked_pose, is_text, numbers_of
 from ..database.metadata import ExtraDescriptor
+from ..database.rows import check_records
 from ..datasets.label_files import digest
 from ..descriptor import SSRVLAD, SweepHead
 from ..encoding.extra_descriptors import extra_methods
@@ -152,7 +153,7 @@ class LoopDetector:
         sequence, _, name = frame_id.rpartition("/") if is_text(frame_id) else ("", "", "")
         if not (sequence and name):
             raise ValueError(f"expected a frame's id <sequence>/<name>, got {frame_id!r}")
-        place = _pose(pose, frame_id)
+        place = checked_pose(pose, frame_id)
         record = FrameRecord(sequence, name, *place, _stamp(stamp, frame_id))
         tensor = as_tensor(view)
         if picture is not None and not self._methods:
@@ -187,6 +188,7 @@ class LoopDetector:
         Raises:
             ValueError: as for `update`.
         """
+        check_records([record], [record.origin])
         extra = extra or {}
         swept = checked_vectors(descriptor, record.frame, self.head.config.length)
         if extra.keys() != self._others.keys():
@@ -302,28 +304,8 @@ class LoopDetector:
                 memory.start_sequence()
 
 
-def _pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
-    if pose is None:
-        return math.nan, math.nan, math.nan
-    numbers = _numbers(pose)
-    half = len({math.isnan(each) for each in numbers[:2]}) > 1
-    if len(numbers) not in (2, 3) or any(map(math.isinf, numbers)) or half:
-        raise ValueError(f"frame {frame!r}: expected a pose of finite x, y, heading, got {pose!r}")
-    x, y, heading = (*numbers, math.nan)[:3]
-    return x, y, heading
-
-
 def _stamp(stamp: float | None, frame: str) -> float:
-    numbers = [math.nan] if stamp is None else _numbers([stamp])
+    numbers = [math.nan] if stamp is None else numbers_of([stamp])
     if not numbers:
         raise ValueError(f"frame {frame!r}: expected a stamp in seconds, got {stamp!r}")
     return numbers[0]
-
-
-def _numbers(values: Iterable[object]) -> list[float]:
-    """The numbers; none if a value is another thing, also the text of a number."""
-    try:
-        found: list[Any] = [*values]
-        return [] if any(isinstance(each, str | bytes) for each in found) else [*map(float, found)]
-    except (TypeError, ValueError, OverflowError):
-        return []
