@@ -216,6 +216,20 @@ def foreign_table():
     return pa.table({"a": [1]})
 
 
+@pytest.mark.parametrize(
+    ("path", "width", "message"),
+    [
+        (None, 3, "expected the folder or URI of a database, got None"),
+        ("db", 2.5, "width: expected an integer from 1, got 2.5"),
+        ("db", -1, "width: expected an integer from 1, got -1"),
+    ],
+)
+def test_what_no_database_can_be_created_with_is_refused(tmp_path, path, width, message):
+    with pytest.raises(ValueError, match=message):
+        Database.create(path and tmp_path / path, width=width)
+    assert not any(tmp_path.iterdir())
+
+
 def test_a_database_is_not_created_over_one(path):
     with pytest.raises(ValueError, match="is a database already"):
         Database.create(path, CONFIG)

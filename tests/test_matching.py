@@ -1,5 +1,7 @@
 """Matching against plain NumPy."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -97,6 +99,8 @@ def test_arrays_and_doubles_are_taken():
     found = match(np.eye(3), np.eye(3), top=1)  # type: ignore[arg-type]
     assert found.indices[:, 0].tolist() == [0, 1, 2]
     assert found.scores.dtype == torch.float32
+    found = match(np.eye(3), np.eye(3), 1, excluded=np.eye(3) > 0)  # type: ignore[arg-type]
+    assert found.indices[:, 0].tolist() == [1, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -104,7 +108,9 @@ def test_arrays_and_doubles_are_taken():
     [
         (torch.zeros(2, 3), torch.zeros(2, 4), 1, r"width D, got \(2, 3\) and \(2, 4\)"),
         (torch.zeros(3), torch.zeros(2, 3), 1, r"got \(3,\)"),
-        (torch.eye(3), torch.eye(3), 0, "top must be at least 1, got 0"),
+        (torch.eye(3), torch.eye(3), 0, "top must be an integer from 1, got 0"),
+        (torch.eye(3), torch.eye(3), 2.5, "top must be an integer from 1, got 2.5"),
+        (torch.eye(3), torch.eye(3), "2", "top must be an integer from 1, got '2'"),
         (torch.eye(3) * torch.nan, torch.eye(3), 1, "queries hold values that are not finite"),
         (torch.eye(3), torch.full((2, 3), torch.inf), 1, "references hold values"),
     ],
@@ -112,6 +118,8 @@ def test_arrays_and_doubles_are_taken():
 def test_wrong_vectors_are_refused(queries, references, top, message):
     with pytest.raises(ValueError, match=message):
         match(queries, references, top)
+    with pytest.raises(ValueError, match="threshold: expected a number, got nan"):
+        match(torch.eye(3), torch.eye(3), threshold=math.nan)
 
 
 @pytest.mark.parametrize(

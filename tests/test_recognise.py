@@ -205,6 +205,10 @@ def test_few_references_give_no_confidence():
 def test_refuses():
     with pytest.raises(ValueError, match="each of 4 queries, got 1"):
         recognise(torch.eye(4), torch.eye(4), ["a"], ["b"] * 4)
+    with pytest.raises(ValueError, match="a sequence for each of 4 references, got 3"):
+        recognise(torch.eye(4), torch.eye(4), ["a"] * 4, ["b"] * 3, AS_PAPER)
+    with pytest.raises(ValueError, match=r"excluded: expected \(4, 4\) bool, got \(1, 4\)"):
+        recognise(torch.eye(4), torch.eye(4), ["a"] * 4, ["b"] * 4, excluded=torch.ones(1, 4) > 0)
     with pytest.raises(ValueError, match="expected mirrors of ssr-vlad, got hog"):
         recognise(torch.eye(4), torch.eye(4), ["a"] * 4, ["b"] * 4, mirrors={"hog": exchange})
 

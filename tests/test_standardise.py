@@ -56,3 +56,5 @@ def test_empty_frames_stay_empty_and_count_in_no_mean():
 def test_refuses():
     with pytest.raises(ValueError, match="each of 3 frames, got 1"):
         standardise(torch.zeros(3, 4), ["a"])
+    with pytest.raises(ValueError, match="row 2 of the descriptors holds values that are not"):
+        standardise(torch.tensor([[1.0], [0.0], [torch.nan]]))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import errno
 import json
+import os
 import threading
 from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import timedelta
@@ -109,13 +110,16 @@ class Database(StoredFrames):
             extra: extra descriptors that every frame has.
 
         Raises:
-            ValueError: ``path`` is in use, not exactly one of config and width is given, or the
-                name of an extra descriptor is that of another column.
+            ValueError: ``path`` is in use or no path, not exactly one of config and width is given,
+                the width is no integer from 1, or the name of an extra
+                descriptor is that of another column.
             OSError: the folder cannot be written.
         """
-        text = str(path)
+        text = _text(path)
         if (config is None) == (width is None):
             raise ValueError("expected the config of the descriptors, or the width of custom ones")
+        if width is not None and (not hasattr(width, "__index__") or width < 1):
+            raise ValueError(f"width: expected an integer from 1, got {width!r}")
         names = [each.name for each in extra]
         if len({*names, DESCRIPTOR, *schema({}).names}) < len(names) + 1 + len(schema({})):
             raise ValueError(
@@ -151,7 +155,7 @@ class Database(StoredFrames):
                 the method. If only the newest versions are damaged, the message names the last
                 readable one and the files of the others.
         """
-        text = str(path)
+        text = _text(path)
         if is_local(text) and not cls.exists(text):
             problem = "is not a database" if Path(text).exists() else "does not exist"
             raise ValueError(f"{text} {problem}")
@@ -354,6 +358,12 @@ class Database(StoredFrames):
         with self._lock:
             self._use(engine.compact(self.path))
             engine.clean(self.path, timedelta(days=keep_days))
+
+
+def _text(path: str | Path) -> str:
+    if not isinstance(path, (str, os.PathLike)):
+        raise ValueError(f"expected the folder or URI of a database, got {path!r}")
+    return str(path)
 
 
 def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -57,7 +58,7 @@ def match(
 
     Raises:
         ValueError: the vectors are not two matrices of equal width or hold values that are not
-            finite, ``top`` is below 1, or ``excluded`` has another shape.
+            finite, ``top`` is below 1, ``threshold`` is NaN, or ``excluded`` has another shape.
 
     Examples:
         >>> match(torch.eye(3)[:1], torch.eye(3), top=1).indices
@@ -65,10 +66,9 @@ def match(
     """
     queries, vectors = real_tensor(queries, "queries"), real_tensor(references)
     _check(queries, vectors, top)
-    size = len(queries), len(vectors)
-    if excluded is not None and (excluded.shape != size or excluded.dtype != torch.bool):
-        got = f"{tuple(excluded.shape)} {excluded.dtype}"
-        raise ValueError(f"excluded: expected {size} bool, got {got}")
+    excluded = checked_excluded(excluded, (len(queries), len(vectors)))
+    if threshold is not None and math.isnan(threshold):
+        raise ValueError("threshold: expected a number, got nan")
     scores = queries.new_full((len(queries), top), -torch.inf, dtype=torch.float32)
     indices = torch.full(scores.shape, -1, dtype=torch.int64, device=scores.device)
     units = unit_queries(queries)
@@ -86,6 +86,16 @@ def match(
     return Matches(
         scores.masked_fill(no_candidate, -torch.inf), indices.masked_fill(no_candidate, -1)
     )
+
+
+def checked_excluded(excluded: Tensor | None, size: tuple[int, int]) -> Tensor | None:
+    """References that are no candidates, also of an array; another shape or dtype than ``size``
+    bool is a ValueError."""
+    found = None if excluded is None else torch.as_tensor(excluded)
+    if found is not None and (found.shape != size or found.dtype != torch.bool):
+        got = f"{tuple(found.shape)} {found.dtype}"
+        raise ValueError(f"excluded: expected {size} bool, got {got}")
+    return found
 
 
 class Rows(NamedTuple):
@@ -213,5 +223,5 @@ def _check(queries: Tensor, references: Tensor, top: int) -> None:
             "expected queries (Q, D) and references (R, D) of one width D, "
             f"got {tuple(queries.shape)} and {tuple(references.shape)}"
         )
-    if top < 1:
-        raise ValueError(f"top must be at least 1, got {top}")
+    if not hasattr(top, "__index__") or top < 1:
+        raise ValueError(f"top must be an integer from 1, got {top!r}")

@@ -25,7 +25,7 @@ from .courses import Gain, course
 from .decoys import Lead, Mirror, decoy_scores, lead_over_decoys
 from .display import candidates_table
 from .follow import Mode, Places, Scores, follow, gain, runs
-from .matching import Matches, Rows, Vectors, best_of
+from .matching import Matches, Rows, Vectors, best_of, checked_excluded
 from .motion import Motion
 from .signs import REACH, SignQueries, SignRows, are_signs
 from .signs import mirrored as mirrored_signs
@@ -142,10 +142,13 @@ def recognise(
     steps = steps or Steps()
     pairs = {SSR_VLAD: (queries, references), **(extra or {})}
     queries_of = {name: torch.as_tensor(pair[0]) for name, pair in pairs.items()}
-    for vectors in queries_of.values():
-        if len(query_sequences) != len(vectors):
-            got = len(query_sequences)
-            raise ValueError(f"expected a sequence for each of {len(vectors)} queries, got {got}")
+    sides = {"queries": query_sequences, "references": reference_sequences}
+    for pair in pairs.values():
+        for (what, names), vectors in zip(sides.items(), pair, strict=True):
+            if len(names) != len(vectors):
+                size = f"{len(vectors)} {what}"
+                raise ValueError(f"expected a sequence for each of {size}, got {len(names)}")
+    excluded = checked_excluded(excluded, (len(query_sequences), len(reference_sequences)))
     mirrored = {name for name, vectors in queries_of.items() if not are_signs(vectors)}
     if mirrors is not None and not mirrored <= set(mirrors):
         named = ", ".join(mirrors) or "none"

@@ -36,7 +36,8 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
         float32 of the same shape, of length 1 or zero.
 
     Raises:
-        ValueError: the descriptors are of another shape, or there is not one sequence for each.
+        ValueError: the descriptors are of another shape or not finite, or there is not one
+            sequence for each.
 
     Examples:
         >>> frames = torch.eye(30) + 5  # a large part in common
@@ -46,6 +47,8 @@ def standardise(descriptors: Vectors, sequences: Sequence[str] | None = None) ->
     single = F.normalize(torch.as_tensor(descriptors).float(), dim=-1)
     if single.ndim not in (2, 3):
         raise ValueError(f"expected descriptors (N, D) or (N, S, D), got {tuple(single.shape)}")
+    if bad := (~single.isfinite()).flatten(1).any(1).nonzero()[:, 0].tolist():
+        raise ValueError(f"row {bad[0]} of the descriptors holds values that are not finite")
     names = [""] * len(single) if sequences is None else sequences
     if len(names) != len(single):
         raise ValueError(f"expected a sequence for each of {len(single)} frames, got {len(names)}")
