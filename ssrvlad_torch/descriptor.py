@@ -82,6 +82,8 @@ class SSRVLAD(nn.Module):
 
     def __init__(self, config: SSRVLADConfig | None = None) -> None:
         super().__init__()
+        if not isinstance(config, SSRVLADConfig | None):
+            raise ValueError(f"expected an SSRVLADConfig, got {config!r}; see SSRVLAD.from_preset")
         self.config = config or SSRVLADConfig()
         self._front_end = FrontEnd(self.config)
         self._aggregation: Aggregation = AGGREGATIONS[self.config.aggregation](self.config)

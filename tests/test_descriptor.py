@@ -189,6 +189,8 @@ def test_the_working_size_reduces_and_never_enlarges():
 
 
 def test_it_has_no_weights_and_no_state():
+    with pytest.raises(ValueError, match="SSRVLADConfig, got 'paper'; see"):
+        SSRVLAD("paper")
     head = SSRVLAD(DEFAULT)
     assert not list(head.parameters())
     assert not head.state_dict()

@@ -158,11 +158,16 @@ def test_a_map_that_grows_is_the_map_that_was_whole():
     assert torch.equal(whole.rows(), grown.rows())
 
 
+def test_scores_may_be_an_array():
+    assert follow(np.eye(30)[10:20], ["a"] * 30).indices[:, 0].tolist() == [*range(10, 20)]
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         ({"mode": "both"}, "online or offline, got 'both'"),
         ({"delay": -1}, "a delay from 0"),
+        ({"way": 5}, "way: expected 1 or -1, got 5"),
         ({"query_sequences": ["a"]}, "each of 3 queries, got 1"),
         ({"reference_sequences": ["m"] * 4}, "each of 4 rows, got"),
         (

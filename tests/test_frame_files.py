@@ -22,7 +22,10 @@ def test_the_files_of_a_folder_are_a_sequence_in_the_order_of_a_person(tmp_path)
     (folder / "f6.png").mkdir()
     expected = ["monday/f01", "monday/f1", "monday/f2", "monday/f3", "monday/f10"]
     assert ids(find_label_files([str(folder)])) == expected
-    assert ids(find_label_files([f"{folder}/"])) == expected
+    assert ids(find_label_files([f"{folder}/"])) == ids(find_label_files([folder])) == expected
+    for wrong in (str(folder), folder, []):
+        with pytest.raises(ValueError, match="expected a list of folders, files or globs, got "):
+            find_label_files(wrong)
 
 
 def test_hidden_files_and_halves_are_no_frames(tmp_path):

@@ -245,6 +245,11 @@ def test_a_frame_that_is_refused_leaves_no_trace(message):
     assert after[0] == after[1]
 
 
+def test_the_first_argument_of_a_detector_is_its_settings():
+    with pytest.raises(ValueError, match="expected config as a LoopConfig, got SSRVLAD"):
+        LoopDetector(HEAD)
+
+
 def test_a_stamp_must_not_go_back_in_its_sequence(tmp_path):
     loops = detector()
     loops.update(PLACES[0], "drive/0", 5.0)

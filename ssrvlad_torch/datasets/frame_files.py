@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import tee
+from os import PathLike
 from pathlib import Path
 from typing import TypeVar
 
@@ -42,7 +43,7 @@ class FileKind:
 
 def find_frames(
     kind: FileKind,
-    sources: Sequence[str],
+    sources: Sequence[str | Path],
     sequence: str | None = None,
     every: int = 1,
     start: int = 0,
@@ -76,7 +77,9 @@ def find_frames(
             ``fps`` is out of range, or pyarrow does not support the URI's scheme.
         OSError: the folder of a URI cannot be read.
     """
-    files = [file for source in sources for file in _expand(source, kind, topic)]
+    if isinstance(sources, str | PathLike) or not sources:
+        raise ValueError(f"expected a list of folders, files or globs, got {sources!r}")
+    files = [file for source in sources for file in _expand(str(source), kind, topic)]
     names = {} if sequence else sequence_names(dict.fromkeys(file.folder for file in files), known)
     found: dict[str, FrameFile] = {}
     for file in files:

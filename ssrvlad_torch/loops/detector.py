@@ -63,6 +63,8 @@ class LoopDetector:
         head: SSRVLAD | None = None,
         extra: Sequence[ExtraDescriptor] = (),
     ) -> None:
+        if not isinstance(config, LoopConfig | None):
+            raise ValueError(f"expected config as a LoopConfig, got {type(config).__name__}")
         self.config = config or LoopConfig()
         self.head = head or SSRVLAD()
         self.extra, self._methods = tuple(extra), extra_methods(extra)

@@ -19,13 +19,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Literal, NamedTuple, Protocol, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from .display import candidates_table
 from .filter import Belief, Filter, Future
 from .matching import Matches, best_of
-from .motion import FORWARDS, Motion
+from .motion import BACKWARDS, FORWARDS, Motion
 
 NEAR = 3
 """Rows on each side of a row that show the same place."""
@@ -107,6 +108,9 @@ def follow(
     """
     if mode not in ("online", "offline"):
         raise ValueError(f"mode: expected online or offline, got {mode!r}")
+    if way not in (FORWARDS, BACKWARDS):
+        raise ValueError(f"way: expected {FORWARDS} or {BACKWARDS}, got {way!r}")
+    scores = torch.from_numpy(scores) if isinstance(scores, np.ndarray) else scores
     if delay < 0 or top < 1:
         raise ValueError(f"expected a delay from 0 and a top from 1, got {delay} and {top}")
     drives = [""] * len(scores) if query_sequences is None else query_sequences
