@@ -35,6 +35,10 @@ def test_running_again_reads_only_what_is_missing(town, reads):
     town.add("a", [20, 3000])
     assert counts(town.encode()) == (2, 5, 0)
     assert sorted(reads) == ["20", "3000"]
+    town.add("a ", [1])
+    with pytest.raises(ValueError, match="expected a frame id, <sequence>"):
+        town.encode("a ")
+    assert len(reads) == 2
 
 
 def test_another_label_space_encodes_all_frames_again(town):
