@@ -12,6 +12,7 @@ city. Needs the extra `dev`; `pip install faiss-cpu` adds the comparison of matc
 from __future__ import annotations
 
 import argparse
+import ctypes
 import os
 import platform
 import subprocess
@@ -225,7 +226,9 @@ def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
 
 
 def peak_bytes(call: Callable[[], object]) -> int:
-    """The peak of resident memory during a call minus what was resident before it."""
+    """The peak of resident memory during a call minus what was resident before it, without what
+    earlier calls have freed."""
+    ctypes.CDLL(None).malloc_trim(0)
     Path("/proc/self/clear_refs").write_text("5")
     before = status_bytes("VmRSS")
     call()
