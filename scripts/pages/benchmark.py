@@ -12,7 +12,6 @@ city. Needs the extra `dev`; `pip install faiss-cpu` adds the comparison of matc
 from __future__ import annotations
 
 import argparse
-import ctypes
 import os
 import platform
 import subprocess
@@ -201,23 +200,26 @@ def memory_table(options: argparse.Namespace) -> Iterator[str]:
     for preset in ("paper", "default"):
         for name in ("torch", "native core"):
             for size, count in ((LARGE, 1), (LARGE, BATCH)):
-                command = [sys.executable, __file__, "--memory", preset, name, *map(str, size)]
-                command += [
-                    str(count),
-                    *(["--camvid", str(options.camvid)] if options.camvid else []),
-                ]
-                done = subprocess.run(
-                    command,
-                    check=True,
-                    capture_output=True,
-                    text=True,
-                    env={**os.environ, **EVERY_BUFFER_GIVEN_BACK},
-                )
-                yield row(preset, name, by(size), str(count), done.stdout.strip())
+                numbers = *size, count
+                camvid = ["--camvid", str(options.camvid)] if options.camvid else []
+                memory = in_new_process(preset, name, *map(str, numbers), *camvid)
+                yield row(preset, name, by(size), str(count), memory)
+
+
+def in_new_process(*arguments: str) -> str:
+    """What `print_memory` prints."""
+    command = [sys.executable, __file__, "--memory", *arguments]
+    env = {**os.environ, **EVERY_BUFFER_GIVEN_BACK}
+    done = subprocess.run(command, check=True, capture_output=True, text=True, env=env)
+    return done.stdout.strip()
 
 
 def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
     height, width, count = map(int, numbers)
+    if name == "match":
+        with threads(1):
+            print(f"{peak_bytes(partial(match, *random_rows(count), 10)) / 2**20:.0f}")
+        return
     head = heads(maps.config(preset))[name]
     head(maps.batch((64, 96), 2))
     labels = maps.batch((height, width), count)
@@ -226,9 +228,8 @@ def print_memory(maps: Maps, preset: str, name: str, *numbers: str) -> None:
 
 
 def peak_bytes(call: Callable[[], object]) -> int:
-    """The peak of resident memory during a call minus what was resident before it, without what
-    earlier calls have freed."""
-    ctypes.CDLL(None).malloc_trim(0)
+    """The peak of resident memory during a call minus what was resident before it. In a new
+    process: what earlier calls have freed would be used again."""
     Path("/proc/self/clear_refs").write_text("5")
     before = status_bytes("VmRSS")
     call()
@@ -272,18 +273,14 @@ def matching_section(references: int) -> Iterator[str]:
         yield "Not measured: faiss-cpu is not installed.\n"
         return
     faiss.omp_set_num_threads(1)
-    rng = np.random.default_rng(0)
-    database = rng.standard_normal((references, 480), dtype=np.float32)
-    database /= np.linalg.norm(database, axis=1, keepdims=True)
-    queries = database[rng.integers(0, references, 1000)]
-    queries = queries + 0.02 * rng.standard_normal(queries.shape, dtype=np.float32)
+    queries, database = random_rows(references)
     index = faiss.IndexFlatIP(480)
     index.add(database)
     ways = {
         "faiss.IndexFlatIP": partial(index.search, queries, 10),
         "match": partial(match, queries, database, 10),
     }
-    extra = peak_bytes(ways["match"]) / 2**20
+    extra = in_new_process("", "match", "0", "0", str(references))
     found = match(queries, database, top=10).indices.numpy()
     same = float((found == index.search(queries, 10)[1]).mean())
     timings = time_in_turn(ways, 3, warm_up=False)
@@ -299,8 +296,17 @@ def matching_section(references: int) -> Iterator[str]:
     yield ""
     yield paragraph(
         f"Equal candidates: {same:.4%}. Peak memory of `match` in addition to its arguments: "
-        f"{extra:.0f} MB."
+        f"{extra} MB."
     )
+
+
+def random_rows(references: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """1000 queries near rows of a database, and the database, all of length 1 or about that."""
+    rng = np.random.default_rng(0)
+    database = rng.standard_normal((references, 480), dtype=np.float32)
+    database /= np.linalg.norm(database, axis=1, keepdims=True)
+    queries = database[rng.integers(0, references, 1000)]
+    return queries + 0.02 * rng.standard_normal(queries.shape, dtype=np.float32), database
 
 
 def by(size: Sequence[int]) -> str:
