@@ -11,6 +11,17 @@ from ssrvlad_torch.loops.config import LoopConfig
 
 PLACES = np.eye(480, dtype=np.float32)
 """Descriptors of places, at right angles to each other."""
+LIGHT = 3 * PLACES[-1]
+RNG = np.random.default_rng(0)
+
+
+def views(places, noise=0.002, light=0.0):
+    """Descriptors of places, each a little different, with a light that they have in common."""
+    return unit(PLACES[np.asarray(places)] + light + RNG.normal(0, noise, (len(places), 480)))
+
+
+def unit(vectors):
+    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
 
 
 def noisy_stream(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import street
-from loop_streams import PLACES, noisy_stream
+from loop_streams import LIGHT, PLACES, noisy_stream, unit, views
 
 from ssrvlad_torch import SSRVLAD, Database
 from ssrvlad_torch.database.frames import FrameRecord
@@ -21,19 +21,6 @@ from ssrvlad_torch.loops.detector import COLUMNS, LoopDetector
 from ssrvlad_torch.loops.result import Reason
 
 HEAD = SSRVLAD.from_preset("default", labels_as="camvid-11")
-RNG = np.random.default_rng(0)
-
-
-LIGHT = 3 * PLACES[-1]
-
-
-def views(places, noise=0.002, light=0.0):
-    """Descriptors of places, each a little different, with a light that they have in common."""
-    return unit(PLACES[np.asarray(places)] + light + RNG.normal(0, noise, (len(places), 480)))
-
-
-def unit(vectors):
-    return (vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)).astype(np.float32)
 
 
 def detector(**settings):

@@ -27,17 +27,10 @@ from helpers import (
 from onnx import TensorProto, helper
 from PIL import Image
 from ssrvlad_place import database as place_database
-from ssrvlad_place import model as place_model
 from ssrvlad_place.database import Database, save
-from ssrvlad_place.frames import find_frames, read_labels, read_photograph
 from ssrvlad_place.model import Seen
 
 from ssrvlad_torch import SSRVLAD, SSRVLADConfig, export_head
-from ssrvlad_torch.datasets.frame_files import FrameFile
-from ssrvlad_torch.datasets.image_files import SUFFIXES, decode_image, find_image_files
-from ssrvlad_torch.datasets.label_files import SUFFIXES as SUFFIXES_OF_MAPS
-from ssrvlad_torch.datasets.label_files import read_label_map
-from ssrvlad_torch.taxonomy import label_space
 
 SCRIPT = Path(run_onnx.__file__)
 CONFIG = SSRVLADConfig(labels_as="camvid-11")
@@ -59,95 +52,6 @@ def town(head, maps, tmp_path, run):
     """A database that the script wrote."""
     assert run(head, maps, "--save-descriptors", tmp_path / "town.npy")[0] == 0
     return tmp_path / "town.npy"
-
-
-def test_frames_of_a_folder_are_in_natural_order_however_they_are_named(tmp_path):
-    """A shell gives 10 before 9. Two folders of one name would be one drive."""
-    files = [tmp_path / day / "maps" / f"{n}.png" for day in ("a", "b") for n in (10, 8, 9)]
-    for file in files:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.touch()
-    for sources in (files[:3], [files[0].parent], [files[0], files[0].parent / ".." / "maps"]):
-        frames = [frame for frame, _ in find_frames(sources)]
-        assert list(dict.fromkeys(frames)) == ["maps/8", "maps/9", "maps/10"]
-    with pytest.raises(ValueError, match=r"a.maps and .*b.maps have one name"):
-        list(find_frames(files))
-    drive = tmp_path / "drive"
-    drive.mkdir()
-    for name in (
-        "b2",
-        "b\u00b2",
-        "b10",
-        "b1\u00b2",
-        "12.5",
-        "12.25",
-        "9",
-        "c\u0663",
-        "c2",
-        "\u00bd",
-        "_",
-    ):
-        (drive / f"{name}.png").touch()
-    expected = [file.frame for file in find_image_files([str(drive)])]
-    assert [frame for frame, _ in find_frames([drive])] == expected
-
-
-def test_frames_have_the_suffixes_that_encode_takes(head, drives, tmp_path):
-    assert place_model.Model(head).suffixes == SUFFIXES_OF_MAPS
-    assert place_model.Model(drives / "place.onnx").suffixes == SUFFIXES
-    for suffix in SUFFIXES:
-        (tmp_path / f"a{suffix}").touch()
-    found = [path.suffix for _, path in find_frames([tmp_path], SUFFIXES_OF_MAPS)]
-    assert sorted(found) == sorted(SUFFIXES_OF_MAPS)
-
-
-GRAYS = np.random.default_rng(0).integers(0, 256, (6, 9), np.uint8)
-WIDE = GRAYS.astype(np.uint16) << 8 | 77
-TURNED = Image.Exif()
-TURNED[0x0112] = 6
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    ("pixels", "form", "options"),
-    [
-        (WIDE, "PNG", {}),
-        (WIDE, "TIFF", {"exif": TURNED}),
-        (GRAYS, "TIFF", {"exif": TURNED}),
-        (GRAYS, "PNG", {"exif": TURNED}),
-        (GRAYS, "PPM", {}),
-        (np.dstack([GRAYS] * 3), "WEBP", {"lossless": True}),
-        (np.dstack([GRAYS] * 4), "PNG", {}),
-        (GRAYS[:, :1], "PNG", {}),
-        (GRAYS.astype(np.int32), "TIFF", {}),
-        (GRAYS.astype(np.float32), "TIFF", {}),
-        (GRAYS, "GIF", {}),
-        (np.zeros((0, 5, 3), np.uint8), "npy", {}),
-    ],
-)
-def test_photographs_are_read_as_by_encode(tmp_path, pixels, form, options):
-    path = tmp_path / ("a.npy" if form == "npy" else "a.png")
-    if form == "npy":
-        np.save(path, pixels)
-    else:
-        Image.fromarray(pixels).save(path, form, **options)
-    try:
-        expected = decode_image(path.read_bytes())
-    except ValueError:
-        with pytest.raises(ValueError, match=r"^(expected|cannot identify the image; expected) "):
-            read_photograph(path)
-    else:
-        np.testing.assert_array_equal(read_photograph(path), expected)
-
-
-@pytest.mark.parametrize("form", ["PNG", "TIFF", "BMP"])
-def test_label_maps_are_read_as_by_encode(tmp_path, form):
-    """Pillow turns a TIFF by its orientation tag, if it does not map it into memory."""
-    space, path = label_space("camvid-11"), tmp_path / "a.png"
-    for pixels in (GRAYS, WIDE) if form != "BMP" else (GRAYS,):
-        Image.fromarray(pixels).save(path, form, **({} if form == "BMP" else {"exif": TURNED}))
-        expected = read_label_map(FrameFile("", "a", path), space)
-        np.testing.assert_array_equal(read_labels(path, [], np.uint16), expected)
 
 
 SINGLE = ("--no-standardise", "--no-sweep", "--follow", "no")

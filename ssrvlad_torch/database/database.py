@@ -111,8 +111,8 @@ class Database(StoredFrames):
 
         Raises:
             ValueError: ``path`` is in use or no path, not exactly one of config and width is given,
-                the width is no integer from 1, or the name of an extra
-                descriptor is that of another column.
+                the width is no integer from 1, or the name of an extra descriptor is that of
+                another column.
             OSError: the folder cannot be written.
         """
         text = _text(path)
