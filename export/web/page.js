@@ -177,13 +177,13 @@ async function bytesOf(list) {
   return Object.fromEntries(await Promise.all(entries));
 }
 
-/** The file of a URL and, for an array, the text files beside it. */
+/** The file of a URL and, for an array, the files beside it, as the server has them now. */
 async function fetched(address) {
   const files = {};
   const beside = [".frames.txt", ".fingerprint.txt", ".features.npy", ".features.npy.fingerprint.txt"];
   const texts = address.endsWith(".npy") ? beside : [];
   for (const ending of ["", ...texts]) {
-    const response = await fetch(address + ending);
+    const response = await fetch(address + ending, { cache: "no-cache" });
     if (response.ok) files[(address + ending).split("/").pop()] = new Uint8Array(await response.arrayBuffer());
     else if (!ending) throw new Error(`${address}: ${response.status} ${response.statusText}`);
   }
