@@ -98,7 +98,7 @@ def described(
     found, won = (list[Tensor](), list[Tensor]()), list[float]()
     for picture in sorted((folder / "images").iterdir()):
         pixels = torch.from_numpy(decode_image(picture.read_bytes()))[None]
-        scores = segmenter.labels.outputs(pixels)
+        scores = segmenter.labels.run(pixels)[0]
         background = scores.logsumexp(1, keepdim=True) + math.log(LEAST)
         for kind, channels in zip(found, (torch.cat((scores, background), 1), scores), strict=True):
             labels = enlarged(classes_of(channels), *pixels.shape[1:3])

@@ -37,7 +37,7 @@ def dense_network(segmenter: Segmenter) -> DenseNetwork:
         raise ValueError(f"features: expected one activation for LoST-X, got {', '.join(names)}")
 
     def run(pictures: Tensor) -> tuple[Tensor, Tensor]:
-        scores, [features] = segmenter.labels.run(segmenter.labels.to_device(pictures), names)
+        scores, [features] = segmenter.labels.run(pictures, names)
         if not scores.is_floating_point():
             raise ValueError("method lost-x: the network gives ids, expected class scores")
         return features.float().cpu(), scores.float().softmax(dim=1).cpu()

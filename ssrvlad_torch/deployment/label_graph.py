@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 FEATURES = f"{NAME}/"
 """Prefix of the names of the nodes and tables that make features of activations."""
 
-_BYTES = 256
 _IMAGE = ("B", "H", "W", 3)
 _EXAMPLE = (66, 98)
 """Height and width of the pictures that a module is traced with; the values are arbitrary."""
@@ -49,8 +47,19 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     model = with_opset(load_model(network.path), OPSET)
     config, version = labels.config, opset(model)
     prepare = _traced_preparation(config, network.form.dtype, network.form.channels_last)
-    output, *activations = _values(labels, [str(config.output), *names])
-    decide = _traced_decision(*_decision(labels, output))
+    size = config.size if isinstance(config.size, tuple) else (64, 96)
+    with torch.inference_mode():
+        example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
+        labels.run(example)  # decides the axis of the classes
+        values = network(labels.preparation(example), names=[str(config.output), *names])
+    output = values[str(config.output)]
+    shape: list[int | None] = [None] * output.ndim
+    axis, classes = None, (0, 0)
+    if labels.axis is not None and output.ndim != 3:
+        axis = labels.axis
+        channels = shape[axis] = output.shape[axis]
+        classes = config.classes or (0, channels)
+    decide = _traced_decision(output.dtype, tuple(shape), axis, classes)
     parts = [with_opset(prepare, version), model, with_opset(decide, version)]
     joints = [
         [("prepare/numbers", f"network/{network.input}")],
@@ -59,7 +68,8 @@ def label_graph(labels: LabelNetwork, features: NetworkFeatures | None = None) -
     model.graph.output.extend(map(make_empty_tensor_value_info, names))
     joined = join(parts, ["prepare/", "network/", "decide/"], joints)
     if features:
-        signs = _traced_features(*((each.shape[1], each.dtype) for each in activations))
+        forms = [(values[name].shape[1], values[name].dtype) for name in names]
+        signs = _traced_features(*forms)
         pairs = [(f"network/{name}", f"{FEATURES}{at}") for at, name in enumerate(names)]
         joined = join([joined, with_opset(signs, version)], ["", FEATURES], [pairs])
     outputs = [value for value in joined.graph.output if value.name in ("labels", NAME)]
@@ -114,7 +124,7 @@ def _traced_network(labels: LabelNetwork, features: NetworkFeatures | None) -> o
     example = torch.zeros(2, *_EXAMPLE, 3, dtype=torch.uint8)
     try:
         with torch.inference_mode():
-            narrow = labels.outputs(example).is_floating_point()
+            narrow = labels.run(example)[0].is_floating_point()
     except RuntimeError as error:
         size = "x".join(map(str, labels.config.network_size(*_EXAMPLE)))
         hint = "; a network for one size, or for sides that are multiples of a number, needs size: "
@@ -152,7 +162,7 @@ def _traced_decision(
     dtype: torch.dtype, shape: tuple[int | None, ...], axis: int | None, classes: tuple[int, int]
 ) -> onnx.ModelProto:
     scores = dtype.is_floating_point
-    narrow = classes[1] - classes[0] <= _BYTES if scores else dtype == torch.uint8
+    narrow = classes[1] - classes[0] <= 256 if scores else dtype == torch.uint8
     module = _Decision(axis, classes, torch.uint8 if narrow else torch.int64)
     sizes = [2, *_EXAMPLE] if axis is None else [2, 33, 49, 25]
     example = torch.zeros([n or m for n, m in zip(shape, sizes, strict=True)], dtype=dtype)
@@ -160,26 +170,3 @@ def _traced_decision(
     picture = torch.zeros(2, *_EXAMPLE, dtype=torch.uint8)
     inputs = {"output": (example, axes), "picture": (picture, ["B", "H", "W"])}
     return traced(module, inputs, {"labels": ["B", "H", "W"]})
-
-
-def _values(labels: LabelNetwork, names: Sequence[str]) -> list[Tensor]:
-    """Outputs of a graph for some picture."""
-    network, config = labels.network, labels.config
-    assert isinstance(network, OnnxNetwork)
-    size = config.size if isinstance(config.size, tuple) else (64, 96)
-    with torch.inference_mode():
-        example = torch.zeros(network.batch or 1, *size, 3, dtype=torch.uint8)
-        labels.outputs(example)  # decides the axis of the classes
-        values = network(labels.preparation(example), names=names)
-    return [values[name] for name in names]
-
-
-def _decision(
-    labels: LabelNetwork, output: Tensor
-) -> tuple[torch.dtype, tuple[int | None, ...], int | None, tuple[int, int]]:
-    """Dtype, shape, axis of the classes and range of the classes of a graph's output."""
-    shape: list[int | None] = [None] * output.ndim
-    if labels.axis is None or output.ndim == 3:
-        return output.dtype, tuple(shape), None, (0, 0)
-    channels = shape[labels.axis] = output.shape[labels.axis]
-    return output.dtype, tuple(shape), labels.axis, labels.config.classes or (0, channels)

@@ -2,9 +2,9 @@
 
 The features of a network are the last activation of its encoder at stride 8, or at half the
 coarsest stride if that is finer, or at the stride nearest to it, before the encoder goes on to a
-coarser stride. The encoder is all that does not
-depend on an operator that raised the resolution. Activations with at most half the channels of the
-widest belong to the step to the next stride and do not count.
+coarser stride. The encoder is all that does not depend on an operator that raised the resolution,
+one that made a map of at least twice as many cells. Activations with at most half the channels of
+the widest belong to the step to the next stride and do not count.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import itertools
 import math
 import threading
 import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
 from functools import partial
@@ -35,19 +35,10 @@ HIDDEN = "hidden_states"
 
 _RAISING = ("upsample", "convolution", "pixel_shuffle", "unpool", "grid_sampler")
 _RAISING_NODES = ("Resize", "Upsample", "ConvTranspose", "DepthToSpace", "MaxUnpool", "GridSample")
-_RAISED = 2
-"""An operator that makes a map this many times as large raises the resolution."""
-
-_COLOURS = 3
-"""A map of so many channels is a smaller picture."""
-
 _UNEVEN = 1.5
 """The last axes of a tensor whose strides differ by this factor are not the height and width of a
 map, but of one with the channels last; unless they are equal, as where a network first makes every
 picture a square."""
-
-_EXTRA_TOKENS = 8
-_NAMES_SHOWN = 3
 
 
 class Activation(NamedTuple):
@@ -73,7 +64,10 @@ def find_activations(
     ``numbers``, its input for one picture, ``(1, 3, H, W)`` or of the layout of the graph. A name
     that is unknown or of something else than ``(B, C, h, w)`` floats, and an encoder without an
     activation at a stride that is near enough, are a ValueError."""
-    found = _seen(network, numbers)
+    if isinstance(network, OnnxNetwork):
+        found = _of_graph(network, numbers)
+    else:
+        found = _of_module(network, numbers)
     if names is None:
         states = [each for each in found if each.name.startswith(HIDDEN)]
         if chosen := _chosen(states) or _chosen(found):
@@ -85,7 +79,7 @@ def find_activations(
     by_name = {each.name: each for each in found}
     for name in names:
         if name not in by_name:
-            near = get_close_matches(name, by_name, _NAMES_SHOWN, 0) or ["none"]
+            near = get_close_matches(name, by_name, n=3, cutoff=0) or ["none"]
             raise ValueError(f"features: no activation {name!r}; the nearest are {', '.join(near)}")
         if math.isinf(by_name[name].stride):
             raise ValueError(
@@ -103,7 +97,7 @@ def _chosen(found: Sequence[Activation]) -> Activation | None:
         if not each.raised
         and each.is_map
         and least <= each.stride <= most
-        and each.shape[1] > _COLOURS
+        and each.shape[1] > 3  # else it is a smaller picture
     ]
     if not encoder:
         return None
@@ -121,21 +115,33 @@ def _chosen(found: Sequence[Activation]) -> Activation | None:
 def taken(network: nn.Module, names: Sequence[str]) -> Iterator[dict[str, Tensor]]:
     """Takes activations of a module while it runs in this thread, whatever others run: the mapping
     holds them by name afterwards."""
-    modules, own = dict(network.named_modules()), threading.get_ident()
     values: dict[str, Tensor] = {}
 
-    def take(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
-        if isinstance(output, Tensor) and threading.get_ident() == own:
-            values[name] = output.clone()  # a later module may change it in place
+    def take(name: str, output: Tensor) -> None:
+        values[name] = output.clone()  # a later module may change it in place
 
-    with ExitStack() as stack:
-        for name in names:
-            if name in modules:
-                handle = modules[name].register_forward_hook(partial(take, name))
-                stack.callback(handle.remove)
+    with _hooked(network, take, names), ExitStack() as stack:
         if any(name.startswith(HIDDEN) for name in names):
             stack.enter_context(_hidden_states(network, values))
         yield values
+
+
+@contextmanager
+def _hooked(
+    network: nn.Module, take: Callable[[str, Tensor], None], names: Collection[str] | None = None
+) -> Iterator[None]:
+    """Gives the names and outputs of modules, or of those named, that run in this thread."""
+    own = threading.get_ident()
+
+    def hook(name: str, _module: nn.Module, _inputs: object, output: object) -> None:
+        if isinstance(output, Tensor) and threading.get_ident() == own:
+            take(name, output)
+
+    with ExitStack() as stack:
+        for name, module in network.named_modules():
+            if name and (names is None or name in names):
+                stack.callback(module.register_forward_hook(partial(hook, name)).remove)
+        yield
 
 
 @contextmanager
@@ -160,11 +166,9 @@ def _hidden_states(network: nn.Module, values: dict[str, Tensor]) -> Iterator[No
         for number, state in enumerate(states):
             values[f"{HIDDEN}.{number}"] = _map_of(state, *picture.shape[2:])
 
-    with ExitStack() as stack:
-        before = transformer.register_forward_pre_hook(ask, with_kwargs=True)
-        after = transformer.register_forward_hook(take, with_kwargs=True)
-        stack.callback(before.remove)
-        stack.callback(after.remove)
+    before = transformer.register_forward_pre_hook(ask, with_kwargs=True)
+    after = transformer.register_forward_hook(take, with_kwargs=True)
+    with before, after:  # are removed at the end
         yield
 
 
@@ -172,7 +176,7 @@ def _map_of(state: Tensor, height: int, width: int) -> Tensor:
     """Tokens ``(B, N, C)`` of the cells of a picture, after a few others, as ``(B, C, h, w)``."""
     if state.ndim != 3:
         return state
-    for extra in range(_EXTRA_TOKENS + 1):
+    for extra in range(9):
         cells = state.shape[1] - extra
         rows = round(math.sqrt(max(1, cells) * height / width))
         if rows and rows * (cells // rows) == cells and rows * width == cells // rows * height:
@@ -181,37 +185,36 @@ def _map_of(state: Tensor, height: int, width: int) -> Tensor:
     return state
 
 
-def _seen(network: nn.Module, numbers: Tensor) -> list[Activation]:
+def _of_module(network: nn.Module, numbers: Tensor) -> list[Activation]:
     """All activations of one run but the output, in order."""
-    if isinstance(network, OnnxNetwork):
-        return _seen_in_graph(network, numbers)
-    states: dict[str, Tensor] = {}
-    with torch.no_grad(), _hidden_states(network, states), _Recorder(network, numbers) as recorder:
-        result = network(numbers)
-    outputs = [each for each in tree_leaves(result) if isinstance(each, Tensor)]
-    found = [each for each, value in recorder.seen if not any(value() is o for o in outputs)]
-    size = numbers.shape[2:]
+    size, states = numbers.shape[2:], dict[str, Tensor]()
+    seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
+    operators = _Operators()
+
+    def note(name: str, output: Tensor) -> None:
+        activation = _activation(name, output, size, output in operators.raised)
+        seen.append((activation, weakref.ref(output)))
+
+    with torch.no_grad(), _hidden_states(network, states), _hooked(network, note), operators:
+        outputs = [each for each in tree_leaves(network(numbers)) if isinstance(each, Tensor)]
+    found = [each for each, value in seen if not any(value() is output for output in outputs)]
     return [*found, *(_activation(name, state, size) for name, state in states.items())]
 
 
-def _seen_in_graph(network: OnnxNetwork, numbers: Tensor) -> list[Activation]:
+def _of_graph(network: OnnxNetwork, numbers: Tensor) -> list[Activation]:
     nodes, outputs = network.nodes(), network.outputs
     names = [name for node in nodes for name in node.output if name and name not in outputs]
     values = network.run_all(numbers, names)
     size = numbers.shape[1:3] if network.form.channels_last else numbers.shape[2:]
     raised, found = set[str](), list[Activation]()
     for node in nodes:
-        ends = [
-            values[name].shape for name in (*node.output[:1], *node.input[:1]) if name in values
-        ]
-        raises = node.op_type in _RAISING_NODES and len(ends) == 2 and is_larger(*ends)
+        ends = (*node.output[:1], *node.input[:1])
+        shapes = [values[name].shape for name in ends if name in values]
+        raises = node.op_type in _RAISING_NODES and len(shapes) == 2 and is_larger(*shapes)
         if raises or not raised.isdisjoint(node.input):
             raised.update(node.output)
-        found += [
-            _activation(name, values[name], size, name in raised)
-            for name in node.output
-            if name in values
-        ]
+        known = [name for name in node.output if name in values]
+        found += [_activation(name, values[name], size, name in raised) for name in known]
     return found
 
 
@@ -224,46 +227,28 @@ def _activation(name: str, value: Tensor, size: Sequence[int], raised: bool = Fa
     return Activation(name, shape, math.sqrt(math.prod(strides)), is_map, raised)
 
 
-class _Recorder(TorchDispatchMode):
-    """Notes the outputs of the modules of a network in this thread in ``seen``, activations, each
-    with a weak reference to its tensor, and what depends on a raised resolution."""
+class _Operators(TorchDispatchMode):
+    """Notes which tensors depend on a raised resolution, in ``raised``."""
 
-    def __init__(self, network: nn.Module, numbers: Tensor) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.seen: list[tuple[Activation, weakref.ref[Tensor]]] = []
-        self._size, self._thread = numbers.shape[2:], threading.get_ident()
-        self._raised = WeakTensorKeyDictionary()
-        self._handles = [
-            module.register_forward_hook(partial(self._note, name))
-            for name, module in network.named_modules()
-            if name
-        ]
-
-    def __exit__(self, *exception: Any) -> None:
-        for handle in self._handles:
-            handle.remove()
-        super().__exit__(*exception)
+        self.raised = WeakTensorKeyDictionary()
 
     def __torch_dispatch__(
         self, function: Any, _types: Any, inputs: Any = (), named: Any = None
     ) -> Any:
         result = function(*inputs, **(named or {}))
         tensors = [each for each in tree_leaves((inputs, named)) if isinstance(each, Tensor)]
-        inherited = any(each in self._raised for each in tensors)
+        inherited = any(each in self.raised for each in tensors)
         can_raise = any(word in function.name() for word in _RAISING)
         for output in tree_leaves(result):
             if isinstance(output, Tensor) and (
                 inherited or (can_raise and is_larger(output.shape, tensors[0].shape))
             ):
-                self._raised[output] = True
+                self.raised[output] = True
         return result
-
-    def _note(self, name: str, _module: nn.Module, _inputs: object, output: object) -> None:
-        if isinstance(output, Tensor) and threading.get_ident() == self._thread:
-            each = _activation(name, output, self._size, output in self._raised)
-            self.seen.append((each, weakref.ref(output)))
 
 
 def is_larger(after: Sequence[int], before: Sequence[int]) -> bool:
     """Whether an operator that makes a map of one shape from another raises the resolution."""
-    return len(after) == len(before) == 4 and after[2] * after[3] >= _RAISED * before[2] * before[3]
+    return len(after) == len(before) == 4 and after[2] * after[3] >= 2 * before[2] * before[3]

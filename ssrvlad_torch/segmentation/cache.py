@@ -20,8 +20,6 @@ from ..taxonomy import LabelSpace
 LARGEST = 10 * 10**9
 """Most bytes of a cache."""
 
-_FILLED_TO = 0.9
-_WIDEST = 2
 _CHUNK, _END = b"ftRs", b"\n"
 """A private chunk of a PNG, which other programs ignore and checksums of PNG cover."""
 
@@ -37,16 +35,8 @@ class SegmentedCache:
     for label maps alone.
     """
 
-    def __init__(
-        self,
-        folder: Path,
-        key: str,
-        space: LabelSpace,
-        features: str = "",
-    ) -> None:
-        self.folder = folder
-        self.key = key
-        self.space = space
+    def __init__(self, folder: Path, key: str, space: LabelSpace, features: str = "") -> None:
+        self.folder, self.key, self.space = folder, key, space
         self.features = features.encode()
         self._size: int | None = None
 
@@ -63,7 +53,7 @@ class SegmentedCache:
 
     def put(self, picture: str, labels: LabelMap, features: Signs | None = None) -> None:
         """Stores a label map and features, unless its ids do not fit into a PNG."""
-        if labels.dtype.itemsize > _WIDEST:
+        if labels.dtype.itemsize > 2:
             return
         entry = self._entry(picture)
         entry.parent.mkdir(parents=True, exist_ok=True)
@@ -72,12 +62,10 @@ class SegmentedCache:
             chunks.add(_CHUNK, self.features + _END + features.tobytes())
         with replacing(entry) as temporary:
             Image.fromarray(labels).save(temporary, format="PNG", compress_level=1, pnginfo=chunks)
-        if self._size is None:
-            self._size = sum(size for _, size, _ in self._entries())
-        else:
+        if self._size is not None:
             self._size += entry.stat().st_size
-        if self._size > LARGEST:
-            self._remove_oldest()
+        if self._size is None or self._size > LARGEST:
+            self._size = self._bounded()
 
     def _features(self, entry: Path) -> Signs:
         """The features in an entry; others are a ValueError."""
@@ -92,21 +80,18 @@ class SegmentedCache:
     def _entry(self, picture: str) -> Path:
         return self.folder / self.key / picture[:2] / f"{picture}.png"
 
-    def _entries(self) -> list[tuple[int, int, Path]]:
-        """Time of last use, size and path of every entry of the cache."""
+    def _bounded(self) -> int:
+        """Removes the least recently used entries of a cache that is too large. Its size then."""
         entries = []
         for path in self.folder.glob("*/??/*.png"):
             with suppress(OSError):  # another process has removed it
                 status = path.stat()
                 entries.append((status.st_mtime_ns, status.st_size, path))
-        return entries
-
-    def _remove_oldest(self) -> None:
-        entries = sorted(self._entries())
         size = sum(size for _, size, _ in entries)
-        for _, part, path in entries:
-            if size <= LARGEST * _FILLED_TO:
+        left = size if size <= LARGEST else 0.9 * LARGEST
+        for _, part, path in sorted(entries):
+            if size <= left:
                 break
             path.unlink(missing_ok=True)
             size -= part
-        self._size = size
+        return size

@@ -11,9 +11,6 @@ import yaml
 
 from ..taxonomy import CATEGORIES, DYNAMIC, VOID, LabelClass, LabelSpace
 
-_PUNCTUATION = re.compile(r"[^a-z0-9]+")
-_IGNORED_ENDINGS = ("other", "stuff", "merged")
-
 
 def category_of_name(name: str) -> str | None:
     """The category of a class by its name, from ``class_names.yaml``.
@@ -72,12 +69,8 @@ def _forms(name: str) -> Iterator[str]:
     for synonym in re.split(r"[,;]", name):
         parts = synonym.split("--")
         for first in range(len(parts)):
-            words = _words(" ".join(parts[first:]))
+            words = re.sub(r"[^a-z0-9]+", " ", " ".join(parts[first:]).casefold()).strip()
             yield words
-            while words.endswith(_IGNORED_ENDINGS) and " " in words:
+            while words.endswith(("other", "stuff", "merged")) and " " in words:
                 words = words.rpartition(" ")[0]
                 yield words
-
-
-def _words(name: str) -> str:
-    return _PUNCTUATION.sub(" ", name.casefold()).strip()

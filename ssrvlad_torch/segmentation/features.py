@@ -25,8 +25,6 @@ PROBES = ((224, 448), (512, 512), (512, 1024), (1024, 2048), (96, 128))
 """Sizes of pictures that are tried until the network takes one."""
 
 _REVISION = 1
-_OF_LABELS = ("output", "classes", NAME)
-"""Settings of the preparation on which activations do not depend."""
 
 
 class NetworkFeatures(nn.Module):
@@ -50,7 +48,7 @@ class NetworkFeatures(nn.Module):
         if isinstance(labels.network, OnnxNetwork):
             labels.network.take(self.names)
         settings = dataclasses.asdict(labels.config)
-        for name in _OF_LABELS:
+        for name in ("output", "classes", NAME):  # activations do not depend on them
             del settings[name]
         content = [_REVISION, digest, settings, self.names, ROWS, COLUMNS, SIGNS]
         self.key = hashlib.blake2b(json.dumps(content).encode(), digest_size=8).hexdigest()

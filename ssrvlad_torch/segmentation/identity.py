@@ -32,10 +32,17 @@ def digest_of(network: nn.Module, probe: bytes) -> str:
 
 
 def _parts(network: nn.Module) -> Iterator[bytes]:
-    sources = {kind: _source(kind) for kind in set(map(type, network.modules()))}
+    sources: dict[type, str] = {}
+    for kind in {*map(type, network.modules())}:
+        try:
+            sources[kind] = inspect.getsource(kind)
+        except (OSError, TypeError):  # the class was typed at a prompt
+            sources[kind] = str(kind)
     for name, module in network.named_modules():
         if isinstance(module, torch.jit.ScriptModule):
-            yield _program(module)
+            file = io.BytesIO()
+            torch.jit.save(module, file)
+            yield file.getvalue()
             continue
         plain = {k: v for k, v in vars(module).items() if _is_plain(v) and k != "training"}
         yield f"{name} {sources[type(module)]} {module.extra_repr()} {plain}".encode()
@@ -45,20 +52,7 @@ def _parts(network: nn.Module) -> Iterator[bytes]:
         yield flat.view(torch.uint8).numpy().tobytes()
 
 
-def _program(module: torch.jit.ScriptModule) -> bytes:
-    file = io.BytesIO()
-    torch.jit.save(module, file)
-    return file.getvalue()
-
-
 def _is_plain(value: Any) -> bool:
     if isinstance(value, tuple | list):
         return all(map(_is_plain, value))
     return isinstance(value, str | int | float | bool | torch.dtype | None)
-
-
-def _source(kind: type) -> str:
-    try:
-        return inspect.getsource(kind)
-    except (OSError, TypeError):  # the class was typed at a prompt
-        return str(kind)

@@ -1,4 +1,4 @@
-"""Pictures -> label maps as one module: preparation, network, decision."""
+"""Pictures -> class scores or ids as one module: preparation, network, axis of the classes."""
 
 from __future__ import annotations
 
@@ -17,21 +17,16 @@ from .network_outputs import (
     UnrecognisedError,
     choose_output,
     class_axis,
-    classes_of,
-    constant_axis,
-    enlarged,
     form_of,
     take_output,
 )
 from .onnx_network import OnnxNetwork
 from .preparation import Preparation, SegmenterConfig
 
-_BYTES = {"white": 255, "mean": (0, 0, 0), "std": (1, 1, 1)}
-
 
 class LabelNetwork(nn.Module):
-    """Pictures -> label maps: preparation, network, and the class of every pixel. `Segmenter` runs
-    it, and `fuse` writes it as a graph.
+    """Pictures -> class scores or ids, in which `classes_of` decides. `Segmenter` runs it, and
+    `fuse` writes it as a graph.
 
     Args:
         network: any module that takes ``(B, 3, h, w)`` floats, or an `OnnxNetwork`.
@@ -40,10 +35,6 @@ class LabelNetwork(nn.Module):
 
     Attributes:
         axis: the axis of the network's output that holds the classes, ``None`` if not yet known.
-
-    Shape:
-        - input: ``(B, H, W, 3)`` uint8 in RGB.
-        - output: ``(B, H, W)`` integers.
 
     Raises:
         ValueError: the settings or the label space do not fit an ONNX graph.
@@ -65,31 +56,23 @@ class LabelNetwork(nn.Module):
         self.preparation = Preparation(self.config, form)
         self.eval()
 
-    def forward(self, images: Tensor) -> Tensor:
-        """The label maps of pictures of one size."""
-        return enlarged(classes_of(self.outputs(images)), *images.shape[1:3])
-
-    def outputs(self, images: Tensor) -> Tensor:
-        """``(B, C, h, w)`` class scores or ``(B, h, w)`` ids, or a ValueError."""
-        return self.run(images)[0]
-
     def run(self, images: Tensor, names: Sequence[str] = ()) -> tuple[Tensor, list[Tensor]]:
-        """The output, see `outputs`, and the named activations, or a ValueError."""
+        """Class scores ``(B, C, h, w)`` or ids ``(B, h, w)`` of pictures ``(B, H, W, 3)`` uint8 in
+        RGB, and the named activations, or a ValueError."""
         numbers = self.numbers(images)
         output, activations = self._output(numbers, names)
         return self.scores_of(output, numbers), activations
 
     def numbers(self, images: Tensor) -> Tensor:
         """The input of the network for pictures, on the device of its weights."""
-        numbers: Tensor = self.preparation(images)
-        like = self._like()
-        return numbers if like is None else numbers.to(like.device, like.dtype)
+        weights = chain(self.network.parameters(), self.network.buffers())
+        like = next((tensor for tensor in weights if tensor.is_floating_point()), None)
+        if like is None:  # an ONNX graph, or a network without weights
+            return cast(Tensor, self.preparation(images))
+        return cast(Tensor, self.preparation(images.to(like.device))).to(like.dtype)
 
     def scores_of(self, output: Tensor, numbers: Tensor) -> Tensor:
-        """An output of the network for prepared pictures, with the classes in the second axis.
-        Which axis holds them is fixed once, for all pictures: as the graph declares it, or by the
-        first output, or by the output for a picture twice as large; if either could, it is a
-        ValueError."""
+        """An output of the network for prepared pictures, with the classes in the second axis."""
         if output.ndim == 3:
             return output
         if self.axis is None:
@@ -114,53 +97,44 @@ class LabelNetwork(nn.Module):
         return output, [values[name] for name in names]
 
     def _constant_axis(self, output: Tensor, numbers: Tensor) -> int:
+        """The axis that holds the classes, fixed once for all pictures: its length does not change
+        for a picture twice as large. If the lengths do not tell, the other two axes are those
+        proportional to height and width. If either could hold them, it is a ValueError."""
         last = isinstance(self.network, OnnxNetwork) and self.network.form.channels_last
         shapes = [output.shape]
         with suppress(Exception):  # a network of one size can raise anything
             twice = numbers[:1].repeat((1, 2, 2, 1) if last else (1, 1, 2, 2))
             shapes.append(self._output(twice)[0].shape)
         height, width = numbers.shape[1:3] if last else numbers.shape[2:]
-        axis = constant_axis((height, width), shapes)
-        if axis is None:
+        fitting = [axis for axis in (1, 3) if len({shape[axis] for shape in shapes}) == 1]
+        if len(fitting) != 1:
+            _, second, third, fourth = output.shape
+            others = {1: (third, fourth), 3: (second, third)}
+            fitting = [axis for axis, (h, w) in others.items() if h * width == w * height]
+        if len(fitting) != 1:
             raise UnrecognisedError(
                 f"the output {form_of(output)} for images of {height}x{width} can be "
                 "(B, C, h, w) or (B, h, w, C); expected one that shows which at this size"
             )
-        return axis
-
-    def to_device(self, images: Tensor) -> Tensor:
-        """Pictures on the device of the network's weights."""
-        like = self._like()
-        return images if like is None else images.to(like.device)
-
-    def _like(self) -> Tensor | None:
-        """A weight of the network; ``None`` of an ONNX graph and of a network without weights."""
-        weights = chain(self.network.parameters(), self.network.buffers())
-        return next((tensor for tensor in weights if tensor.is_floating_point()), None)
+        return fitting[0]
 
 
 def _completed(config: SegmenterConfig, network: OnnxNetwork, space: LabelSpace) -> SegmenterConfig:
     """The settings with the size that a graph requires and the name of its output."""
     if network.form.dtype == torch.uint8:
-        for name, value in _BYTES.items():
+        for name, value in {"white": 255, "mean": (0, 0, 0), "std": (1, 1, 1)}.items():
             if (got := getattr(config, name)) != value:
                 raise ValueError(f"takes bytes: expected {name} {value}, got {got}")
     output = choose_output(network.outputs, space, config.output, config.classes)
-    return dataclasses.replace(config, size=_size_of(config.size, network.size), output=output)
-
-
-def _size_of(
-    size: tuple[int, int] | int | None, fixed: tuple[int | None, int | None]
-) -> tuple[int, int] | int | None:
-    if fixed == (None, None):
-        return size
-    if size is None and None not in fixed:
-        return cast(tuple[int, int], fixed)
-    if not isinstance(size, tuple):
-        raise ValueError(f"takes images of {_by(fixed)}; expected a size among the settings")
-    if any(expected not in (None, got) for got, expected in zip(size, fixed, strict=True)):
-        raise ValueError(f"takes images of {_by(fixed)}, the settings say {_by(size)}")
-    return size
+    size, fixed = config.size, network.size
+    if fixed != (None, None):
+        if size is None and None not in fixed:
+            size = cast(tuple[int, int], fixed)
+        if not isinstance(size, tuple):
+            raise ValueError(f"takes images of {_by(fixed)}; expected a size among the settings")
+        if any(expected not in (None, got) for got, expected in zip(size, fixed, strict=True)):
+            raise ValueError(f"takes images of {_by(fixed)}, the settings say {_by(size)}")
+    return dataclasses.replace(config, size=size, output=output)
 
 
 def _by(size: Sequence[int | None]) -> str:

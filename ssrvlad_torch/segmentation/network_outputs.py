@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import torch
@@ -13,11 +13,6 @@ from ..taxonomy import LabelSpace, label_space, label_space_names
 
 Classes = tuple[int, int] | None
 """The first channel of the scores to use and the one after the last; ``None`` for all."""
-
-CLASS_AXES = (1, 3)
-"""The axes of an output that may hold the classes: ``(B, C, h, w)`` or ``(B, h, w, C)``."""
-
-_USUAL_NAMES = ("out", "logits")
 
 
 class UnrecognisedError(ValueError):
@@ -58,12 +53,14 @@ def choose_output(
     candidates = forms if name is None else {name: forms[name]}
     fitting = {key: form for key, form in candidates.items() if _fits(form, space, classes)}
     if not fitting:
+        counts = " or ".join(map(str, space.channel_counts)) or "none, for its ids have gaps"
+        counts += f" of channels {classes[0]}:{classes[1]}" if classes else ""
         raise UnrecognisedError(
             f"no output fits label space {space.name}: got {_list(candidates)}; expected "
-            f"(B, C, h, w) class scores, C = {_counts(space, classes)}, or (B, h, w) integer ids"
+            f"(B, C, h, w) class scores, C = {counts}, or (B, h, w) integer ids"
             f"{_hint(candidates, space, classes)}"
         )
-    usual = [key for key in _USUAL_NAMES if key in fitting]
+    usual = [key for key in ("out", "logits") if key in fitting]
     if len(fitting) > 1 and not usual:
         raise UnrecognisedError(
             f"several outputs could be labels: {_list(fitting)}; expected output: NAME"
@@ -77,7 +74,17 @@ def take_output(
     """The output that holds labels, see `choose_output`, from the result of a network: a tensor, a
     mapping of names to tensors, an object with ``logits``, or a tuple, whose tensors are named
     ``0``, ``1`` and so on."""
-    tensors = dict(_named_tensors(result))
+    if isinstance(result, Tensor):
+        named: Mapping[object, object] = {"output": result}
+    elif isinstance(result, Mapping):
+        named = result
+    elif isinstance(result, tuple | list):
+        named = dict(enumerate(result))
+    else:
+        named = {"logits": getattr(result, "logits", None)}
+    tensors = {str(key): value for key, value in named.items() if isinstance(value, Tensor)}
+    if not tensors:
+        raise UnrecognisedError(f"the network gives a {type(result).__name__} without tensors")
     forms = {key: form_of(tensor) for key, tensor in tensors.items()}
     return tensors[choose_output(forms, space, name, classes)]
 
@@ -96,23 +103,10 @@ def class_axis(form: OutputForm, space: LabelSpace, classes: Classes = None) -> 
     ``None`` if its shape does not tell."""
     assert form.shape is not None
     counts = channel_counts(space, classes) if form.kind == "scores" else range(1, 2)
-    fitting = [axis for axis in CLASS_AXES if form.shape[axis] in counts]
+    fitting = [axis for axis in (1, 3) if form.shape[axis] in counts]
     _, second, third, last = form.shape
     half_free = None in (second, last) and third is not None  # h and w are free together
     return fitting[0] if len(fitting) == 1 and not half_free else None
-
-
-def constant_axis(size: tuple[int, int], shapes: Sequence[Sequence[int]]) -> int | None:
-    """The axis that holds the classes, from the shapes of a network's outputs for images of this
-    height and width and of other sizes: its length does not follow the size. If the lengths do not
-    tell, the other two axes are those proportional to height and width. ``None`` if both are."""
-    constant = [axis for axis in CLASS_AXES if len({shape[axis] for shape in shapes}) == 1]
-    if len(constant) == 1:
-        return constant[0]
-    (height, width), (_, second, third, last) = size, shapes[0]
-    places = {1: (third, last), 3: (second, third)}
-    fitting = [axis for axis, (h, w) in places.items() if h * width == w * height]
-    return fitting[0] if len(fitting) == 1 else None
 
 
 def classes_of(output: Tensor) -> Tensor:
@@ -132,21 +126,6 @@ def enlarged(labels: Tensor, height: int, width: int) -> Tensor:
     rows = (2 * torch.arange(height, device=device) + 1) * labels.shape[1] // (2 * height)
     columns = (2 * torch.arange(width, device=device) + 1) * labels.shape[2] // (2 * width)
     return labels.index_select(1, rows).index_select(2, columns)
-
-
-def _named_tensors(result: object) -> Iterator[tuple[str, Tensor]]:
-    if isinstance(result, Tensor):
-        named: Mapping[str, object] = {"output": result}
-    elif isinstance(result, Mapping):
-        named = result
-    elif isinstance(result, tuple | list):
-        named = {str(i): value for i, value in enumerate(result)}
-    else:
-        named = {"logits": getattr(result, "logits", None)}
-    tensors = [(str(key), value) for key, value in named.items() if isinstance(value, Tensor)]
-    if not tensors:
-        raise UnrecognisedError(f"the network gives a {type(result).__name__} without tensors")
-    yield from tensors
 
 
 def form_of(tensor: Tensor) -> OutputForm:
@@ -169,11 +148,6 @@ def _fits(form: OutputForm, space: LabelSpace, classes: Classes) -> bool:
     _, second, third, last = form.shape
     free = second is None or (last is None and third is not None)  # h and w are free together
     return free or second in counts or last in counts
-
-
-def _counts(space: LabelSpace, classes: Classes) -> str:
-    counts = " or ".join(map(str, space.channel_counts)) or "none, for its ids have gaps"
-    return counts if classes is None else f"{counts} of channels {classes[0]}:{classes[1]}"
 
 
 def _hint(forms: Mapping[str, OutputForm], space: LabelSpace, classes: Classes) -> str:

@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
@@ -85,24 +85,31 @@ def runs_code(name: str) -> bool:
 
 
 def _open(name: str, settings: dict[str, Any], arguments: dict[str, Any]) -> NamedNetwork:
-    path = Path(name)
+    path, assumed = Path(name), not _GIVEN & settings.keys()
     if path.suffix.lower() in (".yaml", ".yml"):
         return _of_file(path)
     if path.suffix.lower() == ".onnx":
         graph = OnnxNetwork(path)
-        names, assumed = graph.class_names(), not _GIVEN & settings.keys()
+        names = graph.class_names()
         return NamedNetwork(name, graph, SegmenterConfig(**settings), names, assumed=assumed)
     if name.startswith("hf:") or path.is_dir():
         return _of_hub(name, settings)
+    network: object
     if name.startswith("torchhub:"):
-        network = _of_torch_hub(name, arguments)
+        repository, slash, model = name.removeprefix("torchhub:").rpartition("/")
+        if not slash:
+            raise ValueError(
+                f"{name} names no model; expected torchhub:OWNER/REPOSITORY[:REF]/MODEL"
+            )
+        source = "local" if Path(repository).is_dir() else "github"
+        with _quiet(name):
+            network = torch.hub.load(repository, model, source=source, trust_repo=True, **arguments)
     elif ":" in name:
-        network = _of_function(name, arguments)
+        network = _function(name)(**arguments)
     else:
         raise ValueError(f"no network {name!r}; expected {_WHERE}")
     if not isinstance(network, nn.Module):
         raise ValueError(f"{name} gives a {type(network).__name__}; expected an nn.Module")
-    assumed = not _GIVEN & settings.keys()
     return NamedNetwork(name, network, SegmenterConfig(**settings), assumed=assumed)
 
 
@@ -154,28 +161,16 @@ def channels(text: str | None) -> tuple[int, int] | None:
     return int(first or 0), int(last)
 
 
-def _of_torch_hub(name: str, arguments: dict[str, Any]) -> nn.Module:
-    repository, slash, model = name.removeprefix("torchhub:").rpartition("/")
-    if not slash:
-        raise ValueError(f"{name} names no model; expected torchhub:OWNER/REPOSITORY[:REF]/MODEL")
-    source = "local" if Path(repository).is_dir() else "github"
-    with _quiet(name):
-        network: nn.Module = torch.hub.load(
-            repository, model, source=source, trust_repo=True, **arguments
-        )
-    return network
-
-
-def _of_function(name: str, arguments: dict[str, Any]) -> nn.Module:
+def _function(name: str) -> Callable[..., object]:
+    """The function in a Python module, in this folder too, that ``MODULE:NAME`` names."""
     module, _, function = name.partition(":")
     sys.path.insert(0, str(Path.cwd()))
     try:
-        make: Callable[..., nn.Module] = getattr(import_module(module), function)
+        return cast(Callable[..., object], getattr(import_module(module), function))
     except (ImportError, AttributeError, ValueError) as error:
         raise ValueError(f"no network {name!r}: {one_line(error)}; expected {_WHERE}") from error
     finally:
         sys.path.pop(0)
-    return make(**arguments)
 
 
 class MaskScores(nn.Module):
@@ -253,7 +248,12 @@ def _settings_of(processor: Any, overrides: dict[str, Any]) -> dict[str, Any]:
 def _quiet(name: str) -> Iterator[None]:
     """Turns errors of a hub into one line, and hides what its libraries log."""
     if not sys.stderr.isatty():
-        _hide_progress()
+        with suppress(ImportError):
+            from huggingface_hub.utils.tqdm import disable_progress_bars
+            from transformers.utils.logging import disable_progress_bar
+
+            disable_progress_bars()
+            disable_progress_bar()
     loggers = [logging.getLogger(each) for each in ("huggingface_hub", "transformers")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -268,13 +268,3 @@ def _quiet(name: str) -> Iterator[None]:
     finally:
         for logger, level in zip(loggers, levels, strict=True):
             logger.setLevel(level)
-
-
-def _hide_progress() -> None:
-    """Switches off the progress bars of the libraries."""
-    with suppress(ImportError):
-        from huggingface_hub.utils.tqdm import disable_progress_bars
-        from transformers.utils.logging import disable_progress_bar
-
-        disable_progress_bars()
-        disable_progress_bar()

@@ -18,9 +18,6 @@ MAX_FILE_BYTES = (1 << 31) - (1 << 20)
 
 CPU = "CPUExecutionProvider"
 
-_EXTERNAL_BYTES = 1024
-_ONLY_FATAL = 4
-
 
 def load_model(path: Path) -> onnx.ModelProto:
     """The model in an ONNX file, with its external weights. A missing file, one that is not an ONNX
@@ -69,7 +66,7 @@ def open_session(
             f"no execution provider {provider!r}; expected one of {', '.join(available)}"
         )
     options = onnxruntime.SessionOptions()
-    options.log_severity_level = _ONLY_FATAL
+    options.log_severity_level = 4  # only what is fatal
     options.intra_op_num_threads = threads
     for key, value in (settings or {}).items():
         options.add_session_config_entry(key, value)
@@ -86,19 +83,17 @@ def external_files(path: Path) -> list[Path]:
         import onnx
     model = onnx.load(path, load_external_data=False)
     tensors = onnx.external_data_helper._get_all_tensors(model)
-    names = {
-        entry.value
-        for tensor in tensors
-        for entry in tensor.external_data
-        if entry.key == "location"
-    }
+    entries = (entry for tensor in tensors for entry in tensor.external_data)
+    names = {entry.value for entry in entries if entry.key == "location"}
     return sorted(path.parent / name for name in names)
 
 
 def graph_digest(model: onnx.ModelProto) -> str:
     """SHA-256 of a graph, its functions and opsets, in hex; the same for external weights."""
     digest = hashlib.sha256()
-    parts = (*model.opset_import, *model.functions, *_parts(model.graph))
+    parts: list[Any] = [*model.opset_import, *model.functions]
+    for field, value in model.graph.ListFields():  # its parts are small enough to be serialised
+        parts += [field.name, *([value] if isinstance(value, str) else value)]
     for part in parts:
         content = part.encode() if isinstance(part, str) else part.SerializeToString(True)
         digest.update(len(content).to_bytes(8, "little") + content)
@@ -121,9 +116,11 @@ def save_model(
     with TemporaryDirectory(prefix=f".{path.name}.", dir=path.absolute().parent) as folder:
         staged = Path(folder) / path.name
         weights = f"{path.name}.{graph_digest(model)[:16]}.data"
-        if _size(model) > MAX_FILE_BYTES:
+        size = sum(len(tensor.raw_data) for tensor in _tensors(model.graph))
+        size += sum(node.ByteSize() for node in model.graph.node)
+        if size > MAX_FILE_BYTES:
             onnx.external_data_helper.convert_model_to_external_data(
-                model, location=weights, size_threshold=_EXTERNAL_BYTES
+                model, location=weights, size_threshold=1024
             )
         onnx.save_model(model, staged)
         onnx.helper.set_model_props(model, dict(describe(staged)))
@@ -146,19 +143,6 @@ def rename(graph: onnx.GraphProto, new: Callable[[str], str]) -> None:
         value.name = new(value.name)
     for subgraph in _subgraphs(graph):
         rename(subgraph, new)
-
-
-def _size(model: onnx.ModelProto) -> int:
-    weights: int = sum(len(tensor.raw_data) for tensor in _tensors(model.graph))
-    nodes: int = sum(node.ByteSize() for node in model.graph.node)
-    return weights + nodes
-
-
-def _parts(graph: onnx.GraphProto) -> Iterator[Any]:
-    """The fields of a graph, in parts that are small enough to be serialised."""
-    for field, value in graph.ListFields():
-        yield field.name
-        yield from [value] if isinstance(value, str) else value
 
 
 def _tensors(graph: onnx.GraphProto) -> Iterator[onnx.TensorProto]:

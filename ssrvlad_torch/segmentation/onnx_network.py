@@ -5,10 +5,10 @@ from __future__ import annotations
 import ast
 import hashlib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -22,14 +22,12 @@ from .preparation import InputForm
 if TYPE_CHECKING:
     import onnx
 
-_COLOURS = 3
-_DTYPES = {
+_FLOATS = {
     "tensor(float)": torch.float32,
     "tensor(float16)": torch.float16,
     "tensor(double)": torch.float64,
-    "tensor(uint8)": torch.uint8,
 }
-_NAMES = ("id2label", "names", "classes", "class_names")
+_DTYPES = {**_FLOATS, "tensor(uint8)": torch.uint8}
 
 
 class OnnxNetwork(nn.Module):
@@ -74,17 +72,18 @@ class OnnxNetwork(nn.Module):
         form = OutputForm(shape, inputs[0].type, "")
         if shape is None or len(shape) != 4 or inputs[0].type not in _DTYPES:
             raise ValueError(f"{path} takes {form}; expected (B, 3, H, W) floats or bytes")
-        last = shape[1] != _COLOURS and shape[3] == _COLOURS
+        last = shape[1] != 3 and shape[3] == 3
         height, width, channels = shape[1:] if last else (*shape[2:], shape[1])
-        if channels not in (None, _COLOURS):
+        if channels not in (None, 3):
             raise ValueError(f"{path} takes {form}; expected images of 3 channels")
         self.size = (height, width)
         self.form = InputForm(_DTYPES[inputs[0].type], last)
         self.batch = shape[0]
-        self.outputs: Mapping[str, OutputForm] = {
-            output.name: OutputForm(_shape(output), output.type, _kind(output.type))
-            for output in self._session.get_outputs()
-        }
+        self.outputs: dict[str, OutputForm] = {}
+        for output in self._session.get_outputs():
+            kind = "ids" if output.type.startswith(("tensor(int", "tensor(uint")) else ""
+            kind = "scores" if output.type in _FLOATS else kind
+            self.outputs[output.name] = OutputForm(_shape(output), output.type, kind)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles the path: another process opens the file again."""
@@ -103,8 +102,7 @@ class OnnxNetwork(nn.Module):
 
     def nodes(self) -> Sequence[onnx.NodeProto]:
         """The nodes of the graph, in the order in which they run."""
-        nodes: Sequence[onnx.NodeProto] = self._model().graph.node
-        return nodes
+        return cast("Sequence[onnx.NodeProto]", self._model().graph.node)
 
     def take(self, names: Sequence[str]) -> None:
         """Makes inner tensors outputs; a ValueError if the graph cannot run with them."""
@@ -149,12 +147,22 @@ class OnnxNetwork(nn.Module):
         return open_session(content, self.path, provider, CPU, settings, threads)
 
     def class_names(self) -> dict[int, str]:
-        """Names of its classes by channel, from the metadata that exporters write; may be empty."""
+        """Names of its classes by channel, from the metadata that exporters write: a mapping or a
+        list, in JSON or as a Python literal, as of Ultralytics. Others are empty."""
         properties = self._session.get_modelmeta().custom_metadata_map
-        for key in _NAMES:
-            if key in properties:
-                return _names(properties[key])
-        return {}
+        keys = ("id2label", "names", "classes", "class_names")
+        text = next((properties[key] for key in keys if key in properties), "")
+        names: Any = {}
+        for parse in (json.loads, ast.literal_eval):
+            with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
+                names = parse(text)
+                break
+        if isinstance(names, list):
+            names = dict(enumerate(names))
+        try:
+            return {int(n): str(name) for n, name in names.items()}
+        except (AttributeError, TypeError, ValueError):
+            return {}
 
     def digest(self) -> str:
         """BLAKE2b-128 of the file and of its external weights, in hex.
@@ -177,32 +185,8 @@ class OnnxNetwork(nn.Module):
         return [array[:count] for array in self._session.run(names, {self.input: images})]
 
 
-def _names(text: str) -> dict[int, str]:
-    """Class names of a metadata property: a mapping or a list, in JSON or as a Python literal,
-    as of Ultralytics; empty if it is neither."""
-    for parse in (json.loads, ast.literal_eval):
-        with suppress(ValueError, SyntaxError, RecursionError, MemoryError):
-            names = parse(text)
-            break
-    else:
-        return {}
-    if not isinstance(names, list | dict):
-        return {}
-    entries: Any = enumerate(names) if isinstance(names, list) else names.items()
-    try:
-        return {int(number): str(name) for number, name in entries}
-    except (TypeError, ValueError):
-        return {}
-
-
 def _shape(value: Any) -> tuple[int | None, ...] | None:
     """Lengths of the axes, ``None`` for free ones; ``None`` if the rank is free."""
     if not value.shape:
         return None
     return tuple(n if isinstance(n, int) and n > 0 else None for n in value.shape)
-
-
-def _kind(dtype: str) -> str:
-    if dtype in ("tensor(float)", "tensor(float16)", "tensor(double)"):
-        return "scores"
-    return "ids" if dtype.startswith(("tensor(int", "tensor(uint")) else ""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import Tensor, nn
+from torch import nn
 
 from ..datasets.frame_files import FrameFile, read_ahead
 from ..datasets.image_files import Pixels, decode_image
@@ -140,14 +140,11 @@ class Segmenter:
         config = named.config
         if classes is not None:
             config = dataclasses.replace(config, classes=classes)
-        space = (
-            labels_as
-            if isinstance(labels_as, LabelSpace)
-            else _space(named, str(labels_as), config)
-        )
+        if not isinstance(labels_as, LabelSpace):
+            labels_as = _space(named, str(labels_as), config)
         path = Path(named.name.removeprefix("hf:"))  # absolute, to be valid in any folder
         name = absolute(path) if path.exists() else named.name
-        return cls(named.network, space, config, cache, name=name)
+        return cls(named.network, labels_as, config, cache, name=name)
 
     @cached_property
     def features(self) -> NetworkFeatures:
@@ -281,9 +278,10 @@ class Segmenter:
         self, pictures: Sequence[Pixels], features: NetworkFeatures | None
     ) -> list[Segmented | ValueError]:
         """What the network says of a batch; if it fails, each picture is tried alone."""
-        images = self.labels.to_device(torch.from_numpy(np.stack(pictures)))
+        images = torch.from_numpy(np.stack(pictures))
+        height, width = images.shape[1:3]
         try:
-            check_pixels(*self.config.network_size(*images.shape[1:3]))
+            check_pixels(*self.config.network_size(height, width))
             output, activations = self.labels.run(images, features.names if features else ())
             signs = features(activations).numpy(force=True) if features else None
         except UnrecognisedError:
@@ -291,24 +289,22 @@ class Segmenter:
         except Exception as error:  # networks raise many kinds of errors
             if len(pictures) > 1:
                 return [said for picture in pictures for said in self._segment([picture], features)]
-            height, width, _ = pictures[0].shape
             return [ValueError(f"the network fails at {height}x{width}: {one_line(error)}")]
         if len(output) != len(images):
             raise ValueError(f"the network gives {len(output)} outputs for {len(images)} images")
-        height, width = images.shape[1:3]
-        return [
-            _segmented(part, height, width, None if signs is None else signs[number])
-            for number, part in enumerate(output.split(1))
-        ]
-
-
-def _segmented(
-    output: Tensor, height: int, width: int, features: npt.NDArray[np.uint8] | None
-) -> Segmented | ValueError:
-    try:
-        return Segmented(_narrowest(enlarged(classes_of(output), height, width)[0]), features)
-    except ValueError as error:
-        return error
+        results: list[Segmented | ValueError] = []
+        for number, part in enumerate(output.split(1)):
+            try:
+                labels = enlarged(classes_of(part), height, width)[0].numpy(force=True)
+            except ValueError as error:
+                results.append(error)
+                continue
+            for dtype in (np.uint8, np.uint16):  # the narrowest that holds the ids
+                if labels.min() >= 0 and labels.max() <= np.iinfo(dtype).max:
+                    labels = labels.astype(dtype)
+                    break
+            results.append(Segmented(labels, None if signs is None else signs[number]))
+        return results
 
 
 def _read(cache: SegmentedCache | None, file: FrameFile) -> Segmented | _Picture:
@@ -318,14 +314,6 @@ def _read(cache: SegmentedCache | None, file: FrameFile) -> Segmented | _Picture
     digest = hashlib.blake2b(content, digest_size=16).hexdigest()
     found = cache.get(digest)
     return _Picture(decode_image(content), digest) if found is None else Segmented(*found)
-
-
-def _narrowest(ids: Tensor) -> LabelMap:
-    labels = ids.numpy(force=True)
-    for dtype in (np.uint8, np.uint16):
-        if labels.min() >= 0 and labels.max() <= np.iinfo(dtype).max:
-            return labels.astype(dtype)
-    return labels
 
 
 def _space(network: NamedNetwork, labels_as: str, config: SegmenterConfig) -> LabelSpace:
