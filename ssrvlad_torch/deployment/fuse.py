@@ -6,7 +6,7 @@ import dataclasses
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ..config import SSRVLADConfig
 from ..descriptor import SSRVLAD
 from ..files import check_output, replacing
-from ..segmentation.features import NAME, PROBES, NetworkFeatures
+from ..segmentation.features import NAME, PROBES
 from ..segmentation.onnx_files import load_model, save_model
 from ..segmentation.onnx_network import OnnxNetwork
 from ..segmentation.segmenter import Segmenter
@@ -24,9 +24,6 @@ from .label_graph import label_graph
 from .metadata import PREFIX, Metadata
 from .runtimes import Arrays, OnnxRuntime, Run
 from .trace import interface, join, opset, with_opset
-
-if TYPE_CHECKING:
-    import onnx
 
 NETWORK, SIGNS = f"{PREFIX}network", f"{PREFIX}features"
 """Properties of a fused file: `FusedNetwork`, and the fingerprint of its features."""
@@ -42,8 +39,6 @@ computes the network in another order."""
 MAX_OTHER_SIGNS = 0.01
 """The same of the signs of the features. A sign can only turn where its projection is near zero, so
 in single precision about one of 10,000 does."""
-
-_COLOUR_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -101,34 +96,17 @@ def fuse(
         ImportError: a missing extra.
         OSError: the file cannot be written.
     """
-    segmenter = network
-    if not isinstance(segmenter, Segmenter):
-        segmenter = Segmenter.load(segmenter, config.labels_as)
-    name = _name(segmenter, network)
+    if isinstance(network, Segmenter):
+        segmenter, module = network, network.network
+        name = module.path.name if isinstance(module, OnnxNetwork) else type(module).__name__
+    else:
+        segmenter = Segmenter.load(network, config.labels_as)
+        name = Path(network).name if Path(network).exists() else str(network)
     try:
-        signs = _features(segmenter, features)
         both = Path(path), Path(head_path) if head_path else None
-        return _fuse(segmenter, name, config, *both, signs)
+        return _fuse(segmenter, name, config, *both, features)
     except ValueError as error:
         raise ValueError(str(error) if name in str(error) else f"{name}: {error}") from error
-
-
-def _name(segmenter: Segmenter, source: Segmenter | str | Path) -> str:
-    if not isinstance(source, Segmenter):
-        return Path(source).name if Path(source).exists() else str(source)
-    network = segmenter.network
-    return network.path.name if isinstance(network, OnnxNetwork) else type(network).__name__
-
-
-def _features(segmenter: Segmenter, wanted: bool | None) -> NetworkFeatures | None:
-    """The features of a network that go into a file.
-
-    Raises:
-        ValueError: they are wanted or named, and it has none.
-    """
-    if wanted is False or (wanted is None and segmenter.problem_of_features):
-        return None
-    return segmenter.features
 
 
 def _fuse(
@@ -137,8 +115,13 @@ def _fuse(
     config: SSRVLADConfig,
     path: Path,
     head_path: Path | None,
-    features: NetworkFeatures | None,
+    wanted: bool | None,
 ) -> FusedNetwork:
+    from onnx import TensorProto
+
+    features = None
+    if wanted or (wanted is None and not segmenter.problem_of_features):
+        features = segmenter.features
     head = SSRVLAD(config)
     if segmenter.label_space != head.label_space:
         raise ValueError(
@@ -150,14 +133,18 @@ def _fuse(
             raise ValueError("has a head already; expected the network alone")
     expected = _golden_image(segmenter, features is not None)
     model = label_graph(segmenter.labels, features)
-    output = model.graph.output[0]
-    dtype = "uint8" if output.type.tensor_type.elem_type == _UINT8 else "int64"
-    head_part = head_model(config, LABELS, dtype)
+    narrow = model.graph.output[0].type.tensor_type.elem_type == TensorProto.UINT8
+    head_part = head_model(config, LABELS, "uint8" if narrow else "int64")
     key = features.descriptor.fingerprint if features else ""
     fused = FusedNetwork(name, segmenter.key(), dataclasses.asdict(segmenter.config), key)
     extra = {NETWORK: json.dumps(asdict(fused))} | ({SIGNS: key} if key else {})
     if head_path is None:
-        model = _joined(model, head_part)
+        first = list(model.graph.output)
+        parts = [model, with_opset(head_part, opset(model))]
+        model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
+        last = [value for value in model.graph.output if value.name != FEATURES]
+        del model.graph.output[:]
+        model.graph.output.extend([*last, *first])
     form = interface(model)
 
     def describe(file: Path) -> dict[str, str]:
@@ -174,29 +161,19 @@ def _fuse(
     return fused
 
 
-_UINT8 = 2
-
-
-def _joined(labels: onnx.ModelProto, head: onnx.ModelProto) -> onnx.ModelProto:
-    """Pictures to label maps and descriptors."""
-    first = list(labels.graph.output)
-    parts = [labels, with_opset(head, opset(labels))]
-    model = join(parts, ["", HEAD], [[(LABELS, f"{HEAD}{LABELS}")]])
-    last = [value for value in model.graph.output if value.name != FEATURES]
-    del model.graph.output[:]
-    model.graph.output.extend([*last, *first])
-    return model
-
-
 def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
     """Pictures of the smallest of `PROBES` that the network takes, and what the segmenter says."""
     network, error = segmenter.network, ValueError("takes no picture")
     count = (network.batch if isinstance(network, OnnxNetwork) else None) or 1
     for height, width in sorted(PROBES):
-        rng = np.random.default_rng(0)
-        images = np.stack([_picture(rng, height, width) for _ in range(count)])
+        rng, pictures = np.random.default_rng(0), []
+        for _ in range(count):  # patches of a few colours, so that the image compresses well
+            drawn = patches(rng, height, width)
+            colours = rng.integers(0, 9, (PATCHES, 3)) * 255 // 8
+            pictures.append(colours[drawn].astype(np.uint8))
+        images = np.stack(pictures)
         try:
-            said = segmenter.segment(list(images), features)
+            said = segmenter.segment(pictures, features)
         except ValueError as reason:
             error = reason
             continue
@@ -208,11 +185,8 @@ def _golden_image(segmenter: Segmenter, features: bool) -> Arrays:
 
 def _golden(run: Run, expected: Arrays, head: SSRVLAD) -> Arrays:
     """The golden image, the labels and features that the graph gives it, and the module's outputs
-    for those labels if the head is in the graph.
-
-    Raises:
-        ValueError: the graph and the segmenter, or the graph and the module, disagree.
-    """
+    for those labels if the head is in the graph. If the graph disagrees with the segmenter or with
+    the module, it is a ValueError."""
     outputs = run({IMAGE: expected[IMAGE]})
     golden = {name: outputs.get(name, array) for name, array in expected.items()}
     if problem := problem_of_network(outputs, expected):
@@ -244,10 +218,3 @@ def other_signs(signs: npt.NDArray[np.uint8], others: npt.NDArray[np.uint8]) -> 
     """The fraction of signs that differ; 1 for another shape."""
     same_shape = signs.shape == others.shape
     return float(np.unpackbits(signs ^ others).mean()) if same_shape else 1.0
-
-
-def _picture(rng: np.random.Generator, height: int, width: int) -> npt.NDArray[np.uint8]:
-    """``(height, width, 3)``, patches of a few colours, so that the image compresses well."""
-    drawn = patches(rng, height, width)
-    colours = rng.integers(0, _COLOUR_STEPS + 1, (PATCHES, 3)) * 255 // _COLOUR_STEPS
-    return colours[drawn].astype(np.uint8)

@@ -34,20 +34,27 @@ def golden_pair(
     Args:
         head: the module.
         input: ``"labels"`` or ``"logits"``.
-        dtype: dtype of the labels.
+        dtype: dtype of the labels; one that can hold no id of the label space is a ValueError.
         shape: B, H and W of a file of fixed size.
 
     Returns:
         the input and the outputs of `export_head` by name.
-
-    Raises:
-        ValueError: the dtype can hold no id of the label space.
     """
-    ids = _ids(head, input, dtype)
+    space = head.label_space
+    if input == "logits":
+        ids = np.arange(space.channel_counts[-1])
+    else:
+        ids = np.array([label.id for label in space.classes])
+        ids = ids[(ids >= 0) & (ids < 256)] if dtype == "uint8" else ids
+    if ids.size == 0:
+        raise ValueError(f"label space {space.name} has no id from 0 to 255; expected dtype int64")
     images, height, width = shape or (_IMAGES, *SIZE)
     labels = np.stack([_drawn(head, ids, (height, width), number) for number in range(images)])
     if input == "labels":
-        for unknown in _unknown_ids(ids, dtype):
+        unknown = np.setdiff1d(np.arange(256), ids)[-1:]
+        if dtype == "int64":
+            unknown = ids[:1] + (1 << 40)  # its low 32 bits are an id inside
+        if unknown.size:
             rows, columns = np.random.default_rng(1).integers(0, min(height, width), (2, _SPECKS))
             labels[-1, rows, columns] = unknown
     array = as_input(labels, len(ids), input, dtype)
@@ -115,28 +122,3 @@ def _drawn(head: SSRVLAD, ids: Array, size: tuple[int, int], seed: int) -> npt.N
     specks = rng.integers(0, labels.size, min(_SPECKS, labels.size // 8))
     labels.flat[specks] = ids[(np.arange(len(specks)) + seed * _SPECKS) % len(ids)]
     return labels
-
-
-def _ids(head: SSRVLAD, input: str, dtype: str) -> Array:
-    """The ids of the label space that an input can hold.
-
-    Raises:
-        ValueError: it can hold none.
-    """
-    space = head.label_space
-    if input == "logits":
-        return np.arange(space.channel_counts[-1])
-    ids = np.array([label.id for label in space.classes])
-    if dtype == "uint8":
-        ids = ids[(ids >= 0) & (ids < 256)]
-    if ids.size == 0:
-        raise ValueError(f"label space {space.name} has no id from 0 to 255; expected dtype int64")
-    return ids
-
-
-def _unknown_ids(ids: Array, dtype: str) -> list[int]:
-    """Ids outside the label space; for int64 one whose low 32 bits are an id inside."""
-    if dtype == "int64":
-        return [int(ids[0]) + (1 << 40)]
-    free = np.setdiff1d(np.arange(256), ids)
-    return [int(free[-1])] if free.size else []

@@ -56,27 +56,27 @@ class Metadata:
     def of(
         cls, config: SSRVLADConfig, space: LabelSpace, interface: dict[str, Any], golden: Arrays
     ) -> Metadata:
-        """The metadata of a head with these settings.
-
-        Raises:
-            ValueError: a golden array is larger than `golden_arrays` reads.
-        """
+        """The metadata of a head with these settings; a golden array above 64 MiB is a
+        ValueError."""
+        entries = {}
+        for name, array in golden.items():
+            if array.nbytes > _MAX_GOLDEN_BYTES:
+                raise ValueError(f"golden {name} is {array.nbytes >> 20} MiB; expected at most 64")
+            little = array.astype(array.dtype.newbyteorder("<"))
+            data = base64.b64encode(zlib.compress(little.tobytes(), 9)).decode()
+            entries[name] = {"dtype": array.dtype.name, "shape": list(array.shape), "data": data}
         return cls(
             version=package_version(),
             config=config.to_dict(),
             fingerprint=config.fingerprint,
             label_space=space.to_dict(),
             interface=interface,
-            golden={name: _to_text(name, array) for name, array in golden.items()},
+            golden=entries,
         )
 
     @classmethod
     def from_properties(cls, properties: Mapping[str, str]) -> Metadata:
-        """The metadata in a file's properties.
-
-        Raises:
-            ValueError: a property is missing or damaged, or the file has another format.
-        """
+        """The metadata in a file's properties; damage and another format are a ValueError."""
         file_format = properties.get(f"{PREFIX}format", "1")
         if f"{PREFIX}fingerprint" in properties and file_format != FORMAT:
             raise ValueError(f"a file of format {file_format}; expected {FORMAT}: export it again")
@@ -102,29 +102,19 @@ class Metadata:
         }
 
     def golden_arrays(self) -> dict[str, npt.NDArray[Any]]:
-        """The golden input and outputs by name."""
-        return {name: _from_text(name, entry) for name, entry in self.golden.items()}
-
-
-def _to_text(name: str, array: npt.NDArray[Any]) -> dict[str, Any]:
-    if array.nbytes > _MAX_GOLDEN_BYTES:
-        raise ValueError(f"golden {name} is {array.nbytes >> 20} MiB; expected at most 64")
-    little = array.astype(array.dtype.newbyteorder("<"))
-    data = base64.b64encode(zlib.compress(little.tobytes(), 9)).decode()
-    return {"dtype": array.dtype.name, "shape": list(array.shape), "data": data}
-
-
-def _from_text(name: str, entry: Any) -> npt.NDArray[Any]:
-    """The golden array in an entry of `Metadata.golden`.
-
-    Raises:
-        InputError: it is damaged, or larger than 64 MiB.
-    """
-    with input_errors(f"golden {name}", "damaged"):
-        dtype, shape = np.dtype(entry["dtype"]), [abs(int(length)) for length in entry["shape"]]
-        expected = dtype.itemsize * math.prod(shape)
-        if dtype.name not in _DTYPES or expected > _MAX_GOLDEN_BYTES:
-            raise InputError(f"golden {name} is {dtype.name} {shape}; expected at most 64 MiB")
-        compressed = base64.b64decode(entry["data"], validate=True)
-        content = zlib.decompressobj().decompress(compressed, expected + 1)
-        return np.frombuffer(content, dtype.newbyteorder("<")).reshape(shape).astype(dtype)
+        """The golden input and outputs by name; damage and more than 64 MiB are an InputError."""
+        arrays = {}
+        for name, entry in self.golden.items():
+            with input_errors(f"golden {name}", "damaged"):
+                dtype = np.dtype(entry["dtype"])
+                shape = [abs(int(length)) for length in entry["shape"]]
+                size = dtype.itemsize * math.prod(shape)
+                if dtype.name not in _DTYPES or size > _MAX_GOLDEN_BYTES:
+                    raise InputError(
+                        f"golden {name} is {dtype.name} {shape}; expected at most 64 MiB"
+                    )
+                compressed = base64.b64decode(entry["data"], validate=True)
+                content = zlib.decompressobj().decompress(compressed, size + 1)
+                array = np.frombuffer(content, dtype.newbyteorder("<")).reshape(shape)
+                arrays[name] = array.astype(dtype)
+        return arrays

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from ..files import requiring
 from ..segmentation.onnx_files import CPU, open_session
 
 Arrays = Mapping[str, npt.NDArray[Any]]
@@ -22,7 +24,7 @@ _SINGLE = {"INFERENCE_PRECISION_HINT": "f32"}
 _RECORD = {"session.record_ep_graph_assignment_info": "1"}
 
 
-class Runtime(Protocol):
+class Runtime(ABC):
     """A runtime for ONNX files.
 
     Attributes:
@@ -34,39 +36,32 @@ class Runtime(Protocol):
     """
 
     name: str
-    is_reference: bool
-    plain: Runtime | None
-    needs: str
+    is_reference = False
+    plain: Runtime | None = None
+    needs = ""
 
+    @abstractmethod
     def open(self, source: Path | bytes) -> Run:
         """A function that runs a file, given by path or content. If this or the function raises
         any error, the runtime cannot run the file."""
 
     def cpu_fallback(self, source: Path | bytes) -> str:
         """The part of a file that runs on the CPU instead, or ``""``."""
+        return ""
 
 
 def runtime_of(provider: str) -> Runtime:
-    """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``.
-
-    Raises:
-        ValueError: ONNX Runtime lacks the provider.
-        ImportError: the runtime is not installed.
-    """
+    """The runtime with a name: an execution provider of ONNX Runtime, or ``"openvino"``. A provider
+    that ONNX Runtime lacks is a ValueError, a runtime that is not installed an ImportError."""
     return OpenVino() if provider == OPENVINO else OnnxRuntime(provider)
 
 
-class OnnxRuntime:
+class OnnxRuntime(Runtime):
     """ONNX Runtime with an execution provider."""
 
-    plain: Runtime | None = None
-    needs = ""
-
     def __init__(self, provider: str = CPU) -> None:
-        try:
+        with requiring("onnx", "ONNX files need"):
             import onnxruntime
-        except ImportError as error:
-            raise ImportError("ONNX files need: pip install ssrvlad-torch[onnx]") from error
         available = onnxruntime.get_available_providers()
         if provider not in available:
             expected = ", ".join((*available, OPENVINO))
@@ -94,7 +89,7 @@ class OnnxRuntime:
         return f"{others} of {total} nodes run on the CPU" if others else ""
 
 
-class OpenVino:
+class OpenVino(Runtime):
     """OpenVINO's own runtime on the CPU.
 
     Args:
@@ -111,8 +106,8 @@ class OpenVino:
             raise ImportError("OpenVINO needs: pip install openvino") from error
         version = openvino.get_version().partition("-")[0]
         precision = ", in single precision" if settings else ", as it is by default"
-        self.name, self.is_reference = f"OpenVINO {version}, CPU{precision}", False
-        self.plain: Runtime | None = OpenVino({}) if settings else None
+        self.name = f"OpenVINO {version}, CPU{precision}"
+        self.plain = OpenVino({}) if settings else None
         self._core, self._settings = openvino.Core(), dict(settings)
 
     def open(self, source: Path | bytes) -> Run:
@@ -126,7 +121,3 @@ class OpenVino:
             return {name: np.array(outputs[number]) for number, name in enumerate(names)}
 
         return run
-
-    def cpu_fallback(self, source: Path | bytes) -> str:
-        """``""``: OpenVINO refuses a file with operators that it lacks."""
-        return ""

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor, nn
 
-from ..files import one_line
+from ..files import one_line, requiring
 from ..segmentation.onnx_files import rename
 
 if TYPE_CHECKING:
@@ -51,11 +51,9 @@ def traced(
         ValueError: it cannot be traced.
         ImportError: the extra ``onnx`` is not installed.
     """
-    try:
+    with requiring("onnx", "ONNX graphs need"):
         from onnx_ir.passes import common
         from onnxscript import optimizer
-    except ImportError as error:
-        raise ImportError("ONNX graphs need: pip install ssrvlad-torch[onnx]") from error
     log = logging.getLogger("torch.onnx")
     level, auto = log.level, torch.export.Dim.AUTO
     log.setLevel(logging.ERROR)
@@ -99,10 +97,13 @@ def traced(
     finally:
         log.setLevel(level)
     model: onnx.ModelProto = program.model_proto
-    for value in model.graph.output:
-        _name_axes(value, outputs[value.name])
-    for value in model.graph.input:
-        _name_axes(value, inputs[value.name][1])
+    ends = {**outputs, **{name: axes for name, (_, axes) in inputs.items()}}
+    for value in (*model.graph.output, *model.graph.input):
+        for axis, given in zip(value.type.tensor_type.shape.dim, ends[value.name], strict=True):
+            if isinstance(given, int):
+                axis.dim_value = given
+            elif given is not None:
+                axis.dim_param = given
     return model
 
 
@@ -117,14 +118,6 @@ def _divided(number: Any, divisor: Any) -> Any:
         if number.dtype == INT32.dtype
         else aten_floor_divide(number, divisor)
     )
-
-
-def _name_axes(value: onnx.ValueInfoProto, axes: Axes) -> None:
-    for axis, given in zip(value.type.tensor_type.shape.dim, axes, strict=True):
-        if isinstance(given, int):
-            axis.dim_value = given
-        elif given is not None:
-            axis.dim_param = given
 
 
 def join(
@@ -142,10 +135,13 @@ def join(
     """
     from onnx import compose, helper
 
+    def prefixed(prefix: str, unchanged: set[str], name: str) -> str:
+        return name if name in unchanged or not name else prefix + name
+
     graphs, last = [model.graph for model in models], len(models) - 1
     for number, (graph, prefix) in enumerate(zip(graphs, prefixes, strict=True)):
         ends = [] if 0 < number < last else graph.output if number else graph.input
-        rename(graph, partial(_prefixed, prefix, {value.name for value in ends}))
+        rename(graph, partial(prefixed, prefix, {value.name for value in ends}))
     joined = graphs[0]
     for graph, pairs in zip(graphs[1:], joints, strict=True):
         joined = compose.merge_graphs(joined, graph, pairs)
@@ -157,10 +153,6 @@ def join(
         functions=[function for model in models for function in model.functions],
         ir_version=max(model.ir_version for model in models),
     )
-
-
-def _prefixed(prefix: str, unchanged: set[str], name: str) -> str:
-    return name if name in unchanged or not name else prefix + name
 
 
 def with_opset(model: onnx.ModelProto, version: int) -> onnx.ModelProto:
@@ -190,19 +182,17 @@ def opset(model: onnx.ModelProto) -> int:
 
 def interface(model: onnx.ModelProto) -> dict[str, Any]:
     """The opset, and dtype and shape of each input and output by name."""
-    return {
-        "opset": opset(model),
-        "inputs": dict(map(_form, model.graph.input)),
-        "outputs": dict(map(_form, model.graph.output)),
-    }
-
-
-def _form(value: onnx.ValueInfoProto) -> tuple[str, dict[str, Any]]:
     from onnx import helper
 
-    kind = value.type.tensor_type
-    shape = [axis.dim_param or axis.dim_value or None for axis in kind.shape.dim]
-    return value.name, {
-        "dtype": helper.tensor_dtype_to_np_dtype(kind.elem_type).name,
-        "shape": shape,
-    }
+    def forms(values: Iterable[onnx.ValueInfoProto]) -> dict[str, Any]:
+        kinds = {value.name: value.type.tensor_type for value in values}
+        return {
+            name: {
+                "dtype": helper.tensor_dtype_to_np_dtype(kind.elem_type).name,
+                "shape": [axis.dim_param or axis.dim_value or None for axis in kind.shape.dim],
+            }
+            for name, kind in kinds.items()
+        }
+
+    graph = model.graph
+    return {"opset": opset(model), "inputs": forms(graph.input), "outputs": forms(graph.output)}

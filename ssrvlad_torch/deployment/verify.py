@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -52,10 +53,6 @@ class Check(NamedTuple):
     name: str
     difference: float
     problem: str
-
-
-CheckedRun = Callable[[str, Arrays, Callable[[Arrays], Check]], Check]
-"""Runs a file for a check of some name on some inputs, and judges the outputs."""
 
 
 @dataclass
@@ -154,8 +151,8 @@ def _verify(
     properties = {entry.key: entry.value for entry in model.metadata_props}
     metadata = Metadata.from_properties(properties)
     module = _module(metadata)
-    network = properties.get(NETWORK)
-    fused = FusedNetwork(**parse_json(network, NETWORK)) if network else None
+    text = properties.get(NETWORK)
+    fused = FusedNetwork(**parse_json(text, NETWORK)) if text else None
     result = Verification(
         runtime.name,
         metadata.version,
@@ -178,18 +175,35 @@ def _verify(
     if properties.get(SIGNS) != result.features or (FEATURES in golden) != bool(result.features):
         result.problems.append(f"the features are not those that {SIGNS} and {NETWORK} name")
     if fused:
-        run = _checked(runtime, path)
-        result.add(run("golden image", {IMAGE: golden[IMAGE]}, _judge_of_image(golden, module)))
+
+        def judge(name: str, got: Arrays) -> Check:
+            if problem := problem_of_network(got, golden):
+                return Check(name, np.inf, problem)
+            expected = outputs_of(module, got[LABELS]) if "descriptor" in golden else {}
+            return compare(name, got, expected)
+
+        image = {IMAGE: golden[IMAGE]}
+        result.add(_File(runtime, path).check("golden image", image, judge))
         if "descriptor" not in golden:
             return result
         model = _head_of(model)
         source = model.SerializeToString()
-    head = _HeadOnRuntime(_checked(runtime, source), module, model.graph.input[0])
-    _check_defaults(result, runtime, model.SerializeToString(), head.input, golden)
+    head, value = _File(runtime, source), model.graph.input[0]
+    given = {value.name: golden.pop(value.name)}
+    expected = {name: golden[name] for name in golden if name not in (IMAGE, FEATURES)}
+    judge_pair = partial(compare, expected=expected)
+    if runtime.plain:
+        plain = _File(runtime.plain, model.SerializeToString())
+        check = plain.check(f"golden pair, {runtime.plain.name}", given, judge_pair)
+        result.by_default = check
+        if check.problem:
+            result.warnings.append(
+                f"wrong in {runtime.plain.name}: {check.problem}; expected {runtime.needs}"
+            )
     if not fused:
-        result.add(head.check("golden pair", golden.pop(head.input), golden))
-    for file in labels:
-        _check_frame(result, head, file)
+        result.add(head.check("golden pair", given, judge_pair))
+    for frame in labels:
+        _check_frame(result, head, value, module, frame)
         if progress:
             progress(1)
     return result
@@ -210,104 +224,57 @@ def _head_of(model: onnx.ModelProto) -> onnx.ModelProto:
     return helper.make_model(graph, opset_imports=model.opset_import, ir_version=model.ir_version)
 
 
-def _checked(runtime: Runtime, source: Path | bytes) -> CheckedRun:
-    """A function that runs a file on inputs and judges the outputs. On ONNX Runtime on the CPU an
-    error is raised; on other runtimes it is the problem of the check."""
-    opened: Run | None = None
+class _File:
+    """A file on a runtime, opened once. On ONNX Runtime on the CPU an error is raised; on other
+    runtimes it is the problem of a check."""
 
-    def run(name: str, inputs: Arrays, judge: Callable[[Arrays], Check]) -> Check:
-        nonlocal opened
+    def __init__(self, runtime: Runtime, source: Path | bytes) -> None:
+        self.runtime, self.source = runtime, source
+        self.run: Run | None = None
+
+    def check(self, name: str, inputs: Arrays, judge: Callable[[str, Arrays], Check]) -> Check:
+        """Runs the file on inputs and judges the outputs."""
         try:
-            opened = opened or runtime.open(source)
-            outputs = opened(inputs)
+            self.run = self.run or self.runtime.open(self.source)
+            outputs = self.run(inputs)
         except Exception as error:  # runtimes have no common error type
-            if runtime.is_reference:
+            if self.runtime.is_reference:
                 raise
             return Check(name, np.inf, f"{CANNOT}: {one_line(error)}")
-        return judge(outputs)
-
-    return run
+        return judge(name, outputs)
 
 
-class _HeadOnRuntime:
-    """A head on a runtime, and the module that it is compared with."""
-
-    def __init__(self, run: CheckedRun, module: SSRVLAD, value: onnx.ValueInfoProto) -> None:
-        from onnx import helper
-
-        kind = value.type.tensor_type
-        self.run, self.module, self.input = run, module, value.name
-        self.scores = len(kind.shape.dim) == 4
-        self.dtype = helper.tensor_dtype_to_np_dtype(kind.elem_type).name
-        self.batch = kind.shape.dim[0].dim_value or 1
-        height, width = (axis.dim_value for axis in kind.shape.dim[-2:])
-        self.size = (height, width) if height and width else None
-
-    def check(self, name: str, array: npt.NDArray[Any], expected: Arrays | None = None) -> Check:
-        """The outputs for an input, compared with expected ones or with those of the module."""
-        outputs = expected or outputs_of(self.module, array)
-        return self.run(name, {self.input: array}, lambda got: compare(name, got, outputs))
-
-    def input_of(self, labels: LabelMap) -> npt.NDArray[Any]:
-        """The input for a label map: ``(B, H, W)`` ids or ``(B, C, H, W)`` scores.
-
-        Raises:
-            ValueError: the input cannot hold an id, or has another fixed size.
-        """
-        if self.size not in (None, labels.shape):
-            raise ValueError(f"a label map of {labels.shape}; the file takes {self.size}")
-        if self.dtype == "uint8" and (labels.min() < 0 or labels.max() > 255):
-            wrong = labels.min() if labels.min() < 0 else labels.max()
-            raise ValueError(f"label id {wrong}; the file takes uint8")
-        channels = self.module.label_space.channel_counts[-1] if self.scores else 0
-        kind = "logits" if self.scores else "labels"
-        array = as_input(labels[None], channels, kind, self.dtype)
-        return np.concatenate([array] * self.batch)
-
-
-def _check_defaults(
-    result: Verification, runtime: Runtime, source: bytes, name: str, golden: Arrays
+def _check_frame(
+    result: Verification, head: _File, value: onnx.ValueInfoProto, module: SSRVLAD, file: FrameFile
 ) -> None:
-    """The golden pair on the runtime without settings, with a warning if it differs."""
-    if runtime.plain is None:
-        return
-    given = name if name in golden else LABELS
-    others = (given, IMAGE, FEATURES)
-    expected = {output: array for output, array in golden.items() if output not in others}
-    title = f"golden pair, {runtime.plain.name}"
+    """Compares a head with this input and the module on a label map that the input can hold."""
+    space = module.label_space
     try:
-        check = compare(title, runtime.plain.open(source)({name: golden[given]}), expected)
-    except Exception as error:  # runtimes have no common error type
-        check = Check(title, np.inf, f"cannot run: {one_line(error)}")
-    result.by_default = check
-    if check.problem:
-        result.warnings.append(
-            f"wrong in {runtime.plain.name}: {check.problem}; expected {runtime.needs}"
-        )
-
-
-def _judge_of_image(golden: Arrays, module: SSRVLAD) -> Callable[[Arrays], Check]:
-    """Judges a fused file, or a network without a head, on its golden image."""
-
-    def judge(got: Arrays) -> Check:
-        if problem := problem_of_network(got, golden):
-            return Check("golden image", np.inf, problem)
-        expected = outputs_of(module, got[LABELS]) if "descriptor" in golden else {}
-        return compare("golden image", got, expected)
-
-    return judge
-
-
-def _check_frame(result: Verification, head: _HeadOnRuntime, file: FrameFile) -> None:
-    try:
-        array = head.input_of(read_label_map(file, head.module.label_space))
-        expected = outputs_of(head.module, array)
+        array = _input_of(read_label_map(file, space), value, space)
+        expected = outputs_of(module, array)
         if expected["unknown"].any():
-            head.module(array)  # raises an error that names the ids
+            module(array)  # raises an error that names the ids
     except ValueError as error:
         result.skipped.append((file.frame, str(error)))
         return
-    result.add(head.check(file.frame, array, expected))
+    result.add(head.check(file.frame, {value.name: array}, partial(compare, expected=expected)))
+
+
+def _input_of(labels: LabelMap, value: onnx.ValueInfoProto, space: LabelSpace) -> npt.NDArray[Any]:
+    """``(B, H, W)`` ids or ``(B, C, H, W)`` scores of a label map. An id that the input cannot
+    hold, and another size than a fixed one, are a ValueError."""
+    from onnx import helper
+
+    kind = value.type.tensor_type
+    dtype = helper.tensor_dtype_to_np_dtype(kind.elem_type).name
+    batch, *channels, height, width = (axis.dim_value for axis in kind.shape.dim)
+    if height and width and labels.shape != (height, width):
+        raise ValueError(f"a label map of {labels.shape}; the file takes {(height, width)}")
+    if dtype == "uint8" and (labels.min() < 0 or labels.max() > 255):
+        wrong = labels.min() if labels.min() < 0 else labels.max()
+        raise ValueError(f"label id {wrong}; the file takes uint8")
+    name, count = ("logits", space.channel_counts[-1]) if channels else ("labels", 0)
+    return np.concatenate([as_input(labels[None], count, name, dtype)] * (batch or 1))
 
 
 def compare(name: str, got: Arrays, expected: Arrays) -> Check:
