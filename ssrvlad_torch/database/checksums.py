@@ -19,14 +19,26 @@ def intact(table: pa.Table | pa.RecordBatch) -> npt.NDArray[np.bool_]:
     return fits
 
 
-def checksums(table: pa.Table | pa.RecordBatch) -> Words:
+def checksums(rows: pa.Table | pa.RecordBatch) -> Words:
     """``(N,)`` uint64, the checksum of each row, over all columns but ``checksum``. Any change of a
     single word of a row changes its checksum: words are multiplied by odd numbers modulo 2^64,
     which is one to one."""
-    total = np.zeros(table.num_rows, np.uint64)
-    for field in table.schema:
-        if field.name != "checksum":
-            total = (total ^ _hash_column(table[field.name])) * np.uint64(_MULTIPLIER)
+    if isinstance(rows, pa.Table):
+        parts = [checksums(batch) for batch in rows.to_batches()]
+        return np.concatenate([np.zeros(0, np.uint64), *parts])
+    total = np.zeros(rows.num_rows, np.uint64)
+    for name, column in zip(rows.schema.names, rows.columns, strict=True):
+        if name == "checksum":
+            continue
+        if pa.types.is_string(column.type):
+            words = _hash_texts(column)
+        elif pa.types.is_fixed_size_list(column.type):
+            words = _hash_rows(matrix(column))
+        else:
+            values = column.to_numpy(zero_copy_only=False)
+            is_real = values.dtype == np.float64
+            words = values.view(np.uint64) if is_real else values.astype(np.uint64)
+        total = (total ^ words) * np.uint64(_MULTIPLIER)
     return total
 
 
@@ -36,19 +48,6 @@ def matrix(column: pa.ChunkedArray | pa.Array) -> npt.NDArray[Any]:
         column = column.combine_chunks()
     values: npt.NDArray[Any] = column.flatten().to_numpy(zero_copy_only=False)
     return values.reshape(len(column), column.type.list_size)
-
-
-def _hash_column(column: pa.ChunkedArray | pa.Array) -> Words:
-    if isinstance(column, pa.ChunkedArray):
-        parts = [_hash_column(chunk) for chunk in column.chunks]
-        return np.concatenate([np.zeros(0, np.uint64), *parts])
-    if pa.types.is_string(column.type):
-        return _hash_texts(column)
-    if pa.types.is_fixed_size_list(column.type):
-        return _hash_rows(matrix(column))
-    values = column.to_numpy(zero_copy_only=False)
-    words: Words = values.view(np.uint64) if values.dtype == float else values.astype(np.uint64)
-    return words
 
 
 def _hash_rows(values: npt.NDArray[Any]) -> Words:

@@ -12,12 +12,15 @@ import errno
 import json
 import os
 import threading
+from collections import Counter
 from collections.abc import Callable, Collection, Mapping, Sequence
-from datetime import timedelta
+from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.compute as pc
 
@@ -25,18 +28,20 @@ from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace, label_space, label_space_names
 from . import engine
 from .disk import is_local
-from .frames import FrameRecord, require_list
+from .frame_sets import FRAME_SET_COLUMNS, frame_set, load_frame_set, order_of
+from .frames import FrameRecord, FrameSet, require_list
 from .metadata import ExtraDescriptor, Meta, Origin
-from .reading import Damage, replacement_of_damaged
+from .reading import Damage, read_rows, replacement_of_damaged
 from .rows import (
     DESCRIPTOR,
     RECORD_COLUMNS,
+    Shape,
     StoredRecords,
     check_records,
+    folders_of,
     schema,
     to_table,
 )
-from .stored import StoredFrames
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -47,6 +52,16 @@ if TYPE_CHECKING:
 Check = Callable[[StoredRecords], None]
 
 
+class Version(NamedTuple):
+    """One version of a database: its number, for ``open``, when it was made, the number of frames
+    in it, and the change that made it."""
+
+    version: int
+    time: datetime
+    frames: int
+    change: str
+
+
 class StagedRows(NamedTuple):
     """Rows on disk that no version refers to yet: files, described by Lance in JSON, and ids."""
 
@@ -54,7 +69,7 @@ class StagedRows(NamedTuple):
     frames: tuple[str, ...]
 
 
-class Database(StoredFrames):
+class Database:
     """Descriptors of one fingerprint on disk. Use `create` or `open`.
 
     Several processes and threads may write at once: their changes are committed one after another.
@@ -78,9 +93,18 @@ class Database(StoredFrames):
     """
 
     def __init__(self, path: str, table: LanceDataset, read_only: bool) -> None:
-        super().__init__(path, table)
+        self.path = path
         self._read_only = read_only
         self._lock = threading.Lock()
+        self._use(table)
+
+    def _use(self, table: LanceDataset) -> None:
+        self._table, self.version = table, int(table.version)
+        self._config, self.extra, self.origins = Meta.of(table.schema.metadata or {}, self.path)
+        self.fingerprint = self._config.fingerprint if self._config else ""
+        self.width = int(table.schema.field(DESCRIPTOR).type.list_size)
+        self._shapes: dict[str, Shape] = {DESCRIPTOR: (self.width,)}
+        self._shapes |= {each.name: each.shape for each in self.extra}
 
     @staticmethod
     def exists(path: str | Path) -> bool:
@@ -185,11 +209,8 @@ class Database(StoredFrames):
     def open_or_create(
         cls, path: str | Path, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()
     ) -> Database:
-        """Opens the database at ``path``, or creates it if it does not exist.
-
-        Raises:
-            ValueError: as for `require`.
-        """
+        """Opens the database at ``path``, or creates it if it does not exist; one of other settings
+        is a ValueError, see `require`."""
         if not cls.exists(path):
             try:
                 return cls.create(path, config, extra=extra)
@@ -199,6 +220,120 @@ class Database(StoredFrames):
         database = cls.open(path)
         database.require(config, extra)
         return database
+
+    def __len__(self) -> int:
+        return int(self.table().count_rows())
+
+    def __bool__(self) -> bool:
+        """True, even without frames."""
+        return True
+
+    def __repr__(self) -> str:
+        kind = f"fingerprint {self.fingerprint}" if self.fingerprint else "without settings"
+        extra = "".join(f" and {each.name}" for each in self.extra)
+        return (
+            f"<Database {self.path}: {len(self)} frames, descriptors of {self.width}{extra}, "
+            f"{kind}, version {self.version}>"
+        )
+
+    @property
+    def config(self) -> SSRVLADConfig:
+        """The settings of all descriptors; a ValueError if they are custom."""
+        if self._config is None:
+            raise ValueError(f"{self.path} holds custom descriptors, without settings")
+        return self._config
+
+    def label_spaces(self) -> list[LabelSpace]:
+        """The label spaces of the frames, or of the origins of an empty database, each once."""
+        keys = self._columns(["origin"])["origin"].unique().to_pylist() or list(self.origins)
+        found = (self.origins.get(key, Origin()).label_space for key in keys)
+        return list({space.digest: space for space in found if space}.values())
+
+    def require(self, config: SSRVLADConfig, extra: Sequence[ExtraDescriptor] = ()) -> None:
+        """Raises a ValueError if the descriptors were made with other settings, which are shown
+        with both fingerprints, or if frames lack one of these extra descriptors."""
+        for each in extra:
+            if each not in self.extra:
+                others = ", ".join(f"{other.name}, {other.fingerprint}" for other in self.extra)
+                raise ValueError(
+                    f"{self.path} has no descriptors by {each.name}, {each.fingerprint}, but "
+                    f"{others or 'none'}: they can only be added when a database is created"
+                )
+        if config.fingerprint == self.fingerprint:
+            return
+        stored, expected = self.config.to_dict(), config.to_dict()
+        differing = [
+            f"{name} {stored[name]} there and {expected[name]} here"
+            for name in stored
+            if name != "labels_as" and stored[name] != expected[name]
+        ]
+        raise ValueError(
+            f"{self.path} has fingerprint {self.fingerprint} ({self.config.preset}), these "
+            f"settings have {config.fingerprint} ({config.preset}): {'; '.join(differing)}"
+        )
+
+    def known(self) -> StoredRecords:
+        """The records of all frames, without their descriptors."""
+        return StoredRecords(self._columns(RECORD_COLUMNS))
+
+    def folders(self) -> set[tuple[str, str]]:
+        """See `folders_of`."""
+        return folders_of(self._columns(["signature", "sequence"]))
+
+    def placed(self) -> tuple[FrameSet, npt.NDArray[np.int64]]:
+        """All frames as from `load`, but without descriptors and not verified, and ``(R,)`` the
+        row of each in the order in which rows are stored."""
+        table = self._columns(FRAME_SET_COLUMNS)
+        order = order_of(table)
+        none = np.empty((len(order), 0), np.float32)
+        return frame_set(table.take(order), {DESCRIPTOR: none}), order
+
+    def load(self) -> FrameSet:
+        """Loads all frames into memory and verifies every byte; damage is a ValueError that names
+        the file."""
+        return load_frame_set(self.table(), self._shapes)
+
+    def damage(self, progress: Callable[[int], object] | None = None) -> list[Damage]:
+        """Reads everything and reports all damage. ``progress`` is called with the number of frames
+        done since the last call."""
+        found: list[Damage] = []
+        for batch in read_rows(self.table(), found):
+            if progress:
+                progress(len(batch))
+        return found
+
+    def table(self) -> LanceDataset:
+        """The version that is read, as a table of Lance, for what this class does not offer."""
+        engine.require_unforked()
+        return self._table
+
+    def history(self) -> list[Version]:
+        """The versions that are stored, the oldest first."""
+        versions = list[Version]()
+        for entry in engine.versions_of(self.table()):
+            number, frames = entry["version"], int(entry["metadata"]["total_rows"])
+            change = engine.change_of(self.table(), number)
+            versions.append(Version(number, entry["timestamp"], frames, change))
+        return versions
+
+    def info(self) -> dict[str, Any]:
+        """Counts and settings of the database, ready for JSON; rows are not verified."""
+        table = self._columns(["sequence", "x", "empty", "origin"])
+        origins = Counter(table["origin"].to_pylist())
+        config = self._config
+        return {
+            "frames": len(table),
+            "sequences": dict(Counter(table["sequence"].to_pylist())),
+            "empty": int(np.count_nonzero(table["empty"].to_numpy())),
+            "with_pose": int(np.count_nonzero(~np.isnan(table["x"].to_numpy()))),
+            "label_spaces": {str(self.origins.get(k, Origin())): n for k, n in origins.items()},
+            "width": self.width,
+            "preset": config.preset if config else None,
+            "fingerprint": self.fingerprint,
+            "extra": {each.name: each.fingerprint for each in self.extra},
+            "config": {**config.to_dict(), "labels_as": config.labels_name} if config else None,
+            "version": self.version,
+        }
 
     def add_origin(
         self, label_space: LabelSpace | None, segmenter: str = "", network: str = ""
@@ -214,11 +349,8 @@ class Database(StoredFrames):
             Its key, for `FrameRecord.origin`.
         """
         origin = Origin(label_space, segmenter, network)
-        if origin.key in self.origins:
-            return origin.key
-        self._require_writable()
-        with self._lock:
-            self._use(engine.add_metadata(self.path, origin.to_entry()))
+        if origin.key not in self.origins:
+            self._apply(partial(engine.add_metadata, entries=origin.to_entry()))
         return origin.key
 
     def append(
@@ -300,6 +432,30 @@ class Database(StoredFrames):
         """
         self._change(written, "append", check)
 
+    def drop_damaged(self) -> list[Damage]:
+        """Drops damaged rows in one commit, and returns them; `encode` restores them."""
+        damage: list[Damage] = []
+        plan = partial(replacement_of_damaged, damage=damage)
+        self._apply(partial(engine.commit, plan=plan, message="drop damaged rows"))
+        return damage
+
+    def write_index(self, column: str, kind: str, lists: int, **options: Any) -> None:
+        """Builds an index of cosines over a column; see `index.build_index`."""
+        self._apply(partial(engine.create_index, column=column, kind=kind, lists=lists, **options))
+
+    def compact(self, keep_days: float = 14) -> None:
+        """Joins small files, and deletes old versions with the files that only they need.
+
+        A version that a process reads, or is writing on, is not deleted, nor are those after it. In
+        an object store and on Windows, where this cannot be seen, versions are kept until an hour
+        after the next one.
+
+        Args:
+            keep_days: keep versions younger than this.
+        """
+        self._apply(engine.compact)
+        engine.clean(self.path, timedelta(days=keep_days))
+
     def _change(self, written: Sequence[StagedRows], verb: str, check: Check | None = None) -> None:
         """Removes the rows with the ids of ``written``, and adds its rows; ``append`` refuses ids
         in the database, the verbs ``merge`` and ``remove`` do not."""
@@ -321,43 +477,25 @@ class Database(StoredFrames):
             return engine.replacement(table, ids if existing else None, fragments)
 
         if len(ids):
-            with self._lock:
-                self._use(engine.commit(self.path, plan, f"{verb} {len(ids)} frames"))
+            self._apply(partial(engine.commit, plan=plan, message=f"{verb} {len(ids)} frames"))
+
+    def _apply(self, change: Callable[[LanceDataset], LanceDataset]) -> None:
+        """Changes the newest version; see `engine.change_table`."""
+        self._require_writable()
+        with self._lock:
+            self._use(engine.change_table(self.path, change))
 
     def _require_writable(self) -> None:
         engine.require_unforked()  # of another thread, a lock may never be released
         if self._read_only:
             raise ValueError(f"{self.path} was opened as of version {self.version}, read-only")
 
-    def drop_damaged(self) -> list[Damage]:
-        """Drops damaged rows in one commit, and returns them; `encode` restores them."""
-        self._require_writable()
-        damage: list[Damage] = []
-        with self._lock:
-            change = partial(replacement_of_damaged, damage=damage)
-            self._use(engine.commit(self.path, change, "drop damaged rows"))
-        return damage
-
-    def write_index(self, column: str, kind: str, lists: int, **options: Any) -> None:
-        """Builds an index of cosines over a column; see `index.build_index`."""
-        self._require_writable()
-        with self._lock:
-            self._use(engine.create_index(self.path, column, kind, lists, **options))
-
-    def compact(self, keep_days: float = 14) -> None:
-        """Joins small files, and deletes old versions with the files that only they need.
-
-        A version that a process reads, or is writing on, is not deleted, nor are those after it. In
-        an object store and on Windows, where this cannot be seen, versions are kept until an hour
-        after the next one.
-
-        Args:
-            keep_days: keep versions younger than this.
-        """
-        self._require_writable()
-        with self._lock:
-            self._use(engine.compact(self.path))
-            engine.clean(self.path, timedelta(days=keep_days))
+    def _columns(self, names: list[str]) -> pa.Table:
+        table = self.table()
+        try:
+            return table.to_table(columns=names, scan_in_order=True)
+        except (OSError, ValueError, RuntimeError) as error:
+            raise ValueError(f"{self.path} is damaged: {engine.message_of(error)}") from error
 
 
 def _text(path: str | Path) -> str:

@@ -18,7 +18,7 @@ import pyarrow as pa
 from ..files import flush
 
 if TYPE_CHECKING:
-    from lance.fragment import DataFile, DeletionFile, FragmentMetadata
+    from lance.fragment import FragmentMetadata
 
 _BITMAP_WITHOUT_RUNS = 12346
 _ARRAY_LIMIT, _BITMAP_BYTES = 4096, 8192
@@ -30,17 +30,23 @@ def is_local(uri: str) -> bool:
 
 
 def flush_fragments(uri: str, fragments: Iterable[FragmentMetadata]) -> None:
-    """Flushes the files of fragments; raises OSError if one is not whole."""
+    """Flushes the files of fragments; raises OSError unless a data file has the size, and a file of
+    deleted rows the number of rows, that Lance recorded."""
     if not is_local(uri):
         return
-    paths = []
+    paths: list[Path] = []
     for fragment in fragments:
+        whole = {}
         for file in fragment.files:
-            paths.append(Path(uri, "data", file.path))
-            check_data(paths[-1], file)
+            path, size = Path(uri, "data", file.path), file.file_size_bytes
+            whole[path] = not size or path.stat().st_size == size
         if deletions := fragment.deletion_file:
-            paths.append(Path(uri, deletions.path(fragment.id)))
-            check_deletions(paths[-1], deletions)
+            path = Path(uri, deletions.path(fragment.id))
+            whole[path] = deleted_rows(path) == deletions.num_deleted_rows
+        if truncated := [path for path in whole if not whole[path]]:
+            reason = f"{os.strerror(errno.EIO)}: not all was written"
+            raise OSError(errno.EIO, reason, str(truncated[0]))
+        paths += whole
     flush_files(uri, paths)
 
 
@@ -55,39 +61,21 @@ def flush_files(uri: str, files: Iterable[Path]) -> None:
         flush(folder)
 
 
-def check_data(path: Path, file: DataFile) -> None:
-    """Raises OSError unless a data file has the size that Lance recorded."""
-    if file.file_size_bytes and path.stat().st_size != file.file_size_bytes:
-        raise _truncated(path)
-
-
-def check_deletions(path: Path, file: DeletionFile) -> None:
-    """Raises OSError unless a file of deleted rows holds the number of rows that Lance recorded."""
-    is_whole = _is_whole_bitmap if path.suffix == ".bin" else _is_whole_array
-    if not is_whole(path, file.num_deleted_rows):
-        raise _truncated(path)
-
-
-def _is_whole_array(path: Path, rows: int) -> bool:
-    """Whether an Arrow file holds ``rows`` rows."""
-    try:
-        return bool(pa.ipc.open_file(path.read_bytes()).read_all().num_rows == rows)
-    except pa.ArrowInvalid:
-        return False
-
-
-def _is_whole_bitmap(path: Path, rows: int) -> bool:
-    """Whether a Roaring bitmap without runs (RoaringFormatSpec) holds ``rows`` rows."""
+def deleted_rows(path: Path) -> int | None:
+    """The number of rows in a file of deleted rows, of Arrow or a Roaring bitmap without runs
+    (RoaringFormatSpec); ``None`` if the file is not whole."""
     content = path.read_bytes()
+    if path.suffix != ".bin":
+        try:
+            return int(pa.ipc.open_file(content).read_all().num_rows)
+        except pa.ArrowInvalid:
+            return None
     if len(content) < 8:
-        return False
+        return None
     cookie, containers = np.frombuffer(content, "<u4", 2).tolist()
-    if cookie != _BITMAP_WITHOUT_RUNS or len(content) < 8 + 8 * containers:
-        return False
+    header = 8 + 8 * containers
+    if cookie != _BITMAP_WITHOUT_RUNS or len(content) < header:
+        return None
     counts = np.frombuffer(content, "<u2", 2 * containers, 8)[1::2].astype(np.int64) + 1
     sizes = np.where(counts <= _ARRAY_LIMIT, 2 * counts, _BITMAP_BYTES)
-    return bool(counts.sum() == rows and len(content) == 8 + 8 * containers + sizes.sum())
-
-
-def _truncated(path: Path) -> OSError:
-    return OSError(errno.EIO, f"{os.strerror(errno.EIO)}: not all was written", str(path))
+    return int(counts.sum()) if len(content) == header + sizes.sum() else None

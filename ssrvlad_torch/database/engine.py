@@ -84,10 +84,8 @@ def require_unforked() -> None:
         )
 
 
-@cache
-def _first_user() -> int:
-    """The process that used Lance first: this one, or the one it was forked from."""
-    return os.getpid()
+_first_user = cache(os.getpid)
+"""The process that used Lance first: this one, or the one it was forked from."""
 
 
 def open_table(uri: str, version: int | None = None) -> LanceDataset:
@@ -198,33 +196,37 @@ def discard_empty(uri: str, error: BaseException | None) -> None:
                 folder.mkdir(exist_ok=True)
 
 
-def add_metadata(uri: str, entries: dict[str, str]) -> LanceDataset:
-    """Adds entries to a table's metadata."""
-
-    def change(table: LanceDataset) -> LanceDataset:
-        if not {key.decode() for key in table.schema.metadata}.issuperset(entries):
-            table.update_schema_metadata({**entries})
-            _flush_version(table)
-        return table
-
-    return change_table(uri, change)
-
-
-def compact(uri: str) -> LanceDataset:
-    """Joins small files."""
-
-    def change(table: LanceDataset) -> LanceDataset:
-        compaction = lance().optimize.Compaction
-        plan = compaction.plan(table, lance().optimize.CompactionOptions())
-        done = [task.execute(table) for task in plan.tasks]
-        flush_fragments(uri, [fragment for task in done for fragment in task.new_fragments])
-        compaction.commit(table, done)
-        open_table(uri).optimize.optimize_indices()
-        table = open_table(uri)
+def add_metadata(table: LanceDataset, entries: dict[str, str]) -> LanceDataset:
+    """A change of a table: adds entries to its metadata."""
+    if not {key.decode() for key in table.schema.metadata}.issuperset(entries):
+        table.update_schema_metadata({**entries})
         _flush_version(table)
-        return table
+    return table
 
-    return change_table(uri, change)
+
+def compact(table: LanceDataset) -> LanceDataset:
+    """A change of a table: joins small files."""
+    uri, compaction = table.uri, lance().optimize.Compaction
+    plan = compaction.plan(table, lance().optimize.CompactionOptions())
+    done = [task.execute(table) for task in plan.tasks]
+    flush_fragments(uri, [fragment for task in done for fragment in task.new_fragments])
+    compaction.commit(table, done)
+    open_table(uri).optimize.optimize_indices()
+    table = open_table(uri)
+    _flush_version(table)
+    return table
+
+
+def create_index(
+    table: LanceDataset, column: str, kind: str, lists: int, **options: Any
+) -> LanceDataset:
+    """A change of a table: builds an index of cosines over a column, and replaces an earlier
+    one."""
+    options |= {"metric": "cosine", "replace": True, "num_partitions": lists}
+    table.create_index(column, kind, **options)
+    table = open_table(table.uri)
+    _flush_version(table)
+    return table
 
 
 def clean(uri: str, keep: timedelta) -> None:
@@ -256,19 +258,6 @@ def versions_of(table: LanceDataset) -> list[Any]:
     return list(table.versions())
 
 
-def create_index(uri: str, column: str, kind: str, lists: int, **options: Any) -> LanceDataset:
-    """Builds an index of cosines over a column, and replaces an earlier one."""
-    options |= {"metric": "cosine", "replace": True, "num_partitions": lists}
-
-    def change(table: LanceDataset) -> LanceDataset:
-        table.create_index(column, kind, **options)
-        table = open_table(uri)
-        _flush_version(table)
-        return table
-
-    return change_table(uri, change)
-
-
 def write_fragments(
     table: LanceDataset, rows: pa.Table | pa.RecordBatchReader
 ) -> list[FragmentMetadata]:
@@ -289,28 +278,34 @@ def replacement(table: LanceDataset, ids: pa.Table | None, fragments: Iterable[s
     return dataclasses.replace(removal.operation, new_fragments=added)
 
 
-def commit(uri: str, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
-    """Commits one change of rows with a message, see `change_of`; ``plan`` returns the operation
-    for one version of the table, ``None`` if nothing is to be done. Of several commits planned
-    on one version only the first succeeds, and the others are planned again: so no id is added
-    twice."""
+def commit(before: LanceDataset, plan: Callable[[LanceDataset], Any], message: str) -> LanceDataset:
+    """A change of a table: commits one change of rows with a message, see `change_of`; ``plan``
+    returns the operation for one version of the table, ``None`` if nothing is to be done.
 
-    def change(before: LanceDataset) -> LanceDataset:
-        operation = plan(before)
-        if operation is None:
-            return before
-        flush_fragments(uri, operation.updated_fragments)
-        transaction = lance().Transaction(
-            before.version,
-            _exclusive(before, operation),
-            uuid=str(uuid.uuid4()),
-            transaction_properties={_MESSAGE: message},
-        )
-        after: LanceDataset = lance().LanceDataset.commit(uri, transaction, max_retries=0)
-        _flush_version(after, transaction)
-        return after
-
-    return change_table(uri, change)
+    Of several commits planned on one version only the first succeeds, and the others are planned
+    again: so no id is added twice. Lance accepts two operations that only add fragments, but not
+    two that update the same fragment, so each updates the first one. An empty table has none, and
+    is overwritten, which is allowed only on the version that was read.
+    """
+    operation = plan(before)
+    if operation is None:
+        return before
+    flush_fragments(before.uri, operation.updated_fragments)
+    if fragments := before.get_fragments():
+        first, updated = fragments[0].metadata, operation.updated_fragments
+        if first.id not in {*operation.removed_fragment_ids, *(f.id for f in updated)}:
+            operation = dataclasses.replace(operation, updated_fragments=[*updated, first])
+    else:
+        operation = lance().LanceOperation.Overwrite(before.schema, operation.new_fragments)
+    transaction = lance().Transaction(
+        before.version,
+        operation,
+        uuid=str(uuid.uuid4()),
+        transaction_properties={_MESSAGE: message},
+    )
+    after: LanceDataset = lance().LanceDataset.commit(before.uri, transaction, max_retries=0)
+    _flush_version(after, transaction)
+    return after
 
 
 def change_of(table: LanceDataset, version: int) -> str:
@@ -324,21 +319,6 @@ def change_of(table: LanceDataset, version: int) -> str:
     message = (transaction.transaction_properties or {}).get(_MESSAGE)
     operation = type(transaction.operation).__name__
     return message or _CHANGES.get(operation, operation.lower())
-
-
-def _exclusive(table: LanceDataset, operation: Any) -> Any:
-    """An operation that conflicts with every other one on the same version: Lance accepts two that
-    only add fragments, but not two that update the same fragment, so each updates the first one. An
-    empty table has none, and is overwritten, which `commit` allows only on the version it read."""
-    fragments = table.get_fragments()
-    if not fragments:
-        return lance().LanceOperation.Overwrite(table.schema, operation.new_fragments)
-    oldest = fragments[0].metadata
-    touched = {*operation.removed_fragment_ids, *(f.id for f in operation.updated_fragments)}
-    claimed = [] if oldest.id in touched else [oldest]
-    return dataclasses.replace(
-        operation, updated_fragments=[*operation.updated_fragments, *claimed]
-    )
 
 
 def _flush_version(table: LanceDataset, transaction: Any = None) -> None:

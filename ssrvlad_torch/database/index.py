@@ -72,8 +72,36 @@ def build_index(database: Database) -> IndexReport:
     else:
         database.write_index(DESCRIPTOR, "IVF_RQ", lists, num_bits=1)
     seconds = time.perf_counter() - began
-    recall, milliseconds = _compare(database)
-    return IndexReport(lists, seconds, recall, milliseconds)
+    frames = list(database.known())
+    sample = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
+    sample.sort()
+    queries, exact = _exact(database.table(), sample)
+    found, times = torch.full((len(queries), 10), -torch.inf), []
+    for number, (query, row) in enumerate(zip(queries, sample, strict=True)):
+        began = time.perf_counter()
+        [candidates] = search_index(database, query[None], 11)
+        times.append(time.perf_counter() - began)
+        scores = [score for frame, score in candidates if frame != frames[row]][:10]
+        found[number, : len(scores)] = torch.tensor(scores)
+    recall = {}
+    for n in (1, 10):  # frames with the same score count alike
+        is_match = exact[:, :n] > -torch.inf
+        least = exact[:, :n].masked_fill(~is_match, torch.inf).amin(1, keepdim=True) - _ROUNDING
+        recall[n] = float((found[:, :n] >= least).sum() / is_match.sum().clamp(min=1))
+    return IndexReport(lists, seconds, recall, 1000 * float(np.median(times)))
+
+
+def _exact(table: LanceDataset, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
+    """Descriptors of rows, and the scores of their 10 best matches except the row itself."""
+    stored = table.take(rows.tolist(), columns=[DESCRIPTOR])[DESCRIPTOR]
+    queries = torch.from_numpy(matrix(stored).copy())
+    scores, first = torch.full((len(rows), 10), -torch.inf), 0
+    for batch in read_rows(table):
+        itself = torch.from_numpy(rows[:, None] - first == np.arange(len(batch)))
+        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, excluded=itself)
+        scores = torch.cat([scores, found.scores], 1).topk(10).values
+        first += len(batch)
+    return queries, scores
 
 
 def search_index(
@@ -82,7 +110,19 @@ def search_index(
     """The ``top`` best matches of queries ``(Q, D)`` float among the frames of some sequences, by
     default all, of a database, by its index. No index, or a damaged row, is a ValueError."""
     table, condition = require_index(database), condition_of(sequences)
-    return [_search(table, query, top, condition) for query in queries]
+    candidates: list[Candidates] = []
+    for query in queries:
+        if not query.any():
+            candidates.append([])
+            continue
+        found = nearest(table, query, max(CANDIDATES, 4 * top), condition, table.schema.names)
+        if not intact(found.select(table.schema.names)).all():
+            raise ValueError(f"{table.uri} is damaged; ssrvlad db verify shows where")
+        best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top)
+        frames = found["frame"].to_pylist()
+        pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
+        candidates.append([(frames[row], score) for row, score in pairs if row >= 0])
+    return candidates
 
 
 def require_index(database: Database) -> LanceDataset:
@@ -107,58 +147,9 @@ def nearest(
     )
 
 
-def _search(table: LanceDataset, query: Tensor, top: int, condition: str | None) -> Candidates:
-    if not bool(query.any()):
-        return []
-    found = nearest(table, query, max(CANDIDATES, 4 * top), condition, table.schema.names)
-    if not intact(found.select(table.schema.names)).all():
-        raise ValueError(f"{table.uri} is damaged; ssrvlad db verify shows where")
-    best = match(query[None], matrix(found[DESCRIPTOR]).copy(), top)
-    frames = found["frame"].to_pylist()
-    pairs = zip(best.indices[0].tolist(), best.scores[0].tolist(), strict=True)
-    return [(frames[row], score) for row, score in pairs if row >= 0]
-
-
 def condition_of(sequences: Collection[str] | None) -> str | None:
     """The rows of some sequences as a condition in SQL; ``None`` for all."""
     if sequences is None:
         return None
     quoted = ("'" + name.replace("'", "''") + "'" for name in sequences)
     return f"sequence IN ({', '.join(quoted)})"
-
-
-def _compare(database: Database) -> tuple[dict[int, float], float]:
-    """Recall against exact search, and the median time of a query in milliseconds."""
-    frames = list(database.known())
-    sample = np.random.default_rng(0).choice(len(frames), min(_SAMPLE, len(frames)), replace=False)
-    sample.sort()
-    queries, exact = _exact(database, sample)
-    found, times = torch.full((len(queries), 10), -torch.inf), []
-    for number, (query, row) in enumerate(zip(queries, sample, strict=True)):
-        began = time.perf_counter()
-        [candidates] = search_index(database, query[None], 11)
-        times.append(time.perf_counter() - began)
-        scores = [score for frame, score in candidates if frame != frames[row]][:10]
-        found[number, : len(scores)] = torch.tensor(scores)
-    recall = {}
-    for n in (1, 10):  # frames with the same score count alike
-        is_match = exact[:, :n] > -torch.inf
-        least = exact[:, :n].masked_fill(~is_match, torch.inf).amin(1, keepdim=True) - _ROUNDING
-        recall[n] = float((found[:, :n] >= least).sum() / is_match.sum().clamp(min=1))
-    return recall, 1000 * float(np.median(times))
-
-
-def _exact(database: Database, rows: npt.NDArray[np.int64]) -> tuple[Tensor, Tensor]:
-    """Descriptors of rows, and the scores of their 10 best matches except the row itself."""
-    table = database.table()
-    queries = torch.from_numpy(
-        matrix(table.take(rows.tolist(), columns=[DESCRIPTOR])[DESCRIPTOR]).copy()
-    )
-    scores = torch.full((len(rows), 10), -torch.inf)
-    first = 0
-    for batch in read_rows(table):
-        itself = torch.from_numpy(rows[:, None] - first == np.arange(len(batch)))
-        found = match(queries, matrix(batch[DESCRIPTOR]).copy(), 10, excluded=itself)
-        scores = torch.cat([scores, found.scores], 1).topk(10).values
-        first += len(batch)
-    return queries, scores

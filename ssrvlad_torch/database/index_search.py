@@ -107,8 +107,12 @@ class IndexSearch:
             for later in range(query, min(query + _QUERIES_AHEAD, len(self))):
                 if later not in self._pending and later not in self._candidates:
                     self._pending[later] = self._pool.submit(self._nearest, later)
-            found = self._pending.pop(query).result()
-            self._candidates[query] = self._rows_of(query, found)
+            rows, found = torch.zeros(0, dtype=torch.int64), self._pending.pop(query).result()
+            if found is not None:
+                stored = np.searchsorted(self._stored_ids, found["_rowid"].to_numpy())
+                rows = torch.from_numpy(self._row_of_stored[stored])
+                self._cache.add(rows, found)
+            self._candidates[query] = rows[self._may_match(query, rows)]
         return self._candidates[query]
 
     def scores(self, query: int, rows: Tensor) -> Tensor:
@@ -141,14 +145,6 @@ class IndexSearch:
         first, last = (0, 0) if self._excluded is None else self._excluded[query].tolist()
         count = CANDIDATES + last - first  # so many are left without the excluded ones
         return nearest(self._table, vector, count, self._condition, self._cache.columns)
-
-    def _rows_of(self, query: int, found: pa.Table | None) -> Tensor:
-        if found is None:
-            return torch.zeros(0, dtype=torch.int64)
-        stored = np.searchsorted(self._stored_ids, found["_rowid"].to_numpy())
-        rows = torch.from_numpy(self._row_of_stored[stored])
-        self._cache.add(rows, found)
-        return rows[self._may_match(query, rows)]
 
     def _may_match(self, query: int, rows: Tensor) -> Tensor:
         may = torch.ones(len(rows), dtype=torch.bool)

@@ -60,13 +60,6 @@ class Origin(NamedTuple):
         space = self.label_space and self.label_space.to_dict()
         return {_ORIGIN + self.key: json.dumps({**self._asdict(), "label_space": space})}
 
-    @classmethod
-    def from_json(cls, text: str) -> Origin:
-        """The origin that the value of an entry describes."""
-        content = json.loads(text)
-        space = content.pop("label_space")
-        return cls(space and LabelSpace.from_dict(space), **content)
-
 
 class Meta(NamedTuple):
     """A table's metadata: settings (or ``None``), extra descriptors, and origins by their keys."""
@@ -103,14 +96,14 @@ class Meta(NamedTuple):
             raise ValueError(f"{path} is a table of Lance, but not a database of {FORMAT}")
         if texts.get(_DIGEST) != _digest(text):
             raise ValueError(f"{path} is damaged: the checksum of its settings does not match")
-        origins = {
-            name.removeprefix(_ORIGIN): Origin.from_json(entry)
-            for name, entry in texts.items()
-            if name.startswith(_ORIGIN)
-        }
-        for key, origin in origins.items():
-            if origin.key != key:
-                raise ValueError(f"{path} is damaged: origin {key} does not match its content")
+        origins = {}
+        for name, entry in texts.items():
+            if name.startswith(_ORIGIN):
+                content, key = json.loads(entry), name.removeprefix(_ORIGIN)
+                space = content.pop("label_space")
+                origins[key] = Origin(space and LabelSpace.from_dict(space), **content)
+                if origins[key].key != key:
+                    raise ValueError(f"{path} is damaged: origin {key} does not match its content")
         content = json.loads(text)
         extra = tuple(
             ExtraDescriptor(**{**each, "cells": tuple(each.get("cells", ()))})
