@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -40,7 +39,17 @@ class Item(NamedTuple):
 
 def read(space: LabelSpace, items: Sequence[Item]) -> list[Item]:
     """Items with label maps and their digests; those without a label map are read."""
-    read_one = partial(_read, space)
+
+    def read_one(item: Item) -> Item:
+        if item.labels is None:
+            item = item._replace(signature=item.file.signature())
+            try:
+                item = item._replace(labels=read_label_map(item.file, space))
+            except ValueError as error:
+                item = item._replace(labels=error)
+        labels = item.labels
+        return item._replace(digest=digest(labels) if isinstance(labels, np.ndarray) else "")
+
     readers = max((item.file.readers for item in items), default=1)
     if readers == 1:
         return list(map(read_one, items))
@@ -57,12 +66,8 @@ class Describer:
         self.head = head
         self.origin = origin
         self.extra = tuple(extra)
+        self.device = next(head.buffers()).device
         self._methods = extra_methods(extra)
-
-    @property
-    def device(self) -> torch.device:
-        """The device of the head."""
-        return next(self.head.buffers()).device
 
     def __call__(self, items: Sequence[Item]) -> list[Encoded | Skipped]:
         """The results of frames, in their order."""
@@ -109,19 +114,6 @@ class Describer:
             )  # fmt: skip
             encoded.append(Encoded(record, descriptors[row], own))
         return encoded
-
-
-def _read(space: LabelSpace, item: Item) -> Item:
-    labels = item.labels
-    if labels is None:
-        item = item._replace(signature=item.file.signature())
-        try:
-            labels = read_label_map(item.file, space)
-        except ValueError as error:
-            labels = error
-    return item._replace(
-        labels=labels, digest=digest(labels) if isinstance(labels, np.ndarray) else ""
-    )
 
 
 def _skipped(item: Item, reason: object) -> Skipped:

@@ -71,7 +71,7 @@ def encode_to_database(
     with closing(results), Writer(database, plan, options) as writer:
         for result in results:
             writer.add(result)
-    return writer.finish()
+    return writer.summary
 
 
 def prepared(

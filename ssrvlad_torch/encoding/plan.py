@@ -48,26 +48,22 @@ class Plan:
     def of(cls, files: Sequence[FrameFile], database: Database, origin: Origin) -> Plan:
         """The plan for files whose label maps have an origin; errors as for `check_folders` and
         `FrameRecord.of_id`, or a file is a frame of another sequence."""
-        known, origins = database.known(), database.origins
-        current = {key for key, stored in origins.items() if _why_origin(origin, stored) is None}
+        known = database.known()
+        changes = {key: _why_origin(origin, stored) for key, stored in database.origins.items()}
         check_folders(files, known)
         _check_names(files, known)
         todo, reasons, digests = list[FrameFile](), dict[str, str](), dict[str, str]()
         for file in files:
             record = known.get(file.frame)
-            reason: str | None = NEW
             if record is None:
-                FrameRecord.of_id(file.frame)
-            if record is not None:
-                reason = _why_file(file, record)
-                if record.origin not in current:
-                    reason = _why_origin(origin, origins.get(record.origin)) or reason
-            if reason is not None:
-                kept = None if file.placed else record
-                todo.append(replace(file, pose=_pose(kept)) if kept else file)
-                reasons[file.frame] = reason
-                if record is not None:
-                    digests[file.frame] = record.digest
+                FrameRecord.of_id(file.frame)  # refuses what is no id
+                reasons[file.frame] = NEW
+                todo.append(file)
+                continue
+            reason = changes.get(record.origin, LABEL_SPACE) or _why_file(file, record)
+            if reason:
+                reasons[file.frame], digests[file.frame] = reason, record.digest
+                todo.append(file if file.placed else replace(file, pose=_pose(record)))
         present, folders = {file.frame for file in files}, {file.folder for file in files}
         signatures = zip(known, known.column("signature"), strict=True)
         gone = [f for f, s in signatures if folder_of(s) in folders and f not in present]
@@ -94,9 +90,9 @@ def _pose(record: FrameRecord) -> Pose:
     return Pose(record.x, record.y, record.heading)
 
 
-def _why_origin(origin: Origin, stored: Origin | None) -> str | None:
+def _why_origin(origin: Origin, stored: Origin) -> str | None:
     """Why a frame must be encoded again for its origin; ``None`` if the origins agree."""
-    if stored is None or stored.label_space is None or origin.label_space is None:
+    if stored.label_space is None or origin.label_space is None:
         return LABEL_SPACE
     if stored.label_space.digest != origin.label_space.digest:
         return LABEL_SPACE

@@ -75,7 +75,7 @@ def encode_with_ray(
                 writer.add_staged(part.staged, part.empty)
             for result in part.results:
                 writer.add(result)
-    return writer.finish()
+    return writer.summary
 
 
 class Network(NamedTuple):
@@ -114,7 +114,12 @@ class PartEncoder:
 
     def __call__(self, files: Sequence[FrameFile], new: bool) -> Part:
         """The results of the files of a part; ``new``: none of its frames is in the database."""
-        results = self.describer(self._items(files))
+        items = list(map(Item, files))
+        if self.network:
+            self._segmenter = self._segmenter or self.network.loaded()
+            features = any(each.name == FEATURES for each in self.describer.extra)
+            items = list(segmented_items(files, self._segmenter, 1, features))
+        results = self.describer(items)
         described = [result for result in results if isinstance(result, Encoded)]
         if not new or not described:
             return Part(results)
@@ -127,13 +132,6 @@ class PartEncoder:
         staged = Database.open(self.database).write_apart(records, descriptors, extra)
         skipped = [result for result in results if isinstance(result, Skipped)]
         return Part([*skipped], staged, int((~descriptors.any(axis=1)).sum()))
-
-    def _items(self, files: Sequence[FrameFile]) -> list[Item]:
-        if self.network is None:
-            return [Item(file) for file in files]
-        self._segmenter = self._segmenter or self.network.loaded()
-        features = any(each.name == FEATURES for each in self.describer.extra)
-        return list(segmented_items(files, self._segmenter, 1, features))
 
 
 class Actor:

@@ -198,34 +198,31 @@ def _queries(
         f"{database.path} holds descriptors of pictures; expected images and --segmenter, or "
         "--no-extra"
     )
-    if other := source.database:
-        if other.fingerprint != database.fingerprint:
-            raise ValueError(
-                f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
-                f"{database.fingerprint or 'none'}: their descriptors do not compare"
-            )
-        frames = other.load()
-        if not set(extra) <= set(other.extra):
+    if not (other := source.database):
+        config = dataclasses.replace(database.config, labels_as=source.labels_as)
+        if extra and not source.segmenter:
             raise no_pictures
-        used = {method.name: frames.extra[method.name] for method in extra}
-        frames = dataclasses.replace(_renamed(frames, other, source), extra=used)
-        return frames, [], () if source.sequence else other.folders()
-    config = dataclasses.replace(database.config, labels_as=source.labels_as)
-    if extra and not source.segmenter:
+        head, files = query_head(config, columns), source.files
+        frames, skipped = encode_to_memory(
+            head, files, source.workers, progress, source.segmenter, extra
+        )
+        return frames, skipped, {(file.folder, file.sequence) for file in files}
+    if other.fingerprint != database.fingerprint:
+        raise ValueError(
+            f"{other.path} has fingerprint {other.fingerprint or 'none'}, {database.path} has "
+            f"{database.fingerprint or 'none'}: their descriptors do not compare"
+        )
+    frames = other.load()
+    if not set(extra) <= set(other.extra):
         raise no_pictures
-    head, files = query_head(config, columns), source.files
-    frames, skipped = encode_to_memory(
-        head, files, source.workers, progress, source.segmenter, extra
-    )
-    return frames, skipped, {(file.folder, file.sequence) for file in files}
-
-
-def _renamed(frames: FrameSet, database: Database, source: Source) -> FrameSet:
-    """The frames of a database that is the source, in the sequence that ``--sequence`` names."""
+    used = {method.name: frames.extra[method.name] for method in extra}
+    frames = dataclasses.replace(frames, extra=used)
     if (name := source.sequence) is None:
-        check_sequences(database.folders(), source.known)
-        return frames
+        folders = other.folders()
+        check_sequences(folders, source.known)
+        return frames, [], folders
     if len(set(frames.sequences)) > 1:
-        raise ValueError(f"--sequence names one sequence, {database.path} holds several")
+        raise ValueError(f"--sequence names one sequence, {other.path} holds several")
     ids = tuple(f"{name}/{frame.rpartition('/')[2]}" for frame in frames.frames)
-    return dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
+    named = dataclasses.replace(frames, frames=ids, sequences=(name,) * len(frames))
+    return named, [], ()

@@ -30,8 +30,14 @@ class Writer:
     def __enter__(self) -> Writer:
         return self
 
-    def __exit__(self, *_exception: object) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
+        """Commits the last frames; without an error, removes or reports those that are gone."""
         self.commit()
+        if kind is None and self._options.prune:
+            self._database.remove(self._plan.gone)
+            self.summary.pruned = len(self._plan.gone)
+        elif kind is None and self._options.complete:
+            self.summary.gone = self._plan.gone
 
     def add(self, result: Encoded | Skipped) -> None:
         """Adds the result of a frame."""
@@ -68,12 +74,3 @@ class Writer:
             self.summary.anew.update(reason for reason in reasons if reason != NEW)
             self.summary.empty += int((~descriptors.any(axis=1)).sum())
         self._due = time.monotonic() + COMMIT_SECONDS
-
-    def finish(self) -> Summary:
-        """Removes or reports the frames that are gone, and returns the summary."""
-        if self._options.prune:
-            self._database.remove(self._plan.gone)
-            self.summary.pruned = len(self._plan.gone)
-        elif self._options.complete:
-            self.summary.gone = self._plan.gone
-        return self.summary
