@@ -131,12 +131,10 @@ class Database:
             path: a new or an empty folder, or a URI.
             config: the settings of all descriptors; a custom label space is stored with them.
             width: instead of ``config``, the length of descriptors that another method makes.
-            extra: extra descriptors that every frame has.
+            extra: extra descriptors that every frame has, with names that no other column has.
 
         Raises:
-            ValueError: ``path`` is in use or no path, not exactly one of config and width is given,
-                the width is no integer from 1, or the name of an extra descriptor is that of
-                another column.
+            ValueError: ``path`` is in use, or an argument is not as above.
             OSError: the folder cannot be written.
         """
         text = _text(path)
@@ -175,9 +173,9 @@ class Database:
             version: one of `history`, opened read-only; by default the newest.
 
         Raises:
-            ValueError: the database does not exist, is damaged, or was made by another version of
-                the method. If only the newest versions are damaged, the message names the last
-                readable one and the files of the others.
+            ValueError: the database does not exist, was made by another version of the method, or
+                is damaged; the message then names the last readable version, if there is one, and
+                the files of those after it.
         """
         text = _text(path)
         if is_local(text) and not cls.exists(text):
@@ -338,16 +336,8 @@ class Database:
     def add_origin(
         self, label_space: LabelSpace | None, segmenter: str = "", network: str = ""
     ) -> str:
-        """Stores an origin of label maps in one commit, unless it is stored already.
-
-        Args:
-            label_space: stored with all its classes.
-            segmenter: identity of the network, empty for label maps read from files.
-            network: name that opens the network again.
-
-        Returns:
-            Its key, for `FrameRecord.origin`.
-        """
+        """Stores an origin of label maps, see `Origin`, in one commit, unless it is stored already.
+        Returns its key, for `FrameRecord.origin`."""
         origin = Origin(label_space, segmenter, network)
         if origin.key not in self.origins:
             self._apply(partial(engine.add_metadata, entries=origin.to_entry()))
@@ -396,7 +386,8 @@ class Database:
 
     def remove(self, frames: Collection[str]) -> None:
         """Removes frames by their ids, in one commit; ignores ids that are not in the database."""
-        self._change([StagedRows((), tuple(sorted(set(require_list(frames)))))], "remove")
+        require_list(frames)
+        self._change([StagedRows((), tuple(sorted(set(frames))))], "remove")
 
     def write_apart(
         self,
@@ -420,16 +411,10 @@ class Database:
         return StagedRows(texts, tuple(rows["frame"].to_pylist()))
 
     def adopt(self, written: Sequence[StagedRows], check: Check | None = None) -> None:
-        """Adds rows that `write_apart` wrote, in one commit.
-
-        Args:
-            written: the rows.
-            check: called with the records of the version that is changed, if others have made it
-                since this object last read or wrote the database; an error of it ends the change.
-
-        Raises:
-            ValueError: a frame is in the database already, or was written twice.
-        """
+        """Adds rows that `write_apart` wrote, in one commit. A frame that is in the database
+        already, or was written twice, is a ValueError. ``check`` is called with the records of the
+        version that is changed, if others have made it since this object last read or wrote the
+        database; an error of it ends the change."""
         self._change(written, "append", check)
 
     def drop_damaged(self) -> list[Damage]:
@@ -444,14 +429,12 @@ class Database:
         self._apply(partial(engine.create_index, column=column, kind=kind, lists=lists, **options))
 
     def compact(self, keep_days: float = 14) -> None:
-        """Joins small files, and deletes old versions with the files that only they need.
+        """Joins small files, and deletes versions older than ``keep_days`` with the files that only
+        they need.
 
         A version that a process reads, or is writing on, is not deleted, nor are those after it. In
         an object store and on Windows, where this cannot be seen, versions are kept until an hour
         after the next one.
-
-        Args:
-            keep_days: keep versions younger than this.
         """
         self._apply(engine.compact)
         engine.clean(self.path, timedelta(days=keep_days))
@@ -505,4 +488,5 @@ def _text(path: str | Path) -> str:
 
 
 def _records(frames: Sequence[FrameRecord | str]) -> list[FrameRecord]:
-    return [FrameRecord.of_id(f) if isinstance(f, str) else f for f in require_list(frames)]
+    require_list(frames)
+    return [FrameRecord.of_id(f) if isinstance(f, str) else f for f in frames]

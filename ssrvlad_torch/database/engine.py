@@ -53,8 +53,8 @@ _CHANGES = {
 
 
 def lance() -> Any:
-    """The module, imported at first use, with only errors logged to the terminal; an OSError if so
-    few files can be open at once that Lance would panic; errors as for `require_unforked`."""
+    """The module, with only errors logged. If so few files can be open that it would panic, an
+    OSError; other errors as for `require_unforked`."""
     with contextlib.suppress(ImportError):  # Windows has no such limit
         import resource
 
@@ -145,8 +145,7 @@ def writing(uri: str) -> Iterator[None]:
 
 def change_table(uri: str, change: Callable[[LanceDataset], LanceDataset]) -> LanceDataset:
     """Applies a change to the newest version of a table; again if another writer was faster. An
-    OSError if that happens too often or the table cannot be written; errors of ``change`` pass
-    through."""
+    OSError if that happens too often or the table cannot be written."""
     for attempt in range(_ATTEMPTS):
         try:
             with writing(uri):
@@ -174,12 +173,8 @@ def create(uri: str, schema: pa.Schema) -> LanceDataset:
 
 
 def discard_empty(uri: str, error: BaseException | None) -> None:
-    """After an error, deletes a local table that has no rows and that nobody else uses.
-
-    Args:
-        uri: the table.
-        error: its traceback is cleared of local variables, which may hold versions.
-    """
+    """After an error, deletes a local table that has no rows and that nobody else uses. The error's
+    traceback is cleared of local variables, which may hold versions."""
     while error:
         traceback.clear_frames(error.__traceback__)
         error = error.__cause__ or error.__context__

@@ -25,15 +25,16 @@ _GROUP_BYTES = 1024
 def export_database(database: Database, form: Format, file: Path) -> list[Path]:
     """Writes raw descriptors and frame ids, in natural order, to files of another format.
 
+    ``npy`` is an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON file with
+    fingerprint and settings, and an array for each extra descriptor, with its fingerprint in a text
+    file. ``hloc`` is an HDF5 file with one group per frame, named by its id: ``global_descriptor``,
+    ``(D,)`` float32, as hloc's ``extract_features`` writes it
+    (https://github.com/cvg/Hierarchical-Localization), and a data set for each extra descriptor.
+    Fingerprint and settings are in the file's attribute ``ssrvlad``.
+
     Args:
         database: the database.
-        form: ``npy``: an ``(R, D)`` float32 array, a text file with one frame id per line, a JSON
-            file with fingerprint and settings, and an array for each extra descriptor, with its
-            fingerprint in a text file.
-            ``hloc``: an HDF5 file with one group per frame, named by its id. The group holds
-            ``global_descriptor``, ``(D,)`` float32, as hloc's ``extract_features`` writes it
-            (https://github.com/cvg/Hierarchical-Localization), and a data set for each extra
-            descriptor. Fingerprint and settings are in the file's attribute ``ssrvlad``.
+        form: ``npy`` or ``hloc``.
         file: the array or the HDF5 file; other files are written beside it.
 
     Returns:

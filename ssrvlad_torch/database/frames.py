@@ -5,17 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 if TYPE_CHECKING:
     from torch import Tensor
-
-_NAN = float("nan")
-
-_Collection = TypeVar("_Collection", bound=Collection[Any])
 
 
 class FrameRecord(NamedTuple):
@@ -37,10 +33,10 @@ class FrameRecord(NamedTuple):
 
     sequence: str
     name: str
-    x: float = _NAN
-    y: float = _NAN
-    heading: float = _NAN
-    stamp: float = _NAN
+    x: float = math.nan
+    y: float = math.nan
+    heading: float = math.nan
+    stamp: float = math.nan
     signature: str = ""
     digest: str = ""
     height: int = 0
@@ -60,11 +56,7 @@ class FrameRecord(NamedTuple):
 
     @classmethod
     def of_id(cls, frame: str) -> FrameRecord:
-        """A record with only the frame's id.
-
-        Raises:
-            ValueError: the text is not an id.
-        """
+        """A record with only the frame's id; a ValueError if the text is not one."""
         sequence, slash, name = frame.rpartition("/")
         parts = (sequence, name) if slash else (name,)
         if not all(part and part == part.strip() for part in parts):
@@ -108,11 +100,10 @@ class FrameSet:
         )
 
 
-def require_list(frames: _Collection) -> _Collection:
-    """The frames unchanged; raises ValueError for a single text, whose letters would be ids."""
+def require_list(frames: Collection[object]) -> None:
+    """Raises ValueError for a single text, whose letters would be ids."""
     if isinstance(frames, str):
         raise ValueError(f"expected a list of frames, got the text {frames!r}")
-    return frames
 
 
 def is_text(frame: object) -> bool:
@@ -124,8 +115,8 @@ def is_text(frame: object) -> bool:
 
 
 def checked_pose(pose: Sequence[float] | None, frame: str) -> tuple[float, float, float]:
-    """Metres and radians of a frame, NaN where unknown; half a position, infinite numbers and what
-    are no numbers are a ValueError."""
+    """A pose as three numbers, NaN where unknown; half a position, infinite numbers and what are no
+    numbers are a ValueError."""
     if pose is None:
         return math.nan, math.nan, math.nan
     numbers = numbers_of(pose)

@@ -51,7 +51,7 @@ def schema(shapes: Mapping[str, Shape]) -> pa.Schema:
 def to_table(
     records: Sequence[FrameRecord], descriptors: Mapping[str, Vectors], shapes: Mapping[str, Shape]
 ) -> pa.Table:
-    """N records and their descriptors as rows; descriptors are as `_checked` requires."""
+    """N records and their descriptors, which are checked, as rows."""
     columns: dict[str, Any] = {
         name: [getattr(record, name) for record in records] for name in RECORD_COLUMNS
     }
@@ -69,8 +69,7 @@ def to_table(
 
 def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> None:
     """Raises a ValueError for a record without a name, for an id that is no UTF-8, no id or given
-    twice, for half a position or an infinite one, and for an origin that a database with these does
-    not have."""
+    twice, for half a position or an infinite one, and for an origin that is not among these."""
     if not all(record.name for record in records):
         raise ValueError("a frame has no name")
     for record in records:
@@ -89,13 +88,14 @@ def check_records(records: Sequence[FrameRecord], origins: Collection[str]) -> N
 
 
 class StoredRecords(Mapping[str, FrameRecord]):
-    """The records of a database by frame id, in the order in which they are stored in a table with
-    the columns `RECORD_COLUMNS`. A record is built when it is looked up, so that millions of them
-    take little memory."""
+    """The records of a database by frame id, in the order in which they are stored in ``table``
+    with the columns `RECORD_COLUMNS`. A record is built when it is looked up, so that millions of
+    them take little memory."""
 
     def __init__(self, table: pa.Table) -> None:
+        self.table = table
         self._columns = [column.combine_chunks() for column in table.columns]
-        self._rows = {frame: row for row, frame in enumerate(table["frame"].to_pylist())}
+        self._rows = {frame: row for row, frame in enumerate(self.column("frame"))}
 
     def __getitem__(self, frame: str) -> FrameRecord:
         row = self._rows[frame]
@@ -108,13 +108,9 @@ class StoredRecords(Mapping[str, FrameRecord]):
     def __len__(self) -> int:
         return len(self._rows)
 
-    def folders(self) -> set[tuple[str, str]]:
-        """See `folders_of`."""
-        return folders_of(pa.table(self._columns, RECORD_COLUMNS))
-
     def column(self, name: str) -> list[Any]:
         """One attribute of all records, in their order."""
-        values: list[Any] = self._columns[RECORD_COLUMNS.index(name)].to_pylist()
+        values: list[Any] = self.table[name].to_pylist()
         return values
 
 
@@ -129,9 +125,8 @@ def folders_of(table: pa.Table) -> set[tuple[str, str]]:
 
 
 def _checked(name: str, descriptors: Vectors, shape: Shape) -> npt.NDArray[Any]:
-    """Descriptors as an array: float32 ``(N, D)``, or uint8 signs of another shape. Another shape
-    or dtype, and rows that are not finite or whose length does not fit into float32, are a
-    ValueError."""
+    """Descriptors as an array: float32 ``(N, D)``, or uint8 signs of another shape. Others, and
+    rows that are not finite or whose length does not fit into float32, are a ValueError."""
     detach = getattr(descriptors, "detach", None)
     values = np.asarray(detach().cpu() if detach else descriptors)
     kind = dtype_of(shape[1:])

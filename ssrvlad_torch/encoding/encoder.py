@@ -55,9 +55,8 @@ def encode_to_database(
         segmenter: makes label maps in the head's label space; without it, files are label maps.
 
     Raises:
-        ValueError: the fingerprints differ, the segmenter has another label space, a sequence of
-            the database comes from another folder, or the database stores descriptors of pictures
-            and there is no segmenter, or features of another one.
+        ValueError: the settings or the segmenter do not fit the database, see `Database.require`
+            and `encode`, or a sequence of the database comes from another folder.
         OSError: the database cannot be written.
 
     Examples:
@@ -110,16 +109,17 @@ def encode_to_memory(
             frames.append(frame)
         progress(1)
     records = [frame.record for frame in frames]
-    none = np.zeros((0, head.config.length), np.float32)
-    descriptors = np.stack([frame.descriptor for frame in frames]) if frames else none
+    descriptors = torch.zeros(0, head.config.length)
+    if frames:
+        descriptors = torch.from_numpy(np.stack([frame.descriptor for frame in frames]))
     names = [each.name for each in extra if frames]
     return FrameSet(
         frames=tuple(record.frame for record in records),
         sequences=tuple(record.sequence for record in records),
-        descriptors=torch.from_numpy(descriptors),
-        poses=np.array([(r.x, r.y, r.heading) for r in records], np.float64).reshape(-1, 3),
+        descriptors=descriptors,
+        poses=np.array([record[2:5] for record in records], np.float64).reshape(-1, 3),
         stamps=np.array([record.stamp for record in records], np.float64),
-        empty=~torch.from_numpy(descriptors).flatten(1).any(1).numpy(),
+        empty=~descriptors.flatten(1).any(1).numpy(),
         extra={n: torch.from_numpy(np.stack([f.extra[n] for f in frames])) for n in names},
     ), skipped
 
@@ -131,8 +131,8 @@ def encode(
     segmenter: Segmenter | None = None,
     extra: Sequence[ExtraDescriptor] = (),
 ) -> Iterator[Encoded | Skipped]:
-    """Encodes frames, label maps, or images with a segmenter, in order, with extra descriptors of
-    the pictures. Extra descriptors without a segmenter, and a segmenter of another label space or
+    """Encodes label maps, or images with a segmenter, in order, with extra descriptors of the
+    pictures. Extra descriptors without a segmenter, and a segmenter of another label space or
     with other descriptors, are a ValueError.
 
     Each worker, by default one for each core, is a thread that reads and describes one batch at a

@@ -35,8 +35,7 @@ def extra_descriptors(
 
 
 def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None) -> None:
-    """Raises a ValueError unless extra descriptors, of a database or asked for, are those that are
-    computed now."""
+    """Raises a ValueError unless extra descriptors are those that are computed now."""
     for each in stored:
         if segmenter is None:
             raise ValueError(

@@ -11,7 +11,7 @@ import numpy as np
 from ..database.database import Database
 from ..database.frames import FrameRecord, folder_of
 from ..database.metadata import Origin
-from ..database.rows import StoredRecords
+from ..database.rows import StoredRecords, folders_of
 from ..datasets.frame_file import FrameFile
 from ..datasets.names import check_sequences, is_same_folder
 from ..datasets.poses import Pose
@@ -103,7 +103,7 @@ def check_folders(files: Sequence[FrameFile], known: StoredRecords) -> None:
     """Raises a ValueError for a file with the sequence, or the frame id, of another folder, whose
     frames it would overwrite or join. A sequence that the user named may have several folders."""
     folders = {(file.folder, file.sequence) for file in files if not file.named}
-    check_sequences(folders, known.folders())
+    check_sequences(folders, folders_of(known.table))
     for file in files:
         if file.named and (record := known.get(file.frame)):
             check_folder(file, record)
@@ -121,7 +121,7 @@ def check_folder(file: FrameFile, record: FrameRecord) -> None:
 
 def _check_names(files: Sequence[FrameFile], known: StoredRecords) -> None:
     """Requires that no file is stored already as a frame of another sequence."""
-    stored = known.folders()
+    stored = folders_of(known.table)
     for folder, name in {(file.folder, file.sequence) for file in files if file.named}:
         others = {other for of, other in stored if of and is_same_folder(of, folder)} - {name}
         for file in files if others else ():

@@ -54,12 +54,12 @@ def encode_with_ray(
     """Encodes frames with Ray; arguments, result and errors are those of `encode_to_database`.
 
     Every node of the cluster must be able to open the files, the database, and the network by its
-    name. A worker is an actor with one core and ``gpus``. It loads the network once, segments and
-    describes frames and takes their features; it uses the cache if it can open its folder. It
-    writes new frames to files of the database. The caller's process commits these every few
-    seconds, at the end, and when the run is interrupted. If an actor is lost, another repeats its
-    work. Frames that replace others are sent to the caller's process and written there. Too few
-    GPUs are a ValueError, an error of Ray is an OSError, and its extra missing an ImportError.
+    name. A worker is an actor with one core and ``gpus``, which loads the network once, and uses
+    the cache if it can open its folder. It writes new frames to files of the database, which the
+    caller's process commits every few seconds, at the end, and when the run is interrupted. If an
+    actor is lost, another repeats its work. Frames that replace others are written by the caller's
+    process. Too few GPUs are a ValueError, an error of Ray is an OSError, and its extra missing an
+    ImportError.
     """
     with requiring("ray", "--engine ray needs"):
         import ray.data  # noqa: F401
@@ -167,7 +167,11 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
     ]
     if not rows:
         return
-    _quiet_ray()
+    if not ray.is_initialized():
+        os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "fatal")
+        ray.init(logging_level=logging.ERROR, log_to_driver=False, include_dashboard=False)
+    logging.getLogger("ray.data").setLevel(logging.CRITICAL)
+    ray.data.DataContext.get_current().enable_progress_bars = False
     gpus = options.gpus if encoder.network else 0
     if gpus > (found := ray.cluster_resources().get("GPU", 0)):
         raise ValueError(f"the cluster has {found:g} GPUs, expected {gpus:g} for each worker")
@@ -189,14 +193,3 @@ def _parts(encoder: PartEncoder, plan: Plan, options: EncodeOptions) -> Iterator
     except ray.exceptions.RayError as error:
         cause = error.cause if isinstance(error, ray.exceptions.RayTaskError) else error
         raise OSError(f"Ray failed: {one_line(cause)}") from error
-
-
-def _quiet_ray() -> None:
-    """Connects to Ray unless the process is connected, and silences its logs."""
-    import ray.data
-
-    if not ray.is_initialized():
-        os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "fatal")
-        ray.init(logging_level=logging.ERROR, log_to_driver=False, include_dashboard=False)
-    logging.getLogger("ray.data").setLevel(logging.CRITICAL)
-    ray.data.DataContext.get_current().enable_progress_bars = False

@@ -73,7 +73,19 @@ def search(
     methods = () if extra is False else database.extra
     if any(reach) and any(each.cells for each in methods):
         raise ValueError("features are signs, which have no temporal sum; expected --no-extra")
-    references, t = _references(database, *reach)
+    references = database.load()
+    if not references.frames:
+        raise ValueError(f"{database.path} holds no frames yet")
+    t: int | dict[str, int] = reach[0]
+    if any(reach):
+        if reach[1] is not None:
+            t = frames_within(references.poses, references.sequences, reach[1])
+        numbers = [each for each in references.extra.values() if each.is_floating_point()]
+        for run in runs(references.sequences):
+            names = references.sequences[run.start : run.stop]
+            for values in (references.descriptors, *numbers):
+                rows = values[run.start : run.stop]
+                temporal_sum(rows, names, t if isinstance(t, int) else t[names[0]], out=rows)
     columns = COLUMNS if steps.sweep else ()
     queries, skipped, folders = _queries(database, source, columns, methods, progress)
     vectors, without = queries.descriptors, excluded(queries, references)
@@ -161,27 +173,6 @@ def accepted(
     scores, indices = recognised.matches
     scores = scores.clamp(max=1).masked_fill(unsure, -torch.inf)
     return Matches(scores, indices.masked_fill(unsure, -1)), found
-
-
-def _references(
-    database: Database, reach: int, metres: float | None
-) -> tuple[FrameSet, int | dict[str, int]]:
-    """The frames of a database after the temporal sum, and t of Eq. 3 (of each sequence)."""
-    frames = database.load()
-    if not frames.frames:
-        raise ValueError(f"{database.path} holds no frames yet")
-    if not (reach or metres):
-        return frames, 0
-    ts = dict.fromkeys(frames.sequences, reach)
-    if metres is not None:
-        ts = frames_within(frames.poses, frames.sequences, metres)
-    for run in runs(frames.sequences):
-        names = frames.sequences[run.start : run.stop]
-        numbers = (each for each in frames.extra.values() if each.is_floating_point())
-        for values in (frames.descriptors, *numbers):
-            rows = values[run.start : run.stop]
-            temporal_sum(rows, names, ts[names[0]], out=rows)
-    return frames, reach if metres is None else ts
 
 
 def _queries(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import AbstractContextManager
 from functools import partial
 
 import numpy as np
@@ -15,7 +16,7 @@ COMMIT_ROWS, COMMIT_SECONDS = 8192, 10.0
 """A commit is made after this number of frames or this time."""
 
 
-class Writer:
+class Writer(AbstractContextManager["Writer"]):
     """Collects encoded frames and commits them to a database; the last ones when it is closed."""
 
     def __init__(self, database: Database, plan: Plan, options: EncodeOptions) -> None:
@@ -26,9 +27,6 @@ class Writer:
         self._waiting: list[Encoded] = []
         self._staged: list[StagedRows] = []
         self._due = time.monotonic() + COMMIT_SECONDS
-
-    def __enter__(self) -> Writer:
-        return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         """Commits the last frames; without an error, removes or reports those that are gone."""
