@@ -1,7 +1,7 @@
 """Folders of label maps and a database of them, for the tests of encoding."""
 
 import torch
-from helpers import write_street
+from helpers import street, write_street
 from PIL import Image
 
 from ssrvlad_torch import SSRVLAD
@@ -33,13 +33,18 @@ class Maps:
     def database(self):
         return Database.open_or_create(self.folder / "town.ssrdb", HEAD.config)
 
-    def encode(self, *folders, head=HEAD, **options):
-        files = self.files(*folders)
+    def encode(self, *folders, head=HEAD, sequence=None, known=(), **options):
+        files = self.files(*folders, sequence=sequence, known=known)
         return encode_to_database(head, files, self.database(), EncodeOptions(**options))
 
 
 def alone(labels):
     return HEAD(torch.from_numpy(labels)[None])[0]
+
+
+def assert_streets(frames, seeds):
+    """Asserts that frames have the descriptors of these streets."""
+    assert torch.equal(frames.descriptors, torch.stack([alone(street(seed)) for seed in seeds]))
 
 
 def counts(summary):

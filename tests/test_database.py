@@ -19,6 +19,8 @@ from ssrvlad_torch.database.frame_sets import order_of
 from ssrvlad_torch.files import natural_key
 from ssrvlad_torch.taxonomy import LabelClass, LabelSpace, label_space
 
+ONE = torch.ones(1, 480)
+
 
 @pytest.fixture
 def path(tmp_path):
@@ -55,26 +57,20 @@ def test_stored_frames_are_loaded_bit_for_bit(tmp_path):
 
 
 def test_custom_descriptors_need_only_ids_and_have_no_settings(tmp_path):
-    database = Database.create(tmp_path / "db", width=7)
-    numbers = descriptors(0, 3, 7)
-    database.append(["one", "drive/2", "drive/10"], numbers.numpy())
+    numbers, names = descriptors(0, 3, 7), ("one", "drive/2", "drive/10")
+    Database.create(tmp_path / "db", width=7).append(names, numbers.numpy())
     opened = Database.open(tmp_path / "db")
-    assert opened.load().frames == ("one", "drive/2", "drive/10")
+    assert opened.load().frames == names
     assert torch.equal(opened.load().descriptors, numbers)
-    assert (opened.fingerprint, opened.width) == ("", 7)
-    assert opened.info()["config"] is None
+    assert (opened.fingerprint, opened.width, opened.info()["config"]) == ("", 7, None)
     with pytest.raises(ValueError, match="without settings"):
         opened.require(CONFIG)
-    with pytest.raises(ValueError, match=r"config .* or the width"):
-        Database.create(tmp_path / "other")
 
 
 def test_an_empty_database_is_a_database(tmp_path):
     assert Database.create(tmp_path / "db", CONFIG)
     frames = Database.open(tmp_path / "db").load()
-    assert frames.frames == ()
-    assert frames.descriptors.shape == (0, 480)
-    assert frames.poses.shape == (0, 3)
+    assert (frames.frames, frames.descriptors.shape, frames.poses.shape) == ((), (0, 480), (0, 3))
 
 
 def test_frames_are_in_natural_order_however_they_were_added(path, tmp_path):
@@ -98,25 +94,23 @@ def test_frames_whose_names_differ_only_in_digits_are_in_natural_order(form, num
     assert table["frame"].take(order_of(table)).to_pylist() == expected
 
 
-def test_an_error_about_other_settings_shows_both_fingerprints_and_the_difference(path):
+def test_other_settings_are_refused_with_both_fingerprints_and_the_difference(path, monkeypatch):
     other = SSRVLADConfig.from_preset("paper", rings=4)
     for refuse in (Database.open_or_create, lambda path, c: Database.open(path).require(c)):
         message = "working_size 120 there and None here"
         with refused(message, CONFIG.fingerprint, other.fingerprint) as refusal:
             refuse(path, other)
         assert "labels_as" not in str(refusal.value)
-
-
-def test_another_revision_of_the_method_is_refused(path, monkeypatch):
-    """The same settings give other descriptors there."""
     monkeypatch.setitem(config_module.METHOD_REVISIONS, "harmonics", 99)
-    with refused("another version of the method"):
+    with refused("another version of the method"):  # gives other descriptors
         Database.open(path)
 
 
 def test_each_row_names_the_label_space_and_segmenter_that_made_it(path):
-    database = Database.open(path)
-    spaces = [label_space("camvid-11"), edited(label_space("camvid-11"))]
+    database, space = Database.open(path), label_space("camvid-11")
+    first = space.classes[0]
+    changed = LabelClass(first.id, first.name, "building", first.colour)
+    spaces = [space, LabelSpace(space.name, space.source, (changed, *space.classes[1:]))]
     keys = [database.add_origin(space) for space in spaces] + [database.add_origin(None, "net")]
     assert len(set(keys)) == 3, "an edited label space of the same name is another"
     assert database.add_origin(spaces[0]) == keys[0]
@@ -124,96 +118,74 @@ def test_each_row_names_the_label_space_and_segmenter_that_made_it(path):
     database.append([record(f"b/{k}", origin=k) for k in keys], descriptors(2, 3))
     known, origins = Database.open(path).known(), Database.open(path).origins
     assert [origins[known[f"b/{key}"].origin].label_space for key in keys] == [*spaces, None]
-    with pytest.raises(ValueError, match="origin 'feed' is not in"):
-        database.append([record("c/0", origin="feed")], descriptors(3, 1))
 
 
-def edited(space):
-    first = space.classes[0]
-    changed = LabelClass(first.id, first.name, "building", first.colour)
-    return LabelSpace(space.name, space.source, (changed, *space.classes[1:]))
-
-
-@pytest.mark.parametrize("shape", [(1, 480), (3, 480), (2, 479), (2, 1, 480), (960,)])
-def test_descriptors_of_another_shape_are_refused(path, shape):
-    with pytest.raises(ValueError, match=r"expected \(2, 480\)"):
-        Database.open(path).append(["a/1", "a/2"], torch.zeros(shape))
-
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        (torch.nan, "not finite"),
-        (torch.inf, "not finite"),
-        (3e38, "too large for float32 to measure"),
-        (1e-30, "too small for float32 to measure"),
+REFUSED = {
+    r"descriptor: expected \(2, 480\)": [
+        (["a/1", "a/2"], torch.zeros(shape))
+        for shape in ((1, 480), (3, 480), (2, 479), (2, 1, 480), (960,))
     ],
-)
-def test_descriptors_without_a_length_are_refused(path, value, message):
-    with pytest.raises(ValueError, match=message):
-        Database.open(path).append(["a/1"], torch.full((1, 480), value))
-    for numbers in (np.full((1, 480), 1j), np.full((1, 480), "1")):
-        with pytest.raises(ValueError, match="descriptor: expected real numbers, got "):
-            Database.open(path).append(["a/1"], numbers)
+    "descriptor: expected real numbers, got ": [
+        (["a/1"], np.full((1, 480), value)) for value in (1j, "1")
+    ],
+    "not finite": [(["a/1"], ONE * math.nan), (["a/1"], ONE * math.inf)],
+    "too large for float32 to measure": [(["a/1"], ONE * 3e38)],
+    "too small for float32 to measure": [(["a/1"], ONE * 1e-30)],
+    "expected a frame id, <sequence>/<name> or <name>, got ": [
+        ([frame], ONE)
+        for frame in ("", " ", "a/", "/1", " a/1", "a/1\n")
+    ],
+    "expected a frame id, .* got 'a ?/1 ?'": [
+        ([record("a/1", **wrong)], ONE) for wrong in ({"sequence": "a "}, {"name": "1 "})
+    ],
+    "a frame has no name": [([record("a/1", name="")], ONE)],
+    "expected the name of a frame without '/', got 'b/1'": [([record("a/1", name="b/1")], ONE)],
+    r"UTF-8 in the id of a frame, got 'a/\\udcff'": [(["a/\udcff"], ONE)],
+    "frame 'a/1': expected a pose of finite x, y, heading": [
+        ([record("a/1", **pose)], ONE)
+        for pose in ({"x": 1.0}, {"x": math.inf, "y": 2}, {"heading": math.inf})
+    ],
+    "origin 'feed' is not in": [([record("a/1", origin="feed")], ONE)],
+    "expected a list of frames, got the text 'ab'": [("ab", torch.ones(2, 480))],
+    "'day/2' is in": [
+        (frames, torch.ones(2, 480)) for frames in (["a/1", "day/2"], ["day/2", "a/1"])
+    ],
+    "'a/1' is given 2 times": [(["a/1", "a/1"], torch.ones(2, 480))],
+}
 
 
-@pytest.mark.parametrize("frame", ["", " ", "a/", "/1", " a/1", "a/1\n"])
-def test_an_invalid_id_is_refused(path, frame):
-    with pytest.raises(ValueError, match="expected a frame id, <sequence>/<name> or <name>, got "):
-        Database.open(path).append([frame], torch.ones(1, 480))
-    with pytest.raises(ValueError, match="has no name"):
-        Database.open(path).append([record("a/1")._replace(name="")], torch.ones(1, 480))
-    for wrong in ({"sequence": "a "}, {"name": "1 "}, {"name": "b/1"}):
-        with pytest.raises(ValueError, match=r"expected a frame id|frame without '/', got 'b/1'"):
-            Database.open(path).append([record("a/1")._replace(**wrong)], torch.ones(1, 480))
-    with pytest.raises(ValueError, match=r"UTF-8 in the id of a frame, got 'a/\\udcff'"):
-        Database.open(path).append(["a/\udcff"], torch.ones(1, 480))
-
-
-@pytest.mark.parametrize("pose", [{"x": 1.0}, {"x": math.inf, "y": 2}, {"heading": math.inf}])
-def test_a_pose_that_is_not_finite_is_refused(path, pose):
-    with pytest.raises(ValueError, match="frame 'a/1': expected a pose of finite x, y, heading"):
-        Database.open(path).append([record("a/1")._replace(**pose)], torch.ones(1, 480))
-
-
-def test_a_single_text_is_not_a_list_of_ids(path):
-    with pytest.raises(ValueError, match="expected a list of frames, got the text 'ab'"):
-        Database.open(path).append("ab", torch.ones(2, 480))
-    with pytest.raises(ValueError, match="got the text 'day/1'"):
-        Database.open(path).remove("day/1")
-
-
-@pytest.mark.parametrize("frames", [["a/1", "day/2"], ["day/2", "a/1"], ["a/1", "a/1"]])
-def test_an_append_with_a_stored_frame_adds_nothing(path, frames):
+@pytest.mark.parametrize("message", REFUSED)
+def test_wrong_frames_are_refused_and_nothing_is_added(path, message):
     before = loaded(path)
-    with refused(r"'day/2' is in|'a/1' is given 2 times"):
-        fill(Database.open(path), frames)
+    for frames, numbers in REFUSED[message]:
+        with refused(message):
+            Database.open(path).append(frames, numbers)
     assert loaded(path) == before
 
 
-def test_a_path_that_is_not_a_database_is_refused_and_not_changed(tmp_path):
+def test_a_path_that_is_not_a_database_is_refused_and_not_changed(path, tmp_path):
     (tmp_path / "folder").mkdir()
     (tmp_path / "folder" / "letter.txt").write_text("dear")
-    lance.write_dataset(foreign_table(), tmp_path / "table")
-    for name in ("folder", "folder/letter.txt"):
-        with pytest.raises(ValueError, match=r"is not a database"):
-            Database.open(tmp_path / name)
-    with pytest.raises(ValueError, match="missing does not exist"):
-        Database.open(tmp_path / "missing")
-    with pytest.raises(ValueError, match="is a table of Lance, but not a database"):
-        Database.open(tmp_path / "table")
-    old = foreign_table().replace_schema_metadata({"ssrvlad": '{"format": "ssrvlad-database-0"}'})
+    foreign = pa.table({"a": [1]})
+    lance.write_dataset(foreign, tmp_path / "table")
+    old = foreign.replace_schema_metadata({"ssrvlad": '{"format": "ssrvlad-database-0"}'})
     lance.write_dataset(old, tmp_path / "old")
-    with refused(r"old was made by an earlier format of database: encode it again$"):
-        Database.open(tmp_path / "old")
+    for name, message in {
+        "folder": "folder is not a database",
+        "folder/letter.txt": r"letter\.txt is not a database",
+        "missing": "missing does not exist",
+        "table": "is a table of Lance, but not a database",
+        "old": r"old was made by an earlier format of database: encode it again$",
+    }.items():
+        with refused(message):
+            Database.open(tmp_path / name)
     for name in ("folder", "folder/letter.txt"):
         with pytest.raises(ValueError, match="exists and is not a database"):
             Database.create(tmp_path / name, CONFIG)
     assert [entry.name for entry in (tmp_path / "folder").iterdir()] == ["letter.txt"]
-
-
-def foreign_table():
-    return pa.table({"a": [1]})
+    with pytest.raises(ValueError, match="is a database already"):
+        Database.create(path, CONFIG)
+    assert len(Database.open(path)) == len(FRAMES)
 
 
 @pytest.mark.parametrize(
@@ -222,15 +194,10 @@ def foreign_table():
         (None, 3, "expected the folder or URI of a database, got None"),
         ("db", 2.5, "width: expected an integer from 1, got 2.5"),
         ("db", -1, "width: expected an integer from 1, got -1"),
+        ("db", None, r"config .* or the width"),
     ],
 )
 def test_what_no_database_can_be_created_with_is_refused(tmp_path, path, width, message):
     with pytest.raises(ValueError, match=message):
         Database.create(path and tmp_path / path, width=width)
     assert not any(tmp_path.iterdir())
-
-
-def test_a_database_is_not_created_over_one(path):
-    with pytest.raises(ValueError, match="is a database already"):
-        Database.create(path, CONFIG)
-    assert len(Database.open(path)) == len(FRAMES)

@@ -1,10 +1,11 @@
 """Encoding: every readable frame is encoded once, in order; the others are skipped and reported."""
 
 import numpy as np
+import pytest
 import torch
 from drawings import VOID
-from helpers import street
-from maps import HEAD, alone, counts
+from helpers import street, touch
+from maps import HEAD, alone, assert_streets, counts
 from PIL import Image
 
 from ssrvlad_torch.datasets.label_files import digest
@@ -19,8 +20,7 @@ def test_descriptors_equal_those_of_single_frames(town):
     frames = town.database().load()
     numbers = [*range(20), *range(3)]
     assert frames.frames == tuple(f"{'ab'[row > 19]}/{n}" for row, n in enumerate(numbers))
-    for descriptor, number in zip(frames.descriptors, numbers, strict=True):
-        assert torch.equal(descriptor, alone(street(number)))
+    assert_streets(frames, numbers)
     assert frames.poses[3].tolist() == [1, 2, 0.5]
     assert np.isnan(np.delete(frames.poses, 3, axis=0)).all()
     record = town.database().known()["a/4"]
@@ -43,10 +43,9 @@ def test_a_frame_that_cannot_be_read_or_encoded_is_skipped_and_the_others_are_en
     assert f"{town.folder}/a/4.png: cannot identify" in first.reason
     assert second.frame == "a/7"
     assert f"{town.folder}/a/7.png: label id 99 (6 pixels) is not in label space" in second.reason
-    frames = town.database().load()
-    assert frames.frames == tuple(f"a/{n}" for n in range(12) if n not in (4, 7))
-    for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
-        assert torch.equal(descriptor, alone(street(int(name[2:]))))
+    frames, right = town.database().load(), [n for n in range(12) if n not in (4, 7)]
+    assert frames.frames == tuple(f"a/{n}" for n in right)
+    assert_streets(frames, right)
     town.add("a", [4])
     assert counts(town.encode()) == (1, 10, 1), "a repaired file is encoded in the next run"
 
@@ -75,49 +74,39 @@ def test_an_empty_image_has_a_zero_descriptor_and_a_flag(town):
     town.add("a", [0, 2])
     town.write("a/1", np.full((24, 32), VOID, np.uint8))
     summary = town.encode()
-    assert counts(summary) == (3, 0, 0)
-    assert summary.empty == 1
+    assert (counts(summary), summary.empty) == ((3, 0, 0), 1)
     frames = town.database().load()
     assert frames.empty.tolist() == [False, True, False]
     assert not frames.descriptors[1].any()
 
 
 def test_unreadable_frames_alone_leave_a_valid_empty_database(town):
-    (town.folder / "a").mkdir()
     for number in range(3):
-        (town.folder / "a" / f"{number}.png").write_text("no image")
+        touch(town.folder / "a" / f"{number}.png")
     assert counts(town.encode()) == (0, 0, 3)
     assert town.database().load().frames == ()
     assert counts(encode_to_database(HEAD, [], town.database())) == (0, 0, 0)
     frames, skipped = encode_to_memory(HEAD, town.files())
-    assert len(skipped) == 3
-    assert frames.descriptors.shape == (0, 480)
-    assert frames.poses.shape == (0, 3)
+    assert (len(skipped), frames.descriptors.shape, frames.poses.shape) == (3, (0, 480), (0, 3))
 
 
-def test_memory_and_database_hold_the_same_frames(town):
+@pytest.mark.parametrize("workers", [0, 2])
+def test_memory_and_database_hold_the_same_frames(town, workers):
+    """With several batches, and a file that cannot be read."""
+    threads = torch.get_num_threads()
     town.add("b", range(3))
-    town.add("a", range(3))
-    (town.folder / "b" / "1.png").write_text("no image")
-    (town.folder / "poses.csv").write_text("frame,x,y\na/0,1,2\nb/2,3,4\n")
-    in_memory, skipped = encode_to_memory(HEAD, town.files())
+    town.add("a", range(70, 110))
+    (town.folder / "a" / "75.png").write_text("no image")
+    (town.folder / "poses.csv").write_text("frame,x,y\na/70,1,2\nb/2,3,4\n")
+    in_memory, skipped = encode_to_memory(HEAD, town.files(), workers)
+    assert_streets(in_memory, [n for n in range(70, 110) if n != 75] + [0, 1, 2])
     summary = town.encode()
     on_disk = town.database().load()
+    assert [frame.frame for frame in skipped] == ["a/75"]
     assert skipped == summary.skipped
     assert in_memory.frames == on_disk.frames
     assert in_memory.sequences == on_disk.sequences
     assert torch.equal(in_memory.descriptors, on_disk.descriptors)
     np.testing.assert_array_equal(in_memory.poses, on_disk.poses)
     assert in_memory.empty.tolist() == on_disk.empty.tolist()
-
-
-def test_workers_make_the_same_rows(town):
-    threads = torch.get_num_threads()
-    town.add("a", range(70, 110))
-    (town.folder / "a" / "75.png").write_text("no image")
-    frames, skipped = encode_to_memory(HEAD, town.files(), workers=2)
-    assert [frame.frame for frame in skipped] == ["a/75"]
-    assert frames.frames == tuple(f"a/{n}" for n in range(70, 110) if n != 75)
-    for name, descriptor in zip(frames.frames, frames.descriptors, strict=True):
-        assert torch.equal(descriptor, alone(street(int(name[2:]))))
     assert torch.get_num_threads() == threads

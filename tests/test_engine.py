@@ -1,10 +1,11 @@
 """Versions of a database, and several writers of one."""
 
-import multiprocessing
 import os
 import subprocess
 import sys
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import pytest
 import torch
@@ -13,6 +14,8 @@ from helpers import descriptors, refused
 
 from ssrvlad_torch import Database
 from ssrvlad_torch.database import engine
+
+ONE = descriptors(1, 1)
 
 
 @pytest.fixture
@@ -28,6 +31,8 @@ def test_merges_and_removals_are_one_commit_each_and_are_in_the_history(path):
     assert database.load().frames == ("day/2", "day/9", "day/10", "new/1", "night/1")
     assert not database.load().empty[0]
     database.remove({"day/9", "day/10", "never/1"})
+    with pytest.raises(ValueError, match="expected a list of frames, got the text 'day/2'"):
+        database.remove("day/2")
     assert database.load().frames == ("day/2", "new/1", "night/1")
     changes = [(entry.frames, entry.change.split()[0]) for entry in database.history()]
     assert changes == [(0, "create"), (4, "append"), (4, "merge"), (5, "merge"), (3, "remove")]
@@ -37,24 +42,10 @@ def test_merges_and_removals_are_one_commit_each_and_are_in_the_history(path):
     )
     with pytest.raises(ValueError, match="as of version"):
         Database.open(path, first).remove(["day/2"])
-
-
-def test_a_database_takes_frames_after_all_were_removed(path):
-    database = Database.open(path)
-    database.remove(FRAMES)
+    database.remove(["day/2", "new/1", "night/1"])
     assert len(database.load()) == 0
     fill(database, ["a/1"])
     assert list(loaded(path)) == ["a/1"]
-
-
-def test_a_reader_keeps_its_version_while_others_write(path):
-    reader, writer = Database.open(path), Database.open(path)
-    before = reader.load()
-    writer.merge(["day/2"], torch.zeros(1, 480))
-    writer.remove(["day/9"])
-    writer.compact()
-    assert torch.equal(reader.load().descriptors, before.descriptors)
-    assert list(reader.known()) == FRAMES
 
 
 def test_compacting_keeps_the_versions_that_someone_uses(path, monkeypatch):
@@ -77,6 +68,7 @@ def test_compacting_keeps_the_versions_that_someone_uses(path, monkeypatch):
     assert set(rows) == {*FRAMES, "a/1", "b/1"}
     assert rows["b/1"] == descriptors(2, 2)[1].tolist()
     assert torch.equal(reader.load().descriptors, before.descriptors)
+    assert list(reader.known()) == FRAMES
     reader.merge(["b/2"], descriptors(3, 1))
     del writer
     reader.compact(keep_days=0)
@@ -122,61 +114,28 @@ def test_a_change_is_checked_against_what_others_have_written(path):
     assert not seen
     Database.open(path).append(["other/0"], descriptors(1, 1))
     written = [database.write_apart(["a/1"], descriptors(2, 1))]
-    for change in (
-        database.adopt,
-        lambda rows, check: database.merge(["a/2"], descriptors(3, 1), check=check),
-    ):
+    for change in (partial(database.adopt, written), partial(database.merge, ["a/1"], ONE)):
         with pytest.raises(ValueError, match="other/0 is there"):
-            change(written, check)
+            change(check=check)
     assert seen == [sorted([*FRAMES, "a/0", "other/0"])] * 2
     assert len(Database.open(path)) == len(FRAMES) + 2
 
 
-def add_own(path, name, count):
-    database = Database.open(path)
-    for number in range(count):
-        fill(database, [f"{name}/{number}"], number)
-
-
-def test_two_processes_that_add_at_once_both_succeed(tmp_path):
-    path = tmp_path / "db"
-    Database.create(path, CONFIG)
-    spawn = multiprocessing.get_context("spawn")
-    writers = [spawn.Process(target=add_own, args=(path, name, 5)) for name in "ab"]
-    for writer in writers:
-        writer.start()
-    for writer in writers:
-        writer.join()
-        assert writer.exitcode == 0
-    expected = {f"{name}/{n}": descriptors(n, 1)[0].tolist() for name in "ab" for n in range(5)}
-    assert loaded(path) == expected
-
-
 def in_threads(*works):
     """Runs functions in threads at once, and returns their errors."""
-    errors, ready = [], threading.Barrier(len(works))
-
-    def attempt(work):
-        ready.wait()
-        try:
-            work()
-        except Exception as error:
-            errors.append(error)
-
-    threads = [threading.Thread(target=attempt, args=(work,)) for work in works]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    return errors
+    ready = threading.Barrier(len(works))
+    with ThreadPoolExecutor(len(works)) as pool:
+        done = [pool.submit(lambda work=work: (ready.wait(), work())) for work in works]
+    return [each.exception() for each in done if each.exception()]
 
 
 def test_writers_that_start_at_once_make_one_database(tmp_path):
     path = tmp_path / "db"
-    opening = [
-        lambda n=n: fill(Database.open_or_create(path, CONFIG), [f"{n}/0"]) for n in range(4)
-    ]
-    assert in_threads(*opening) == []
+
+    def add(number):
+        fill(Database.open_or_create(path, CONFIG), [f"{number}/0"])
+
+    assert in_threads(*(partial(add, number) for number in range(4))) == []
     assert set(loaded(path)) == {f"{n}/0" for n in range(4)}
 
 
@@ -249,12 +208,12 @@ def test_a_process_forked_after_a_database_was_used_is_refused_another_one_is_no
 def test_two_threads_that_share_a_database_both_succeed(path):
     database = Database.open(path)
 
-    def adding(name):
-        return lambda: [fill(database, [f"{name}/{n}"], n) for n in range(10)]
+    def add(name):
+        for number in range(10):
+            fill(database, [f"{name}/{number}"], number)
 
-    assert in_threads(adding("a"), adding("b")) == []
-    assert len(loaded(path)) == len(FRAMES) + 20
-    assert len(database) == len(FRAMES) + 20
+    assert in_threads(partial(add, "a"), partial(add, "b")) == []
+    assert len(loaded(path)) == len(database) == len(FRAMES) + 20
 
 
 @pytest.mark.parametrize("empty", [True, False])
@@ -264,34 +223,28 @@ def test_of_several_writers_of_one_frame_one_succeeds(tmp_path, empty):
     if not empty:
         fill(Database.open(path), FRAMES)
     handles = [Database.open(path) for _ in range(4)]
-    works = [
-        lambda h=h, n=n: h.append(["same/1"], descriptors(n, 1)) for n, h in enumerate(handles)
-    ]
+    works = (partial(h.append, ["same/1"], descriptors(n, 1)) for n, h in enumerate(handles))
     errors = in_threads(*works)
-    assert len(errors) == 3
-    assert {str(error) for error in errors} == {f"frame 'same/1' is in {path} already"}
+    assert [*map(str, errors)] == [f"frame 'same/1' is in {path} already"] * 3
     assert len(loaded(path)) == (1 if empty else 5)
 
 
 def test_concurrent_changes_of_all_kinds_are_applied_one_after_another(path):
     """Each writer changes only its own frames, so every order gives the same result."""
 
-    def changing(name):
-        def work():
-            database = Database.open(path)
-            fill(database, [f"{name}/{n}" for n in range(4)])
-            database.remove([f"{name}/0"])
-            database.merge([f"{name}/1"], torch.zeros(1, 480))
-            database.merge([f"{name}/2", f"{name}/5"], descriptors(9, 2))
-            database.add_origin(None, name)
+    def change(name):
+        database = Database.open(path)
+        fill(database, [f"{name}/{n}" for n in range(4)])
+        database.remove([f"{name}/0"])
+        database.merge([f"{name}/1"], torch.zeros(1, 480))
+        database.merge([f"{name}/2", f"{name}/5"], descriptors(9, 2))
+        database.add_origin(None, name)
 
-        return work
-
-    def compacting():
+    def compact():
         for _ in range(3):
             Database.open(path).compact()
 
-    assert in_threads(changing("a"), changing("b"), changing("c"), compacting) == []
+    assert in_threads(*(partial(change, name) for name in "abc"), compact) == []
     rows = loaded(path)
     assert set(rows) == {*FRAMES, *(f"{name}/{n}" for name in "abc" for n in (1, 2, 3, 5))}
     for name in "abc":

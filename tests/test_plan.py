@@ -8,13 +8,16 @@ import pytest
 import torch
 import yaml
 from helpers import street
-from maps import HEAD, alone, counts, rewrite
+from maps import HEAD, alone, assert_streets, counts, rewrite
 
 from ssrvlad_torch import SSRVLAD
 from ssrvlad_torch.datasets.label_files import digest
 from ssrvlad_torch.encoding import describer
 from ssrvlad_torch.encoding.encoder import encode_to_database
 from ssrvlad_torch.encoding.results import EncodeOptions
+from ssrvlad_torch.taxonomy import label_space
+
+PRUNE = {"complete": True, "prune": True}
 
 
 @pytest.fixture
@@ -59,33 +62,37 @@ def test_another_label_space_encodes_all_frames_again(town):
 
 def test_a_changed_label_space_of_the_same_name_encodes_frames_again(town):
     town.add("a", range(3))
-    classes = [{"id": n, "name": str(n), "category": "ground"} for n in range(12)]
-    path = town.folder / "mine.yaml"
+    mine = label_space("camvid-11").to_dict() | {"name": "mine"}
 
-    def head():
-        text = yaml.safe_dump({"name": "mine", "source": "me", "classes": classes})
-        path.write_text(text, encoding="utf-8")
-        return SSRVLAD.from_preset("default", labels_as=str(path))
+    def encode():
+        (town.folder / "mine.yaml").write_text(yaml.safe_dump(mine), encoding="utf-8")
+        head = SSRVLAD.from_preset("default", labels_as=str(town.folder / "mine.yaml"))
+        return town.encode(head=head)
 
-    assert town.encode(head=head()).encoded == 3
-    assert counts(town.encode(head=head())) == (0, 3, 0)
-    classes[4]["category"] = "sky"
+    assert (counts(encode()), counts(encode())) == ((3, 0, 0), (0, 3, 0))
     before = town.database().load().descriptors
-    assert town.encode(head=head()).anew == {"label space changed": 3}
+    mine["classes"][4]["category"] = "sky"
+    assert encode().anew == {"label space changed": 3}
     assert not torch.equal(town.database().load().descriptors, before)
 
 
-def test_a_changed_file_is_encoded_again_and_replaces_the_row(town):
+def test_changed_files_are_read_again_and_replace_their_rows(town, reads):
+    """A touched file is read once; of one that cannot be read the row stays."""
     town.add("a", range(5))
     town.encode()
     rewrite(town.folder / "a" / "3.png", 99)
+    (town.folder / "a" / "1.png").touch()
+    (town.folder / "a" / "2.png").write_text("no image")
+    reads.clear()
     summary = town.encode()
-    assert (summary.encoded, summary.anew, summary.already_there) == (0, {"file changed": 1}, 4)
+    assert counts(summary) == (0, 2, 1)
+    assert summary.anew == {"file changed": 1, "file touched, the same label map": 1}
+    assert sorted(reads) == ["1", "2", "3"]
     frames = town.database().load()
     assert frames.frames == tuple(f"a/{n}" for n in range(5))
-    assert torch.equal(frames.descriptors[3], alone(street(99)))
+    assert_streets(frames, [0, 1, 2, 99, 4])
     assert town.database().known()["a/3"].digest == digest(street(99))
-    assert town.encode().already_there == 5
+    assert counts(town.encode()) == (0, 4, 1)
 
 
 def test_a_change_that_keeps_size_and_modification_time_is_noticed(town):
@@ -101,24 +108,6 @@ def test_a_change_that_keeps_size_and_modification_time_is_noticed(town):
     assert path.stat().st_size == before.st_size
     assert town.encode().anew == {"file changed": 1}
     assert torch.equal(town.database().load().descriptors[0], alone(street(1)))
-
-
-def test_a_touched_file_is_read_once(town, reads):
-    town.add("a", range(3))
-    town.encode()
-    (town.folder / "a" / "1.png").touch()
-    reads.clear()
-    assert town.encode().anew == {"file touched, the same label map": 1}
-    assert town.encode().already_there == 3
-    assert reads == ["1"]
-
-
-def test_a_changed_file_that_cannot_be_read_is_skipped_and_its_row_stays(town):
-    town.add("a", range(3))
-    town.encode()
-    (town.folder / "a" / "1.png").write_text("no image")
-    assert counts(town.encode()) == (0, 2, 1)
-    assert torch.equal(town.database().load().descriptors[1], alone(street(1)))
 
 
 def test_a_changed_pose_is_stored(town):
@@ -148,7 +137,7 @@ def test_frames_whose_file_is_gone_are_reported_and_removed_with_prune(town):
     summary = town.encode("a", complete=True)
     assert (summary.gone, summary.pruned) == (["a/1", "a/3"], 0)
     assert len(town.database()) == 6
-    summary = town.encode("a", complete=True, prune=True)
+    summary = town.encode("a", **PRUNE)
     assert (summary.gone, summary.pruned) == ([], 2)
     assert town.database().load().frames == ("a/0", "a/2", "b/0", "b/1"), "other sequences stay"
     with pytest.raises(ValueError, match="prune needs all files"):
@@ -162,13 +151,10 @@ def test_folders_with_the_same_name_are_distinguished_in_one_run_and_in_several(
     assert town.database().load().frames == tuple(
         f"0{d}/labels/{n}" for d in "01" for n in (int(d), 7)
     )
+    assert town.encode("02/labels", known=town.database().folders()).encoded == 2
+    assert {name for _, name in town.database().folders()} == {f"0{d}/labels" for d in "012"}
     known = town.database().folders()
-    files = town.files("02/labels", known=known)
-    assert encode_to_database(HEAD, files, town.database()).encoded == 2
-    assert {file.sequence for file in files} == {"02/labels"}
-    files = town.files("02/labels", "00/labels", known=town.database().folders())
-    options = EncodeOptions(complete=True, prune=True)
-    summary = encode_to_database(HEAD, files, town.database(), options)
+    summary = town.encode("02/labels", "00/labels", **PRUNE, known=known)
     assert (counts(summary), summary.pruned) == ((0, 4, 0), 0)
     assert len(town.database()) == 6
 
@@ -179,17 +165,14 @@ def test_another_folder_with_the_same_name_never_merges_overwrites_or_prunes(tow
     town.encode("00/labels")
     before = town.database().load()
     with pytest.raises(ValueError, match=r"'labels' of the database is .*00/labels, not .*01"):
-        town.encode("01/labels", complete=True, prune=True)
-    files = town.files("01/labels", sequence="labels")
+        town.encode("01/labels", **PRUNE)
     with pytest.raises(ValueError, match=r"frame 'labels/2' of the database is of .*00/labels"):
-        encode_to_database(HEAD, files, town.database())
+        town.encode("01/labels", sequence="labels")
     assert torch.equal(town.database().load().descriptors, before.descriptors)
-    files = town.files("01/labels", known=town.database().folders())
-    assert {file.sequence for file in files} == {"01/labels"}
-    assert encode_to_database(HEAD, files, town.database()).encoded == 3
+    assert town.encode("01/labels", known=town.database().folders()).encoded == 3
+    assert {name for _, name in town.database().folders()} == {"labels", "01/labels"}
     town.add("02/labels", range(3, 5))
-    files = town.files("02/labels", sequence="labels")
-    assert encode_to_database(HEAD, files, town.database()).encoded == 2, "the user gave the name"
+    assert town.encode("02/labels", sequence="labels").encoded == 2, "the user gave the name"
 
 
 @pytest.mark.parametrize(
@@ -206,23 +189,19 @@ def test_folders_that_take_the_same_name_at_once_do_not_merge(town, sequence, me
 
     def other(_done):
         if not len(town.database()):
-            files = town.files("01/labels", sequence=sequence)
-            assert encode_to_database(HEAD, files, town.database()).encoded == 3
+            assert town.encode("01/labels", sequence=sequence).encoded == 3
 
-    files = town.files("00/labels", sequence=sequence)
     with pytest.raises(ValueError, match=message):
-        encode_to_database(HEAD, files, town.database(), EncodeOptions(progress=other))
+        town.encode("00/labels", sequence=sequence, progress=other)
     assert town.database().load().frames == tuple(f"labels/{n}" for n in range(2, 5))
 
 
 def test_a_file_is_not_stored_under_two_names(town):
     town.add("a", range(3))
     town.encode()
-    files = town.files("a", sequence="new")
-    options = EncodeOptions(complete=True, prune=True)
     expected = r"a/0\.png is frame 'a/0' of the database: expected --sequence a, got new"
     with pytest.raises(ValueError, match=expected):
-        encode_to_database(HEAD, files, town.database(), options)
+        town.encode("a", **PRUNE, sequence="new")
     assert len(town.database()) == 3
     town.add("a", range(3, 5))
     files = [file for file in town.files("a", sequence="new") if file.name in "34"]
@@ -235,10 +214,8 @@ def test_a_stack_beside_a_folder_of_its_name_is_another_sequence(town):
     np.save(town.folder / "day.npy", np.stack([street(seed) for seed in range(4)]))
     with pytest.raises(ValueError, match="needs a name"):
         town.files("day", "day.npy")
-    files = town.files("day.npy", sequence="stack")
-    options = EncodeOptions(complete=True, prune=True)
-    assert encode_to_database(HEAD, files, town.database(), options).encoded == 4
-    assert town.encode("day", complete=True, prune=True).pruned == 0
+    assert town.encode("day.npy", **PRUNE, sequence="stack").encoded == 4
+    assert town.encode("day", **PRUNE).pruned == 0
     assert len(town.database()) == 7
 
 
@@ -252,6 +229,5 @@ def test_a_moved_folder_continues_its_sequence_if_the_name_is_given(town):
         ValueError, match=r"'a' of the database was encoded from .*, which is gone: .*--sequence a"
     ):
         town.files("other/a", known=known)
-    files = town.files("other/a", sequence="a", known=known)
-    assert encode_to_database(HEAD, files, town.database()).anew == {"file moved": 3}
-    assert counts(encode_to_database(HEAD, files, town.database())) == (0, 3, 0)
+    assert town.encode("other/a", sequence="a", known=known).anew == {"file moved": 3}
+    assert counts(town.encode("other/a", sequence="a", known=known)) == (0, 3, 0)

@@ -6,9 +6,7 @@ import subprocess
 import sys
 
 import pytest
-import torch
-from helpers import street
-from maps import alone, counts
+from maps import assert_streets, counts
 
 from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.encoding import writer
@@ -65,16 +63,6 @@ def test_a_full_disk_is_an_error_and_committed_frames_stay(town, monkeypatch):
     assert counts(town.encode()) == (6, 4, 0)
 
 
-def test_two_encoders_at_once_lose_nothing(town):
-    """Both encode all frames; none is stored twice."""
-    town.add("a", range(14))
-    town.database()
-    command = [sys.executable, "-c", SCRIPT, town.folder / "town.ssrdb", town.folder / "a", "0"]
-    running = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]
-    assert [process.wait(120) for process in running] == [0, 0]
-    assert town.database().load().frames == tuple(f"a/{n}" for n in range(14))
-
-
 SCRIPT = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -95,24 +83,36 @@ encode_to_database(head, find_label_files([sys.argv[2]]), database, options)
 """
 
 
+def started(town, workers):
+    """A process that encodes, and prints ``ready`` when 10 frames are done."""
+    command = [sys.executable, "-c", SCRIPT, town.folder / "town.ssrdb", town.folder / "a", workers]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+
+
+def test_two_encoders_at_once_lose_nothing(town):
+    """Both encode all frames; none is stored twice."""
+    town.add("a", range(14))
+    town.database()
+    running = [started(town, "0") for _ in range(2)]
+    assert [process.wait(120) for process in running] == [0, 0]
+    assert town.database().load().frames == tuple(f"a/{n}" for n in range(14))
+
+
 @pytest.mark.parametrize(
     ("number", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -9)]
 )
 def test_a_signal_ends_a_run_and_the_next_run_completes_it(town, number, code):
     """Frames reported by progress are stored; after SIGKILL, committed frames."""
     town.add("a", range(60))
-    target = town.folder / "town.ssrdb"
-    command = [sys.executable, "-c", SCRIPT, target, town.folder / "a", "2"]
-    running = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    running = started(town, "2")
     assert running.stdout.readline() == b"ready\n"
     running.send_signal(number)
     running.communicate(timeout=60)  # no worker holds the pipes open
     assert running.returncode in (code, 130)
-    stored = len(Database.open(target))
+    stored = len(town.database())
     assert stored >= (8 if number == signal.SIGKILL else 10)
     assert stored < 60
     assert counts(town.encode()) == (60 - stored, stored, 0)
     frames = town.database().load()
     assert frames.frames == tuple(f"a/{n}" for n in range(60))
-    for row, descriptor in enumerate(frames.descriptors):
-        assert torch.equal(descriptor, alone(street(row)))
+    assert_streets(frames, range(60))
