@@ -18,7 +18,8 @@ import signal
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import lance.commit
@@ -32,7 +33,6 @@ WIDTH = 6
 KEPT, OLD, NEW = ["a/0", "a/1", "a/2"], descriptors(0, 3, WIDTH), descriptors(1, 3, WIDTH)
 MORE = [f"b/{number}" for number in range(3)]
 NOT_REACHED = 3
-ERRORS = (errno.ENOSPC, errno.EIO, errno.EMFILE)
 
 
 def work(path: Path, report: int) -> None:
@@ -121,11 +121,11 @@ def crash(path: Path, shim: ctypes.CDLL, at: int, after: float = 0, error: int =
     return os.WIFSIGNALED(status) or (error > 0 and os.WEXITSTATUS(status) != NOT_REACHED)
 
 
-def every(path: Path, shim: ctypes.CDLL, step: int) -> None:
-    at, killed = 1, 0
-    while crash(path, shim, at):
-        at, killed = at + step, killed + 1
-    print(killed)
+def every(path: Path, shim: ctypes.CDLL, step: int, errors: Sequence[int] = (0,)) -> None:
+    at, disturbed = 1, 0
+    while crash(path, shim, at, error=errors[disturbed % len(errors)]):
+        at, disturbed = at + step, disturbed + 1
+    print(disturbed)
 
 
 def at_random(path: Path, shim: ctypes.CDLL, count: int) -> None:
@@ -135,13 +135,6 @@ def at_random(path: Path, shim: ctypes.CDLL, count: int) -> None:
     while killed < count:
         killed += crash(path, shim, 0, generator.uniform(0.001, whole))
     print(killed)
-
-
-def fail(path: Path, shim: ctypes.CDLL, step: int) -> None:
-    at, failed = 1, 0
-    while crash(path, shim, at, error=ERRORS[failed % len(ERRORS)]):
-        at, failed = at + step, failed + 1
-    print(failed)
 
 
 def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
@@ -157,6 +150,7 @@ def record(path: Path, shim: ctypes.CDLL, _number: int) -> None:
 
 if __name__ == "__main__":
     library, folder, *parts = sys.argv[1:]
+    fail = partial(every, errors=(errno.ENOSPC, errno.EIO, errno.EMFILE))
     acts = {"every": every, "random": at_random, "fail": fail, "record": record}
     for part, (kind, number) in enumerate(zip(parts[::2], parts[1::2], strict=True)):
         print(end="--\n" if part else "", flush=True)

@@ -29,16 +29,12 @@ def frames(count: int, sequence: str = "a") -> list[Frame]:
     return [Frame(f"{sequence}/{n}", image=picture) for n, picture in enumerate(pictures)]
 
 
-def test_signs_are_those_of_the_segmenter(segmenter):
-    found = EncoderFeatures(segmenter).encode_query(frames(5))
-    pictures = [frame.image for frame in frames(5)]
-    expected = [each.features for each in segmenter.segment(pictures, features=True)]
-    np.testing.assert_array_equal(found.numpy(), np.stack(expected))
-
-
-def test_scores_are_the_cosines_of_signs(segmenter):
-    method = EncoderFeatures(segmenter)
+def test_scores_are_the_cosines_of_the_signs_of_the_segmenter(segmenter):
+    method, pictures = EncoderFeatures(segmenter), [frame.image for frame in frames(6)]
     signs = method.encode_reference(frames(6))
+    expected = [each.features for each in segmenter.segment(pictures, features=True)]
+    np.testing.assert_array_equal(signs.numpy(), np.stack(expected))
+    assert torch.equal(method.encode_query(frames(6)), signs)
     scores = method.scores(signs[:2], signs)
     torch.testing.assert_close(scores, SignQueries(signs[:2], SignRows(signs)).scores())
     assert scores.argmax(1).tolist() == [0, 1]
@@ -52,11 +48,6 @@ def test_the_steps_standardise_signs(segmenter):
     assert found.stepped.matches.indices[:, 0].tolist() == list(range(32))
 
 
-def test_a_network_is_needed():
-    with pytest.raises(FileNotFoundError, match="no network: features needs a segmentation net"):
-        make("features")
-
-
 def test_compare_measures_it(ssrvlad, tmp_path):
     write_street(tmp_path / "net.onnx")
     network = tmp_path / "net.yaml"
@@ -68,3 +59,5 @@ def test_compare_measures_it(ssrvlad, tmp_path):
     assert code == 0, err
     row = json.loads(out)["rows"][0]
     assert (row["method"], row["recall_at"]["1"]) == ("features", 1.0)
+    with pytest.raises(FileNotFoundError, match="no network: features needs a segmentation net"):
+        make("features")

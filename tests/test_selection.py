@@ -77,9 +77,3 @@ def test_excluded_references_are_no_candidates(seed, top):
         assert found.indices[number].tolist() == indices
         torch.testing.assert_close(found.scores[number], scores[0])
     assert excluded_pairs(asked, frames, where | True, None) is None
-
-
-def test_a_mask_of_another_shape_is_refused():
-    eye = torch.eye(3)
-    with pytest.raises(ValueError, match=r"excluded: expected \(3, 3\) bool, got \(2, 3\)"):
-        match(eye, eye, excluded=torch.ones(2, 3).bool())
