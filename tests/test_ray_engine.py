@@ -1,6 +1,7 @@
 """Encoding with Ray gives the same rows as without it, also if workers fail."""
 
 import os
+import sys
 
 import pytest
 import torch
@@ -13,7 +14,7 @@ from ssrvlad_torch.database.database import Database
 from ssrvlad_torch.datasets.image_files import find_image_files
 from ssrvlad_torch.datasets.label_files import find_label_files
 from ssrvlad_torch.encoding import ray_engine, writer
-from ssrvlad_torch.encoding.encoder import encode_to_database
+from ssrvlad_torch.encoding.encoder import encode_to_database, encode_to_memory
 from ssrvlad_torch.encoding.extra_descriptors import extra_descriptors
 from ssrvlad_torch.encoding.ray_engine import PartEncoder, encode_with_ray
 from ssrvlad_torch.encoding.results import EncodeOptions
@@ -27,8 +28,8 @@ TWO = EncodeOptions(workers=2)
 
 @pytest.fixture(scope="module", autouse=True)
 def cluster():
-    ray = pytest.importorskip("ray", reason="needs the extra ray")
     pytest.importorskip("ray.data", reason="needs the extra ray")
+    ray = sys.modules["ray"]
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False, configure_logging=False)
     yield
     ray.shutdown()
@@ -56,8 +57,16 @@ def assert_same_as_local(path, files, segmenter=None, extra=()):
     assert torch.equal(found.descriptors, expected.descriptors)
     assert found.extra.keys() == expected.extra.keys()
     assert all(torch.equal(found.extra[name], expected.extra[name]) for name in found.extra)
-    rows = [repr(sorted(database.known().values())) for database in (Database.open(path), local)]
-    assert rows[0] == rows[1]
+    known = sorted(Database.open(path).known().values())
+    assert repr(known) == repr(sorted(local.known().values()))
+
+
+def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
+    remote = find_label_files([(tmp_path / "a").as_uri()])
+    summary = encode_with_ray(HEAD, remote, database, TWO)
+    assert (summary.encoded, summary.skipped) == (20, [])
+    expected, _ = encode_to_memory(HEAD, files)
+    assert torch.equal(database.load().descriptors, expected.descriptors)
 
 
 def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
@@ -70,11 +79,11 @@ def test_the_rows_are_those_of_the_local_engine(tmp_path, files, database):
     assert_same_as_local(tmp_path / "db", files)
     write_map(tmp_path / "a" / "7.png", 7)
     write_map(tmp_path / "a" / "3.png", 99)
-    summary = encode_with_ray(HEAD, files, Database.open(tmp_path / "db"), TWO)
-    assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 18)
     others = [file for file in files if file.name != "9"]
     options = EncodeOptions(workers=2, complete=True, prune=True)
-    assert encode_with_ray(HEAD, others, Database.open(tmp_path / "db"), options).pruned == 1
+    summary = encode_with_ray(HEAD, others, Database.open(tmp_path / "db"), options)
+    assert (summary.encoded, summary.anew, summary.already_there) == (1, {"file changed": 1}, 17)
+    assert summary.pruned == 1
 
 
 @pytest.mark.parametrize("by", ["label maps", "network"])
@@ -135,15 +144,6 @@ def test_a_part_that_fails_is_an_error_in_one_line(files, database, monkeypatch,
     assert len(database) == 0
 
 
-def test_files_of_a_uri_give_the_same_descriptors(tmp_path, files, database):
-    remote = find_label_files([(tmp_path / "a").as_uri()])
-    summary = encode_with_ray(HEAD, remote, database, TWO)
-    assert (summary.encoded, summary.skipped) == (20, [])
-    local = Database.create(tmp_path / "local", HEAD.config)
-    encode_to_database(HEAD, files, local)
-    assert torch.equal(database.load().descriptors, local.load().descriptors)
-
-
 @pytest.fixture
 def photos(tmp_path, monkeypatch):
     monkeypatch.setattr(ray_engine, "PART_OF_PICTURES", 8)
@@ -178,11 +178,16 @@ def test_a_network_runs_in_the_actors(tmp_path, photos, segmenter, pictures):
 
 
 def test_another_network_in_an_actor_is_refused(tmp_path, photos, segmenter, pictures):
-    """Here the settings have changed since they were read."""
-    write_settings(tmp_path, "white: 255\n")
+    write_settings(tmp_path, "white: 255\n")  # the settings change after they were read
     with pytest.raises(OSError, match=r"net\.yaml is another network here than where"):
         encode_with_ray(HEAD, photos, pictures, TWO, segmenter)
     assert len(pictures) == 0
+
+
+def test_too_few_gpus_are_an_error(photos, segmenter, pictures):
+    few = r"^the cluster has \d+ GPUs, expected 999 for each worker$"
+    with pytest.raises(ValueError, match=few):
+        encode_with_ray(HEAD, photos, pictures, EncodeOptions(workers=2, gpus=999), segmenter)
 
 
 def test_a_network_without_a_name_is_sent(tmp_path, photos, database):
@@ -190,11 +195,3 @@ def test_a_network_without_a_name_is_sent(tmp_path, photos, database):
     segmenter = Segmenter(torch.nn.Conv2d(3, 11, 3, padding=1), "camvid-11")
     assert encode_with_ray(HEAD, photos, database, TWO, segmenter).encoded == 20
     assert_same_as_local(tmp_path / "db", photos, segmenter)
-
-
-def test_too_few_gpus_are_an_error(photos, segmenter, pictures):
-    options = EncodeOptions(workers=2, gpus=999)
-    with pytest.raises(
-        ValueError, match=r"^the cluster has \d+ GPUs, expected 999 for each worker$"
-    ):
-        encode_with_ray(HEAD, photos, pictures, options, segmenter)

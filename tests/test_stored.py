@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 from four_frames import fill, filled, loaded
-from helpers import descriptors, refused, spoil
+from helpers import descriptors, flip_byte, refused, spoil
 
 from ssrvlad_torch import Database
 
@@ -23,9 +23,8 @@ def test_a_changed_byte_of_a_data_file_is_reported_or_has_no_effect(path):
     whole, before = data_file(path).read_bytes(), loaded(path)
     refused, positions = 0, range(0, len(whole), 149)
     for position in positions:
-        changed = bytearray(whole)
-        changed[position] ^= 1 << position % 8
-        data_file(path).write_bytes(changed)
+        data_file(path).write_bytes(whole)
+        flip_byte(data_file(path), position, 1 << position % 8)
         try:
             assert loaded(path) == before
         except ValueError as error:
@@ -41,15 +40,12 @@ def test_a_changed_byte_of_a_data_file_is_reported_or_has_no_effect(path):
 def test_a_damaged_descriptor_is_reported_and_dropped(path):
     expected = loaded(path)
     spoil(path, descriptors(0, 4)[3])
-    with pytest.raises(
-        ValueError,
-        match=r"town\.ssrdb is damaged: data/\w+\.lance: the checksum of frame 'day/9' differs",
-    ):
-        Database.open(path).load()
-    database = Database.open(path)
-    damage = database.damage()
-    assert [(entry.file, entry.rows) for entry in damage] == [(f"data/{data_file(path).name}", 1)]
-    assert damage == database.drop_damaged()
+    database, file = Database.open(path), f"data/{data_file(path).name}"
+    with refused(rf"town\.ssrdb is damaged: {file}: the checksum of frame 'day/9' differs"):
+        database.load()
+    [damage] = database.damage()
+    assert (damage.file, damage.rows) == (file, 1)
+    assert [damage] == database.drop_damaged()
     assert database.damage() == Database.open(path).damage() == []
     del expected["day/9"]
     assert loaded(path) == expected

@@ -27,7 +27,7 @@ import pyarrow.compute as pc
 from ..config import SSRVLADConfig
 from ..taxonomy import LabelSpace, label_space, label_space_names
 from . import engine
-from .disk import is_local
+from .disk import is_local, local_versions
 from .frame_sets import FRAME_SET_COLUMNS, frame_set, load_frame_set, order_of
 from .frames import FrameRecord, FrameSet, require_list
 from .metadata import ExtraDescriptor, Meta, Origin
@@ -188,9 +188,7 @@ class Database:
                 raise
             reason = engine.message_of(error)
             if version is not None:
-                stored = engine.local_versions(text) or [
-                    v.version for v in cls.open(text).history()
-                ]
+                stored = local_versions(text) or [v.version for v in cls.open(text).history()]
                 if version in stored:
                     raise ValueError(f"{text} is damaged in version {version}: {reason}") from error
                 span = " to ".join(map(str, dict.fromkeys((stored[0], stored[-1]))))

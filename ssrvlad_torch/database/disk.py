@@ -1,7 +1,11 @@
-"""Files that Lance wrote on a local disk: checked to be whole, and flushed.
+"""Files that Lance wrote on a local disk: checked to be whole, flushed, and kept while in use.
 
 Lance does not flush files, and does not report every write that fails. In an object store, files
 are whole once they are there: nothing is done for them.
+
+A user of a version holds a shared lock of the operating system on its manifest, so that
+`engine.clean` does not delete it; the lock ends with the process. In an object store, and on
+Windows, there are no such locks.
 """
 
 from __future__ import annotations
@@ -17,11 +21,18 @@ import pyarrow as pa
 
 from ..files import flush
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 if TYPE_CHECKING:
+    from lance import LanceDataset
     from lance.fragment import FragmentMetadata
 
 _BITMAP_WITHOUT_RUNS = 12346
 _ARRAY_LIMIT, _BITMAP_BYTES = 4096, 8192
+_LAST_VERSION = (1 << 64) - 1
 
 
 def is_local(uri: str) -> bool:
@@ -79,3 +90,51 @@ def deleted_rows(path: Path) -> int | None:
     counts = np.frombuffer(content, "<u2", 2 * containers, 8)[1::2].astype(np.int64) + 1
     sizes = np.where(counts <= _ARRAY_LIMIT, 2 * counts, _BITMAP_BYTES)
     return int(counts.sum()) if len(content) == header + sizes.sum() else None
+
+
+class Lease:
+    """A lock on an open file, until this object is deleted."""
+
+    def __init__(self, path: Path, exclusive: bool) -> None:
+        """Raises OSError if the file does not exist or is locked otherwise."""
+        self._file = os.open(path, os.O_RDONLY)
+        fcntl.flock(self._file, (fcntl.LOCK_EX if exclusive else fcntl.LOCK_SH) | fcntl.LOCK_NB)
+        if not os.fstat(self._file).st_nlink:
+            raise FileNotFoundError(f"{path} was deleted")
+
+    def __del__(self) -> None:
+        if hasattr(self, "_file"):
+            os.close(self._file)
+
+
+def manifest(uri: str, version: int) -> Path:
+    """The file that makes a version of a local table."""
+    return Path(uri, "_versions", f"{_LAST_VERSION - version}.manifest")
+
+
+def local_versions(uri: str) -> list[int]:
+    """The stored versions of a local table, the oldest first; none of one in an object store."""
+    return sorted(_LAST_VERSION - int(f.stem) for f in Path(uri, "_versions").glob("*.manifest"))
+
+
+def has_leases(uri: str) -> bool:
+    """Whether users of a table can hold versions."""
+    return fcntl is not None and is_local(uri)
+
+
+def hold(table: LanceDataset) -> bool:
+    """Holds a table's version while the object lives; ``False`` if it is, or is being, deleted."""
+    if has_leases(table.uri):
+        try:
+            table.__dict__["lease"] = Lease(manifest(table.uri, table.version), exclusive=False)
+        except (FileNotFoundError, BlockingIOError):
+            return False
+    return True
+
+
+def seize(uri: str, version: int) -> Lease | None:
+    """An exclusive lock on a version that nobody uses; ``None`` if somebody does."""
+    try:
+        return Lease(manifest(uri, version), exclusive=True)
+    except (FileNotFoundError, BlockingIOError):
+        return None

@@ -30,8 +30,17 @@ from typing import TYPE_CHECKING, Any
 import pyarrow as pa
 
 from ..files import flush
-from .disk import flush_files, flush_fragments, is_local
-from .leases import Lease, has_leases, hold, manifest, seize, version_of
+from .disk import (
+    Lease,
+    flush_files,
+    flush_fragments,
+    has_leases,
+    hold,
+    is_local,
+    local_versions,
+    manifest,
+    seize,
+)
 
 if TYPE_CHECKING:
     from lance import LanceDataset
@@ -118,11 +127,6 @@ def newest_readable(uri: str) -> tuple[int | None, list[str]]:
         else:
             return version, unreadable
     return None, unreadable
-
-
-def local_versions(uri: str) -> list[int]:
-    """The stored versions of a local table, the oldest first; none of one in an object store."""
-    return sorted(version_of(file) for file in Path(uri, "_versions").glob("*.manifest"))
 
 
 def message_of(error: BaseException) -> str:

@@ -9,8 +9,6 @@ from ..database.metadata import ExtraDescriptor
 from ..segmentation.features import NAME as FEATURES
 from ..segmentation.segmenter import Segmenter
 
-_METHODS = {HOG.name: HOG}
-
 NONE = "none"
 
 
@@ -52,16 +50,15 @@ def require_same(stored: Sequence[ExtraDescriptor], segmenter: Segmenter | None)
 
 def extra_methods(stored: Sequence[ExtraDescriptor]) -> list[HOG]:
     """The methods that describe pictures themselves; features come with the label maps."""
-    return [_METHODS[each.name]() for each in stored if each.name in _METHODS]
+    return [HOG() for each in stored if each.name == HOG.name]
 
 
 def _of(name: str, segmenter: Segmenter | None) -> ExtraDescriptor:
-    if name not in (FEATURES, *_METHODS):
-        expected = ", ".join((FEATURES, *_METHODS, NONE))
+    if name == HOG.name:
+        return ExtraDescriptor(name, HOG().length, HOG().fingerprint)
+    if name != FEATURES:
+        expected = ", ".join((FEATURES, HOG.name, NONE))
         raise ValueError(f"expected a method of pictures, {expected}, got {name!r}")
-    if name == FEATURES:
-        if segmenter is None:
-            raise ValueError(f"{name} are of a network: expected images and a segmenter")
-        return segmenter.features.descriptor
-    method = _METHODS[name]()
-    return ExtraDescriptor(name, method.length, method.fingerprint)
+    if segmenter is None:
+        raise ValueError(f"{name} are of a network: expected images and a segmenter")
+    return segmenter.features.descriptor

@@ -27,8 +27,7 @@ class Plan:
     """The frames that an encoding run must encode, and why.
 
     A row of the database is up to date if its frame has the same file (by its signature), label
-    space, segmenter and pose. All other frames are encoded. A frame keeps its pose where no source
-    of poses is given.
+    space, segmenter and pose. A frame keeps its pose where no source of poses is given.
 
     Attributes:
         files: files of the frames to encode.
@@ -63,7 +62,7 @@ class Plan:
             reason = changes.get(record.origin, LABEL_SPACE) or _why_file(file, record)
             if reason:
                 reasons[file.frame], digests[file.frame] = reason, record.digest
-                todo.append(file if file.placed else replace(file, pose=_pose(record)))
+                todo.append(file if file.placed else replace(file, pose=Pose(*record[2:5])))
         present, folders = {file.frame for file in files}, {file.folder for file in files}
         signatures = zip(known, known.column("signature"), strict=True)
         gone = [f for f, s in signatures if folder_of(s) in folders and f not in present]
@@ -82,12 +81,8 @@ def _why_file(file: FrameFile, record: FrameRecord) -> str | None:
     if record.signature != signature:
         state = record.signature.rpartition("|")[2]
         return FILE if state != signature.rpartition("|")[2] else MOVED
-    same = np.array_equal(file.pose, _pose(record), equal_nan=True)
+    same = np.array_equal(file.pose, record[2:5], equal_nan=True)
     return POSE if file.placed and not same else None
-
-
-def _pose(record: FrameRecord) -> Pose:
-    return Pose(record.x, record.y, record.heading)
 
 
 def _why_origin(origin: Origin, stored: Origin) -> str | None:
