@@ -132,8 +132,7 @@ REFUSED = {
     "too large for float32 to measure": [(["a/1"], ONE * 3e38)],
     "too small for float32 to measure": [(["a/1"], ONE * 1e-30)],
     "expected a frame id, <sequence>/<name> or <name>, got ": [
-        ([frame], ONE)
-        for frame in ("", " ", "a/", "/1", " a/1", "a/1\n")
+        ([frame], ONE) for frame in ("", " ", "a/", "/1", " a/1", "a/1\n")
     ],
     "expected a frame id, .* got 'a ?/1 ?'": [
         ([record("a/1", **wrong)], ONE) for wrong in ({"sequence": "a "}, {"name": "1 "})
